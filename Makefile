@@ -8,21 +8,22 @@ BIN := $(VENV)/bin
 CODE := bootstrap.py src/gibson_sim src/gibson_sim_bench src/gibson_sim_tools ros_ws/src/gibson_examples docs tests
 
 export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
-# What another ROS installation or environment put there does not belong into ours.
+# Keeps another ROS installation or environment out of ours.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test fuzz lint format bench clean
+.PHONY: help setup run check test fuzz lint format bench clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make setup              make the environment $(VENV); PYTHON=python3.12 chooses the interpreter (3.10 to 3.12)'
 	@echo 'make run ARGS="..."     set up, then gibson-sim run ...'
 	@echo 'make test               set up, then all tests; PYTEST_ARGS="-k name" chooses some'
+	@echo 'make check              what a change must pass: lint, then all tests; none skipped for what this machine has'
 	@echo 'make fuzz ARGS="..."    set up, then hostile inputs for a minute; ARGS="--seconds 3600" for an hour, --help for more'
 	@echo 'make lint               set up, then ruff, mypy and the import rules'
 	@echo 'make format             set up, then let ruff format the code'
-	@echo 'make bench              set up, then a short table of speed beside the one of docs/benchmarks; for information'
-	@echo 'make clean              remove $(VENV) and everything that was built'
+	@echo 'make bench              set up, then a short table of speeds beside that of docs/benchmarks; for information'
+	@echo 'make clean              remove $(VENV) and all build outputs'
 
 setup:
 	@$(PYTHON) bootstrap.py --venv '$(VENV)'
@@ -30,8 +31,8 @@ setup:
 run: setup
 	@'$(BIN)/gibson-sim' run $(ARGS)
 
-# Tests with nodes in processes of their own come one after the other: they need the machine, and a ROS domain, for themselves.
-# One that fails has a second attempt; what failed the first time is printed at the end, as FLAKY: it wants mending.
+# Tests that start nodes as processes run one after the other: each needs the machine, and a ROS domain, for itself.
+# A failed one gets a second attempt; a first failure is printed at the end as FLAKY and needs a fix all the same.
 NODES := tests/ros tests/acceptance
 
 ifeq ($(strip $(PYTEST_ARGS)),)
@@ -44,6 +45,9 @@ else
 test: setup
 	@'$(BIN)/python' -m pytest $(PYTEST_ARGS)
 endif
+
+check: lint
+	@GIBSON_SIM_STRICT=1 $(MAKE) test
 
 fuzz: setup
 	@PYTHONPATH=tests '$(BIN)/python' -m fuzz $(ARGS)
@@ -58,7 +62,7 @@ format: setup
 	@'$(BIN)/ruff' check --fix $(CODE)
 	@'$(BIN)/ruff' format $(CODE)
 
-# For information: machines differ, and so do hours. It never fails for being slow.
+# For information: speeds differ between machines and from hour to hour. A slow result never fails.
 BENCH_BEFORE ?= docs/benchmarks/table1_cpu.json
 
 bench: setup
@@ -66,7 +70,7 @@ bench: setup
 	@if [ -f '$(BENCH_BEFORE)' ]; then '$(BIN)/gibson-sim' bench compare '$(BENCH_BEFORE)' out/table1.json; fi
 
 clean:
-	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/gibson_sim/build src/gibson_sim/*.egg-info
+	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/*/build src/*/*.egg-info
 	rm -rf ros_ws/src/gibson_examples/build ros_ws/src/gibson_examples/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find src ros_ws/src/gibson_examples tests -name __pycache__ -type d -prune -exec rm -rf {} +

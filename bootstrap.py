@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Makes the virtual environment in which Gibson Sim runs: ROS 2 Jazzy, PyBullet, the message packages and Gibson Sim itself.
+"""Creates the virtual environment in which Gibson Sim runs: ROS 2 Jazzy, PyBullet, the message packages and Gibson Sim itself.
 
-`make setup` calls this; only the standard library is used. Each step leaves a stamp in the environment that says what it was
-made from, so a second run finds nothing to do. What goes wrong is said in one line that begins with "error:".
+`make setup` calls this program, which uses the standard library alone. Each step leaves a stamp in the environment with a digest
+of its inputs, so a second run finds nothing to do. An error is one line that begins with "error:".
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ PROJECTS = (
 )
 INTERFACES = (ROOT / "src" / "gibson_msgs", ROOT / "ros_ws" / "src" / "compat")
 PYTHON_ONLY = ROOT / "ros_ws" / "src" / "compat" / "python_only"
-"""What makes CMake build messages for Python alone."""
+"""Folder of the CMake package that limits message generation to Python."""
 
 SHARED = ("config", "launch/*", "package.xml", "scenes")
-"""What of a project others find in its share folder. `ros2 launch` looks for a file there, but not in folders that are links."""
+"""Parts of a project that are linked into its share folder. `ros2 launch` searches there for files, but not in linked folders."""
 
 SUPPORTED = ((3, 10), (3, 11), (3, 12))
 BUILD_TOOLS = ("numpy", "packaging", "setuptools", "wheel")
-"""What pip needs to build the packages that come as sources. With NumPy there, PyBullet is built to work with it."""
+"""Packages that pip needs to build source packages. PyBullet is built with NumPy support because NumPy is among them."""
 COMPILED_PYBULLET = (3, 12)
-"""From this Python on there is no binary package of PyBullet."""
+"""First Python without a PyBullet wheel."""
 
 FOREIGN = (
     "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV",
 )  # fmt: skip
-"""Variables of another ROS installation or environment, which must not reach into ours."""
+"""Variables of another ROS installation or environment, which must not leak into ours."""
 PYTHON = getattr(sys, "_base_executable", None) or sys.executable
-"""The interpreter to build on: the one below, where this runs inside an environment."""
+"""Interpreter of the new environment; inside a virtual environment, the base interpreter."""
 BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""Set in programs started by another environment of this kind: ours would then not find its libraries."""
+"""Variable that another environment of this kind sets for its programs: with it, ours would not find its libraries."""
 
 DEBIAN_PACKAGES = {
     "the Python module venv": "python3-venv",
@@ -60,7 +60,7 @@ DEBIAN_PACKAGES = {
     "the library libEGL.so.1": "libegl1",
     "a driver for EGL": "libegl-mesa0 libgl1-mesa-dri",
 }
-"""What the machine must have, and the Debian and Ubuntu packages that bring it."""
+"""System dependencies, and the Debian and Ubuntu packages that provide them."""
 
 EGL_PROBE = r"""
 import ctypes, sys
@@ -82,20 +82,20 @@ if devices:
     candidates += [(0x313F, found[i]) for i in range(count.value)]
 sys.exit(0 if display and any(initialize(display(kind, native, None), None, None) for kind, native in candidates) else 3)
 """
-"""Opens a display without a screen, as the renderer does. Exit code 2: no libEGL; 3: no driver for it."""
+"""Opens an EGL display without a screen, as the renderer does. Exit code 2: no libEGL; 3: no driver for it."""
 
 
 class SetupError(Exception):
-    """What stops the set-up, in one line with the remedy."""
+    """A failure of the set-up, with its remedy, in one line."""
 
 
 def say(text: str) -> None:
-    """Prints a line at once, in order with what other programs print."""
+    """Prints a line unbuffered, in order with the output of other programs."""
     print(f"gibson-sim setup: {text}", flush=True)
 
 
 def clean_environment(venv: Path) -> dict[str, str]:
-    """Returns the environment for programs of ``venv``: without what another installation has put there."""
+    """Returns the environment variables for programs of ``venv``, without those of another installation."""
     env = {k: v for k, v in os.environ.items() if k not in FOREIGN and k != BOOTSTRAPPED}
     env["PATH"] = f"{venv / 'bin'}{os.pathsep}{env.get('PATH', os.defpath)}"
     env["PYTHONNOUSERSITE"] = "1"
@@ -103,7 +103,7 @@ def clean_environment(venv: Path) -> dict[str, str]:
 
 
 def run(command: list[str], venv: Path, log: Path, extra: dict[str, str] | None = None) -> None:
-    """Runs a program with its output in ``log``; on failure shows the end of it."""
+    """Runs a program with its output in ``log``; on failure prints the end of the log."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as out:
         code = subprocess.run(
@@ -112,11 +112,11 @@ def run(command: list[str], venv: Path, log: Path, extra: dict[str, str] | None 
     if code:
         tail = log.read_text(errors="replace").splitlines()[-30:]
         print("\n".join(tail), file=sys.stderr)
-        raise SetupError(f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; all it said is in {log}")
+        raise SetupError(f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; its whole output is in {log}")
 
 
 def missing_system_parts() -> list[str]:
-    """Returns the keys of ``DEBIAN_PACKAGES`` of what the machine lacks."""
+    """Returns the keys of ``DEBIAN_PACKAGES`` that the machine lacks."""
     venv, headers, compiler, egl, driver = DEBIAN_PACKAGES
     missing = []
     if subprocess.run([PYTHON, "-c", "import venv, ensurepip"], capture_output=True, check=False).returncode:
@@ -137,7 +137,7 @@ def distribution_python() -> bool:
 
 
 def debian_packages(parts: Iterable[str]) -> list[str]:
-    """Returns the names of the Debian and Ubuntu packages that bring ``parts``; none for a Python that is not theirs."""
+    """Returns the Debian and Ubuntu packages that provide ``parts``; no Python package for an interpreter from elsewhere."""
     names = [name for part in parts for name in DEBIAN_PACKAGES[part].split()]
     if not distribution_python():
         return [name for name in names if not name.startswith("python3")]
@@ -145,7 +145,7 @@ def debian_packages(parts: Iterable[str]) -> list[str]:
 
 
 def check_system() -> None:
-    """Makes sure that compiler, headers and OpenGL are there; as root, installs what is not."""
+    """Checks for compiler, headers and OpenGL; as root, installs the missing ones."""
     missing = missing_system_parts()
     packages = debian_packages(missing)
     if packages and os.geteuid() == 0 and shutil.which("apt-get"):
@@ -165,7 +165,7 @@ def check_system() -> None:
 
 
 def digest(paths: Iterable[Path], *texts: str) -> str:
-    """Returns a hash of the names and content of all files in ``paths`` (folders: everything in them) and of ``texts``."""
+    """Returns a hash of names and content of all files in ``paths`` (folders: recursively) and of ``texts``."""
     h = hashlib.sha256(sys.version.encode())
     for text in texts:
         h.update(text.encode() + b"\0")
@@ -177,30 +177,30 @@ def digest(paths: Iterable[Path], *texts: str) -> str:
 
 
 class Stamp:
-    """A file in the environment that says from what a step was made."""
+    """A file in the environment that holds the digest of the inputs of a finished step."""
 
     def __init__(self, venv: Path, name: str, key: str) -> None:
         self.file = venv / "gibson_setup" / f"{name}.stamp"
         self.key = key
 
     def fresh(self) -> bool:
-        """Returns whether the step was done, from the same things."""
+        """Returns whether the step was done with the same inputs."""
         return self.file.is_file() and self.file.read_text() == self.key
 
     def write(self) -> None:
-        """Notes that the step is done."""
+        """Marks the step as done."""
         self.file.write_text(self.key)
 
 
 def make_venv(venv: Path) -> None:
-    """Creates the environment, anew if it belongs to another Python, another place or an interrupted set-up."""
+    """Creates the environment; replaces one of another Python, another folder or an interrupted set-up."""
     stamp = Stamp(venv, "venv", digest([], str(venv)))
     if stamp.fresh() and (venv / "bin" / "python").exists():
         return
     if venv.exists() and any(venv.iterdir()):
         if not stamp.file.parent.is_dir():
             raise SetupError(f"{venv} was not made by this set-up; remove it, or choose another folder with VENV=<folder>")
-        say(f"{venv} belongs to another Python, another place or an interrupted set-up: making it anew")
+        say(f"{venv} belongs to another Python, another folder or an interrupted set-up: making it anew")
         shutil.rmtree(venv)
     say(f"making {venv} with Python {platform.python_version()}")
     stamp.file.parent.mkdir(parents=True)
@@ -209,7 +209,7 @@ def make_venv(venv: Path) -> None:
 
 
 def pins() -> list[str]:
-    """Returns all packages of constraints.txt; pip takes the ones that hold for this Python."""
+    """Returns all packages of constraints.txt; pip selects those for this Python."""
     return [line for line in CONSTRAINTS.read_text().splitlines() if line and not line.startswith("#")]
 
 
@@ -219,22 +219,22 @@ def pinned(*names: str) -> list[str]:
 
 
 def pip(venv: Path, log: str, action: str, *arguments: str) -> None:
-    """Runs an action of pip in the environment: exact versions, no resolving, no build environments of its own."""
+    """Runs a pip command in the environment: exact versions, no dependency resolution, no build isolation."""
     command = [str(venv / "bin" / "python"), "-m", "pip", action]
     command += ["--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
     run([*command, *arguments], venv, venv / "gibson_setup" / f"{log}.log")
 
 
 def pybullet_wheels(venv: Path) -> Path:
-    """Returns a folder with a PyBullet wheel for this Python; compiles it unless an earlier set-up has."""
+    """Returns a folder with a PyBullet wheel for this Python; compiles one unless an earlier set-up has."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gibson-sim" / "wheels"
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
     (requirement,) = pinned("pybullet")
     if list(cache.glob(f"{requirement.replace('==', '-')}-{tag}-{tag}-*{platform.machine()}.whl")):
-        say(f"PyBullet: using the wheel compiled before, in {cache}")
+        say(f"PyBullet: using the wheel of an earlier set-up, in {cache}")
         return cache
     say(
-        f"PyBullet: there is no binary for Python {sys.version_info.major}.{sys.version_info.minor}, so it is compiled: "
+        f"PyBullet: no wheel exists for Python {sys.version_info.major}.{sys.version_info.minor}; compiling it takes "
         "3 to 5 minutes, once per machine"
     )
     folder = venv / "gibson_setup" / "wheels"
@@ -251,7 +251,7 @@ def pybullet_wheels(venv: Path) -> Path:
 
 
 def install_packages(venv: Path, key: str) -> bool:
-    """Installs everything that constraints.txt lists. Returns whether there was something to do."""
+    """Installs all packages of constraints.txt. Returns whether there was something to do."""
     stamp = Stamp(venv, "packages", key)
     if stamp.fresh():
         return False
@@ -262,7 +262,7 @@ def install_packages(venv: Path, key: str) -> bool:
         find = ["--find-links", str(pybullet_wheels(venv))]
     ros = [line for line in pins() if line.startswith("ros-")]
     others = [line for line in pins() if line not in ros]
-    # They share no file and need nothing of each other, so both can be installed at a time.
+    # Neither group shares a file with the other or depends on it: both install in parallel.
     with ThreadPoolExecutor() as pool:
         both = [("ros", "install", *ros), ("packages", "install", *find, *others)]
         for installed in [pool.submit(pip, venv, *arguments) for arguments in both]:
@@ -273,7 +273,7 @@ def install_packages(venv: Path, key: str) -> bool:
 
 
 def point_exports_here(venv: Path) -> None:
-    """Replaces, in the CMake files of the ROS packages, the folders of the machine that built them by this environment's."""
+    """Replaces the folders of the build machine in the CMake files of the ROS packages by this environment's."""
     code = "import numpy, sysconfig; print(sysconfig.get_path('include')); print(numpy.get_include())"
     result = subprocess.run(
         [str(venv / "bin" / "python"), "-c", code], env=clean_environment(venv), capture_output=True, text=True, check=True
@@ -288,7 +288,7 @@ def point_exports_here(venv: Path) -> None:
 
 
 def built_on(venv: Path) -> str:
-    """Returns a hash of what the message packages are built against: where that changes, all is built anew."""
+    """Returns a hash of the build dependencies of the message packages: a change rebuilds all of them."""
     return digest([PYTHON_ONLY], str(venv), *(line for line in pins() if line.startswith(("numpy==", "ros-"))))
 
 
@@ -307,7 +307,7 @@ def build_interfaces(venv: Path, key: str) -> bool:
     command += ["--cmake-args", "-G", "Ninja"]
     command += [f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "--no-warn-unused-cli"]
     command += [f"-Drosidl_default_generators_DIR={PYTHON_ONLY}", "-DCMAKE_C_FLAGS_RELEASE=-O1", "-DCMAKE_CXX_FLAGS_RELEASE=-O1"]
-    # Both are needed for as many compilers as there are cores: colcon would start fewer of them on a machine that is busy.
+    # Both variables together start one compiler per core: on a busy machine colcon would start fewer.
     jobs = {"MAKEFLAGS": f"-j{os.cpu_count()}", "CMAKE_BUILD_PARALLEL_LEVEL": str(os.cpu_count())}
     extra = {"AMENT_PREFIX_PATH": str(venv), "CMAKE_PREFIX_PATH": str(venv), "COLCON_HOME": str(base / "home"), **jobs}
     run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
@@ -316,7 +316,7 @@ def build_interfaces(venv: Path, key: str) -> bool:
 
 
 def install_project(venv: Path) -> bool:
-    """Installs Gibson Sim and its examples from the source tree, in place. Returns whether there was something to do."""
+    """Installs Gibson Sim and its examples from the source tree, editable. Returns whether there was something to do."""
     files = [project / name for project in PROJECTS for name in ("setup.py", "setup.cfg", "pyproject.toml")]
     shared = [str(path) for project in PROJECTS for path in shared_parts(project)]
     stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv), *shared))
@@ -336,7 +336,7 @@ def shared_parts(project: Path) -> list[Path]:
 
 
 def put_into_ament_index(venv: Path, project: Path) -> None:
-    """Makes the links by which launch, `ros2 run` and their like find a package that pip has installed in place."""
+    """Creates the links through which launch and `ros2 run` find an editable installation of pip."""
     name, share = project.name, venv / "share"
     links = {share / "ament_index" / "resource_index" / "packages" / name: project / "resource" / name}
     links |= {share / name / path.relative_to(project): path for path in shared_parts(project)}
@@ -352,8 +352,8 @@ def put_into_ament_index(venv: Path, project: Path) -> None:
 
 
 @contextlib.contextmanager
-def alone(venv: Path) -> Iterator[None]:
-    """Waits until no other set-up works in the folder of the environment."""
+def exclusive_set_up(venv: Path) -> Iterator[None]:
+    """Holds a lock that excludes other set-ups in the same folder."""
     venv.parent.mkdir(parents=True, exist_ok=True)
     folder = os.open(venv.parent, os.O_RDONLY)
     try:
@@ -382,19 +382,19 @@ def set_up(venv: Path) -> None:
 
 def main() -> int:
     """Returns the exit code."""
-    parser = argparse.ArgumentParser(description="Makes the environment in which Gibson Sim runs.")
+    parser = argparse.ArgumentParser(description="Creates the environment in which Gibson Sim runs.")
     parser.add_argument(
         "--venv", type=Path, default=ROOT / ".venv", help="folder of the environment (default: .venv beside this file)"
     )
     venv = Path(os.path.abspath(parser.parse_args().venv))
     try:
-        with alone(venv):
+        with exclusive_set_up(venv):
             set_up(venv)
     except SetupError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("error: interrupted; the next `make setup` goes on", file=sys.stderr)
+        print("error: interrupted; the next `make setup` continues", file=sys.stderr)
         return 130
     return 0
 

@@ -1,9 +1,9 @@
-# source env.sh: activates the environment for your own nodes and tools. Works in bash and zsh.
-# It also takes another ROS installation out of this shell: two of them in one process do not work.
+# source env.sh: activates the environment for your own nodes and tools, in bash and zsh.
+# It also removes another ROS installation from this shell: two of them in one process do not work.
 
 _gibson_sim_root="$(cd "$(dirname "${BASH_SOURCE[0]:-${(%):-%x}}")" && pwd)"
 if [ ! -f "$_gibson_sim_root/.venv/bin/activate" ]; then
-    echo "error: there is no environment in $_gibson_sim_root/.venv; make it with: make setup" >&2
+    echo "error: no environment in $_gibson_sim_root/.venv; create it with: make setup" >&2
     unset _gibson_sim_root
     return 1 2>/dev/null || exit 1
 fi

@@ -14,6 +14,7 @@ import pytest
 from gibson_sim.errors import AlreadyRunningError
 from gibson_sim.reach import PROFILE_VARIABLE, RANGE_VARIABLE
 from gibson_sim.standard.domain_lock import DomainLock
+from support import strict
 from support.simulation import Listener, new_context, require
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,8 +101,20 @@ def other_listener(ros_domain: int) -> Iterator[Listener]:
     context.try_shutdown()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fails a strict run that skipped what this machine can do, or that needed an unexplained second attempt."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    passed = reporter is not None and session.exitstatus == pytest.ExitCode.OK
+    if os.environ.get(strict.VARIABLE) and passed and strict.faults(reporter.stats):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Shows what failed at the first attempt and not at the second: nothing is hidden."""
+    """Shows what failed at the first attempt and not at the second, and what a strict run refuses."""
     for report in terminalreporter.stats.get("rerun", ()):
         terminalreporter.section(f"FLAKY: {report.nodeid} failed at its first attempt", yellow=True)
         terminalreporter.line(report.longreprtext)
+    if os.environ.get(strict.VARIABLE):
+        for line in strict.faults(terminalreporter.stats):
+            terminalreporter.line(f"REFUSED: {line}", red=True)

@@ -29,7 +29,7 @@ class Controller(Node):
         command = Twist()
         command.linear.x, command.angular.z = (0.3, 0.0) if ahead > 0.6 else (0.0, 0.8)
         self.publisher.publish(command)
-        self.lockstep.done(message.header.stamp, sent=[self.publisher.topic_name])
+        self.lockstep.tick_done(message.header.stamp, sent=[self.publisher.topic_name])
         self.scans += 1
 
 

@@ -28,13 +28,12 @@ setup(
     maintainer="Gibson Sim maintainers",
     maintainer_email="maintainers@gibson-sim.example",
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "render/shaders/*"]},
+    package_data={NAME: ["py.typed", "render/shaders/*", "web/page/*"]},
     python_requires=">=3.10",
     install_requires=[
         "numpy",
         "scipy",
         "opencv-python-headless",
-        "trimesh",
         "moderngl",
         "PyYAML",
         "pybullet",
@@ -47,6 +46,7 @@ setup(
         "zstandard",
         "av",
         "rich",
+        "aiohttp",
         "xacro",
     ],
     extras_require={
@@ -76,6 +76,7 @@ setup(
             "snapshot_node = gibson_sim.ros.nodes.start:snapshot_node",
             "replay_node = gibson_sim.ros.nodes.start:replay_node",
             "task_node = gibson_sim.ros.nodes.start:task_node",
+            "web_node = gibson_sim.ros.nodes.start:web_node",
         ],
     },
 )

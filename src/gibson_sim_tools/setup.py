@@ -15,7 +15,7 @@ setup(
     packages=find_packages(include=[NAME, NAME + ".*"]),
     package_data={NAME: ["py.typed"]},
     python_requires=">=3.10",
-    install_requires=["gibson_sim==0.1.0", "numpy", "scipy", "opencv-python-headless", "trimesh", "DracoPy", "rich"],
+    install_requires=["gibson_sim==0.1.0", "numpy", "scipy", "opencv-python-headless", "PyYAML", "trimesh"],
     extras_require={
         "authoring": ["bpy"],
         "collision": ["coacd>=1.0.7"],

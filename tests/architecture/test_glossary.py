@@ -18,7 +18,7 @@ NEXT = {
     "command": "command",
     "step": "actuate",
     "actuate": "actuate",
-    "_draw": "_taker",
+    "_draw": "_frame_history",
 }
 """Method of the way -> what it calls or fills, where the next one is reached directly."""
 

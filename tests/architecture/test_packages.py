@@ -14,7 +14,9 @@ import pytest
 
 from support.simulation import require
 
-PACKAGE_XML = ("src/gibson_sim/package.xml", "src/gibson_msgs/package.xml")
+PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+NOT_IMPORTED = {"gibson_sim": {"xacro"}}
+"""What the code needs without an import statement: programs that it starts."""
 PACKAGE_OF = {
     "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "mathutils": "bpy", "pxr": "usd-core",
     "ruamel": "ruamel-yaml", "yaml": "PyYAML",
@@ -23,8 +25,12 @@ ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*(a[0-9]+)?( ; python_version (<|>=) \"3\.\d+\")?")
 
 
-def _setup_py(root: Path) -> str:
-    return (root / "src" / "gibson_sim" / "setup.py").read_text()
+def _setup_py(root: Path, package: str) -> str:
+    return (root / "src" / package / "setup.py").read_text()
+
+
+def _version(root: Path, package: str) -> str:
+    return _found(r'__version__ = "(.*)"', (root / "src" / package / package / "__init__.py").read_text())
 
 
 def _found(pattern: str, text: str) -> str:
@@ -33,15 +39,13 @@ def _found(pattern: str, text: str) -> str:
     return match.group(1)
 
 
-@pytest.mark.parametrize("file", PACKAGE_XML)
-def test_package_xml_has_the_version_of_the_python_package(root: Path, file: str) -> None:
-    version = _found(r'__version__ = "(.*)"', (root / "src/gibson_sim/gibson_sim/__init__.py").read_text())
-    assert ElementTree.parse(root / file).findtext("version") == version
-
-
-def test_setup_py_has_the_version_of_the_python_package(root: Path) -> None:
-    version = _found(r'__version__ = "(.*)"', (root / "src/gibson_sim/gibson_sim/__init__.py").read_text())
-    assert _found(r'version="(.*)"', _setup_py(root)) == version
+@pytest.mark.parametrize("package", ["gibson_msgs", *PYTHON_PACKAGES])
+def test_all_packages_have_the_same_version(root: Path, package: str) -> None:
+    version = _version(root, "gibson_sim")
+    assert ElementTree.parse(root / "src" / package / "package.xml").findtext("version") == version
+    if package in PYTHON_PACKAGES:
+        assert (_version(root, package), _found(r'version="(.*)"', _setup_py(root, package))) == (version, version)
+        assert set(re.findall(r'"gibson_\w+==(.*?)"', _setup_py(root, package))) <= {version}
 
 
 def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> None:
@@ -63,7 +67,14 @@ def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> N
 
 
 def test_links_are_relative_and_lead_somewhere(root: Path) -> None:
-    links = ["ros_ws/src/gibson_msgs", "ros_ws/src/gibson_sim", "src/gibson_sim/config", "src/gibson_sim/scenes"]
+    links = [
+        "ros_ws/src/gibson_msgs",
+        "ros_ws/src/gibson_sim",
+        "ros_ws/src/gibson_sim_tools",
+        "ros_ws/src/gibson_sim_bench",
+        "src/gibson_sim/config",
+        "src/gibson_sim/scenes",
+    ]
     wrong = [link for link in links if os.path.isabs(os.readlink(root / link)) or not (root / link).is_dir()]
     assert wrong == []
 
@@ -73,29 +84,37 @@ def test_every_constraint_is_exact(root: Path) -> None:
     assert [line for line in lines if line and not line.startswith("#") and not EXACT.fullmatch(line)] == []
 
 
-def test_everything_that_setup_py_needs_has_a_version(root: Path) -> None:
-    block = _found(r"(?s)install_requires=\[(.*?)\]", _setup_py(root))
-    needed = {name.lower() for name in re.findall(r'"(.*?)"', block)}
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_everything_that_setup_py_needs_has_a_version(root: Path, package: str) -> None:
+    block = _found(r"(?s)install_requires=\[(.*?)\]", _setup_py(root, package))
+    needed = {name.lower() for name in re.findall(r'"([\w-]+)', block)} - set(PYTHON_PACKAGES)
     pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (root / "constraints.txt").read_text()))
     assert needed - pinned == set()
 
 
-def test_everything_that_the_code_imports_stands_in_setup_py(root: Path) -> None:
-    imported: set[str] = set()
+def _imported(root: Path, package: str) -> set[str]:
+    """Returns the packages that the code of one of ours imports: none of Python's and of ROS, nor itself."""
+    found: set[str] = set()
     peers = (
         root / "src/gibson_sim_bench/gibson_sim_bench/peers.py"
     )  # measures what users have installed themselves, each optional
-    for file in set((root / "src/gibson_sim/gibson_sim").rglob("*.py")) - {peers}:
+    for file in set((root / "src" / package / package).rglob("*.py")) - {peers}:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
-                imported |= {alias.name.partition(".")[0] for alias in node.names}
+                found |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                imported.add(str(node.module).partition(".")[0])
-    ros = {name for name in imported if name.endswith(("_msgs", "_interfaces", "_srvs")) or name in ROS_MODULES}
-    foreign = imported - ros - set(sys.stdlib_module_names) - {"gibson_sim"}
-    needed = _found(r"(?s)install_requires=\[(.*?)\]", _setup_py(root))
-    optional = _found(r"(?s)extras_require=\{(.*?)\}", _setup_py(root))
-    assert {PACKAGE_OF.get(name, name) for name in foreign} - set(re.findall(r'"([A-Za-z0-9-]+)', needed + optional)) == set()
+                found.add(str(node.module).partition(".")[0])
+    ros = {name for name in found if name.endswith(("_msgs", "_interfaces", "_srvs")) or name in ROS_MODULES}
+    return {PACKAGE_OF.get(name, name) for name in found - ros - set(sys.stdlib_module_names) - {package}}
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_setup_py_needs_what_the_code_imports_and_nothing_else(root: Path, package: str) -> None:
+    imported = _imported(root, package)
+    needed = set(re.findall(r'"([A-Za-z0-9_-]+)', _found(r"(?s)install_requires=\[(.*?)\]", _setup_py(root, package))))
+    optional = set(re.findall(r'"([A-Za-z0-9_-]+)', _found(r"(?s)extras_require=\{(.*?)\}", _setup_py(root, package))))
+    assert imported - needed - optional == set()
+    assert needed - imported == NOT_IMPORTED.get(package, set())
 
 
 def test_our_tf_message_is_the_one_that_other_programs_know(root: Path) -> None:

@@ -26,7 +26,7 @@ def robot(root: Path) -> RobotSpec:
 
 @pytest.fixture
 def make_scene(tmp_path: Path) -> MakeScene:
-    """Makes a scene of robots and collision shapes, on a ground plane unless told otherwise."""
+    """Makes a scene of robots and collision shapes, by default on a ground plane."""
 
     def make(*robots: RobotSpec, collisions: tuple[CollisionSpec, ...] = (), ground_z: float | None = 0.0) -> SceneSpec:
         return SceneSpec("test", tmp_path, "", (), collisions, ground_z=ground_z, robots=robots)

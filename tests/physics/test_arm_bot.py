@@ -37,7 +37,7 @@ def world(arm_bot: RobotSpec, make_scene: MakeScene) -> Iterator[PhysicsWorld]:
 
 
 def posed(robot: RobotSpec, pose: str) -> RobotSpec:
-    """The robot, starting in one of its poses; joints that the pose does not name are as at home."""
+    """The robot, starting in one of its poses; joints that the pose does not name are at their home positions."""
     return replace(robot, joints=tuple({**dict(robot.joints), **dict(robot.named_pose(pose).joints)}.items()))
 
 
@@ -111,7 +111,7 @@ def test_stretched_out_with_a_kilogram_it_holds_and_does_not_tip(arm_bot: RobotS
         assert world.body_pose("box").position[2] == pytest.approx(0.787, abs=0.01)
         states, model = world.joint_states("robot"), read_urdf(robot.urdf)
         efforts = dict(zip(states.names, np.abs(states.efforts).tolist(), strict=True))
-        # Half of what the motor has: 0.98 m from the axis hang 1 kg, the arm's links weigh 12 kg.
+        # Half of the motor's torque: 1 kg at 0.98 m from the axis, and 12 kg of links.
         assert 55.0 < efforts["shoulder_lift_joint"] < 0.6 * model.joint("shoulder_lift_joint").effort
 
 
@@ -151,7 +151,7 @@ def test_the_base_keeps_its_heading_while_the_stretched_arm_swings_and_stops_at_
         for goal in (-1.3, 1.3):
             at = positions(world)["shoulder_pan_joint"]
             while abs(at - goal) > 1e-9:
-                # As a script does it: a little on, ten times a second, so that the arm goes at full speed until its end.
+                # As scripts do: a target a little ahead, ten times a second, so that the arm moves at full speed until its end.
                 at += max(-0.12, min(0.12, goal - at))
                 world.command_joints("robot", JointPositions((at,), ("shoulder_pan_joint",)))
                 world.step(24)

@@ -1,4 +1,4 @@
-"""Tasks of a robot with an arm: pick and place, and the thing in the cabinet."""
+"""Tasks of a robot with an arm: pick and place, and the item in the cabinet."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy, transform_points
-from gibson_sim.tasks.episode import Episode, View, item_root
+from gibson_sim.tasks.episode import Episode, Observation, item_root
 from gibson_sim.tasks.furnishing import extent, lying, middle, standing
 from gibson_sim.tasks.ground import Ground, ground_of
-from gibson_sim.tasks.kinds.arm_task import Fumbler
-from gibson_sim.tasks.kinds.open_cabinet import CABINET, THING, OpenCabinet, part_of
+from gibson_sim.tasks.kinds.arm_task import RandomArmPolicy
+from gibson_sim.tasks.kinds.open_cabinet import CABINET, THING, OpenCabinet, front_of
 from gibson_sim.tasks.kinds.pick_and_place import APART, NEAR, PickAndPlace
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun, run_episode
@@ -42,7 +42,7 @@ def run() -> Iterator[TaskRun]:
 
 
 class NearPick(PickAndPlace):
-    """Begins where one reaches for the thing."""
+    """Begins where the arm reaches the item."""
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         return _near(super().generate(seed, ground))
@@ -60,20 +60,22 @@ def _near(episode: Episode) -> Episode:
     return replace(episode, start=pose_from_xyz_rpy((*there.stand, 0.0), (0.0, 0.0, there.yaw)))
 
 
-def _view(episode: Episode, thing: Pose, tool: Vec3, *, held: str = "", speed: float = 0.0, opening: float = 0.0) -> View:
-    """The thing and the hand where they are told to be, a drawer or door as open as it is told to be."""
+def _observation(
+    episode: Episode, thing: Pose, tool: Vec3, *, held: str = "", speed: float = 0.0, opening: float = 0.0
+) -> Observation:
+    """Item, hand and drawer or door at given positions."""
     item = episode.items[-1]
     links = {item_root(one): one.pose for one in episode.items}
     links |= {item_root(item): thing, TOOL: Pose(tool), BASE: episode.start}
     if isinstance(task_of(episode.task), OpenCabinet):
-        part = part_of(episode)
-        x, y, z = (0.177, part.side * 0.4, part.low)
+        front = front_of(episode)
+        x, y, z = (0.177, front.side * 0.4, front.low)
         place = episode.items[0].pose
-        x += opening if part.slides else 0.0
+        x += opening if front.slides else 0.0
         position = transform_points(matrix_from_pose(place), np.array([(x, y, z)]))[0]
-        yaw = standing(episode.items[0]).yaw + math.pi + (0.0 if part.slides else part.side * opening)
-        links[f"{CABINET}/{part.link}"] = pose_from_xyz_rpy((position[0], position[1], position[2]), (0.0, 0.0, yaw))
-    return View(1.0, links, BASE, held=held, speeds={item_root(item): speed})
+        yaw = standing(episode.items[0]).yaw + math.pi + (0.0 if front.slides else front.side * opening)
+        links[f"{CABINET}/{front.link}"] = pose_from_xyz_rpy((position[0], position[1], position[2]), (0.0, 0.0, yaw))
+    return Observation(1.0, links, BASE, held=held, speeds={item_root(item): speed})
 
 
 @pytest.mark.parametrize("name", ARM_TASKS)
@@ -88,9 +90,9 @@ def test_no_episode_begins_done_nor_with_furniture_in_something(arena: Ground, n
     task = task_of(name)
     for seed in range(3):
         episode = task.generate(seed, arena)
-        view = _view(episode, episode.items[-1].pose, FAR)
-        assert not task.succeeded(episode, view, arena)
-        assert task.remaining(episode, view, arena) > 1.0
+        obs = _observation(episode, episode.items[-1].pose, FAR)
+        assert not task.succeeded(episode, obs, arena)
+        assert task.remaining(episode, obs, arena) > 1.0
         furniture = [standing(item) for item in episode.items[:-1]]
         outlines = [one.outline() for one in furniture]
         for one in furniture:
@@ -100,19 +102,19 @@ def test_no_episode_begins_done_nor_with_furniture_in_something(arena: Ground, n
 
 def test_even_seeds_are_drawers_and_odd_ones_doors(arena: Ground) -> None:
     task = OpenCabinet()
-    parts = [part_of(task.generate(seed, arena)) for seed in range(6)]
-    assert [part.slides for part in parts] == [True, False] * 3
-    assert len({part.link for part in parts}) > 2
+    fronts = [front_of(task.generate(seed, arena)) for seed in range(6)]
+    assert [front.slides for front in fronts] == [True, False] * 3
+    assert len({front.link for front in fronts}) > 2
 
 
 def test_what_is_in_a_drawer_or_on_a_shelf_is_behind_the_closed_front(arena: Ground) -> None:
     task = OpenCabinet()
     for seed in range(4):
         episode = task.generate(seed, arena)
-        view = _view(episode, episode.items[1].pose, FAR)
-        part = part_of(episode)
-        assert part.opening(view) == pytest.approx(0.0, abs=1e-9)
-        assert part.clearance(view, episode.items[1]) == 0.0
+        obs = _observation(episode, episode.items[1].pose, FAR)
+        front = front_of(episode)
+        assert front.opening(obs) == pytest.approx(0.0, abs=1e-9)
+        assert front.clearance(obs, episode.items[1]) == 0.0
 
 
 def test_a_room_without_a_place_is_refused(arena: Ground) -> None:
@@ -150,17 +152,17 @@ def test_a_thing_is_placed_where_it_rests_within_3_cm_and_is_let_go(
     assert episode.goal.position is not None
     x, y, z = episode.goal.position
     there = lying("thing", thing.model, (x + offset, y, z), 0.5).pose
-    view = _view(episode, there, FAR, held=held, speed=speed)
-    mx, my, mz = middle(thing, view)
-    view = replace(view, links={**view.links, TOOL: Pose((mx, my, mz + tool))})
-    assert task.succeeded(episode, view, arena) == done
+    obs = _observation(episode, there, FAR, held=held, speed=speed)
+    mx, my, mz = middle(thing, obs)
+    obs = replace(obs, links={**obs.links, TOOL: Pose((mx, my, mz + tool))})
+    assert task.succeeded(episode, obs, arena) == done
     if offset <= NEAR:
-        assert task.remaining(episode, view, arena) == pytest.approx(offset, abs=1e-6)
+        assert task.remaining(episode, obs, arena) == pytest.approx(offset, abs=1e-6)
 
 
 def test_both_places_are_apart_and_on_surfaces(arena: Ground) -> None:
     task = PickAndPlace()
-    for seed in (0, 1, 2, 3, 200):  # of the last one the first place drawn has no other one on its small table
+    for seed in (0, 1, 2, 3, 200):  # in the last one, no other item is on the small table of the first place that is drawn
         episode = task.generate(seed, arena)
         thing, goal = episode.items[-1], episode.goal.position
         assert goal is not None
@@ -174,7 +176,7 @@ def test_both_places_are_apart_and_on_surfaces(arena: Ground) -> None:
 def test_a_thing_is_fetched_when_it_is_held_outside_and_the_front_is_open(arena: Ground, seed: int) -> None:
     task = OpenCabinet()
     episode = task.generate(seed, arena)
-    cabinet, enough = standing(episode.items[0]), part_of(episode).enough
+    cabinet, enough = standing(episode.items[0]), front_of(episode).enough
     outside = lying(THING, episode.items[1].model, cabinet.point(0.8, 0.0, 0.5), 0.0).pose
     near = lying(THING, episode.items[1].model, cabinet.point(0.30, 0.0, 0.5), 0.0).pose
     for thing, held, opening, done in (
@@ -183,25 +185,25 @@ def test_a_thing_is_fetched_when_it_is_held_outside_and_the_front_is_open(arena:
         (outside, THING, enough - 0.01, False),
         (near, THING, enough + 0.01, False),
     ):
-        view = _view(episode, thing, thing.position, held=held, opening=opening)
-        assert part_of(episode).opening(view) == pytest.approx(opening)
-        assert task.succeeded(episode, view, arena) == done
-        assert (task.remaining(episode, view, arena) == 0.0) == done
+        obs = _observation(episode, thing, thing.position, held=held, opening=opening)
+        assert front_of(episode).opening(obs) == pytest.approx(opening)
+        assert task.succeeded(episode, obs, arena) == done
+        assert (task.remaining(episode, obs, arena) == 0.0) == done
 
 
 def test_who_fumbles_moves_arm_and_hand_within_limits(arena: Ground) -> None:
     episode = PickAndPlace().generate(0, arena)
     policy = PickAndPlace().policy("random", episode, arena)
-    assert isinstance(policy, Fumbler)
-    view = _view(episode, episode.items[-1].pose, FAR)
-    actions = [policy.act(replace(view, time=float(time))) for time in range(0, 40, 3)]
+    assert isinstance(policy, RandomArmPolicy)
+    obs = _observation(episode, episode.items[-1].pose, FAR)
+    actions = [policy.act(replace(obs, time=float(time))) for time in range(0, 40, 3)]
     assert {action.grasp for action in actions} == {True, False}
     assert all(-1.221 <= action.joints["shoulder_lift_joint"] <= 1.518 for action in actions)
     assert len({action.joints["elbow_flex_joint"] for action in actions}) == len(actions)
 
 
 @pytest.mark.parametrize(("task", "seed"), [(NearPick(), 30), (NearCabinet(), 35)], ids=["pick and place", "cabinet door"])
-def test_the_script_succeeds_without_bumping_into_walls(run: TaskRun, task: Task, seed: int) -> None:
+def test_the_script_succeeds_without_collisions(run: TaskRun, task: Task, seed: int) -> None:
     run.task = task
     found = run_episode(run, seed, "scripted")
     assert found.success and found.collisions == 0

@@ -1,4 +1,4 @@
-"""Links that are held together: nothing jumps, no force exceeds its limit, nothing stays behind."""
+"""Attached links: nothing jumps, no force exceeds its limit, nothing is left over."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KINDS: tuple[AttachmentKind, ...] = ("ball", "fixed")
 
 
 def cube(name: str, pose: Pose, *, kilograms: float = 2.0, static: bool = False) -> BodySpec:
-    """Its centre of mass is away from its frame, and turned, so that a mistake between the two shows."""
+    """A cube whose inertial frame is displaced and rotated, so that confusing it with the link's frame fails."""
     box = UrdfCollision(Shape("box", (0.1, 0.1, 0.1)), Pose())
     link = UrdfLink("body", (), (box,), Inertial(kilograms, CENTER, INERTIA))
     return BodySpec(name, UrdfModel(name, Path("/nowhere/x.urdf"), (link,), ()), pose, static)
@@ -54,7 +54,7 @@ def world_of(*bodies: BodySpec, gravity: float = 0.0) -> PhysicsWorld:
 
 
 def momentum(world: PhysicsWorld, name: str, kilograms: float) -> NDArray[np.float64]:
-    """Of the centre of mass, kg m/s."""
+    """Returns the momentum of its centre of mass, kg m/s."""
     linear, angular = world.body_twist(name)
     arm = matrix_from_quat(world.body_pose(name).quat_xyzw) @ np.array(CENTER.position)
     return np.asarray(kilograms * (linear + np.cross(angular, arm)))
@@ -183,7 +183,7 @@ def test_sudden_jerks_to_all_sides_never_exceed_the_limit() -> None:
 
 
 def test_a_pull_that_ends_at_once_leaves_nothing_behind() -> None:
-    """What is given in advance must not push on when nobody pulls any more."""
+    """The feed-forward force must not push on when the pull ends."""
     with world_of(cube("hand", Pose(), static=True), cube("cup", Pose((0.3, 0.0, 0.0))), gravity=17.5) as world:
         handle = world.attachments.attach("hand", "body", "cup", "body", kind="fixed", max_force=50.0)
         world.step(120)
@@ -312,8 +312,8 @@ def test_equal_runs_with_attachments_are_equal_to_the_bit_after_a_reset() -> Non
 def test_sleeper_that_is_taken_hold_of_wakes_and_falls_when_it_is_let_go() -> None:
     scene = SceneSpec("test", Path("/nowhere"), "", (), (), ground_z=0.0)
     with PhysicsWorld(scene) as world:
-        world.add_body(cube("hand", Pose((0.0, 0.0, 1.0)), static=True))
-        world.add_body(cube("cup", Pose((0.0, 0.0, 0.05))))
+        world.add(cube("hand", Pose((0.0, 0.0, 1.0)), static=True))
+        world.add(cube("cup", Pose((0.0, 0.0, 0.05))))
         world.step(720)
         handle = world.attachments.attach("hand", "body", "cup", "body", kind="fixed")
         for k in range(240):

@@ -1,4 +1,4 @@
-"""Bodies that are added to, moved in and taken out of a running world."""
+"""Bodies that are added to, moved in and removed from a running world."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CUBE = Shape("box", (0.2, 0.2, 0.2))
 
 
 def cube(name: str, start: Pose, *, static: bool = False, shape: Shape = CUBE, offset: Pose | None = None) -> BodySpec:
-    """A kilogram; ``offset`` = T_link_inertial and T_link_shape."""
+    """A body of 1 kg; ``offset`` is T_link_inertial and T_link_shape."""
     at = offset or Pose()
     inertial = Inertial(1.0, at, (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
     link = UrdfLink("body", (UrdfVisual(shape, at, None),), (UrdfCollision(shape, at),), inertial)
@@ -38,7 +38,7 @@ def at(x: float, y: float, z: float, yaw: float = 0.0) -> Pose:
 
 def test_added_body_falls_and_rests_on_the_ground() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(1.0, 2.0, 0.5)))
+        world.add(cube("a", at(1.0, 2.0, 0.5)))
         world.step(480)
         assert world.body_pose("a").position == pytest.approx((1.0, 2.0, 0.1), abs=2e-3)
         assert world.links == ("a/body",)
@@ -47,7 +47,7 @@ def test_added_body_falls_and_rests_on_the_ground() -> None:
 
 def test_body_falls_as_far_as_gravity_says() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 10.0)))
+        world.add(cube("a", at(0.0, 0.0, 10.0)))
         world.step(120)
         # Semi-implicit Euler: n steps of dt fall g dt^2 n (n + 1) / 2.
         fallen = 9.81 / 240**2 * 120 * 121 / 2
@@ -60,8 +60,8 @@ def test_body_falls_as_far_as_gravity_says() -> None:
 
 def test_static_body_stays_and_others_rest_on_it() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("below", at(0.0, 0.0, 1.0), static=True))
-        world.add_body(cube("above", at(0.0, 0.0, 1.3)))
+        world.add(cube("below", at(0.0, 0.0, 1.0), static=True))
+        world.add(cube("above", at(0.0, 0.0, 1.3)))
         world.step(480)
         assert world.body_pose("below") == at(0.0, 0.0, 1.0)
         assert world.body_pose("above").position[2] == pytest.approx(1.2, abs=2e-3)
@@ -71,7 +71,7 @@ def test_static_body_stays_and_others_rest_on_it() -> None:
 def test_body_whose_mass_is_off_its_frame_is_put_where_asked_and_moves_as_asked() -> None:
     offset = pose_from_xyz_rpy((0.3, -0.1, 0.2), (0.4, 0.0, 1.0))
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 5.0), offset=offset))
+        world.add(cube("a", at(0.0, 0.0, 5.0), offset=offset))
         wanted = pose_from_xyz_rpy((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
         world.set_state("a", wanted, (0.5, -0.25, 0.125), (1.0, 2.0, 3.0))
         assert world.body_pose("a").position == pytest.approx(wanted.position, abs=1e-9)
@@ -83,7 +83,7 @@ def test_body_whose_mass_is_off_its_frame_is_put_where_asked_and_moves_as_asked(
 
 def test_pose_alone_keeps_the_velocity_and_velocity_alone_keeps_the_pose() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 5.0)))
+        world.add(cube("a", at(0.0, 0.0, 5.0)))
         world.set_state("a", linear=(1.0, 0.0, 0.0))
         world.set_state("a", at(3.0, 0.0, 5.0, math.pi / 2))
         assert world.body_twist("a")[0] == pytest.approx((1.0, 0.0, 0.0))
@@ -92,10 +92,10 @@ def test_pose_alone_keeps_the_velocity_and_velocity_alone_keeps_the_pose() -> No
 
 def test_removed_body_is_gone_and_its_name_is_free() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 1.0)))
+        world.add(cube("a", at(0.0, 0.0, 1.0)))
         world.remove("a")
         assert (world.names, world.links, world.state().positions.shape) == ((), (), (0, 3))
-        world.add_body(cube("a", at(0.0, 0.0, 2.0)))
+        world.add(cube("a", at(0.0, 0.0, 2.0)))
         assert world.scene.revision == 4
         with pytest.raises(PhysicsError, match=r"'b'.*there are: a"):
             world.remove("b")
@@ -103,9 +103,9 @@ def test_removed_body_is_gone_and_its_name_is_free() -> None:
 
 def test_name_that_is_taken_is_refused_and_nothing_changes() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 1.0)))
+        world.add(cube("a", at(0.0, 0.0, 1.0)))
         with pytest.raises(PhysicsError, match="'a' is taken"):
-            world.add_body(cube("a", at(0.0, 0.0, 2.0)))
+            world.add(cube("a", at(0.0, 0.0, 2.0)))
         assert world.scene.revision == 2
 
 
@@ -116,8 +116,8 @@ def test_reset_puts_added_bodies_back_and_runs_are_equal_to_the_bit() -> None:
         return state.positions.tobytes() + state.quats_xyzw.tobytes() + state.twists.tobytes()
 
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", pose_from_xyz_rpy((0.0, 0.0, 1.0), (0.3, 0.2, 0.1))))
-        world.add_body(cube("b", pose_from_xyz_rpy((0.05, 0.0, 1.5), (0.5, 0.0, 0.1))))
+        world.add(cube("a", pose_from_xyz_rpy((0.0, 0.0, 1.0), (0.3, 0.2, 0.1))))
+        world.add(cube("b", pose_from_xyz_rpy((0.05, 0.0, 1.5), (0.5, 0.0, 0.1))))
         first = run(world)
         world.set_state("a", at(5.0, 5.0, 5.0))
         world.reset()
@@ -126,10 +126,10 @@ def test_reset_puts_added_bodies_back_and_runs_are_equal_to_the_bit() -> None:
 
 def test_bounds_hold_a_turned_box_a_ball_and_a_lying_cylinder() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("box", at(1.0, 0.0, 1.0, math.pi / 4)))
-        world.add_body(cube("ball", at(0.0, 0.0, 1.0), shape=Shape("sphere", (0.25, 0.0, 0.0))))
+        world.add(cube("box", at(1.0, 0.0, 1.0, math.pi / 4)))
+        world.add(cube("ball", at(0.0, 0.0, 1.0), shape=Shape("sphere", (0.25, 0.0, 0.0))))
         lying = pose_from_xyz_rpy((0.0, 0.0, 2.0), (math.pi / 2, 0.0, 0.0))
-        world.add_body(cube("tube", lying, shape=Shape("cylinder", (0.1, 1.0, 0.0))))
+        world.add(cube("tube", lying, shape=Shape("cylinder", (0.1, 1.0, 0.0))))
         half = 0.1 * math.sqrt(2.0)
         low, high = world.bounds("box")
         assert (*low, *high) == pytest.approx((1.0 - half, -half, 0.9, 1.0 + half, half, 1.1))
@@ -141,15 +141,15 @@ def test_bounds_hold_a_turned_box_a_ball_and_a_lying_cylinder() -> None:
 
 def test_bounds_in_the_frame_of_the_body_do_not_turn_with_it() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("box", at(1.0, 2.0, 1.0, math.pi / 4), offset=Pose((0.5, 0.0, 0.0))))
+        world.add(cube("box", at(1.0, 2.0, 1.0, math.pi / 4), offset=Pose((0.5, 0.0, 0.0))))
         low, high = world.bounds("box", np.linalg.inv(matrix_from_pose(world.body_pose("box"))))
         assert (*low, *high) == pytest.approx((0.4, -0.1, -0.1, 0.6, 0.1, 0.1))
 
 
 def test_contacts_name_both_sides_and_carry_the_weight() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("below", at(0.0, 0.0, 0.1)))
-        world.add_body(cube("above", at(0.0, 0.0, 0.3)))
+        world.add(cube("below", at(0.0, 0.0, 0.1)))
+        world.add(cube("above", at(0.0, 0.0, 0.3)))
         world.step(240)
         ground = [c for c in world.contacts("below") if c.body_b == GROUND]
         between = [c for c in world.contacts("above") if c.body_b == "below"]
@@ -167,7 +167,7 @@ def test_mesh_in_a_format_that_the_engine_cannot_read_collides_as_its_hull(tmp_p
     trimesh.creation.box((0.4, 0.2, 0.4)).export(tmp_path / "box.glb")
     shape = Shape("mesh", (1.0, 1.0, 1.0), str(tmp_path / "box.glb"))
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 1.0), shape=shape))
+        world.add(cube("a", at(0.0, 0.0, 1.0), shape=shape))
         world.step(480)
         assert world.body_pose("a").position[2] == pytest.approx(0.1, abs=5e-3)
         low, high = world.bounds("a")
@@ -182,8 +182,8 @@ def test_door_swings_when_pushed_and_returns_to_zero_at_reset() -> None:
     hinge = UrdfJoint("hinge", "revolute", "frame", "leaf", Pose(), (0.0, 0.0, 1.0), -2.0, 2.0, damping=0.1)
     door = BodySpec("door", UrdfModel("door", Path("/nowhere/d.urdf"), (frame, leaf), (hinge,)), at(0.0, 0.0, 0.05), True)
     with PhysicsWorld(SCENE) as world:
-        world.add_body(door)
-        world.add_body(cube("ball", at(0.6, -1.0, 1.0), shape=Shape("sphere", (0.1, 0.0, 0.0))))
+        world.add(door)
+        world.add(cube("ball", at(0.6, -1.0, 1.0), shape=Shape("sphere", (0.1, 0.0, 0.0))))
         world.set_state("ball", linear=(0.0, 6.0, 0.0))
         world.step(120)
         leaf_row = world.links.index("door/leaf")
@@ -193,7 +193,7 @@ def test_door_swings_when_pushed_and_returns_to_zero_at_reset() -> None:
 
 
 ASLEEP = 720
-"""Steps after which what rests has fallen asleep."""
+"""Steps after which bodies at rest sleep."""
 
 
 def twists(world: PhysicsWorld, name: str) -> float:
@@ -202,7 +202,7 @@ def twists(world: PhysicsWorld, name: str) -> float:
 
 def test_what_rests_falls_asleep_and_lies_perfectly_still() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
+        world.add(cube("a", at(0.0, 0.0, 0.1)))
         world.step(ASLEEP)
         before = world.body_pose("a")
         world.step(ASLEEP)
@@ -211,8 +211,8 @@ def test_what_rests_falls_asleep_and_lies_perfectly_still() -> None:
 
 def test_a_sleeper_wakes_when_something_hits_it() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
-        world.add_body(cube("b", at(-1.0, 0.0, 0.1)))
+        world.add(cube("a", at(0.0, 0.0, 0.1)))
+        world.add(cube("b", at(-1.0, 0.0, 0.1)))
         world.step(ASLEEP)
         world.set_state("b", linear=(5.0, 0.0, 0.0))
         world.step(120)
@@ -222,8 +222,8 @@ def test_a_sleeper_wakes_when_something_hits_it() -> None:
 def test_a_sleeper_falls_when_what_it_lies_on_is_removed_or_moved() -> None:
     with PhysicsWorld(SCENE) as world:
         for x, name in ((0.0, "gone"), (1.0, "moved")):
-            world.add_body(cube(name, at(x, 0.0, 0.1), static=name == "moved"))
-            world.add_body(cube(f"on_{name}", at(x, 0.0, 0.3)))
+            world.add(cube(name, at(x, 0.0, 0.1), static=name == "moved"))
+            world.add(cube(f"on_{name}", at(x, 0.0, 0.3)))
         world.step(ASLEEP)
         world.remove("gone")
         world.set_state("moved", at(5.0, 0.0, 0.1))
@@ -234,7 +234,7 @@ def test_a_sleeper_falls_when_what_it_lies_on_is_removed_or_moved() -> None:
 
 def test_a_sleeper_that_is_lifted_falls_and_one_that_is_pushed_moves() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
+        world.add(cube("a", at(0.0, 0.0, 0.1)))
         world.step(ASLEEP)
         world.set_state("a", at(0.0, 0.0, 1.0))
         world.step(240)
@@ -247,8 +247,8 @@ def test_a_sleeper_that_is_lifted_falls_and_one_that_is_pushed_moves() -> None:
 
 def test_a_static_body_that_is_put_into_a_sleeper_pushes_it() -> None:
     with PhysicsWorld(SCENE) as world:
-        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
-        world.add_body(cube("wall", at(-0.3, 0.0, 0.1), static=True))
+        world.add(cube("a", at(0.0, 0.0, 0.1)))
+        world.add(cube("wall", at(-0.3, 0.0, 0.1), static=True))
         world.step(ASLEEP)
         for i in range(300):
             world.set_state("wall", at(-0.3 + 0.001 * i, 0.0, 0.1))
@@ -282,8 +282,8 @@ def test_rolling_friction_brings_a_ball_to_rest() -> None:
         return replace(body, model=replace(body.model, links=(link,)))
 
     with PhysicsWorld(SCENE) as world:
-        world.add_body(ball("smooth", 0.0, 0.0))
-        world.add_body(ball("rough", 1.0, 0.01))
+        world.add(ball("smooth", 0.0, 0.0))
+        world.add(ball("rough", 1.0, 0.01))
         for name in ("smooth", "rough"):
             world.set_state(name, linear=(1.0, 0.0, 0.0), angular=(0.0, 10.0, 0.0))
         world.step(960)
@@ -328,7 +328,7 @@ def test_a_joint_that_is_not_there_cannot_start_anywhere() -> None:
 def test_thousands_of_bodies_come_and_go_without_a_trace() -> None:
     with PhysicsWorld(SCENE) as world:
         for i in range(2000):
-            world.add_body(cube(f"a{i}", at(0.0, 0.0, 1.0)))
+            world.add(cube(f"a{i}", at(0.0, 0.0, 1.0)))
             world.remove(f"a{i}")
         assert world.names == ()
         world.step()
@@ -337,7 +337,7 @@ def test_thousands_of_bodies_come_and_go_without_a_trace() -> None:
 def test_state_of_one_body_is_that_of_the_whole_to_the_bit() -> None:
     with PhysicsWorld(SCENE) as world:
         for name, x in (("a", 0.0), ("b", 1.0), ("c", 2.0)):
-            world.add_body(cube(name, pose_from_xyz_rpy((x, 0.0, 0.5), (0.1, x, 0.0))))
+            world.add(cube(name, pose_from_xyz_rpy((x, 0.0, 0.5), (0.1, x, 0.0))))
         world.step(30)
         alone = world.state_of("b")
         whole = world.state()

@@ -1,4 +1,4 @@
-"""What stands for a scan gives the same contacts as the scan, and a level floor to drive on."""
+"""The simplified collision shapes of a scan give the contacts of the scan, and a level floor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Shapes = tuple[tuple[Shape, Pose], ...]
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shapes, Shapes, NDArray[np.float64]]:
-    """The scan as it is, what stands for it, and the scan's vertices."""
+    """The scan, its simplified collision shapes, and its vertices."""
     folder = tmp_path_factory.mktemp("scan")
     vertices, triangles = noisy_room(edge=0.1)
     full = ((write_mesh(folder / "full.obj", vertices, triangles), Pose()),)

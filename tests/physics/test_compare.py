@@ -1,4 +1,4 @@
-"""`gibson-sim compare --fit` on two simulated robots: one stands in for a real one, and all that makes it other is found again."""
+"""`gibson-sim compare --fit` on two simulated robots: one stands in for a real robot, and all its differences are found."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Outcome:
     folder: Path
     fitted: dict[str, Any]
     biases: list[float]
-    """Of the real robot: three of its gyroscopes, three of its accelerometers."""
+    """Biases of the real robot's three gyroscopes and three accelerometers."""
     twin: dict[str, Any]
-    """What a comparison of the simulated robot with itself finds, in another drive with other noise."""
+    """Result of comparing the simulated robot with itself, in another drive with other noise."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Slip in the engine: the truth falls behind odometry by as much as the robot's file says."""
+"""Slip in the engine: the true motion falls behind odometry by the slip in the robot's file."""
 
 from __future__ import annotations
 

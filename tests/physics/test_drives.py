@@ -1,4 +1,4 @@
-"""How far robots with other drives than a differential one really get: ground truth against commands and wheels."""
+"""True motion of robots with drives other than differential, against their commands and their odometry."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gibson_sim.types import VelocityCommand
 MakeScene = Callable[..., SceneSpec]
 BOTS = ("skid_bot", "omni_bot", "ackermann_bot")
 WALL = CollisionSpec("wall", Shape("box", (0.2, 20.0, 1.0)), pose_from_xyz_rpy((1.1, 0.0, 0.5)))
-"""Its face is at x = 1."""
+"""A wall whose face is at x = 1."""
 
 
 @pytest.fixture
@@ -42,13 +42,13 @@ def send(world: PhysicsWorld, seconds: float, x: float = 0.0, y: float = 0.0, ya
 
 
 def place(world: PhysicsWorld) -> tuple[float, float, float]:
-    """Returns where the robot really is: x, y, yaw."""
+    """Returns the true pose: x, y, yaw."""
     pose = world.base_pose("robot")
     return pose.position[0], pose.position[1], yaw_from_quat(pose.quat_xyzw)
 
 
 def believed(world: PhysicsWorld) -> tuple[float, float, float]:
-    """Returns where the wheels say that it is: x, y, yaw."""
+    """Returns the pose by odometry: x, y, yaw."""
     odometry = world.odometry("robot")
     return odometry.x, odometry.y, odometry.yaw
 
@@ -74,7 +74,7 @@ def test_turns_by_ninety_degrees_on_the_spot(bot: Callable[[str], RobotSpec], ma
 def test_omni_goes_one_metre_sideways(bot: Callable[[str], RobotSpec], make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene(bot("omni_bot"))) as world:
         send(world, 2.0, y=0.25)
-        # Half-way, it says how fast it goes, too.
+        # Half-way, odometry has its speed, too.
         assert world.odometry("robot").lateral == pytest.approx(0.25, abs=1e-3)
         assert world.base_twist("robot")[0] == pytest.approx([0.0, 0.25, 0.0], abs=2e-3)
         send(world, 2.0, y=0.25)
@@ -116,7 +116,7 @@ def test_car_cannot_turn_on_the_spot(bot: Callable[[str], RobotSpec], make_scene
         assert place(world) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
         states = world.joint_states("robot")
         joints = dict(zip(states.names, states.positions.tolist(), strict=True))
-        # Steered to the end: the inner wheel is the left one.
+        # Steered to the limit: the inner wheel is the left one.
         assert joints["steering_left_joint"] == pytest.approx(0.6, abs=0.01)
         assert 0.3 < joints["steering_right_joint"] < 0.6
 
@@ -155,7 +155,7 @@ def test_wall_stops_the_robot(bot: Callable[[str], RobotSpec], make_scene: MakeS
             steepest = max(steepest, math.acos(min(1.0, matrix_from_quat(world.base_pose("robot").quat_xyzw)[2, 2])))
         assert deepest == pytest.approx(1.0, abs=0.01)
         assert steepest < math.radians(3.0)
-        # Its wheels go on turning, and deceive it.
+        # Its wheels go on turning, so odometry is wrong.
         assert believed(world)[0] > 1.5
 
 
@@ -178,7 +178,7 @@ def test_stands_still_on_a_ramp(bot: Callable[[str], RobotSpec], make_scene: Mak
 
 
 def test_omni_slides_where_the_floor_is_steeper_than_its_traction(bot: Callable[[str], RobotSpec], make_scene: MakeScene) -> None:
-    # Traction 0.5 holds up to 26.6 degrees; at 35 degrees what is left pulls with 9.81 (sin 35 - 0.5 cos 35) = 1.61 m/s^2.
+    # Traction 0.5 holds up to 26.6 degrees; at 35 degrees the rest accelerates it by 9.81 (sin 35 - 0.5 cos 35) = 1.61 m/s^2.
     angle = math.radians(35.0)
     ramp = pose_from_xyz_rpy((0.1 * math.sin(angle), 0.0, -0.1 * math.cos(angle)), (0.0, -angle, 0.0))
     robot = replace(bot("omni_bot"), start=pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.0, -angle, 0.0)))

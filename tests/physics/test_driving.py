@@ -1,4 +1,4 @@
-"""How far the robot really gets: ground truth against commands and wheels."""
+"""True motion of the robot against its commands and its odometry."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_stale_command_stops_the_robot(make_scene: MakeScene, robot: RobotSpec) 
         world.command("robot", VelocityCommand((0.25, 0.0, 0.0), (0.0, 0.0, 0.0), 0))
         world.step(120)
         assert world.base_twist("robot")[0][0] == pytest.approx(0.25, abs=0.01)
-        # 0.25 m/s at 1 m/s^2 is gone 0.25 s later.
+        # 0.25 m/s at 1 m/s^2 take 0.25 s to brake.
         world.step(60 + 12)
         assert world.base_twist("robot")[0][0] == pytest.approx(0.0, abs=0.002)
 

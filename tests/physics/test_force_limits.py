@@ -1,4 +1,4 @@
-"""The rules by which a limit for each axis becomes one for all directions, without an engine."""
+"""How limits along the axes make a force limit for all directions, without an engine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_sim.physics.attachments import cube_of, given_in_advance, reach_of
+from gibson_sim.physics.attachments import cube_of, feed_forward, reach_of
 
 LIMIT = 500.0
 DIRECTIONS = [
@@ -24,7 +24,7 @@ DIRECTIONS = [
 
 
 def after(wanted: NDArray[np.float64], steps: int) -> list[float]:
-    """Returns what is borne, N, in each of some steps in which ``wanted``, (3,), N, pulls: the engine clips each axis of the rest."""
+    """Returns the force in each of some steps, N, under a pull of ``wanted``, (3,), N: the engine clips each axis about the feed-forward force."""
     force, half, out = np.zeros(3), LIMIT / math.sqrt(3.0), []
     middle = np.zeros(3)
     for _ in range(steps):
@@ -32,7 +32,7 @@ def after(wanted: NDArray[np.float64], steps: int) -> list[float]:
         out.append(float(np.linalg.norm(force)))
         reach = reach_of(LIMIT, force.tolist())
         half = cube_of(LIMIT, reach)
-        middle = np.array(given_in_advance(force.tolist(), reach, half))
+        middle = np.array(feed_forward(force.tolist(), reach, half))
     return out
 
 
@@ -57,7 +57,7 @@ def test_no_corner_of_the_cube_is_ever_beyond_the_limit() -> None:
         force *= rng.uniform(0.0, 1.04) * LIMIT / float(np.linalg.norm(force))
         reach = reach_of(LIMIT, force.tolist())
         half = cube_of(LIMIT, reach)
-        middle = np.array(given_in_advance(force.tolist(), reach, half))
+        middle = np.array(feed_forward(force.tolist(), reach, half))
         corners = [middle + half * np.array(signs) for signs in itertools.product((-1.0, 1.0), repeat=3)]
         assert max(float(np.linalg.norm(corner)) for corner in corners) < 1.0401 * LIMIT
         assert half > 0.2 * LIMIT, "it can always brake"
@@ -68,7 +68,7 @@ def test_a_light_pull_needs_nothing_in_advance() -> None:
     reach = reach_of(LIMIT, force)
     half = cube_of(LIMIT, reach)
     assert half == pytest.approx(1.04 * LIMIT / math.sqrt(3.0))
-    assert given_in_advance(force, reach, half) == (0.0, 0.0, 0.0)
+    assert feed_forward(force, reach, half) == (0.0, 0.0, 0.0)
 
 
 def test_the_cube_about_a_pull_along_an_axis_by_hand() -> None:
@@ -76,4 +76,4 @@ def test_the_cube_about_a_pull_along_an_axis_by_hand() -> None:
     reach = reach_of(1.0, (-0.8, 0.0, 0.0))
     half = cube_of(1.0, reach)
     assert half == pytest.approx(math.sqrt((1.04**2 - 0.85**2) / 2.0))
-    assert given_in_advance((-0.8, 0.0, 0.0), reach, half) == pytest.approx((half - 0.85, 0.0, 0.0))
+    assert feed_forward((-0.8, 0.0, 0.0), reach, half) == pytest.approx((half - 0.85, 0.0, 0.0))

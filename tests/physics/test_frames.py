@@ -1,4 +1,4 @@
-"""Frames of links from what an engine moves, by hand."""
+"""Link frames from the inertial frames that an engine moves, by hand."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 
 def table(offset: tuple[float, float, float]) -> FrameTable:
-    """One group whose frame is its inertial frame, and one link at ``offset``, turned by a quarter about z."""
+    """One group whose frame is its inertial frame, and one link at ``offset``, rotated by 90 degrees about z."""
     eye = np.eye(4)[None]
     turned = right_multiplication(QUARTER)[None]
     return FrameTable(np.zeros((1, 3)), eye, np.zeros(1, np.intp), np.array([offset]), turned)
 
 
 def raw(x: float) -> list[float]:
-    """At x, turned by a quarter about z, moving along y at 1 m/s and turning about z at 2 rad/s."""
+    """At x, rotated by 90 degrees about z, moving along y at 1 m/s and rotating about z at 2 rad/s."""
     return [x, 0.0, 0.0, *QUARTER, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0]
 
 

@@ -1,4 +1,4 @@
-"""Every scene that is shipped has room for our robot: where its map says free, it stands on the floor and touches nothing."""
+"""In every shipped scene our robot has room: at free poses of the map it stands on the floor and touches nothing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_robot_dropped_at_100_random_free_poses_rests_on_the_floor_and_touches_n
 
 def test_robot_inside_a_wall_and_above_the_floor_is_noticed(root: Path, robot: RobotSpec) -> None:
     scene = load_scene(root / "scenes/flat")
-    # Half a metre in the air, and against the outer wall, where no robot may start.
+    # Half a metre in the air, and in the outer wall, where no robot may start.
     wrong = what_goes_wrong(scene, robot, [pose_from_xyz_rpy((1.0, 4.7, 0.5)), pose_from_xyz_rpy((0.1, 1.0, 0.0))])
     assert any("touches walls" in line for line in wrong)
     assert any("from the floor at 0.5 m" in line for line in wrong)

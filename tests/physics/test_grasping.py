@@ -1,4 +1,4 @@
-"""Grippers that take hold of things and let go, by command, by closing, and by themselves."""
+"""Grippers that grasp and release, by command, by closing, and by themselves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gibson_sim.types import Pose, Vec3
 from support.arms import FINGERS, load_arm
 
 TOOL: Vec3 = (0.7922381, 0.0, 0.1725912)
-"""Where the tool of the arm of tests is at its home: forward kinematics by hand, level."""
+"""Position of the test arm's tool at home, by hand."""
 ROOT = Pose()
 MakeWorld = Callable[..., PhysicsWorld]
 
@@ -72,7 +72,7 @@ def door(position: Vec3) -> BodySpec:
 
 
 def ahead(distance: float, size: float = 0.1) -> Vec3:
-    """Where a cube lies whose face is so far ahead of the tool."""
+    """Returns the pose of a cube whose face is at a distance ahead of the tool."""
     return TOOL[0] + distance + size / 2, TOOL[1], TOOL[2]
 
 
@@ -83,7 +83,7 @@ def constraints(world: PhysicsWorld) -> int:
 @pytest.mark.parametrize(("distance", "holds"), [(0.199, True), (0.201, False), (0.01, True)])
 def test_takes_hold_within_the_threshold_alone(make_world: MakeWorld, distance: float, holds: bool) -> None:
     with make_world(cube("cup", ahead(distance))) as world:
-        state = world.grasp("robot")
+        state = world.arms.grasp("robot")
         assert (state.holding, state.body) == (holds, "cup" if holds else "")
         assert constraints(world) == int(holds)
         if not holds:
@@ -92,36 +92,36 @@ def test_takes_hold_within_the_threshold_alone(make_world: MakeWorld, distance: 
 
 def test_threshold_is_a_setting(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.06)), distance=0.05) as world:
-        assert not world.grasp("robot").holding
+        assert not world.arms.grasp("robot").holding
     with make_world(cube("cup", ahead(0.04)), distance=0.05) as world:
-        assert world.grasp("robot").holding
+        assert world.arms.grasp("robot").holding
 
 
 def test_handle_is_preferred_to_what_is_nearer_and_what_cannot_move_is_never_taken(make_world: MakeWorld) -> None:
     near = (TOOL[0], TOOL[1] + 0.08, TOOL[2])
     things = (door((TOOL[0] + 0.15, *TOOL[1:])), cube("cup", near, size=0.1), cube("wall", ahead(0.02), static=True))
     with make_world(*things) as world:
-        state = world.grasp("robot")
+        state = world.arms.grasp("robot")
         assert (state.body, state.link) == ("door", "handle")
-        world.release("robot")
+        world.arms.release("robot")
         world.remove("door")
-        assert world.grasp("robot").body == "cup"
-        world.release("robot")
+        assert world.arms.grasp("robot").body == "cup"
+        world.arms.release("robot")
         world.remove("cup")
-        state = world.grasp("robot")
+        state = world.arms.grasp("robot")
         assert not state.holding
         assert state.reason == "nothing that moves is within 0.2 m of tool"
 
 
 def test_target_names_the_one_thing_that_may_be_taken(make_world: MakeWorld) -> None:
     with make_world(cube("near", ahead(0.02)), cube("other", (TOOL[0], 0.15, TOOL[2]))) as world:
-        assert world.grasp("robot", target="other").body == "other"
-        world.release("robot")
+        assert world.arms.grasp("robot", target="other").body == "other"
+        world.arms.release("robot")
         world.remove("near")
         with pytest.raises(CommandError, match=r"cannot grasp 'near': it is not in this world; there are: other"):
-            world.grasp("robot", target="near")
+            world.arms.grasp("robot", target="near")
         with pytest.raises(CommandError, match="cannot grasp 'robot'"):
-            world.grasp("robot", target="robot")
+            world.arms.grasp("robot", target="robot")
 
 
 @pytest.mark.parametrize(
@@ -135,56 +135,56 @@ def test_target_names_the_one_thing_that_may_be_taken(make_world: MakeWorld) -> 
 def test_closing_takes_hold_and_opening_lets_go(make_world: MakeWorld, closing: object, opening: object) -> None:
     with make_world(cube("cup", ahead(0.05))) as world:
         world.command_joints("robot", JointPositions((0.3,), ("turn",)))
-        assert not world.grasp_state("robot").holding
+        assert not world.arms.grasp_state("robot").holding
         world.command_joints("robot", closing)  # type: ignore[arg-type]
-        assert world.grasp_state("robot").body == "cup"
+        assert world.arms.grasp_state("robot").body == "cup"
         world.step(60)
         world.command_joints("robot", JointPositions((0.0,), ("turn",)))
-        assert world.grasp_state("robot").holding
+        assert world.arms.grasp_state("robot").holding
         world.command_joints("robot", opening)  # type: ignore[arg-type]
-        state = world.grasp_state("robot")
+        state = world.arms.grasp_state("robot")
         assert (state.holding, state.reason) == (False, "let go: the gripper opened")
         assert constraints(world) == 0
 
 
 def test_held_thing_goes_with_the_tool_and_stays_where_it_is_let_go(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.02))) as world:
-        world.grasp("robot")
+        world.arms.grasp("robot")
         world.command_joints("robot", JointPositions((0.4,), ("turn",)))
         world.step(240)
         there = world.body_pose("cup").position
         assert there[1] > 0.15
-        assert math.dist(there, world.tool_pose("robot").position) == pytest.approx(0.07, abs=2e-3)
-        world.release("robot")
+        assert math.dist(there, world.arms.tool_pose("robot").position) == pytest.approx(0.07, abs=2e-3)
+        world.arms.release("robot")
         world.command_joints("robot", JointPositions((0.0,), ("lift",)))
         world.step(240)
-        assert world.tool_pose("robot").position[2] > TOOL[2] + 0.2
+        assert world.arms.tool_pose("robot").position[2] > TOOL[2] + 0.2
         assert world.body_pose("cup").position[2] < TOOL[2] + 0.1
 
 
 def test_pull_is_never_more_than_the_limit_and_the_hinge_decides_when_to_let_go(make_world: MakeWorld) -> None:
     limit, angle = 60.0, 0.5
     with make_world(door((TOOL[0] + 0.05, *TOOL[1:])), max_force=limit, release_angle=angle) as world:
-        assert world.grasp("robot").link == "handle"
+        assert world.arms.grasp("robot").link == "handle"
         world.command_joints("door", JointPositions((0.9,), ("hinge",)))
         forces = []
-        while world.grasp_state("robot").holding:
+        while world.arms.grasp_state("robot").holding:
             world.step()
-            forces.append(world.grasp_state("robot").force)
+            forces.append(world.arms.grasp_state("robot").force)
             assert world.step_count < 480
         assert 0.3 * limit < max(forces) <= 1.05 * limit
-        # At most one step of the fastest hinge beyond it.
+        # At most one step of the fastest hinge beyond the limit.
         assert angle < world.joint_states("door").positions[0] < angle + 2.0 / 240 + 1e-6
-        assert "more than the set angle, 28.6479 degrees" in world.grasp_state("robot").reason
+        assert "more than the set angle, 28.6479 degrees" in world.arms.grasp_state("robot").reason
         assert constraints(world) == 0
 
 
 @pytest.mark.parametrize(("release_force", "holds"), [(20.0, False), (200.0, True), (0.0, True)])
 def test_lets_go_above_a_set_force(make_world: MakeWorld, release_force: float, holds: bool) -> None:
     with make_world(cube("cup", ahead(0.02), kilograms=5.0), gravity=9.81, release_force=release_force) as world:
-        world.grasp("robot")
+        world.arms.grasp("robot")
         world.step(24)
-        state = world.grasp_state("robot")
+        state = world.arms.grasp_state("robot")
         assert state.holding == holds
         if holds:
             assert state.force > 20.0
@@ -194,19 +194,19 @@ def test_lets_go_above_a_set_force(make_world: MakeWorld, release_force: float, 
 
 def test_sticky_gripper_holds_what_it_touches_alone(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.03, 0.06), size=0.06), mode="sticky") as world:
-        assert not world.grasp("robot").holding
+        assert not world.arms.grasp("robot").holding
         world.step(300)
-        assert world.grasp_state("robot").reason == "the fingers closed and touched nothing that moves"
+        assert world.arms.grasp_state("robot").reason == "the fingers closed and touched nothing that moves"
         world.set_state("cup", Pose((TOOL[0], 0.0, TOOL[2])))
         world.command_joints("robot", JointPositions((0.0, 0.0), FINGERS))
         world.step(120)
-        state = world.grasp_state("robot")
+        state = world.arms.grasp_state("robot")
         assert (state.body, state.link, state.mode) == ("cup", "body", "sticky")
-        before = np.array(world.body_pose("cup").position) - np.array(world.tool_pose("robot").position)
+        before = np.array(world.body_pose("cup").position) - np.array(world.arms.tool_pose("robot").position)
         world.command_joints("robot", JointPositions((0.5,), ("hand",)))
         world.step(240)
         assert world.body_pose("cup").quat_xyzw[0] == pytest.approx(math.sin(0.25), abs=0.01)
-        after = np.array(world.body_pose("cup").position) - np.array(world.tool_pose("robot").position)
+        after = np.array(world.body_pose("cup").position) - np.array(world.arms.tool_pose("robot").position)
         assert float(np.linalg.norm(after)) == pytest.approx(float(np.linalg.norm(before)), abs=2e-3)
 
 
@@ -215,49 +215,49 @@ def test_friction_alone_lifts_what_the_fingers_press(make_world: MakeWorld) -> N
     table = cube("table", (TOOL[0], 0.0, TOOL[2] - 0.03 - 0.05), static=True)
     with make_world(cube("cup", on_floor, size=0.06, kilograms=0.3), table, gravity=9.81, mode="physical") as world:
         world.step(60)
-        assert world.grasp_state("robot") == replace(world.grasp_state("robot"), holding=False, force=0.0, reason="")
-        world.move_gripper("robot", 0.0)
+        assert world.arms.grasp_state("robot") == replace(world.arms.grasp_state("robot"), holding=False, force=0.0, reason="")
+        world.arms.move_gripper("robot", 0.0)
         world.step(120)
-        state = world.grasp_state("robot")
+        state = world.arms.grasp_state("robot")
         assert (state.body, state.link, constraints(world)) == ("cup", "body", 0)
         assert state.force == pytest.approx(60.0, rel=0.2)
         up = Pose((TOOL[0], 0.0, TOOL[2] + 0.1))
-        solution = world.solve_arm("robot", up)
+        solution = world.arms.solve_arm("robot", up)
         assert solution.within(1e-4, 1e-3)
         world.command_joints("robot", JointTrajectory(solution.names, (TrajectoryPoint(10**9, solution.positions),)))
         world.step(300)
         assert world.body_pose("cup").position[2] == pytest.approx(TOOL[2] + 0.1, abs=0.01)
-        world.move_gripper("robot", 1.0)
+        world.arms.move_gripper("robot", 1.0)
         world.step(240)
-        assert not world.grasp_state("robot").holding
+        assert not world.arms.grasp_state("robot").holding
         assert world.body_pose("cup").position[2] < TOOL[2] + 0.05
 
 
 def test_nothing_stays_after_deletion_and_reset(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.02)), cube("jar", (TOOL[0], 0.15, TOOL[2]))) as world:
-        assert world.grasp("robot").body == "cup"
+        assert world.arms.grasp("robot").body == "cup"
         world.remove("cup")
         world.step()
-        state = world.grasp_state("robot")
+        state = world.arms.grasp_state("robot")
         assert (state.holding, state.reason) == (False, "what it held was taken away")
-        assert world.grasp("robot").body == "jar"
+        assert world.arms.grasp("robot").body == "jar"
         world.reset()
-        assert (world.grasp_state("robot").holding, world.grasp_state("robot").reason) == (False, "")
-        assert world.grasp("robot").body == "jar"
+        assert (world.arms.grasp_state("robot").holding, world.arms.grasp_state("robot").reason) == (False, "")
+        assert world.arms.grasp("robot").body == "jar"
         world.remove("robot")
         assert constraints(world) == 0
         world.step()
         with pytest.raises(CommandError, match="no robot 'robot'"):
-            world.grasp("robot")
+            world.arms.grasp("robot")
 
 
 def test_a_thousand_grasps_leave_nothing_behind(make_world: MakeWorld) -> None:
     with make_world(cube("cup", ahead(0.02))) as world:
         for k in range(1000):
-            assert world.grasp("robot").holding
+            assert world.arms.grasp("robot").holding
             if k % 100 == 0:
                 world.step()
-            world.release("robot")
+            world.arms.release("robot")
         assert (constraints(world), world.attachments.all) == (0, ())
         assert world.body_pose("cup").position == pytest.approx(ahead(0.02), abs=1e-3)
 
@@ -266,10 +266,10 @@ def test_equal_commands_give_equal_worlds(make_world: MakeWorld) -> None:
     states = []
     for _ in range(2):
         with make_world(cube("cup", ahead(0.02)), door((TOOL[0] + 0.12, *TOOL[1:])), gravity=9.81) as world:
-            world.move_gripper("robot", 0.0)
+            world.arms.move_gripper("robot", 0.0)
             world.command_joints("robot", JointPositions((0.3, 0.2), ("turn", "lift")))
             world.step(60)
-            states.append((world.state().positions, world.grasp_state("robot")))
+            states.append((world.state().positions, world.arms.grasp_state("robot")))
     assert np.array_equal(states[0][0], states[1][0])
     assert states[0][1] == states[1][1]
 
@@ -281,10 +281,10 @@ def test_robot_without_an_arm_or_a_gripper_says_so(make_world: MakeWorld, robot:
     )
     with make_world(robots=(replace(bare, start=Pose((0.0, -3.0, 0.0))), armless)) as world:
         with pytest.raises(CommandError, match="robot 'bare' has no manipulator"):
-            world.grasp("bare")
+            world.arms.grasp("bare")
         with pytest.raises(CommandError, match=r"arm 'arm' of robot 'stump' has no gripper; give it one in its robot\.yaml"):
-            world.move_gripper("stump", 1.0)
+            world.arms.move_gripper("stump", 1.0)
         with pytest.raises(CommandError, match="has no manipulator 'leg'; known: arm"):
-            world.tool_pose("stump", "leg")
+            world.arms.tool_pose("stump", "leg")
         with pytest.raises(CommandError, match="no joint 'nose'"):
             world.command_joints("stump", JointPositions((0.0,), ("nose",)))

@@ -1,4 +1,4 @@
-"""States of a world in which only those are read who may have moved, held against a world in which everybody is always read."""
+"""States of a world that reads only bodies that may have moved, against a world that always reads all of them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
 
 ASLEEP = 640
-"""Steps after which what rests has fallen asleep."""
+"""Steps after which bodies at rest sleep."""
 READS = 40
-"""After so many it is known who sleeps."""
+"""Reads after which the sleeping bodies are known."""
 
 
 def link(name: str, size: tuple[float, float, float], at: Pose | None = None, mass: float = 1.0) -> UrdfLink:
@@ -38,7 +38,7 @@ def box(name: str, x: float, y: float, z: float = 0.1, size: float = 0.2) -> Bod
 
 
 def door(name: str, x: float, y: float, *, static: bool) -> BodySpec:
-    """A leaf that swings about z at the edge of a post, which is fixed or only stands."""
+    """A leaf that swings about z at the edge of a post, which is fixed or stands freely."""
     post, leaf = link("post", (0.2, 0.2, 0.4)), link("leaf", (0.04, 0.6, 0.2), Pose((0.0, 0.4, -0.08)), 0.1)
     hinge = UrdfJoint("hinge", "revolute", "post", "leaf", Pose(), (0.0, 0.0, 1.0), -2.0, 2.0, damping=0.2, friction=0.1)
     return BodySpec(name, UrdfModel(name, Path("/nowhere/d.urdf"), (post, leaf), (hinge,)), Pose((x, y, 0.2)), static=static)
@@ -95,7 +95,7 @@ CASES: dict[str, tuple[tuple[BodySpec, ...], Callable[[PhysicsWorld], None], set
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_states_are_those_of_a_world_in_which_everybody_is_always_read(omni: RobotSpec, case: str) -> None:
+def test_states_are_those_of_a_world_that_always_reads_all_bodies(omni: RobotSpec, case: str) -> None:
     bodies, act, moving = CASES[case]
     moved: set[str] = set()
     with world_of(*bodies, robots=(omni,)) as world, world_of(*bodies, robots=(omni,)) as other:
@@ -115,7 +115,7 @@ def test_states_are_those_of_a_world_in_which_everybody_is_always_read(omni: Rob
     assert moved - {"robot"} == moving, "and no other"
 
 
-def test_the_engine_counts_the_parts_of_those_that_move_and_of_robots(omni: RobotSpec) -> None:
+def test_the_engine_counts_the_solver_bodies_of_moving_bodies_and_robots(omni: RobotSpec) -> None:
     bodies = (
         box("near", 0.62, 0.0),
         box("far", 0.0, 2.0),
@@ -129,27 +129,29 @@ def test_the_engine_counts_the_parts_of_those_that_move_and_of_robots(omni: Robo
             if step > ASLEEP:
                 drive(world)
             world.step(1)
-            parts, steps = world._bullet.awake.take()
-            awake = [one for one in world._all() if not one.sleeps or world._bullet.raw_states(one.body)[:, 7:].any()]
-            others = parts - sum(one.body.parts for one in awake)
+            parts, steps = world._bullet.active_bodies.pop_peak()
+            awake = [one for one in world._all() if not one.sleeps or world._bullet.raw_states(one.engine_body)[:, 7:].any()]
+            others = parts - sum(one.engine_body.solver_bodies for one in awake)
             assert steps == 1
-            # Nothing makes the door move: it stands perfectly still before it falls asleep.
+            # Nothing moves the door: its velocity is exactly 0 before it sleeps.
             assert others == 0 or (others == 1 and step < ASLEEP), step
             seen.add(parts)
-    assert min(seen) == world._robots["robot"].body.parts and max(seen) > min(seen) + 4, "all slept, and were awake before"
+    assert min(seen) == world._robots["robot"].engine_body.solver_bodies and max(seen) > min(seen) + 4, (
+        "all slept, and were active before"
+    )
 
 
 def test_while_all_bodies_sleep_the_robot_alone_is_read(omni: RobotSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     bodies = (box("a", 2.0, 0.0), door("door", -2.0, 0.0, static=True), door("gate", 3.0, 0.0, static=False))
     read: list[int] = []
-    raw_states, still = Bullet.raw_states, Bullet.still
+    raw_states, at_rest = Bullet.raw_states, Bullet.at_rest
     with world_of(*bodies, robots=(omni,)) as world:
-        robot = world._robots["robot"].body.uid
+        robot = world._robots["robot"].engine_body.uid
         for _ in range(READS):
             world.step(ASLEEP // READS)
             world.state()
         monkeypatch.setattr(Bullet, "raw_states", lambda self, *of: read.extend(one.uid for one in of) or raw_states(self, *of))
-        monkeypatch.setattr(Bullet, "still", lambda self, of: read.extend(one.uid for one in of) or still(self, of))
+        monkeypatch.setattr(Bullet, "at_rest", lambda self, of: read.extend(one.uid for one in of) or at_rest(self, of))
         for k in range(64):
             world.command("robot", VelocityCommand((0.2, 0.1, 0.0), (0.0, 0.0, math.sin(k)), world.stamp_ns))
             world.step(1 + k % 3)
@@ -158,28 +160,28 @@ def test_while_all_bodies_sleep_the_robot_alone_is_read(omni: RobotSpec, monkeyp
     assert len(read) == 64 + 4 * len(bodies), "the others at every 16th read, for safety"
 
 
-def test_a_robot_whose_parts_nobody_knows_hides_nobody_who_wakes(omni: RobotSpec) -> None:
+def test_a_robot_with_an_unknown_number_of_solver_bodies_hides_no_body_that_wakes(omni: RobotSpec) -> None:
     with world_of(box("a", 0.0, 2.0), robots=(omni,)) as world:
-        world._robots["robot"].body.parts = math.nan
+        world._robots["robot"].engine_body.solver_bodies = math.nan
         for _ in range(READS):
             world.step(ASLEEP // READS)
             world.state()
-        world._bullet.wake(world._bodies["a"].body)
+        world._bullet.wake(world._bodies["a"].engine_body)
         for _ in range(2):
             world.step(1)
             state = world.state()
-        assert state.twists[-1].any(), "it is awake"
+        assert state.twists[-1].any(), "it is active"
 
 
-def test_more_bodies_than_the_engine_can_report_on_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_more_bodies_than_the_engine_can_report_on_their_velocities_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     bodies = [box(f"box{k}", 0.5 * (k % 8), 0.5 * (k // 8), 0.05, 0.1) for k in range(65)]
     with world_of(*bodies) as world:
         world.step(1)
-        assert world._bullet.awake.take() == (math.inf, 1)
+        assert world._bullet.active_bodies.pop_peak() == (math.inf, 1)
         world.remove("box64")
         world.step(1)
-        assert world._bullet.awake.take() == (64, 1), "each is an island of its own"
-        world.add_body(bodies[64])
+        assert world._bullet.active_bodies.pop_peak() == (64, 1), "each is an island of its own"
+        world.add(bodies[64])
         for _ in range(ASLEEP // 20):
             world.step(20)
             world.state()

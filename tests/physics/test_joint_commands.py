@@ -1,4 +1,4 @@
-"""An arm that lifts real weights: 20 kg of base, a shoulder that turns about y, a hand that slides along the arm."""
+"""Commands to an arm under load: a base of 20 kg, a shoulder about y, a hand that slides along the arm."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_reset_forgets_commands(scene: SceneSpec) -> None:
 
 def test_effort_accelerates_as_newton_says_up_to_the_limit_of_velocity(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene(), step_hz=1000) as world:
-        world.add_body(door())
+        world.add(door())
         world.command_joints("door", JointEfforts((2.0,), ("hinge",)))
         world.step(100)
         # 2 N m on 0.5 kg m^2.
@@ -204,7 +204,7 @@ def test_effort_beyond_the_limit_is_refused(scene: SceneSpec) -> None:
 
 
 def door() -> BodySpec:
-    """A leaf that turns about z with 0.5 kg m^2, at most 0.8 rad/s, from 0 to 1.5 rad."""
+    """A leaf about z with 0.5 kg m^2, at most 0.8 rad/s, from 0 to 1.5 rad."""
     frame = UrdfLink("frame", (), (), Inertial(1.0, Pose(), (0.1, 0.0, 0.0, 0.1, 0.0, 0.1)))
     leaf = UrdfLink("leaf", (), (), Inertial(5.0, Pose(), (0.5, 0.0, 0.0, 0.5, 0.0, 0.5)))
     hinge = UrdfJoint("hinge", "revolute", "frame", "leaf", Pose(), (0.0, 0.0, 1.0), 0.0, 1.5, effort=20.0, velocity=0.8)
@@ -213,7 +213,7 @@ def door() -> BodySpec:
 
 def test_joints_of_a_body_obey_too_also_when_it_sleeps_and_swing_free_when_they_are_let_go(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
-        world.add_body(door())
+        world.add(door())
         world.step(720)
         world.command_joints("door", JointPositions((0.8,), ("hinge",)))
         world.step(60)
@@ -229,7 +229,7 @@ def test_joints_of_a_body_obey_too_also_when_it_sleeps_and_swing_free_when_they_
 
 def test_reset_and_a_new_time_end_what_joints_of_a_body_were_told(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
-        world.add_body(door())
+        world.add(door())
         world.command_joints("door", JointVelocities((0.5,), ("hinge",)))
         world.step(120)
         world.set_step_count(0)
@@ -242,7 +242,7 @@ def test_reset_and_a_new_time_end_what_joints_of_a_body_were_told(make_scene: Ma
 
 def test_command_for_joints_of_nobody_is_refused(make_scene: MakeScene) -> None:
     with PhysicsWorld(make_scene()) as world:
-        world.add_body(door())
+        world.add(door())
         with pytest.raises(CommandError, match="no joint 'lock' that obeys commands; known: hinge"):
             world.command_joints("door", JointPositions((0.1,), ("lock",)))
         world.remove("door")

@@ -1,4 +1,4 @@
-"""Dry friction of hinges and slides."""
+"""Dry friction of hinges and prismatic joints."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 
 KG, FROM_HINGE, ABOUT_HINGE = 20.0, 0.4, 4.3
-"""The leaf: its mass, metres from the hinge to its middle, and its inertia about the hinge, kg m^2."""
+"""The leaf: mass, kg, distance from the hinge to its centre, m, and inertia about the hinge, kg m^2."""
 FRAME = UrdfLink("frame", (), (), Inertial(1.0, Pose(), (0.1, 0.0, 0.0, 0.1, 0.0, 0.1)))
 LEAF = UrdfLink("leaf", (), (), Inertial(KG, Pose((FROM_HINGE, 0.0, 0.0)), (1.0, 0.0, 0.0, 1.0, 0.0, 1.1)))
 HINGE = UrdfJoint("hinge", "revolute", "frame", "leaf", Pose(), (0.0, 0.0, 1.0), -2.5, 2.5)
@@ -53,7 +53,7 @@ def pushed(world: PhysicsWorld, effort: float, steps: int) -> None:
 def test_a_swinging_door_is_slowed_evenly_stops_and_never_gains_energy() -> None:
     with world_of(replace(HINGE, friction=2.0)) as world:
         pushed(world, 6.0, 240)
-        # Friction takes 2 of 6 N m, and is alone afterwards.
+        # Friction takes 2 of 6 N m, and acts alone afterwards.
         begin = speed(world)
         assert begin == pytest.approx(4.0 / ABOUT_HINGE, rel=0.02)
         pushed(world, 0.0, 0)

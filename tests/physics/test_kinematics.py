@@ -1,4 +1,4 @@
-"""A lift and an arm of seven joints: where its hand is, and which joints bring it where it shall be."""
+"""Forward and inverse kinematics of a lift and an arm of seven joints."""
 
 from __future__ import annotations
 

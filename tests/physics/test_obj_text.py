@@ -1,4 +1,4 @@
-"""OBJ files as an engine may read them: what crashes it is left out, its objects stay."""
+"""OBJ files for the engine: what would crash it is left out, the objects stay."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ f 1 2 3 9
 f 1 2
 f x y z
 """
-"""Every kind of corner that PyBullet's reader of OBJ files follows out of its lists."""
+"""Every kind of corner with which PyBullet's OBJ reader reads out of bounds."""
 
 LOADED = """mtllib a.mtl
 v 0.0 0.0 0.0
@@ -59,7 +59,7 @@ f -3 -2 -1
 f -2 -5 -1
 f 1 2 3 4
 """
-"""Accepted by the scene's own loader; PyBullet's reader of OBJ files ended the process on it."""
+"""Accepted by the scene loader; PyBullet's OBJ reader crashed on it."""
 
 
 def test_faces_keep_their_corners_alone_and_wrong_ones_go() -> None:

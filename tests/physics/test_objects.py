@@ -1,4 +1,4 @@
-"""Our objects in the engine: they settle, keep their limits, come to rest, gain no energy, and can be taken by their handles."""
+"""Our objects in the engine: they settle, keep their limits, come to rest, gain no energy, and can be grasped by their handles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, SceneState
 from gibson_sim_tools.making.objects.catalogue import OBJECTS
 from gibson_sim_tools.making.objects.joined import JOINED, door_names
-from gibson_sim_tools.making.objects.model import Joint, ObjectModel
+from gibson_sim_tools.making.objects.model import ObjectJoint, ObjectModel
 
 HZ = 240
 TABLE_Z = 0.75
@@ -43,12 +43,12 @@ def world_of(*bodies: BodySpec, collisions: tuple[CollisionSpec, ...] = ()) -> P
     return PhysicsWorld(SceneSpec("objects", Path("/nowhere"), "", (), collisions, ground_z=0.0, bodies=bodies), step_hz=HZ)
 
 
-def moving(model: ObjectModel) -> list[Joint]:
+def moving(model: ObjectModel) -> list[ObjectJoint]:
     return [joint for joint in model.joints if joint.kind != "fixed"]
 
 
 def positions(model: ObjectModel, state: SceneState) -> NDArray[np.float64]:
-    """Where the joints are: radians, metres."""
+    """Returns the joint positions, radians or metres."""
     found = []
     for joint in moving(model):
         parent, child = (state.links.index(f"{model.name}/{link}") for link in (joint.parent, joint.child))
@@ -62,7 +62,7 @@ def positions(model: ObjectModel, state: SceneState) -> NDArray[np.float64]:
 
 
 def energy(spec: BodySpec, state: SceneState) -> float:
-    """Kinetic and potential energy, joules, of centres of mass and turning."""
+    """Returns the kinetic energy, of translation and rotation, and the potential energy, J."""
     total = 0.0
     for link in spec.model.links:
         if link.inertial is None:
@@ -102,7 +102,7 @@ def test_twenty_objects_dropped_on_a_table_settle_less_than_two_millimetres_deep
 
 @pytest.mark.parametrize("name", JOINED_NAMES)
 def test_joints_swing_free_without_gaining_energy_keep_their_limits_and_come_to_rest(name: str) -> None:
-    """Half open, then let go; what is level is given a push by leaning the whole thing."""
+    """Half open, then released; the whole body leans, so that level joints move."""
     model = OBJECTS[name]
     joints = moving(model)
     lower, upper = (np.array([getattr(joint, side) for joint in joints]) for side in ("lower", "upper"))
@@ -121,7 +121,7 @@ def test_joints_swing_free_without_gaining_energy_keep_their_limits_and_come_to_
     energies, at = np.array(seen), np.array(places)
     fallen = energies[0] - energies.min()
     assert fallen > 0.05, "it moved"
-    # What the integrator makes of a free fall in one step, m g^2 dt^2 / 2, is all that may come back.
+    # At most the integrator's error of a free fall in one step, m g^2 dt^2 / 2, may be gained.
     noise = model.mass * (9.81 / HZ) ** 2 / 2
     assert (energies - np.minimum.accumulate(energies)).max() < noise
     stops = np.array([math.radians(1.5) if joint.kind == "revolute" else 3e-3 for joint in joints])
@@ -164,7 +164,7 @@ HANDLES = {
     "oven_body": ("door", (0.2745, 0.0, 0.4475), (1.0, 0.0, 0.0)),
     "window_casement": ("hinge", (0.72, 0.044, 0.53), (0.0, 1.0, 0.0)),
 }  # fmt: skip
-"""Object -> joint, place of a fingertip at its handle, and the way that it pulls, or pushes."""
+"""Object -> joint, position of a fingertip at its handle, and the direction in which it pulls or pushes."""
 
 
 @pytest.mark.parametrize("name", HANDLES)

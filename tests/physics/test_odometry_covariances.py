@@ -1,4 +1,4 @@
-"""Covariances of odometry against what wheels in the engine really do, for robots whose files give no errors."""
+"""Covariances of odometry against the true errors in the engine, for robots whose files give no errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.odometry import nees
 
 RUNS = 6
 HIGHEST = 37.16 / RUNS
-"""Mean of the normalised error squared, three numbers each, that six runs keep below with 99.5 %: chi-square of 18 degrees of freedom."""
+"""Bound of the mean normalised error squared (three dimensions) of six runs, 99.5 %: chi-square with 18 degrees of freedom."""
 
 
 def _drive(world: PhysicsWorld, seed: int) -> tuple[float, float]:

@@ -12,14 +12,14 @@ from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.scenes.spawning import load_spawnable
-from gibson_sim.tasks.episode import View, item_body
+from gibson_sim.tasks.episode import Observation, item_body
 from gibson_sim.tasks.ground import Ground, ground_of
 from gibson_sim.tasks.kinds.open_door import DAMPINGS, FRICTIONS, HANDLE_HEIGHTS, OPEN, OpenDoor, episode_door
 from gibson_sim.tasks.run import TaskRun, run_episode
 from gibson_sim.tasks.scripts.doors import (
     DoorChange,
     HingedDoor,
-    backing_way,
+    backing_path,
     changed_door,
     doorway,
     hinged_door,
@@ -68,7 +68,7 @@ def test_what_is_no_hinged_door_is_not_taken_for_one(model: str) -> None:
 def test_the_opening_is_the_angle_between_the_leaf_and_the_closed_leaf() -> None:
     door = _door("door_90_left", pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     leaf = pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 1.0 + 1.2))
-    assert door.opening(View(0.0, {door.leaf: leaf}, "")) == pytest.approx(1.2)
+    assert door.opening(Observation(0.0, {door.leaf: leaf}, "")) == pytest.approx(1.2)
 
 
 def test_a_changed_door_has_another_handle_and_hinge_and_its_meshes() -> None:
@@ -87,7 +87,7 @@ def test_a_changed_door_has_another_handle_and_hinge_and_its_meshes() -> None:
 
 def test_the_way_back_keeps_the_hand_off_the_edge_of_the_leaf() -> None:
     door = _door("door_90_left")
-    way = backing_way(door, math.radians(45.0), math.radians(90.0))
+    way = backing_path(door, math.radians(45.0), math.radians(90.0))
     assert way.openings[-1] > math.radians(80.0) and (np.diff(way.openings) > 0.0).all()
     base = way.places[-1, 0], way.places[-1, 1], way.yaws[-1]
     assert way.speeds(base, way.openings[-1]) == pytest.approx((0.0, 0.0))
@@ -136,11 +136,11 @@ def test_a_home_without_a_door_with_room_is_refused() -> None:
 def test_the_script_opens_a_door_and_goes_through_without_touching_a_wall() -> None:
     widest = 0.0
 
-    def watch(view: View) -> None:
+    def watch(obs: Observation) -> None:
         nonlocal widest
-        widest = max(widest, episode_door(run.episode).opening(view))
+        widest = max(widest, episode_door(run.episode).opening(obs))
 
     with TaskRun(TASK) as run:
         found = run_episode(run, 4, "scripted", watch)
         assert found.success and found.time < 60.0 and widest > math.radians(75.0)
-        assert episode_door(run.episode).opening(run.view) > OPEN
+        assert episode_door(run.episode).opening(run.observation) > OPEN

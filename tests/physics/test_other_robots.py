@@ -1,4 +1,4 @@
-"""Robots that other people described: the Husky of PyBullet's data, TurtleBot 3, LoCoBot; and joints that follow others."""
+"""Third-party robots: the Husky of PyBullet's data, TurtleBot 3, LoCoBot; and mimic joints."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ INERTIAL = '<inertial><mass value="0.3"/><inertia ixx="0.01" ixy="0" ixz="0" iyy
 
 @pytest.fixture(autouse=True)
 def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is expanded goes where it goes away."""
+    """Puts the cache of expanded descriptions in a temporary folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def moved(world: PhysicsWorld, linear: float, angular: float, steps: int = 240) -> tuple[float, float]:
-    """Commands a velocity for a while; returns what the base does in the end, m/s and rad/s."""
+    """Commands a velocity for a while; returns the final velocity of the base, m/s and rad/s."""
     for _ in range(steps):
         world.command("robot", VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
         world.step()
@@ -72,7 +72,7 @@ def test_the_husky_drives_as_commanded(root: Path, make_scene: MakeScene, linear
     assert husky.drive.wheel_separation == pytest.approx(0.5708 * 1.875)  # type: ignore[union-attr]
     with PhysicsWorld(make_scene(husky)) as world:
         assert moved(world, linear, angular) == pytest.approx((linear, angular), rel=0.02, abs=0.002)
-        # Its file says that its wheels give way: 30 kN/m each, under 46 kg.
+        # Its file gives its wheels a stiffness: 30 kN/m each, under 46 kg.
         assert world.base_pose("robot").position[2] == pytest.approx(-0.0025, abs=0.0015)
 
 
@@ -161,10 +161,10 @@ def test_gears_are_gone_with_their_body(make_scene: MakeScene) -> None:
     model = parse_urdf(SLIDES.format(INERTIAL, "revolute"), Path("r.urdf"))
     with PhysicsWorld(SceneSpec("test", Path(), "", (), ())) as world:
         for number in range(20):
-            world.add_body(BodySpec(f"one{number}", model, static=True))
+            world.add(BodySpec(f"one{number}", model, static=True))
             world.step(2)
             world.remove(f"one{number}")
-        world.add_body(BodySpec("last", model, static=True))
+        world.add(BodySpec("last", model, static=True))
         world.step(60)
         there = positions(world, "last")
         assert there["follow"] == pytest.approx(0.1 - 2 * there["lead"], abs=5e-3)
@@ -187,7 +187,7 @@ def test_textures_of_collision_meshes_are_never_kept_by_the_engine(make_scene: M
     with PhysicsWorld(make_scene()) as world:
         before = 0
         for number in range(60):
-            world.add_body(BodySpec(f"one{number}", model))
+            world.add(BodySpec(f"one{number}", model))
             world.remove(f"one{number}")
             before = before or (resident_kb() if number == 20 else 0)
         # A texture has 786 kB.

@@ -1,4 +1,4 @@
-"""Links that are near, and points that touch, of all bodies."""
+"""Links near a link, and contacts of all bodies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def body(name: str, position: Vec3, shape: Shape) -> BodySpec:
 
 
 def cabinet() -> BodySpec:
-    """A door of 0.4 x 0.02 x 0.6 m in the plane y = 0, and a bar 0.04 m before it that a fixed joint holds."""
+    """A door of 0.4 x 0.02 x 0.6 m in the plane y = 0, and a bar 0.04 m in front of it on a fixed joint."""
     door = UrdfCollision(Shape("box", (0.4, 0.02, 0.6)), Pose((0.2, 0.0, 0.0)))
     bar = UrdfCollision(Shape("cylinder", (0.01, 0.2, 0.0)), Pose())
     links = (
@@ -50,7 +50,7 @@ def test_neighbours_are_sorted_by_distance_and_the_handle_is_told_from_its_door(
     with world_of(cabinet(), ball, body("finger", (0.35, -0.16, 1.0), FINGER)) as world:
         found = world.neighbours("finger", "body", 0.2)
         assert [(one.body, one.link) for one in found] == [("cabinet", "handle"), ("cabinet", "door"), ("ball", "body")]
-        # Of centres 0.11 m apart, two radii of 0.01 m; the door's face is at y = -0.01.
+        # Centres 0.11 m apart, less two radii of 0.01 m; the door's face is at y = -0.01.
         assert [one.distance for one in found] == pytest.approx([0.09, 0.14, 0.18], abs=1e-3)
         handle = found[0]
         assert handle.point == pytest.approx((0.35, -0.06, 1.0), abs=2e-3)

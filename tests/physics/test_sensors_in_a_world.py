@@ -26,7 +26,7 @@ Step = Callable[[float, float, float], list[Measurements]]
 
 @contextmanager
 def driving(scene: SceneSpec) -> Iterator[Step]:
-    """Gives a function that drives (m/s, rad/s, seconds) and returns what is measured at every step."""
+    """Returns a function that drives (m/s, rad/s, seconds) and returns the measurements of every step."""
     robot = scene.robots[0]
     suite = SensorSuite(robot, STEP_HZ, 60, scene.gravity)
     with PhysicsWorld(scene, step_hz=STEP_HZ) as world:
@@ -112,7 +112,7 @@ def test_driving_takes_more_out_of_the_battery_than_standing(make_scene: Callabl
 
 
 def test_odometry_of_an_exact_robot_is_as_good_as_its_covariance_says(flat: SceneSpec) -> None:
-    """The engine's contacts give way a little, more on a floor of triangles; nothing else is wrong."""
+    """The engine's contacts yield a little, more on a floor of triangles; there are no other errors."""
     worst = 0.0
     with PhysicsWorld(flat, step_hz=STEP_HZ) as world:
         for linear, angular, seconds in ((0.4, 0.0, 3.0), (0.0, 1.5, 4.0), (0.3, -0.8, 4.0), (0.0, 0.0, 1.0)):

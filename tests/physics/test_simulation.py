@@ -1,4 +1,4 @@
-"""The simulation in one process, without pictures: it is what its parts are when they are put together by hand, to the bit."""
+"""The simulation in one process, without images: equal to the bit to its parts assembled by hand."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_it_is_its_parts_put_together_by_hand() -> None:
         assert _equal(state, world.state())
         assert sim.robot.pose == world.base_pose("robot")
         assert sim.robot.odometry == world.odometry("robot")
-        # The lidar of the file is due at 1 s, so what its driver would publish then is what it measures when asked.
+        # The lidar is due at 1 s, so a scan on request then equals the published one.
         (scan,) = measured[-1].scans
         assert sim.scan().stamp_ns == scan.stamp_ns == 1_000_000_000
         assert np.array_equal(sim.scan().ranges, scan.ranges)
@@ -77,6 +77,16 @@ def test_a_command_counts_until_the_next_one_unless_it_times_out() -> None:
         assert other.robot.twist[0][0] == pytest.approx(0.0, abs=0.01)
 
 
+def test_an_omnidirectional_robot_moves_sideways_and_the_world_ignores_it_for_others() -> None:
+    with gs.Simulation("arena", "omni_bot") as sim, gs.Simulation("arena") as other:
+        sim.command(lateral=0.2)
+        other.world.command("robot", gs.VelocityCommand((0.0, 0.2, 0.0), (0.0, 0.0, 0.0), 0))  # as a Twist over ROS
+        for each in (sim, other):
+            each.step(seconds=1.0)
+        assert sim.robot.twist[0][1] == pytest.approx(0.2, abs=0.01)
+        assert other.robot.twist[0][1] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_several_robots_are_commanded_by_name() -> None:
     with gs.Simulation("flat", "left=gibson_bot,right=gibson_bot", start="1.0,4.7,0;6.4,3.3,90") as sim:
         sim.command(linear=0.3, robot="right")
@@ -103,10 +113,17 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
     ("call", "error"),
     [
         (lambda sim: sim.step(seconds=0.001), r"step by 0.001 s, 0.24 steps of 1/240 s: must be a finite whole number"),
+        (lambda sim: sim.step(seconds=0.101), r"0 or more; nearest: steps=24 \(0.1 s\) or steps=25 \(0.104167 s\)$"),
+        (lambda sim: sim.step(steps=-2), r"step by -2 steps: .*, 0 or more; nearest: steps=0 \(0 s\)$"),
         (lambda sim: sim.step(seconds=-1.0), "must be a finite whole number of steps, 0 or more"),
-        (lambda sim: sim.step(seconds=float("nan")), "must be a finite whole number of steps"),
+        (lambda sim: sim.step(seconds=float("nan")), "must be a finite whole number of steps, 0 or more$"),
         (lambda sim: sim.step(seconds=1.0, steps=2), "step takes seconds .* or steps .*, not both"),
         (lambda sim: sim.command(linear=float("inf")), "holds a NaN or an infinity"),
+        (lambda sim: sim.command(lateral=float("nan")), "holds a NaN or an infinity"),
+        (
+            lambda sim: sim.command(lateral=0.2),
+            "drive of type differential, which cannot move sideways: lateral is 0.2 m/s, must be 0",
+        ),
         (lambda sim: sim.command(linear=0.1, robot="bob"), "no robot 'bob' in this simulation; there are: robot"),
         (lambda sim: sim.command_joints({"elbow": 1.0}), "'elbow'"),
         (lambda sim: sim.command_joints([1.0]), "positions is .*, must map names of joints to radians or metres"),
@@ -121,7 +138,7 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
         (lambda sim: sim.scan("radar"), "there is no lidar 'radar'; there are: scan"),
         (lambda sim: sim.reading("imux"), "has no sensor 'imux'; it has: scan, bumper, imu, battery_state"),
         (lambda sim: sim.reading("imu"), "sensor 'imu' of robot 'robot' has not measured yet: step first"),
-        (lambda sim: sim.spawn("botle", "b"), "neither a file nor the name of something of ours"),
+        (lambda sim: sim.spawn("botle", "b"), "neither a file nor a built-in model"),
         (lambda sim: sim.spawn("ball", "robot"), "the name 'robot' is taken"),
         (lambda sim: sim.move("ghost", (0.0, 0.0, 0.0)), "nothing in this world is called 'ghost'"),
         (lambda sim: sim.remove("ghost"), "nothing in this world is called 'ghost'"),

@@ -1,4 +1,4 @@
-"""Only what must wake wakes."""
+"""Only bodies that must wake do."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
 
 ASLEEP = 720
-"""Steps after which what rests has fallen asleep."""
+"""Steps after which bodies at rest sleep."""
 
 
 def box(name: str, x: float, y: float, z: float, size: tuple[float, float, float] = (0.2, 0.2, 0.2)) -> BodySpec:
@@ -37,7 +37,7 @@ def omni(root: Path) -> RobotSpec:
 
 
 def asleep(world: PhysicsWorld, names: list[str]) -> bool:
-    """What is awake never stands perfectly still: its weight and the floor's answer differ in the last digit."""
+    """The velocity of an active body is never exactly 0: its weight and the contact force differ in the last digit."""
     rows = [world.links.index(f"{name}/body") for name in names]
     return not world.state().twists[rows].any()
 
@@ -98,7 +98,7 @@ def test_pile_falls_when_the_body_under_it_is_pulled_away(how: str) -> None:
 def test_what_is_put_down_on_a_sleeper_wakes_it_alone() -> None:
     with world_of(box("a", 0.0, 0.0, 0.1), box("far", 1.0, 0.0, 0.1)) as world:
         world.step(ASLEEP)
-        world.add_body(replace(box("wall", 0.15, 0.0, 0.1), static=True))
+        world.add(replace(box("wall", 0.15, 0.0, 0.1), static=True))
         world.step(60)
         assert world.body_pose("a").position[0] < -0.02
         assert asleep(world, ["far"])

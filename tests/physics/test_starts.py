@@ -1,4 +1,4 @@
-"""Robots that would start inside of something are refused, whatever it is; what they stand on and what they touch is no hindrance."""
+"""Robots that would start inside of anything are refused; what they stand on or touch does not count."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def at(robot: RobotSpec, x: float, y: float = 0.0, name: str = "robot") -> Robot
 
 
 def hollow(folder: Path) -> CollisionSpec:
-    """The sofa as triangles, without an inside."""
+    """The sofa as hollow triangles."""
     corners = [(x, y, z) for z in (0.0, 0.8) for y in (-0.45, 0.45) for x in (2.0, 4.0)]
     faces = ["1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6", "1 3 4 2", "5 6 8 7"]
     (folder / "sofa.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {f}\n" for f in faces))
@@ -70,10 +70,10 @@ def test_a_robot_that_was_refused_leaves_nothing(robot: RobotSpec, make_scene: M
         bodies = pybullet.getNumBodies(physicsClientId=world._bullet.client)
         for _ in range(8):
             with pytest.raises(StartError):
-                world.add_robot(at(robot, 2.5, name="second"))
+                world.add(at(robot, 2.5, name="second"))
         assert world.names == ("robot",)
         assert pybullet.getNumBodies(physicsClientId=world._bullet.client) == bodies
-        world.add_robot(at(robot, 0.0, 2.0, name="second"))
+        world.add(at(robot, 0.0, 2.0, name="second"))
         world.step(10)
         assert world.names == ("robot", "second")
 
@@ -95,6 +95,6 @@ def test_a_client_learns_that_the_pose_is_at_fault(robot: RobotSpec, make_scene:
         with pytest.raises(SimulationError, match="deep in 'sofa'") as error:
             simulator.population.spawn(SpawnRequest("two", uri="gibson_bot", namespace="two", position=(3.0, 0.3, 0.0)))
         assert error.value.code is SpawnCode.INVALID_POSE
-        assert [entity.name for entity in simulator.population.matching(EntityFilters())] == ["robot"]
+        assert [entity.name for entity in simulator.population.select(EntityFilters())] == ["robot"]
     finally:
         simulator.close()

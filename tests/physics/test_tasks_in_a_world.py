@@ -13,7 +13,7 @@ import pytest
 
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError
-from gibson_sim.tasks.episode import Action, View
+from gibson_sim.tasks.episode import Action, Observation
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun
 from gibson_sim_bench.tasks import LooseRow, TaskPlan, TaskReport, TaskRow, measure, report_text
@@ -25,13 +25,13 @@ def push() -> Iterator[TaskRun]:
         yield run
 
 
-def _drive(run: TaskRun, seed: int, steps: int = 5) -> list[View]:
-    views = [run.reset(seed)]
+def _drive(run: TaskRun, seed: int, steps: int = 5) -> list[Observation]:
+    observations = [run.reset(seed)]
     rng = np.random.default_rng(seed)
     for _ in range(steps):
         linear, angular = rng.uniform(-1.0, 1.0, 2)
-        views.append(run.step(Action(float(linear), float(angular))))
-    return views
+        observations.append(run.step(Action(float(linear), float(angular))))
+    return observations
 
 
 def test_an_episode_is_the_same_to_the_bit_whatever_was_before_it(push: TaskRun) -> None:
@@ -52,7 +52,7 @@ def test_who_drives_into_a_wall_collides_once(push: TaskRun) -> None:
     for _ in range(5):
         push.step(Action(linear=0.5))
     assert push.metrics.collisions >= 1
-    assert push.metrics.collisions <= 2  # two walls where it is a corner
+    assert push.metrics.collisions <= 2  # two walls in a corner
 
 
 def test_the_command_pushes_boxes_through_a_doorway_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,7 +87,7 @@ def test_control_must_divide_steps() -> None:
 
 @pytest.fixture
 def environments() -> Any:
-    """The module, where Gymnasium is installed."""
+    """The module, if Gymnasium is installed."""
     try:
         from gibson_sim.tasks import environments
     except ImportError:

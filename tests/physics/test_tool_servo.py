@@ -1,4 +1,4 @@
-"""Tools that move at a velocity, and what robots run into."""
+"""Tools that move at a velocity, and counts of collisions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def world(robot: RobotSpec) -> Iterator[PhysicsWorld]:
 def servo(world: PhysicsWorld, seconds: float, twist: ToolTwist) -> None:
     """Sends a twist 30 times a second."""
     for _ in range(round(seconds * 30)):
-        world.servo("robot", twist)
+        world.arms.servo("robot", twist)
         world.step(8)
 
 
@@ -53,39 +53,39 @@ def angles(world: PhysicsWorld) -> dict[str, float]:
 
 
 def test_tool_moves_at_the_velocity_and_stops_when_nobody_says_any_more(world: PhysicsWorld) -> None:
-    before = np.array(world.tool_pose("robot").position)
+    before = np.array(world.arms.tool_pose("robot").position)
     servo(world, 1.0, ToolTwist((0.0, 0.12, 0.06), STILL))
-    moved = np.array(world.tool_pose("robot").position) - before
+    moved = np.array(world.arms.tool_pose("robot").position) - before
     assert moved == pytest.approx([0.0, 0.12, 0.06], abs=3e-3)
-    rotation = matrix_from_pose(world.tool_pose("robot"))[:3, :3]
+    rotation = matrix_from_pose(world.arms.tool_pose("robot"))[:3, :3]
     assert rotation == pytest.approx(np.eye(3), abs=0.01)
     world.step(240)
-    # 0.25 s go on from the last command, 8 steps before.
-    there = np.array(world.tool_pose("robot").position)
+    # 0.25 s after the last command, 8 steps before.
+    there = np.array(world.arms.tool_pose("robot").position)
     assert there - before == pytest.approx(np.array([0.0, 0.12, 0.06]) * (1.0 + 0.25 - 8 / 240), abs=4e-3)
     world.step(240)
-    assert np.array(world.tool_pose("robot").position) == pytest.approx(there, abs=1e-4)
+    assert np.array(world.arms.tool_pose("robot").position) == pytest.approx(there, abs=1e-4)
 
 
 def test_frame_is_that_of_the_tool_or_of_any_link(world: PhysicsWorld) -> None:
     world.command_joints("robot", JointPositions((math.pi / 2,), ("hand",)))
     world.step(300)
-    before = world.tool_pose("robot").position
+    before = world.arms.tool_pose("robot").position
     # The tool's y is the base's z now.
     servo(world, 0.5, ToolTwist((0.0, 0.1, 0.0), STILL, "tool"))
-    middle = world.tool_pose("robot").position
+    middle = world.arms.tool_pose("robot").position
     assert np.array(middle) - np.array(before) == pytest.approx([0.0, 0.0, 0.05], abs=3e-3)
-    # That of the shoulder is turned with the first joint, which is still at 0.
+    # The frame of the shoulder turns with the first joint, which is still at 0.
     servo(world, 0.5, ToolTwist((0.0, 0.1, 0.0), STILL, "turn_link"))
-    assert np.array(world.tool_pose("robot").position)[1] - middle[1] == pytest.approx(0.05, abs=5e-3)
+    assert np.array(world.arms.tool_pose("robot").position)[1] - middle[1] == pytest.approx(0.05, abs=5e-3)
     with pytest.raises(CommandError, match=r"frame 'map' is no link of robot 'robot'; use its base, 'base', its tool, 'tool'"):
-        world.servo("robot", ToolTwist(STILL, STILL, "map"))
+        world.arms.servo("robot", ToolTwist(STILL, STILL, "map"))
 
 
 def test_arm_turns_about_its_tool(world: PhysicsWorld) -> None:
-    before = world.tool_pose("robot").position
+    before = world.arms.tool_pose("robot").position
     servo(world, 1.0, ToolTwist(STILL, (0.0, 0.0, 0.4)))
-    pose = world.tool_pose("robot")
+    pose = world.arms.tool_pose("robot")
     assert pose.position == pytest.approx(before, abs=5e-3)
     assert 2 * math.atan2(pose.quat_xyzw[2], pose.quat_xyzw[3]) == pytest.approx(0.4, abs=0.02)
 
@@ -93,12 +93,12 @@ def test_arm_turns_about_its_tool(world: PhysicsWorld) -> None:
 def test_limits_hold_where_the_arm_is_stretched_out(world: PhysicsWorld) -> None:
     fastest = 0.0
     for _ in range(60):
-        world.servo("robot", ToolTwist((0.4, 0.0, 0.2), STILL))
+        world.arms.servo("robot", ToolTwist((0.4, 0.0, 0.2), STILL))
         world.step(8)
         fastest = max(fastest, float(np.abs(world.joint_states("robot").velocities[:7]).max()))
         assert all(abs(at) <= _LIMITS[name] + 1e-3 for name, at in angles(world).items() if name in _LIMITS)
     assert fastest <= 1.5 * 1.01
-    reach = math.dist(world.tool_pose("robot").position, (0.2, 0.0, 0.65))
+    reach = math.dist(world.arms.tool_pose("robot").position, (0.2, 0.0, 0.65))
     assert reach == pytest.approx(0.2 + 0.13 + 0.2 + 0.12 + 0.13 + 0.15, abs=0.05)
 
 
@@ -117,7 +117,7 @@ def test_tool_follows_a_circle_while_the_base_drives_a_curve(root: Path) -> None
     ) as world:
 
         def tool() -> NDArray[np.float64]:
-            return invert(matrix_from_pose(world.body_pose("robot"))) @ matrix_from_pose(world.tool_pose("robot"))
+            return invert(matrix_from_pose(world.body_pose("robot"))) @ matrix_from_pose(world.arms.tool_pose("robot"))
 
         world.step(60)
         start = tool()
@@ -130,7 +130,9 @@ def test_tool_follows_a_circle_while_the_base_drives_a_curve(root: Path) -> None
             assert np.linalg.norm(behind) < 0.004
             assert np.linalg.norm(twist) < math.radians(0.5)
             linear = radius * turning * np.array([0.0, math.cos(angle), math.sin(angle)]) + 2.0 * behind
-            world.servo("robot", ToolTwist((linear[0], linear[1], linear[2]), (2.0 * twist[0], 2.0 * twist[1], 2.0 * twist[2])))
+            world.arms.servo(
+                "robot", ToolTwist((linear[0], linear[1], linear[2]), (2.0 * twist[0], 2.0 * twist[1], 2.0 * twist[2]))
+            )
             world.command("robot", VelocityCommand((0.3, 0.0, 0.0), (0.0, 0.0, 0.3), world.stamp_ns))
             world.step(8)
         forward, around = world.base_twist("robot")

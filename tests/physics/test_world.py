@@ -1,4 +1,4 @@
-"""What PhysicsWorld promises besides driving: frames, determinism, isolation, rays, life and death."""
+"""Guarantees of PhysicsWorld besides driving: frames, determinism, isolation, rays, lifetime."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ OFFSET_URDF = """<robot name="r">
 
 
 def offset_robot(folder: Path) -> RobotSpec:
-    """Returns a robot whose centres of mass are far from its link frames, turned and lifted."""
+    """Returns a robot whose centres of mass are far from its link frames, rotated and lifted."""
     (folder / "r.urdf").write_text(OFFSET_URDF)
     (folder / "robot.yaml").write_text("urdf: r.urdf\nradius: 0.1\nheight: 1\n")
     return load_robot(folder / "robot.yaml", start=pose_from_xyz_rpy((1.0, 2.0, 30.0), (0.1, 0.2, 0.3)))
@@ -73,8 +73,8 @@ def test_twists_are_those_of_the_link_frames(make_scene: MakeScene, tmp_path: Pa
     # A body that falls and tumbles: the velocity must be the derivative of the position, for every link.
     robot = offset_robot(tmp_path)
     with PhysicsWorld(replace(make_scene(robot), gravity=(0.0, 3.0, -9.81)), step_hz=10_000) as world:
-        # Two links of which one is caught by a motor give a spin; without it the test would not see w x r.
-        world._bullet.drive_joints(world._robots["robot"].body, [0], [4.0], [50.0])
+        # A motor on one of two links gives a spin; without it the test would not cover w x r.
+        world._bullet.drive_joints(world._robots["robot"].engine_body, [0], [4.0], [50.0])
         world.step(500)
         before = world.state()
         world.step(1)
@@ -206,7 +206,7 @@ def test_mesh_scale_is_obeyed(make_scene: MakeScene, mesh_floor: CollisionSpec) 
 
 
 def test_large_mesh_is_whole(make_scene: MakeScene, tmp_path: Path) -> None:
-    # 180,000 triangles are more than PyBullet takes at once: hits everywhere prove that no piece is lost.
+    # 180,000 triangles exceed PyBullet's limit: hits everywhere prove that no piece is lost.
     n = 300
     x, y = np.meshgrid(np.arange(n + 1) * 0.1, np.arange(n + 1) * 0.1, indexing="ij")
     first = (np.arange(n)[:, None] * (n + 1) + np.arange(n)[None]).ravel() + 1

@@ -1,4 +1,4 @@
-"""Drawing needs an EGL device; software is enough."""
+"""Fixtures that need an EGL device; software is enough."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gibson_sim.render.readback.cuda import CudaPython
 
 @pytest.fixture(scope="session")
 def egl() -> None:
-    """Skips, loudly, where nothing can draw; fails instead where ``GIBSON_REQUIRE`` names egl."""
+    """Skips, with a warning, if no device can draw; fails instead if ``GIBSON_REQUIRE`` names egl."""
     try:
         open_context().close()
     except GraphicsUnavailableError as e:
@@ -28,7 +28,7 @@ def egl() -> None:
 
 @pytest.fixture
 def nvidia() -> Iterator[tuple[GlContext, CudaPython]]:
-    """OpenGL and CUDA on one GPU; skips, loudly, where there is none; fails instead where ``GIBSON_REQUIRE`` names gpu."""
+    """OpenGL and CUDA on one GPU; skips, with a warning, if there is none; fails instead if ``GIBSON_REQUIRE`` names gpu."""
     context: GlContext | None = None
     try:
         gpus = [d.index for d in list_devices() if d.usable and "nvidia" in d.vendor.lower()]

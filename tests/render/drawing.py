@@ -1,7 +1,7 @@
-"""Tiny scenes made in code, cameras to look at them, and what can be said of the images.
+"""Tiny scenes made in code, cameras that look at them, and measurements of the images.
 
-The usual camera stands at the origin of the world and looks along +x: +y is left, +z is up. Its image is 64 x 64 with a vertical
-field of view of 90 degrees, so the focal length is 32 px and the middle lies at (31.5, 31.5).
+The default camera stands at the origin of the world and looks along +x: +y is left, +z is up. Its image is 64 x 64 with a vertical
+field of view of 90 degrees, so the focal length is 32 px and the centre is at (31.5, 31.5).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, area_normals
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, camera_pose, quat_from_matrix
-from gibson_sim.render.batching.batches import Loader
+from gibson_sim.render.batching.scene_geometry import Loader
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import CameraSpec, Frame, Pose, Quat, Rgba, SceneState, Vec3
@@ -33,7 +33,7 @@ DARK = LightSpec(background=(0.0, 0.0, 0.0))
 
 
 def eye_at(position: Vec3, look_at: Vec3 | None = None, **changes: object) -> CameraSpec:
-    """Returns the usual camera at ``position``, looking along +x or at a point (not straight up or down)."""
+    """Returns the default camera at ``position``, looking along +x or at a point (not straight up or down)."""
     pose = Pose(position, quat_from_matrix(R_LINK_OPTICAL)) if look_at is None else camera_pose(position, look_at)
     return replace(EYE, pose=pose, **changes)
 
@@ -45,7 +45,7 @@ def box(
 
 
 def plate(position: Vec3, color: Rgba | None = GREY, side: float = 0.3) -> VisualSpec:
-    """Returns a square that faces the usual camera, 2 mm thick: its front is 1 mm nearer than ``position``."""
+    """Returns a square that faces the default camera, 2 mm thick: its front is 1 mm nearer than ``position``."""
     return box(position, color, (0.002, side, side))
 
 
@@ -64,13 +64,13 @@ def scene(*visuals: VisualSpec, links: tuple[str, ...] = (), light: LightSpec = 
 
 
 def draw(*visuals: VisualSpec, camera: CameraSpec = EYE, light: LightSpec = DARK) -> Frame:
-    """Returns what a camera sees of things that do not move."""
+    """Returns a camera's frame of static visuals."""
     with Renderer(scene(*visuals, light=light)) as renderer:
         return renderer.render(state(), [camera])[0]
 
 
 def draw_mesh(mesh: Mesh, *others: VisualSpec, camera: CameraSpec = EYE) -> Frame:
-    """Returns what a camera sees of a mesh in the world frame, and of primitives."""
+    """Returns a camera's frame of a mesh in the world frame and of primitives."""
     with Renderer(scene(mesh_visual(), *others), loader=loader_of(mesh)) as renderer:
         return renderer.render(state(), [camera])[0]
 
@@ -80,7 +80,7 @@ def mesh_visual(link: str = "") -> VisualSpec:
 
 
 def loader_of(mesh: Mesh) -> Loader:
-    """Returns a loader that has ``mesh`` for every file."""
+    """Returns a loader that returns ``mesh`` for every file."""
     return lambda shape: mesh if shape.kind == "mesh" else primitive_mesh(shape)
 
 
@@ -94,7 +94,7 @@ def quad(corners: Sequence[Vec3], material: Material) -> Mesh:
 
 
 def facing_quad(distance: float, half: float, material: Material) -> Mesh:
-    """Returns an upright quad that faces the usual camera; +y is left."""
+    """Returns an upright quad that faces the default camera; +y is left."""
     d, h = distance, half
     return quad([(d, h, h), (d, -h, h), (d, -h, -h), (d, h, -h)], material)
 

@@ -1,4 +1,4 @@
-"""The generated rooms as a small scene: every piece of furniture is a thing of its own."""
+"""The generated rooms as a small scene: each item of furniture is an instance."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import pose_from_matrix
-from gibson_sim.render.batching.batches import Loader
+from gibson_sim.render.batching.scene_geometry import Loader
 from gibson_sim.types import Pose
 from gibson_sim_tools.generator.rooms import rooms_camera_path, rooms_parts
 
@@ -17,7 +17,7 @@ TRIANGLES = 30_000
 
 @lru_cache(maxsize=1)
 def rooms() -> tuple[tuple[VisualSpec, ...], Loader]:
-    """Returns what is drawn, and what loads it."""
+    """Returns the scene and its loader."""
     parts = rooms_parts(TRIANGLES, atlas=512)
     meshes = {f"/{name}": Mesh((part,)) for name, (_, part) in parts.items()}
     visuals = tuple(

@@ -1,4 +1,4 @@
-"""The bench of renderers, from the scene's files to the picture."""
+"""The benchmark of renderers, from the scene's files to the picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gibson_sim_bench.measured.scenes import bench_scene, export_for_peers
-from gibson_sim_bench.render import Plan, measure
+from gibson_sim_bench.render import RenderPlan, measure
 from gibson_sim_bench.timing import FIVE
 
 pytestmark = pytest.mark.egl
@@ -40,7 +40,7 @@ def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.usefixtures("egl")
 def test_a_small_scene_is_measured_and_its_picture_written(room: Path, tmp_path: Path) -> None:
-    plan = Plan(scenes=(str(room),), sizes=((64, 64),), outputs=(("rgb",), FIVE), frames=6, pictures=tmp_path / "pictures")
+    plan = RenderPlan(scenes=(str(room),), sizes=((64, 64),), outputs=(("rgb",), FIVE), frames=6, pictures=tmp_path / "pictures")
     report = measure(plan)
     assert [(row.scene, row.triangles, row.outputs) for row in report.rows] == [("room", 4, ("rgb",)), ("room", 4, FIVE)]
     assert all(0.0 < row.p5 <= row.fps <= row.p95 for row in report.rows)

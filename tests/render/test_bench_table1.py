@@ -1,4 +1,4 @@
-"""The paper's table in process, with few frames: the figures have sane content, whatever they are."""
+"""The paper's table in process, with few frames: the results are plausible."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim_bench.protocol import Plan, write_robot
+from gibson_sim_bench.protocol import Table1Plan, write_robot
 from gibson_sim_bench.reports.paper import MODES, SENSOR_ONLY
 from gibson_sim_bench.rows import BULLET, COPY, HOST, OPENGL, TENSOR
 from gibson_sim_bench.table1 import measure
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.egl
 
 @pytest.mark.usefixtures("egl")
 def test_every_mode_is_measured_to_the_host_and_with_pictures_to_tensors(tmp_path: Path) -> None:
-    plan = Plan(scene="arena", substeps=(2,), frames=2, sensor_frames=2, ways=("in process",))
+    plan = Table1Plan(scene="arena", substeps=(2,), frames=2, sensor_frames=2, ways=("in process",))
     report = measure(plan, write_robot(tmp_path, (256, 256)))
     assert [row.mode for row in report.rows if row.to == HOST] == [mode.name for mode in MODES]
     assert [row.mode for row in report.rows if row.to == TENSOR] == [mode.name for mode in MODES if mode.outputs]

@@ -27,7 +27,7 @@ NOW, BEFORE = (state(("a",), [(0.0, y, 0.0)]) for y in (0.0, 0.1))
 
 @pytest.fixture
 def drawn(tmp_path: Path) -> DrawnScene:
-    """A bumpy ball with a texture, in a file, on a link; a box in the world, and something that is not there."""
+    """A bumpy ball with a texture, in a file, on a link; a box in the world, and a mesh whose file is missing."""
     part = bumpy_sphere(26)
     folder = tmp_path / "models" / "ball"
     folder.mkdir(parents=True)
@@ -59,7 +59,7 @@ def test_pictures_warnings_and_numbers_are_the_same(drawn: DrawnScene, tmp_path:
     def must_not_load(*args: object, **kwargs: object) -> None:
         raise AssertionError("the scene was loaded from its files")
 
-    monkeypatch.setattr(module, "build_batches", must_not_load)
+    monkeypatch.setattr(module, "build_geometry", must_not_load)
     second = _draw(drawn, tmp_path / "cache")
     for output in OUTPUTS:
         for other in (plain, first):
@@ -106,7 +106,7 @@ def test_levels_of_detail_and_all_triangles_are_kept_apart(drawn: DrawnScene, tm
         _, _, coarse = _draw(drawn, tmp_path / "cache")
         _, _, fine = _draw(drawn, tmp_path / "cache", detail_px=0.0)
     assert len(list((tmp_path / "cache").glob("*.scene"))) == 2
-    assert fine["chunks"] < coarse["chunks"] or cache.simplifier() is None
+    assert fine["clusters"] < coarse["clusters"] or cache.simplifier() is None
 
 
 def test_a_damaged_file_costs_a_warning_and_nothing_else(

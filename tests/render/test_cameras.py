@@ -1,4 +1,4 @@
-"""Every camera shows what its formula says: all pixels are compared with rays cast at boxes and at a sphere, by hand.
+"""Every camera obeys its projection formula: all pixels are compared with rays cast at boxes and at a sphere, in NumPy.
 
 The room is an open box of bars and plates around a camera that stands askew, so that edges cross every part of the images, the seams
 between the faces of the cube included.
@@ -34,7 +34,7 @@ _BOXES = [
 ]  # fmt: skip
 """Centre and size, metres, world frame."""
 _ASKEW = np.array([[0.25, -0.1, 1.0], [-1.0, 0.0, 0.2], [0.0, -1.0, -0.05]])
-"""About forward along x, about upright; made a rotation below."""
+"""About forward along x and about upright; orthonormalised below."""
 
 
 def _rotation(rough: Array) -> Array:
@@ -65,7 +65,7 @@ BENT = [name for name in CAMERAS if name != "off-centre"]
 
 
 def _cast(camera: CameraSpec, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Returns what rays towards points of the optical frame, (..., 3), meet: box and face, -1 = none; depth as the length of the point
+    """Returns what rays towards points of the optical frame, (..., 3), hit: box and face, -1 = none; depth as a multiple of the point
     given; and the normal in the world frame.
     """
     T = matrix_from_pose(camera.pose)
@@ -102,7 +102,7 @@ def _around(camera: CameraSpec, radius: float) -> list[Array]:
 
 @pytest.fixture(scope="module")
 def frames(egl: None) -> dict[str, Frame]:
-    """What every camera sees of the room."""
+    """Every camera's frame of the room."""
     with Renderer(scene(*(_labelled(k) for k in range(len(_BOXES))))) as renderer:
         drawn = renderer.render(state(), list(CAMERAS.values()))
     return dict(zip(CAMERAS, drawn, strict=True))
@@ -147,7 +147,7 @@ def test_no_pixel_shows_what_is_more_than_half_a_pixel_away(name, frames, truth)
     for radius in (0.25, 0.5):
         for near in _around(CAMERAS[name], radius):
             allowed |= seen == _instances(_cast(CAMERAS[name], near)[0])
-    # Rays through the exact corner of a box may go either way.
+    # Rays through the exact corner of a box may hit either face.
     assert (~allowed).sum() <= 2
 
 
@@ -209,12 +209,12 @@ def test_flow_is_where_a_point_is_minus_where_it_was(name, truth):
     expected = np.argwhere(there)[:, ::-1] - was
     if camera.projection == "equirectangular":
         expected[:, 0] -= camera.width * np.rint(expected[:, 0] / camera.width)
-        # Near the poles a pixel to the side is another direction altogether.
+        # Near the poles a neighbouring pixel has an entirely different direction.
         rows = np.abs(np.argwhere(there)[:, 0] - 63.5) < 45
         expected, found = expected[rows], frame.flow[there][rows]
     else:
         found = frame.flow[there]
-    # What was beyond the rim of the lens has not been seen before.
+    # What was outside the lens before has no flow.
     known = np.isfinite(expected).all(axis=1) & np.isfinite(found).all(axis=1)
     assert known.mean() > 0.9
     assert np.median(np.linalg.norm(expected[known], axis=1)) > 1.5
@@ -243,7 +243,7 @@ def _twice(camera: CameraSpec) -> CameraSpec:
 
 
 def _draw_exactly(mesh: Mesh, camera: CameraSpec) -> Frame:
-    """Returns what a camera sees of a mesh, all its triangles."""
+    """Returns a camera's frame of a mesh with all its triangles."""
     with Renderer(scene(mesh_visual()), loader=loader_of(mesh), detail_px=0.0) as renderer:
         return renderer.render(state(), [camera])[0]
 

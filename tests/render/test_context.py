@@ -1,4 +1,4 @@
-"""Finding something that can draw, and saying what to install where nothing can."""
+"""Finding a device that can draw, and messages that say what to install if there is none."""
 
 from __future__ import annotations
 

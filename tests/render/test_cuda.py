@@ -1,4 +1,4 @@
-"""From OpenGL's buffers to CUDA: which GPU, and in which order. The tests marked gpu need CUDA itself, and say so where it is missing."""
+"""From OpenGL's buffers to CUDA: which GPU, and in which order. Tests marked gpu need CUDA itself, and are skipped with a warning without it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 
 from gibson_sim.errors import GraphicsUnavailableError, RenderError
 from gibson_sim.render.context import EglDevice, GlContext, gl as GL, open_context
-from gibson_sim.render.draw.target import FEATURES, Target
+from gibson_sim.render.draw.target import FEATURES, RenderTarget
 from gibson_sim.render.readback.cuda import CudaDevice, CudaLink, CudaPython, find_device
-from gibson_sim.render.readback.frames import Readback, Shot
+from gibson_sim.render.readback.frames import Readback, TargetImage
 from gibson_sim.render.readback.pixel_buffers import GlBuffer
 from gibson_sim.render.readback.tensors import Tensors
 from gibson_sim.types import OUTPUTS, CameraSpec
@@ -123,7 +123,7 @@ def test_a_buffer_that_grows_is_unregistered_before_it_is_freed(context: GlConte
     tensors = Tensors(context, driver=cuda)
     for size in (4, 64):
         camera = CameraSpec("eye", "", width=size, height=size)
-        tensors.of_target(Target(context, size, size), [Shot(camera, 0, np.eye(4))])
+        tensors.of_target(RenderTarget(context, size, size), [TargetImage(camera, 0, np.eye(4))])
     assert cuda.registrations == 2
     assert len(cuda.registered) == 1
     tensors.close()
@@ -172,9 +172,9 @@ def test_tensors_on_the_gpu_are_bit_equal_to_host_readback(
     rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
     T_world_camera = np.eye(4)
     T_world_camera[:3] = np.column_stack([rotation, (1.5, -2.25, 0.7)])
-    target = Target(context, width, height, FEATURES)
+    target = RenderTarget(context, width, height, FEATURES)
     fill(context, target, random_images(width, height))
-    shot = Shot(camera, 0, T_world_camera)
+    shot = TargetImage(camera, 0, T_world_camera)
     expected = Readback(context).frames(target, [shot])[0]
     tensors = Tensors(context, driver)
     frame = tensors.of_target(target, [shot])[0]
@@ -187,13 +187,13 @@ def test_tensors_on_the_gpu_are_bit_equal_to_host_readback(
 def test_tensors_on_the_gpu_are_not_overwritten_by_the_next_image(nvidia: tuple[GlContext, CudaPython]) -> None:
     context, driver = nvidia
     camera = CameraSpec("eye", "", width=256, height=256, outputs=("rgb",))
-    target = Target(context, 256, 256, FEATURES)
+    target = RenderTarget(context, 256, 256, FEATURES)
     tensors = Tensors(context, driver=driver)
     kept = []
     for seed in range(8):
         images = random_images(256, 256, seed)
         fill(context, target, images)
-        kept.append((tensors.of_target(target, [Shot(camera, 0, np.eye(4))])[0].rgb, images["color"][..., :3]))
+        kept.append((tensors.of_target(target, [TargetImage(camera, 0, np.eye(4))])[0].rgb, images["color"][..., :3]))
     for tensor, wanted in kept:
         np.testing.assert_array_equal(fetched(tensor), wanted)
     tensors.close()

@@ -1,4 +1,4 @@
-"""What is left out because it is outside the image changes no pixel of it."""
+"""Frustum culling changes no pixel."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_leaving_out_what_is_outside_the_image_changes_no_byte(number):
     frames = []
     for cull in (True, False):
         with Renderer(scene(mesh_visual()), loader=loader_of(floor()), cull=cull) as renderer:
-            assert renderer.info["chunks"] > 30
+            assert renderer.info["clusters"] > 30
             frames.append(renderer.render(state(), [EYES[number]])[0])
     culled, whole = frames
     assert np.isfinite(whole.depth).any()
@@ -52,7 +52,7 @@ def test_a_floor_of_many_triangles_has_no_hole_and_no_fringe(number):
     camera = EYES[number]
     with Renderer(scene(mesh_visual()), loader=loader_of(floor())) as renderer:
         depth = renderer.render(state(), [camera])[0].depth
-    # The ray of each pixel meets the plane z = 0 at a depth, and at (x, y).
+    # The ray of each pixel meets the plane z = 0 at this depth, and at (x, y).
     T_world_camera = matrix_from_pose(camera.pose)
     k = camera.intrinsics()
     v, u = np.mgrid[:60, :80]

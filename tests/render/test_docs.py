@@ -1,4 +1,4 @@
-"""Python of the documentation that draws."""
+"""Python examples of the documentation that draw."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_tutorial_of_python_runs_from_top_to_bottom(
     for number, block in enumerate(re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)):
         exec(compile(block, f"docs/python.md, block {number}", "exec"), made)
     said = capsys.readouterr().out
-    # What the page says that it prints.
+    # The output that the page shows.
     assert "1.0 <Robot robot: x 1.255 m, y 4.714 m, yaw 5.7 deg>" in said
     assert "(480, 640, 3) uint8" in said
     assert "did you mean 'linden_flat'?" in said

@@ -1,4 +1,4 @@
-"""Exposure, white balance, vignette, noise and averages of pictures, against the same in NumPy."""
+"""Exposure, white balance, vignette, noise and averages of pictures, compared with NumPy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import ConfigError, RenderError
 from gibson_sim.render.context import GlContext, open_context
 from gibson_sim.render.draw.effects import EffectsPass, changes_colors, copy_image, noise_key, planckian_xy, white_balance_matrix
-from gibson_sim.render.draw.target import Target
+from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.types import CameraSpec, ImageEffects
 
 pytestmark = pytest.mark.egl
@@ -28,7 +28,7 @@ class Lab:
 
     def __init__(self, context: GlContext) -> None:
         self.context, self.gl, self.effects = context, context.gl, EffectsPass(context)
-        self.out = Target(context, CAMERA.width, CAMERA.height)
+        self.out = RenderTarget(context, CAMERA.width, CAMERA.height)
 
     def texture(self, picture: U8) -> int:
         rgba = np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)])
@@ -76,7 +76,7 @@ def grey(value: int) -> U8:
 
 
 def assert_equal_within_one(got: U8, light: F64) -> None:
-    """Checks that a picture shows what it should, given as linear light, within a grey level.
+    """Checks that a picture equals the expected linear light within a grey level.
 
     Drivers may read and write sRGB by approximations, Mesa's are good to 0.0012 of linear light, which is more than a level in the
     dark; so there 1 / 255 of the light is enough.
@@ -93,7 +93,7 @@ def test_one_stop_doubles_the_light(lab: Lab) -> None:
     assert_equal_within_one(lab.apply(grey(255), exposure_ev=-1.0), np.full((64, 96, 3), 0.5))
 
 
-def test_without_effects_the_pass_is_not_wanted_and_would_change_nothing(lab: Lab) -> None:
+def test_without_effects_the_pass_is_left_out_and_would_change_nothing(lab: Lab) -> None:
     assert not changes_colors(ImageEffects(shutter_s=0.1, readout_s=0.1, seed=5))
     np.testing.assert_array_equal(lab.apply(gradient()), gradient())
 
@@ -101,7 +101,7 @@ def test_without_effects_the_pass_is_not_wanted_and_would_change_nothing(lab: La
 @pytest.mark.parametrize(
     "effects", [{"exposure_ev": 0.1}, {"white_balance_k": 6000.0}, {"vignette": 0.1}, {"shot_noise": 0.01}, {"read_noise": 0.01}]
 )
-def test_every_effect_on_colours_is_wanted(effects: dict[str, float]) -> None:
+def test_every_effect_on_colours_needs_the_pass(effects: dict[str, float]) -> None:
     assert changes_colors(ImageEffects(**effects))  # type: ignore[arg-type]
 
 
@@ -116,7 +116,7 @@ def test_colours_of_black_bodies_are_those_of_the_tables(kelvin: float, x: float
 
 
 @pytest.mark.parametrize("kelvin", [2222.0, 4000.0])
-def test_pieces_of_the_black_body_curve_meet(kelvin: float) -> None:
+def test_segments_of_the_black_body_curve_meet(kelvin: float) -> None:
     assert planckian_xy(kelvin - 1e-6) == pytest.approx(planckian_xy(kelvin), abs=2e-4)
 
 
@@ -265,8 +265,8 @@ def test_average_that_has_not_begun_is_refused(lab: Lab) -> None:
 
 def test_effects_in_place_change_their_own_image_and_nothing_beside_it(lab: Lab) -> None:
     context = lab.context
-    sheet, part = Target(context, 200, 100), replace(CAMERA, effects=ImageEffects(exposure_ev=1.0))
-    source = Target(context, 96, 64)
+    sheet, part = RenderTarget(context, 200, 100), replace(CAMERA, effects=ImageEffects(exposure_ev=1.0))
+    source = RenderTarget(context, 96, 64)
     lab.effects.run(CAMERA, 0, lab.texture(gradient()), source)
     for place in ((0, 0), (100, 30)):
         copy_image(context, source, sheet, ("color",), (0, 0, 96, 64), place)

@@ -1,4 +1,4 @@
-"""Where points are, and where they were: by hand, for things and cameras that move on links of their own."""
+"""Positions and optical flow, computed by hand, for bodies and cameras that move on separate links."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 CAMERA = replace(EYE, outputs=OUTPUTS)
 """Focal length 32 px, the middle at (31.5, 31.5): a point (x, y, z) is at u = 31.5 - 32 y / x, v = 31.5 - 32 z / x."""
 WALL = box((5.5, 0.0, 0.0), size=(1.0, 6.0, 6.0))
-"""Its front is 5 m ahead; from there it covers 38 x 38 pixels, so that there is nothing at the rim of the image."""
+"""Its front is 5 m ahead and covers 38 x 38 pixels, so that there is nothing at the edge of the image."""
 PLATE = replace(box((0.0, 0.0, 0.0), size=(0.002, 1.0, 1.0)), link="a")
 """On a link; instance 2, after the wall."""
 HALF = math.sqrt(0.5)
@@ -126,7 +126,7 @@ def test_a_thing_on_the_cameras_own_link_has_no_flow() -> None:
 
 
 def test_flow_of_a_camera_that_turned_to_the_left() -> None:
-    # Turning by an angle takes what is at tan(a) to tan(a - angle), whatever its distance; a row of the middle stays one.
+    # A turn by an angle moves what is at tan(a) to tan(a - angle), whatever its distance; the middle row stays a row.
     angle = 0.05
     camera = replace(CAMERA, link="a", height=63, matrix=(32.0, 0.0, 31.5, 0.0, 32.0, 31.0, 0.0, 0.0, 1.0))
     frame = _see(_at((0.1, 0.0, 0.0), quat_from_rpy(0.0, 0.0, angle)), _at((0.1, 0.0, 0.0)), camera)
@@ -163,7 +163,7 @@ def test_world_normals_of_a_turned_thing_are_its_own_under_any_camera() -> None:
 
 
 def test_nothing_has_no_position_and_a_zero_normal() -> None:
-    # Askew, so that no zero of the rotation makes a NaN of an infinity.
+    # Askew, so that no zero of the rotation turns an infinity into NaN.
     askew = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(0.4, 0.2, 0.1))) @ matrix_from_pose(AHEAD)
     frame = draw(plate((3.0, 0.0, 0.0)), camera=replace(CAMERA, pose=pose_from_matrix(askew)))
     nothing = frame.instance == 0

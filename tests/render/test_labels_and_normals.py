@@ -13,8 +13,8 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.geometry.transforms import quat_from_rpy
-from gibson_sim.render.batching.batches import MAX_LABEL
-from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.batching.building import build_geometry
+from gibson_sim.render.batching.scene_geometry import MAX_LABEL
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, Frame
 from render.drawing import AHEAD, BLUE, EYE, RED, box, draw, draw_mesh, facing_quad, loader_of, mesh_visual, scene, state
@@ -167,4 +167,4 @@ def test_two_cameras_with_different_outputs_do_not_mix() -> None:
 
 def test_more_labels_than_an_image_can_hold_are_refused() -> None:
     with pytest.raises(ConfigError, match="at most 65535"):
-        build_batches([box((0.0, 0.0, 0.0))], (), primitive_mesh, [(0, MAX_LABEL + 1)])
+        build_geometry([box((0.0, 0.0, 0.0))], (), primitive_mesh, [(0, MAX_LABEL + 1)])

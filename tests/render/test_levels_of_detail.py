@@ -1,4 +1,4 @@
-"""With levels of detail a picture is the one of all triangles, to half a pixel, for fewer triangles."""
+"""With levels of detail a picture equals that of all triangles to half a pixel, with fewer triangles."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.projections import rays
-from gibson_sim.render.batching import joining
-from gibson_sim.render.batching.batches import Loader
+from gibson_sim.render.batching import assembly
+from gibson_sim.render.batching.scene_geometry import Loader
 from gibson_sim.render.lod import clusters
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import DrawnScene
@@ -54,7 +54,7 @@ Pair = tuple[Frame, Frame, int, int]
 
 @pytest.fixture(scope="module", params=CASES)
 def pairs(request: pytest.FixtureRequest, egl: None) -> list[Pair]:
-    """Each picture with levels of detail and without, and how many triangles each took."""
+    """Each picture with and without levels of detail, and the number of triangles of each."""
     drawn, loader = CASES[request.param][0]()
     pairs = []
     with (
@@ -64,7 +64,7 @@ def pairs(request: pytest.FixtureRequest, egl: None) -> list[Pair]:
     ):
         for renderer in (coarse, fine):
             assert renderer._scene is not None
-            renderer._scene._occlusion = False  # more of what is fine is hidden
+            renderer._scene._occlusion = False  # more of the fine levels is hidden
         for camera in CASES[request.param][1]:
             frames = [renderer.render(state(), [camera])[0] for renderer in (coarse, fine)]
             counts = [renderer.drawn_triangles for renderer in (coarse, fine)]
@@ -73,7 +73,7 @@ def pairs(request: pytest.FixtureRequest, egl: None) -> list[Pair]:
 
 
 def _off_edges(frame: Frame) -> NDArray[np.bool_]:
-    """Where one surface fills all within a pixel."""
+    """Returns where one surface covers all within a pixel."""
     kernel = np.ones((3, 3), np.uint8)
     depth, label = np.where(np.isfinite(frame.depth), frame.depth, 0.0).astype(np.float32), frame.instance
     one = cv2.dilate(label, kernel) == cv2.erode(label, kernel)
@@ -82,7 +82,7 @@ def _off_edges(frame: Frame) -> NDArray[np.bool_]:
 
 
 def _flat(frame: Frame) -> NDArray[np.bool_]:
-    """Where no edge of a surface is within a pixel: a narrow face seen from the side is an edge, too."""
+    """Returns where no edge of a surface is within a pixel; a narrow face seen from the side is an edge too."""
     kernel = np.ones((3, 3), np.uint8)
     return (cv2.dilate(frame.normal, kernel) - cv2.erode(frame.normal, kernel)).max(axis=2) < 1.0
 
@@ -115,11 +115,11 @@ def test_surfaces_are_half_a_pixel_from_where_they_are(pairs: list[Pair]) -> Non
         assert there.sum() > 3_000
         way = rays(camera)[there]
         along = np.abs(coarse.depth[there] - fine.depth[there]) * np.linalg.norm(way, axis=1)
-        # A surface that moves by d along its normal is met cos times nearer or farther; seen from the side that is d f / z pixels.
+        # A surface that moves by d along its normal is hit d / cos nearer or farther; seen from the side that is d f / z pixels.
         cos = np.abs((fine.normal[there] * way).sum(axis=1)) / np.linalg.norm(way, axis=1)
         px = along * cos * camera.intrinsics()[0, 0] / fine.depth[there]
         assert np.sqrt((px**2).mean()) < 0.3
-        assert np.percentile(px, 99) < 0.65  # the error of a level is a mean about each vertex: single points may be farther off
+        assert np.percentile(px, 99) < 0.65  # the error of a level is a mean around each vertex: single points may be farther off
         assert px[_flat(fine)[there]].max() < 1.5
 
 
@@ -172,7 +172,7 @@ def test_a_link_of_many_triangles_is_drawn_with_all_of_them(monkeypatch: pytest.
     drawn, loader = scene(mesh_visual("robot/base"), links=("robot/base",)), loader_of(Mesh((bumpy_sphere(),)))
     counts = []
     for most in (19_880, 19_879):  # the sphere has 4 * 71 * 70
-        monkeypatch.setattr(joining, "MOVING_DETAIL_UPTO", most)
+        monkeypatch.setattr(assembly, "MOVING_DETAIL_UPTO", most)
         with detail_from(1), Renderer(drawn, loader=loader) as renderer:
             renderer.render(state(["robot/base"], [(50.0, 0.0, 0.0)]), [EYE])
             counts.append(renderer.drawn_triangles)

@@ -1,4 +1,4 @@
-"""Metal, roughness, lamps and the light of the surroundings, against values computed here from the same formulas in numpy."""
+"""Metal, roughness, lamps and image-based light, compared with the same formulas in NumPy."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def srgb8(values: F64) -> F64:
 
 
 def ball(metallic: float, roughness: float, color: Rgba = WHITE) -> VisualSpec:
-    """Returns a sphere of 0.8 m, 1.6 m ahead of the usual camera."""
+    """Returns a sphere of 0.8 m, 1.6 m ahead of the default camera."""
     appearance = Appearance(metallic=metallic, roughness=roughness)
     return VisualSpec("ball", "", Shape("sphere", (0.8, 0.0, 0.0)), Pose((1.6, 0.0, 0.0)), color, "", appearance)
 
@@ -82,7 +82,7 @@ def test_a_lamp_on_a_sphere_gives_the_values_of_gltf(metallic: float, roughness:
     rgb, n, x = seen(draw(ball(metallic, roughness, color), camera=CLOSE, light=light))
     to = np.array(lamp.position) - x
     d = np.linalg.norm(to, axis=1, keepdims=True)
-    # A white matte surface that faces it at 1 m sends back its strength: its irradiance there is pi times that.
+    # A white matte surface that faces it at 1 m reflects its strength: the irradiance there is pi times that.
     arriving = np.pi * lamp.strength * linear(np.array(lamp.color)) / d**2
     v = -x / np.linalg.norm(x, axis=1, keepdims=True)
     expected = srgb8(gltf(n, v, to / d, linear(np.array(color[:3])), metallic, roughness) * arriving)
@@ -101,7 +101,7 @@ def test_a_matte_surface_under_a_lamp_follows_the_cosine() -> None:
 
 
 def _middle(light: LightSpec, distance: float = 1.0) -> F64:
-    """Returns the linear colour in the middle of a white wall that faces the usual camera."""
+    """Returns the linear colour in the middle of a white wall that faces the default camera."""
     rgb = draw(plate((distance + 0.001, 0.0, 0.0), WHITE, 8.0), light=light).rgb
     assert rgb is not None
     return linear(rgb[31:33, 31:33].reshape(-1, 3).mean(axis=0) / 255.0)
@@ -157,7 +157,7 @@ def test_a_mirror_shows_the_surroundings_behind_the_viewer(tmp_path: Path) -> No
     light = replace(ONLY_AMBIENT, ambient=0.0, environment=_surroundings(tmp_path, image))
     rgb = draw(ball(1.0, 0.0), light=light).rgb
     assert rgb is not None
-    # It mirrors what lies behind the viewer, left on the left: +y, which is left of the image's middle.
+    # It mirrors what is behind the viewer, left on the left: +y, which is left of the image's middle.
     assert rgb[31, 25, 0] > 150 > 50 > rgb[31, 25, 1]
     assert rgb[31, 38, 1] > 150 > 50 > rgb[31, 38, 0]
 
@@ -189,7 +189,7 @@ def test_the_surroundings_are_seen_where_nothing_is(tmp_path: Path) -> None:
     assert turned[5, 58, 0] > 150 > turned[5, 58, 2]
 
 
-def test_surroundings_that_are_not_to_be_seen_only_light(tmp_path: Path) -> None:
+def test_an_invisible_environment_only_lights(tmp_path: Path) -> None:
     light = replace(ONLY_AMBIENT, environment=_surroundings(tmp_path, np.full((32, 64, 3), 0.5)), environment_visible=False)
     frame = draw(plate((1.0, 0.0, 0.0), WHITE), light=light)
     assert frame.rgb is not None
@@ -220,13 +220,13 @@ def test_the_colour_of_the_sun_is_that_of_a_white_wall() -> None:
     np.testing.assert_allclose(_middle(light), 0.5 * linear(np.array([1.0, 0.5, 0.25])), atol=0.01)
 
 
-def test_what_glows_is_seen_without_light() -> None:
+def test_emission_is_seen_without_light() -> None:
     rgb = draw_material(Material(base_color=WHITE, emissive=(0.5, 0.25, 0.0)), LightSpec(sun=0.0, ambient=0.0))
     np.testing.assert_allclose(rgb[31, 31], srgb8(np.array([0.5, 0.25, 0.0])), atol=1.0)
 
 
 def draw_material(material: Material, light: LightSpec) -> NDArray[np.uint8]:
-    """Returns the picture of a wall of this material, 1 m ahead, that fills it."""
+    """Returns the picture of a wall of this material, 1 m ahead, which fills it."""
     mesh = facing_quad(1.0, 1.0, material)
     with Renderer(scene(mesh_visual(), light=light), loader=loader_of(mesh)) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
@@ -327,16 +327,16 @@ def test_every_combination_of_lights_and_materials_compiles() -> None:
     context = open_context()
     try:
         context.make_current()
-        surface = ("SURFACE", "TURNED")
-        choices = ("GLOSS", "POINT_LIGHTS 2", "ENVIRONMENT", "SHADOWS", "MATERIAL_MAPS", "LOOKED")
+        surface = ("WORLD_POSITION", "WORLD_NORMAL")
+        choices = ("GLOSS", "POINT_LIGHTS 2", "ENVIRONMENT", "SHADOWS", "MATERIAL_MAPS", "APPEARANCE")
         for chosen in itertools.product((False, True), repeat=len(choices)):
             lit = [name for name, on in zip(choices, chosen, strict=True) if on]
             for others in (
                 ("TEXTURED", "MATERIALS", *surface),
-                ("MOVING", "CUT", "TEXTURED", *surface, "LABELS", "NORMALS", "FLOW"),
+                ("MOVING", "ALPHA_TEST", "TEXTURED", *surface, "LABELS", "NORMALS", "FLOW"),
             ):
                 defines = (*lit, *others)
-                before = ("view.glsl", "lighting.glsl", *(("appearances.glsl",) if "LOOKED" in lit else ()))
+                before = ("view.glsl", "lighting.glsl", *(("appearances.glsl",) if "APPEARANCE" in lit else ()))
                 fragment = shader_text("scene.frag", defines, before)
                 context.gl.program(
                     vertex_shader=shader_text("scene.vert", defines, ("view.glsl",)), fragment_shader=fragment

@@ -1,4 +1,4 @@
-"""Leaving out what is hidden behind what is drawn already changes no bit of any output."""
+"""Occlusion culling changes no bit of any output."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.render.draw import gl_scene
-from gibson_sim.render.draw.target import Target
+from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
 from render.drawing import BLUE, EYE, RED, box, quad, scene, state, where
@@ -84,7 +84,7 @@ def test_the_nearest_things_are_drawn_first_where_large_ones_leave_gaps(
 
 
 def test_which_of_two_surfaces_at_one_depth_is_seen_does_not_depend_on_what_is_hidden() -> None:
-    # Sheets and plates are drawn in turns, the kind with the nearest thing first. That thing is a sheet behind the wall.
+    # Sheets and plates are drawn by kind, the kind with the nearest one first. The nearest one is a sheet behind the wall.
     sheet = quad([(0.0, 0.3, 0.3), (0.0, -0.3, 0.3), (0.0, -0.3, -0.3), (0.0, 0.3, -0.3)], Material(base_color=RED, unlit=True))
     pane = Material(texture=TextureSource("grey", np.full((4, 4, 3), 200, dtype=np.uint8)))
     wall = quad([(1.0, 1.0, 1.0), (1.0, -0.05, 1.0), (1.0, -0.05, -1.0), (1.0, 1.0, -1.0)], pane)
@@ -128,7 +128,7 @@ def test_the_middles_of_pixels_do_not_decide_about_their_other_samples(
 ) -> None:
     read = gl_scene.GlScene._read_depth
 
-    def all_hidden_if_smooth(self: gl_scene.GlScene, target: Target) -> NDArray[np.float32]:
+    def all_hidden_if_smooth(self: gl_scene.GlScene, target: RenderTarget) -> NDArray[np.float32]:
         return read(self, target) if target.samples == 1 else np.ones((target.height, target.width), dtype=np.float32)
 
     # OpenGL does not read the depths of several samples: what memory held before would decide.
@@ -143,6 +143,6 @@ def test_what_moves_out_from_behind_a_wall_is_seen_at_once(renderer: Renderer) -
         _assert_equal(*(_drawn(renderer, PLAIN[:2], on, now)[0] for on in (True, False)))
 
 
-def test_scenes_of_few_triangles_do_not_look(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenes_of_few_triangles_are_drawn_without_occlusion_culling(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gl_scene, "_OCCLUSION_FROM", 10**9)
     assert _drawn(renderer, PLAIN[:1], True)[1] == _drawn(renderer, PLAIN[:1], False)[1]

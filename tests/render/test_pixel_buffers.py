@@ -1,4 +1,4 @@
-"""Asynchronous readback gives back what the target held when it was asked, in any order."""
+"""Asynchronous readback returns what the target held when the read was started, in any order."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 
 from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext, gl as GL, open_context
-from gibson_sim.render.draw.target import FEATURES, Target
-from gibson_sim.render.readback.frames import Readback, Shot
-from gibson_sim.render.readback.pixel_buffers import RAW, Pending, PixelBuffers
+from gibson_sim.render.draw.target import FEATURES, RenderTarget
+from gibson_sim.render.readback.frames import RAW_FORMATS, Readback, TargetImage
+from gibson_sim.render.readback.pixel_buffers import PendingFrames, PixelBuffers
 from gibson_sim.types import OUTPUTS, CameraSpec
 from support.targets import blank_images, fill, random_images
 
@@ -29,8 +29,8 @@ def context() -> Iterator[GlContext]:
 
 
 @pytest.fixture
-def target(context: GlContext) -> Target:
-    return Target(context, WIDTH, HEIGHT, FEATURES)
+def target(context: GlContext) -> RenderTarget:
+    return RenderTarget(context, WIDTH, HEIGHT, FEATURES)
 
 
 @pytest.fixture
@@ -38,8 +38,10 @@ def buffers(context: GlContext) -> PixelBuffers:
     return PixelBuffers(context)
 
 
-@pytest.mark.parametrize("name", list(RAW))
-def test_every_attachment_comes_back_to_the_bit(context: GlContext, target: Target, buffers: PixelBuffers, name: str) -> None:
+@pytest.mark.parametrize("name", list(RAW_FORMATS))
+def test_every_attachment_comes_back_to_the_bit(
+    context: GlContext, target: RenderTarget, buffers: PixelBuffers, name: str
+) -> None:
     images = random_images(WIDTH, HEIGHT)
     fill(context, target, images)
     got = buffers.finish(buffers.start(target))[name]
@@ -48,11 +50,13 @@ def test_every_attachment_comes_back_to_the_bit(context: GlContext, target: Targ
     assert got.tobytes() == images[name].tobytes()
 
 
-def test_only_what_is_wanted_comes_back(target: Target, buffers: PixelBuffers) -> None:
+def test_only_requested_attachments_come_back(target: RenderTarget, buffers: PixelBuffers) -> None:
     assert list(buffers.finish(buffers.start(target, ("LABELS", "depth")))) == ["LABELS", "depth"]
 
 
-def test_row_0_is_what_is_drawn_first_in_memory_so_the_top(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+def test_row_0_is_what_is_drawn_first_in_memory_so_the_top(
+    context: GlContext, target: RenderTarget, buffers: PixelBuffers
+) -> None:
     images = blank_images(WIDTH, HEIGHT)
     images["LABELS"][0, 2] = (7, 9)
     fill(context, target, images)
@@ -61,18 +65,18 @@ def test_row_0_is_what_is_drawn_first_in_memory_so_the_top(context: GlContext, t
     assert labels.sum() == 16
 
 
-def test_a_read_holds_what_was_there_when_it_was_started(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+def test_a_read_holds_what_was_there_when_it_was_started(context: GlContext, target: RenderTarget, buffers: PixelBuffers) -> None:
     first, second = random_images(WIDTH, HEIGHT, 1), random_images(WIDTH, HEIGHT, 2)
     fill(context, target, first)
     before = buffers.start(target)
     fill(context, target, second)
     after = buffers.start(target)
-    # Fetched the other way round, so that neither is what happened to be left over.
+    # In reverse order, so that neither can be left over from the other.
     np.testing.assert_array_equal(buffers.finish(after)["color"], second["color"])
     np.testing.assert_array_equal(buffers.finish(before)["color"], first["color"])
 
 
-def test_arrays_belong_to_the_caller(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+def test_arrays_belong_to_the_caller(context: GlContext, target: RenderTarget, buffers: PixelBuffers) -> None:
     images = random_images(WIDTH, HEIGHT)
     fill(context, target, images)
     kept = buffers.finish(buffers.start(target))
@@ -81,29 +85,29 @@ def test_arrays_belong_to_the_caller(context: GlContext, target: Target, buffers
     np.testing.assert_array_equal(kept["color"], images["color"])
 
 
-def test_a_finished_read_is_done_and_cannot_be_fetched_again(target: Target, buffers: PixelBuffers) -> None:
-    ticket = buffers.start(target)
-    buffers.finish(ticket)
-    assert buffers.done(ticket)
+def test_a_finished_read_is_done_and_cannot_be_fetched_again(target: RenderTarget, buffers: PixelBuffers) -> None:
+    request = buffers.start(target)
+    buffers.finish(request)
+    assert buffers.done(request)
     with pytest.raises(RenderError, match="fetched already"):
-        buffers.finish(ticket)
+        buffers.finish(request)
 
 
-def test_a_buffer_is_used_again_for_the_next_read_of_its_size(target: Target, buffers: PixelBuffers) -> None:
+def test_a_buffer_is_used_again_for_the_next_read_of_its_size(target: RenderTarget, buffers: PixelBuffers) -> None:
     names = set()
     for _ in range(5):
-        ticket = buffers.start(target)
-        names.add(ticket.buffer.name)
-        buffers.finish(ticket)
+        request = buffers.start(target)
+        names.add(request.buffer.name)
+        buffers.finish(request)
     assert len(names) == 1
 
 
-def test_reads_that_are_under_way_share_no_buffer(target: Target, buffers: PixelBuffers) -> None:
+def test_pending_reads_share_no_buffer(target: RenderTarget, buffers: PixelBuffers) -> None:
     tickets = [buffers.start(target) for _ in range(3)]
-    assert len({ticket.buffer.name for ticket in tickets}) == 3
+    assert len({request.buffer.name for request in tickets}) == 3
 
 
-def test_a_target_can_still_be_read_into_host_memory(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+def test_a_target_can_still_be_read_into_host_memory(context: GlContext, target: RenderTarget, buffers: PixelBuffers) -> None:
     images = random_images(WIDTH, HEIGHT)
     fill(context, target, images)
     buffers.start(target, ("color",))
@@ -113,21 +117,21 @@ def test_a_target_can_still_be_read_into_host_memory(context: GlContext, target:
     np.testing.assert_array_equal(out, images["color"])
 
 
-def test_closing_drops_reads_that_are_under_way(target: Target, buffers: PixelBuffers) -> None:
-    ticket = buffers.start(target)
+def test_closing_drops_pending_reads(target: RenderTarget, buffers: PixelBuffers) -> None:
+    request = buffers.start(target)
     buffers.close()
     buffers.close()
     with pytest.raises(RenderError, match="closed"):
-        buffers.finish(ticket)
+        buffers.finish(request)
 
 
 def test_frames_are_those_of_the_host_in_the_order_of_the_cameras(
-    context: GlContext, target: Target, buffers: PixelBuffers
+    context: GlContext, target: RenderTarget, buffers: PixelBuffers
 ) -> None:
     fill(context, target, random_images(WIDTH, HEIGHT))
     left = replace(EYE, name="left", width=5)
-    shots = [Shot(left, 3, np.eye(4)), Shot(replace(left, name="right", width=8), 3, np.eye(4), 5, 0)]
-    pending = Pending(context, buffers, [(buffers.start(target), shots, (1, 0))])
+    shots = [TargetImage(left, 3, np.eye(4)), TargetImage(replace(left, name="right", width=8), 3, np.eye(4), 5, 0)]
+    pending = PendingFrames(context, buffers, [(buffers.start(target), shots, (1, 0))])
     frames = pending.result()
     assert [frame.camera.name for frame in frames] == ["right", "left"]
     for frame, expected in zip(frames, Readback(context).frames(target, shots[::-1]), strict=True):
@@ -135,12 +139,12 @@ def test_frames_are_those_of_the_host_in_the_order_of_the_cameras(
             np.testing.assert_array_equal(getattr(frame, output), getattr(expected, output), err_msg=output)
 
 
-def test_frames_stay_when_the_target_changes_and_can_be_asked_for_twice(
-    context: GlContext, target: Target, buffers: PixelBuffers
+def test_frames_stay_when_the_target_changes_and_result_may_be_called_twice(
+    context: GlContext, target: RenderTarget, buffers: PixelBuffers
 ) -> None:
     images = random_images(WIDTH, HEIGHT)
     fill(context, target, images)
-    pending = Pending(context, buffers, [(buffers.start(target), [Shot(EYE, 3, np.eye(4))], (0,))])
+    pending = PendingFrames(context, buffers, [(buffers.start(target), [TargetImage(EYE, 3, np.eye(4))], (0,))])
     fill(context, target, blank_images(WIDTH, HEIGHT))
     first = pending.result()
     buffers.finish(buffers.start(target))

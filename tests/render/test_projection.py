@@ -1,4 +1,4 @@
-"""Things appear where a pinhole camera shows them, at their depth along the axis."""
+"""Bodies appear where a pinhole camera projects them, at their depth along the axis."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def test_a_tint_turns_the_colours_of_a_texture() -> None:
     np.testing.assert_allclose(rgb[31, 31], (40, 200, 40), atol=1)
 
 
-def test_a_look_on_one_thing_changes_no_pixel_of_another() -> None:
+def test_an_appearance_of_one_visual_changes_no_pixel_of_another() -> None:
     left, right = (
         VisualSpec(name, "", Shape("sphere", (0.4, 0.0, 0.0)), Pose((2.0, y, 0.0)), (0.6, 0.5, 0.4, 1.0))
         for name, y in (("left", 0.6), ("right", -0.6))

@@ -1,4 +1,4 @@
-"""What the renderer hands out as tensors, or later, is what it hands out at once."""
+"""Tensors and frames that are started equal the frames of ``render``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def renderer() -> Any:
 
 @pytest.fixture
 def with_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes every renderer believe that CUDA has its GPU."""
+    """Makes every renderer use a fake CUDA on its device."""
     monkeypatch.setattr(tensors_module, "_cuda_of", fake_cuda)
     monkeypatch.setattr(tensors_module, "_import_torch", lambda: None)
 

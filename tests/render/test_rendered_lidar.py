@@ -47,7 +47,7 @@ def directions(pattern: LidarPattern) -> NDArray[np.float64]:
 
 
 def room_ranges(d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns how far the sides above are along unit vectors (..., 3)."""
+    """Returns the distances of the sides above along unit vectors (..., 3)."""
     with np.errstate(divide="ignore"):
         sides = [5.0 / d[..., 0], -3.0 / d[..., 0], 4.0 / d[..., 1], -2.0 / d[..., 1], -1.0 / d[..., 2]]
     return np.minimum.reduce([np.where(s > 0.0, s, np.inf) for s in sides])
@@ -84,7 +84,7 @@ def test_points_on_a_ball_are_a_radius_from_its_middle() -> None:
     scan = measure(SIXTEEN, ball)
     away = np.linalg.norm(scan.points - (4.0, 0.0, 0.0), axis=1)
     assert len(away) > 500
-    # It is drawn as facets, whose middles lie up to a centimetre deeper; beyond the edge of one it goes on for part of a pixel.
+    # It is drawn as facets, whose centres are up to a centimetre deeper; a facet is extrapolated beyond its edge by part of a pixel.
     assert away.max() < 1.003
     assert np.mean(away > 0.99) > 0.97
 
@@ -118,7 +118,7 @@ def test_own_body_is_invisible_unless_asked_for() -> None:
     assert measure(SIXTEEN, shell, wall, see_own_body=True).ranges[7, 0] == pytest.approx(0.4, abs=0.01)
 
 
-# Drawn, and without a collision shape: rays of the physics engine go through.
+# A visual without a collision shape: rays of the physics engine pass through.
 NO_COLLISION = ("ceiling", "floor", "painting", "rug", "skirting")
 
 
@@ -140,7 +140,7 @@ def test_flat_is_the_same_as_for_the_rays_of_the_physics_engine(root: Path, star
     distances = cast.reshape(scan.ranges.shape)[scan.ring, scan.column]
     off = np.abs(scan.ranges[scan.ring, scan.column] - distances)[solid]
     assert len(off) > 6000
-    # What is left are rays that pass an edge within half a pixel.
+    # The others are rays that pass an edge within half a pixel.
     assert np.mean(off < 0.01) > 0.985
     assert np.mean(off < 0.001) > 0.97
 

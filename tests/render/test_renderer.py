@@ -1,4 +1,4 @@
-"""Links and cameras that move, what is refused, and what the caller gets."""
+"""Moving links and cameras, refused arguments, and the returned arrays."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ ROLL = (HALF, 0.0, 0.0, HALF)
 @pytest.mark.parametrize(
     ("quat", "offset", "expected"),
     [
-        # The part comes to (3, 0.5, 0.25): u = 31.5 - 32 * 0.5 / 3, v = 31.5 - 32 * 0.25 / 3.
+        # The body is at (3, 0.5, 0.25): u = 31.5 - 32 * 0.5 / 3, v = 31.5 - 32 * 0.25 / 3.
         (LEFT_TURN, (0.5, 0.0, 0.25), (26.17, 28.83)),
-        # It comes to (3, -0.25, 0.5).
+        # It is at (3, -0.25, 0.5).
         (ROLL, (0.0, 0.5, 0.25), (34.17, 26.17)),
     ],
 )

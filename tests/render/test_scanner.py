@@ -104,7 +104,7 @@ def test_defects_are_decided_by_the_seed(room, tmp_path):
     (_, true), (_, measured) = (read_stamped_poses(tmp_path / "a" / name) for name in ("true_poses.txt", "poses.txt"))
     assert 0.001 < float(np.abs(true[:, :3, 3] - measured[:, :3, 3]).max()) < 0.02
     holes = np.mean([np.isnan(f.depth).mean() for f in rgbd])
-    assert 0.2 < holes < 0.95  # most of what such a camera sees is floor
+    assert 0.2 < holes < 0.95  # such a camera sees mostly floor
 
 
 def test_the_command_scans_and_says_what_it_saw(tmp_path, capsys):

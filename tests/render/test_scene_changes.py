@@ -1,4 +1,4 @@
-"""Bodies that come and go while a scene is drawn: pictures are those of a scene that was loaded with them, and nothing leaks."""
+"""Bodies that are added and removed while a scene is drawn: pictures equal those of a scene loaded with them, and nothing leaks."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _fresh(drawn: DrawnScene, **settings: object) -> Frame:
 
 
 def _changed(*scenes: DrawnScene, **settings: object) -> Frame:
-    """Returns the picture of the last scene, drawn after all those before."""
+    """Returns the picture of the last scene, after all scenes before it were drawn."""
     with Renderer(scenes[0], **settings) as renderer:  # type: ignore[arg-type]
         renderer.render(_state(scenes[0]), [CAMERA])
         for drawn in scenes[1:]:
@@ -119,7 +119,7 @@ def test_shadows_appear_with_the_first_body_of_a_scene_that_stood_still() -> Non
     assert _equal(_changed(_scene(light=LIT), after), _fresh(after))
 
 
-def test_looks_and_patterns_of_bodies_are_theirs() -> None:
+def test_appearances_and_patterns_of_bodies_are_theirs() -> None:
     striped = replace(ROBOT, appearance=Appearance(pattern=Pattern("checker", 0, ((1.0, 0.0, 0.0), (1.0, 1.0, 1.0)), 0.2)))
     cloudy = replace(CRATE, appearance=Appearance(hue=0.3, pattern=Pattern("noise", 5, ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), 0.3)))
     plain = _scene(ROBOT)
@@ -172,7 +172,7 @@ def test_a_body_on_a_link_that_is_not_there_is_left_out_with_a_warning() -> None
 
 
 class _Meshes:
-    """A loader that counts, and has a textured quad for every file."""
+    """A loader that counts its calls and returns a textured quad for every file."""
 
     def __init__(self) -> None:
         self.read: Counter[str] = Counter()
@@ -192,7 +192,7 @@ class _Meshes:
 
 @pytest.fixture
 def alive(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """How many OpenGL objects of each kind are there now."""
+    """Number of current OpenGL objects of each kind."""
     counts: Counter[str] = Counter()
     create, delete = GL.Gl.create, GL.Gl.delete
 

@@ -27,7 +27,7 @@ def test_a_sheet_has_views_a_cut_from_above_and_the_map(tmp_path: Path, monkeypa
     width, height = 160, 120
     for name, value in (("WIDTH", width), ("HEIGHT", height), ("_PLACES", 3)):
         monkeypatch.setattr(module, name, value)
-    # A red roof, which the picture from above must not show.
+    # A red roof, which the top view must not show.
     roof = "  - {name: roof, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, 2.5]}, color: [1.0, 0.0, 0.0]}\n"
     floor = "  - {name: floor, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, -0.05]}, color: [0.0, 0.0, 1.0]}\n"
     # Bodies are drawn where they start.

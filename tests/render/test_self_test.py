@@ -1,4 +1,4 @@
-"""The self-test passes where drawing is right, and notices each way in which it can be wrong."""
+"""The self-test passes if drawing is correct, and detects each kind of error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.types import CameraSpec, Frame
 
 
 def right() -> Frame:
-    """Returns a frame as it should be."""
+    """Returns a correct frame."""
     e = expected()
     return Frame(
         CameraSpec("eye", ""),

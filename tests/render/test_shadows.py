@@ -33,7 +33,7 @@ def test_the_sun_sees_the_whole_box_and_the_nearest_corner_at_the_highest_depth(
     assert np.abs(seen[:, :2]).max() < 1.0
     assert seen[:, 2].min() >= 0.0 and seen[:, 2].max() <= 1.0
     assert np.argmax(seen[:, 2]) == np.argmax(corners @ to_sun)
-    # A metre across the rays is so many texels.
+    # Texels for a metre across the rays.
     step = transform_points(clip, np.array([[0.0, 1.0, 0.0]])) - transform_points(clip, np.zeros((1, 3)))
     assert np.linalg.norm(step[0, :2]) * 256 == pytest.approx(1.0 / texel)
 
@@ -51,7 +51,7 @@ def test_texels_lie_still_while_the_box_grows() -> None:
 @pytest.mark.usefixtures("egl")
 class TestDrawn:
     def test_the_shadow_of_a_box_ends_where_geometry_says(self) -> None:
-        # The sun stands 45 degrees high over -x: the edge of the top at x = 0.5, z = 1 throws its shadow to x = 1.5.
+        # The sun is 45 degrees above -x: the top edge at x = 0.5, z = 1 casts its shadow to x = 1.5.
         frame = draw(FLOOR, box((0.0, 0.0, 0.5), RED), camera=ABOVE, light=SUN)
         ends = np.array([[1.5, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -0.5, 0.0]])
         pixels, _ = project(transform_points(invert(matrix_from_pose(ABOVE.pose)), ends), ABOVE)
@@ -119,7 +119,7 @@ class TestDrawn:
 
 
 def _edge(dark: np.ndarray, at: float) -> float:
-    """Returns how far, pixels, the nearest change between light and dark is from a place."""
+    """Returns the distance, pixels, of the nearest change between light and dark from a position."""
     changes = np.flatnonzero(dark[1:] != dark[:-1]) + 0.5
     return float(np.abs(changes - at).min())
 

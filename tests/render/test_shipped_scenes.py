@@ -1,4 +1,4 @@
-"""Every scene that is shipped loads, drives and is drawn."""
+"""Every shipped scene loads, can be driven in, and is drawn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from gibson_sim.maps.placement import populate
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.render.culling.closed_solids import Insides
+from gibson_sim.render.culling.closed_surfaces import NearPlaneTest
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.types import VelocityCommand
@@ -44,7 +44,7 @@ def test_a_scene_loads_drives_and_is_drawn(name: str, monkeypatch: pytest.Monkey
     # Without levels of detail, which take long to make.
     with Renderer(drawn, detail_px=0) as renderer:
         frame = renderer.render(state, [camera])[0]
-        monkeypatch.setattr(Insides, "may_hold", lambda *_: True)  # solids are drawn with all their sides
+        monkeypatch.setattr(NearPlaneTest, "touches", lambda *_: True)  # closed surfaces are drawn with their back faces
         with_all_sides = renderer.render(state, [camera])[0]
     assert frame.rgb is not None and frame.depth is not None and frame.semantic is not None
     assert frame.rgb.std() > 15

@@ -1,6 +1,6 @@
-"""Silhouettes of bodies that move agree with PyBullet's own software renderer: another reader of URDFs, other frames, another rasteriser.
+"""Silhouettes of moving bodies agree with PyBullet's own software renderer, which has its own URDF reader, frames and rasteriser.
 
-PyBullet draws cylinders with a dozen sides and spheres as coarsely, up to 7 % smaller than they are. It gets fine meshes for both.
+PyBullet draws coarse cylinders and spheres, up to 7 % too small, so it gets fine meshes for both.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _with_meshes(urdf: Path, shapes: dict[str, Path], to: Path) -> Path:
 
 
 class _Reference:
-    """The same things in a PyBullet of its own."""
+    """The same bodies in a separate PyBullet."""
 
     def __init__(self) -> None:
         self.client = p.connect(p.DIRECT)
@@ -115,7 +115,7 @@ class _Reference:
         self.bodies[robot.name] = uid
 
     def masks(self, camera: CameraSpec) -> dict[str, Mask]:
-        """Returns where each body is seen, (H, W)."""
+        """Returns the silhouette of each body, (H, W)."""
         w, h, k = camera.width, camera.height, camera.intrinsics()
         # Column i of PyBullet's image is taken half a pixel left of the middle of a pixel, row j half a pixel below it.
         cx, cy = k[0, 2] - 0.5, k[1, 2] + 0.5
@@ -173,7 +173,7 @@ def seen(root: Path, tmp_path_factory: pytest.TempPathFactory, egl: None) -> Ite
     reference = _Reference()
     with PhysicsWorld(scene) as world:
         # The arm swings, and the base swings back about the common centre of mass.
-        world._bullet.drive_joints(world._robots["offset"].body, [0], [2.0], [50.0])
+        world._bullet.drive_joints(world._robots["offset"].engine_body, [0], [2.0], [50.0])
         world.step(60)
         assert np.abs(world.joint_states("offset").positions).max() > 0.3
         for robot in robots:

@@ -1,4 +1,4 @@
-"""Pictures of the simulation in one process: those of a renderer that is made by hand, of the state that there is."""
+"""Pictures of ``Simulation`` equal those of a separate renderer of its current state."""
 
 from __future__ import annotations
 

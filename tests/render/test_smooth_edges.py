@@ -1,4 +1,4 @@
-"""Four samples a pixel smooth the edges of colours, in linear light, and change nothing else."""
+"""Four samples a pixel antialias colours, in linear light, and change nothing else."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import RenderError
 from gibson_sim.formats.mesh import Material, Mesh
 from gibson_sim.render.context import open_context
-from gibson_sim.render.draw.target import Target
+from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, quad, scene, state
@@ -54,7 +54,7 @@ def test_an_edge_has_the_light_of_its_covered_part() -> None:
     edge = (expected > 0.0) & (expected < 1.0)
     assert edge.sum() > 250
     assert found[edge].mean() == pytest.approx(expected[edge].mean(), rel=0.02)
-    # One pixel's four samples tell a straight edge's part to about a quarter.
+    # The four samples of a pixel resolve its coverage to about a quarter.
     assert np.abs(found - expected)[edge].max() < 0.3
     assert np.corrcoef(found[edge], expected[edge])[0, 1] > 0.95
 
@@ -84,7 +84,7 @@ def test_two_colours_that_meet_mix_without_a_third() -> None:
     smooth = _linear(draw(*two, camera=camera).rgb)
     plain = _linear(draw(*two, camera=replace(camera, samples=1)).rgb)
     red, blue = plain[..., 0].max(), plain[..., 2].max()
-    # Along the border between them there is no black: the two parts sum to one.
+    # Along the border there is no black: the two coverages sum to one.
     middle = smooth[60:68, 20:108]
     parts = middle[..., 0] / red + middle[..., 2] / blue
     mixed = (middle[..., 0] > 0.1 * red) & (middle[..., 2] > 0.1 * blue)
@@ -111,8 +111,8 @@ def test_everything_but_colours_is_the_same_to_the_bit() -> None:
     assert not np.array_equal(smooth.rgb, plain.rgb)
 
 
-def test_nothing_but_colours_is_mixed_in_a_bent_picture() -> None:
-    # It is made from finer views, so the point that a pixel shows may be another one, but it is one point.
+def test_only_colours_are_interpolated_in_a_non_pinhole_image() -> None:
+    # It is resampled from finer views, so a pixel may show another point, but it shows one point.
     plain, smooth = _plain_and_smooth(replace(CAMERA, projection="fisheye"))
     kernel = np.ones((3, 3), np.uint8)
     one = cv2.dilate(plain.instance, kernel) == cv2.erode(plain.instance, kernel)
@@ -145,7 +145,7 @@ def test_colours_off_edges_stay_as_they_are(unlit: bool) -> None:
 def test_more_samples_than_the_driver_has_are_refused() -> None:
     context = open_context()
     try:
-        with pytest.raises(RenderError, match=r"1024 samples a pixel are asked for, .* draws at most \d+"):
-            Target(context, 16, 16, samples=1024)
+        with pytest.raises(RenderError, match=r"1024 samples a pixel are requested, .* draws at most \d+"):
+            RenderTarget(context, 16, 16, samples=1024)
     finally:
         context.close()

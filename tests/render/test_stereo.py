@@ -1,4 +1,4 @@
-"""What the two cameras of a stereo pair see."""
+"""Images of a stereo pair."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.egl
 
 
 def _speckle() -> Material:
-    """Returns a texture of soft spots, so that it can be matched to fractions of a pixel."""
+    """Returns a texture of soft spots, which can be matched with subpixel accuracy."""
     noise = np.random.default_rng(5).random((256, 256, 3)).astype(np.float32)
     spots = cv2.GaussianBlur(noise, (0, 0), 3.0)
     spots = (spots - spots.min()) / (spots.max() - spots.min())

@@ -1,13 +1,46 @@
-"""What tasks show: the robot's own pictures as observations, and the view from above."""
+"""Pictures of tasks: the robot's cameras as observations, and the top view."""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gibson_sim.errors import ConfigError
+from gibson_sim.tasks.pictures import FARTHEST_DEPTH, TaskCamera
+from gibson_sim.tasks.registry import task_of
+from gibson_sim.tasks.run import TaskRun
+
 pytestmark = pytest.mark.egl
+
+
+@pytest.mark.usefixtures("egl")
+def test_images_of_a_task_are_those_of_its_simulation_without_depth_noise() -> None:
+    with TaskRun(task_of("point-goal"), scene="arena", robot="gibson_bot_real") as run:
+        run.reset(1)
+        camera = TaskCamera(run, (64, 48))
+        rgb, depth = camera.rgbd()
+        frame = run.simulation.render(camera.camera)
+        assert frame.rgb is not None and frame.depth is not None
+        assert np.array_equal(rgb, frame.rgb) and depth.shape == (48, 64, 1)
+        assert not np.array_equal(depth[..., 0], frame.depth), "the robot's camera has noise"
+        true = run.simulation.renderer.render(run.world.state(), [camera.camera])[0].depth
+        assert true is not None
+        assert np.array_equal(depth[..., 0], np.clip(true, 0.0, FARTHEST_DEPTH))
+        # The next episode is another scene for the same renderer.
+        renderer = run.simulation.renderer
+        run.reset(2)
+        assert not np.array_equal(camera.rgbd()[1], depth)
+        assert run.simulation.renderer is renderer
+
+
+def test_a_robot_without_a_camera_is_refused() -> None:
+    with TaskRun(task_of("point-goal"), scene="arena") as run:
+        run.robot = replace(run.robot, cameras=())
+        with pytest.raises(ConfigError, match="robot 'robot' has no camera; choose another one, or observation='state'"):
+            TaskCamera(run, (64, 48))
 
 
 @pytest.mark.usefixtures("egl")

@@ -1,6 +1,6 @@
 """Tensors have the values, shapes and types of frames, to the bit, and belong to the caller.
 
-Where there is no GPU, ``support.cuda`` stands in for CUDA: the bytes take the same way, through host memory.
+Without a GPU, ``support.cuda`` replaces CUDA: the bytes take the same path through host memory.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext, open_context
-from gibson_sim.render.draw.target import FEATURES, Target
+from gibson_sim.render.draw.target import FEATURES, RenderTarget
 from gibson_sim.render.readback import tensors as tensors_module
-from gibson_sim.render.readback.frames import Shot, rays_f32
+from gibson_sim.render.readback.frames import TargetImage, rays_f32
 from gibson_sim.render.readback.packing import Packer, layout
 from gibson_sim.render.readback.tensors import TensorFrame, Tensors, tensors_of_frame
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
@@ -86,10 +86,10 @@ def shown(
     T_world_camera: NDArray[np.float64] = T_WORLD_EYE,
     camera: CameraSpec = EYE,
 ) -> TensorFrame:
-    """Returns the tensors of one camera that fills a target."""
-    target = Target(context, camera.width, camera.height, FEATURES)
+    """Returns the tensors of one camera whose image fills a target."""
+    target = RenderTarget(context, camera.width, camera.height, FEATURES)
     fill(context, target, images)
-    return tensors.of_target(target, [Shot(camera, 7, T_world_camera)])[0]
+    return tensors.of_target(target, [TargetImage(camera, 7, T_world_camera)])[0]
 
 
 def host(array: Any) -> NDArray[Any]:
@@ -212,27 +212,27 @@ def by_host(images: Images, camera: CameraSpec, T_world_camera: NDArray[np.float
 
 def test_each_camera_gets_its_own_rectangle_of_the_target(context: GlContext, tensors: Tensors) -> None:
     images = random_images(8, 6)
-    target = Target(context, 8, 6, FEATURES)
+    target = RenderTarget(context, 8, 6, FEATURES)
     fill(context, target, images)
     wide = replace(EYE, name="wide", width=5, height=2, outputs=("rgb", "semantic"))
     tall = replace(EYE, name="tall", width=3, height=6, outputs=("depth", "rgb"), near=0.1)
-    frames = tensors.of_target(target, [Shot(wide, 1, T_WORLD_EYE, 0, 4), Shot(tall, 1, T_WORLD_EYE, 5, 0)])
+    frames = tensors.of_target(target, [TargetImage(wide, 1, T_WORLD_EYE, 0, 4), TargetImage(tall, 1, T_WORLD_EYE, 5, 0)])
     np.testing.assert_array_equal(host(frames[0].rgb), images["color"][4:6, 0:5, :3])
     np.testing.assert_array_equal(host(frames[0].semantic), images["LABELS"][4:6, 0:5, 0])
     np.testing.assert_array_equal(host(frames[1].rgb), images["color"][0:6, 5:8, :3])
     assert host(frames[1].depth)[0, 0] == np.float32(0.1) / images["depth"][0, 5]
 
 
-def test_only_what_a_camera_asks_for_is_made(context: GlContext, tensors: Tensors) -> None:
+def test_only_the_outputs_of_a_camera_are_made(context: GlContext, tensors: Tensors) -> None:
     frame = shown(context, tensors, blank_images(WIDTH, HEIGHT), camera=replace(EYE, outputs=("depth",)))
     assert [name for name in OUTPUTS if getattr(frame, name) is not None] == ["depth"]
 
 
 def test_a_target_without_further_outputs_will_do_for_colours(context: GlContext, tensors: Tensors) -> None:
     images = random_images(WIDTH, HEIGHT)
-    target = Target(context, WIDTH, HEIGHT)
+    target = RenderTarget(context, WIDTH, HEIGHT)
     fill(context, target, images)
-    frame = tensors.of_target(target, [Shot(replace(EYE, outputs=("rgb",)), 0, T_WORLD_EYE)])[0]
+    frame = tensors.of_target(target, [TargetImage(replace(EYE, outputs=("rgb",)), 0, T_WORLD_EYE)])[0]
     np.testing.assert_array_equal(host(frame.rgb), images["color"][..., :3])
 
 
@@ -241,19 +241,19 @@ def test_more_than_the_driver_packs_at_once_is_an_error_that_says_how_much(conte
     packer.limit = 10_000_000
     camera = replace(EYE, width=512, height=512, outputs=("rgb", "position"))
     with pytest.raises(RenderError, match=r"3 images take 12 MB .* at most 10 MB"):
-        packer.pack(Target(context, 8, 8), [Shot(camera, 0, T_WORLD_EYE)] * 3)
+        packer.pack(RenderTarget(context, 8, 8), [TargetImage(camera, 0, T_WORLD_EYE)] * 3)
 
 
 def test_no_cameras_give_no_tensors(context: GlContext, tensors: Tensors) -> None:
-    assert tensors.of_target(Target(context, WIDTH, HEIGHT), []) == []
+    assert tensors.of_target(RenderTarget(context, WIDTH, HEIGHT), []) == []
 
 
 def test_many_cameras_of_one_make_and_others_between_keep_their_images_apart(context: GlContext, tensors: Tensors) -> None:
     images = random_images(15, 9)
-    target = Target(context, 15, 9, FEATURES)
+    target = RenderTarget(context, 15, 9, FEATURES)
     fill(context, target, images)
     other = replace(EYE, width=3, height=3, outputs=("instance", "rgb"))
-    shots = [Shot(other if k == 4 else EYE, k, T_WORLD_EYE, 5 * (k % 3), 3 * (k // 3)) for k in range(9)]
+    shots = [TargetImage(other if k == 4 else EYE, k, T_WORLD_EYE, 5 * (k % 3), 3 * (k // 3)) for k in range(9)]
     frames = tensors.of_target(target, shots)
     assert [frame.stamp_ns for frame in frames] == list(range(9))
     for frame, shot in zip(frames, shots, strict=True):
@@ -303,7 +303,7 @@ def test_memory_is_freed_with_the_last_array_that_shows_it(context: GlContext, t
     assert (len(cuda.memory), len(cuda.freed)) == (0, 1)
 
 
-def test_a_capsule_that_nobody_took_holds_nothing(context: GlContext, tensors: Tensors, cuda: FakeCuda) -> None:
+def test_a_capsule_that_was_not_consumed_holds_nothing(context: GlContext, tensors: Tensors, cuda: FakeCuda) -> None:
     frame = shown(context, tensors, blank_images(WIDTH, HEIGHT))
     capsule = frame.rgb.__dlpack__()
     del frame, capsule
@@ -322,7 +322,7 @@ def test_tensors_outlive_what_made_them(context: GlContext, tensors: Tensors) ->
 def test_after_closing_no_tensors_are_made(context: GlContext, tensors: Tensors) -> None:
     tensors.close()
     with pytest.raises(RenderError, match="closed"):
-        tensors.of_target(Target(context, WIDTH, HEIGHT), [Shot(EYE, 0, T_WORLD_EYE)])
+        tensors.of_target(RenderTarget(context, WIDTH, HEIGHT), [TargetImage(EYE, 0, T_WORLD_EYE)])
 
 
 def test_an_array_is_not_copied_behind_the_callers_back(context: GlContext, tensors: Tensors) -> None:
@@ -370,7 +370,7 @@ def test_pytorch_gets_tensors_of_its_own_with_the_same_values(context: GlContext
     assert cuda.memory == {}, "PyTorch allocates"
 
 
-def test_pytorch_takes_arrays_by_dlpack(context: GlContext, tensors: Tensors, torch: Any) -> None:
+def test_pytorch_reads_arrays_by_dlpack(context: GlContext, tensors: Tensors, torch: Any) -> None:
     images = random_images(WIDTH, HEIGHT)
     rgb = torch.from_dlpack(shown(context, tensors, images).rgb)
     gc.collect()

@@ -1,6 +1,6 @@
-"""Scans of our scenes, with noise and holes and without textures, turned by random rotations: upright, or "not sure", never wrong.
+"""Scans of our scenes, with noise and holes and without textures, rotated randomly: they are levelled, or "not sure", never wrong.
 
-``GIBSON_SIM_ROTATIONS=50`` takes so many rotations of each; ``tests/benchmarks/upright.py`` takes other scenes, scans and models.
+``GIBSON_SIM_ROTATIONS=50`` sets the rotations of each; ``tests/benchmarks/upright.py`` tests other scenes, scans and models.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def test_coarser_levels_keep_the_borders_of_colours():
     colors = fields.astype(np.float32).repeat(3, axis=1)
 
     def drawn(colors: np.ndarray | None) -> int:
-        """Returns the triangles that are left where an error of 2 cm is accepted."""
+        """Returns the number of triangles at an error of 2 cm."""
         nothing = np.zeros((len(part.vertices), 2), dtype=np.float32)
         c = build_clusters(part.vertices, part.normals, nothing, part.triangles.astype(np.int64), 256, colors=colors)
         error = np.append(c.group_error, np.inf)

@@ -1,4 +1,4 @@
-"""Bent cameras are made from views that cover them, densely enough."""
+"""Non-pinhole cameras are resampled from views that cover them densely enough."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ def test_the_nearest_texel_is_less_than_half_a_pixel_away(name):
         rays = np.column_stack([texels, np.ones(len(texels))]) @ np.linalg.inv(view.intrinsics).T @ view.R_camera_view.T
         here = pixels(camera)[number == k]
         if camera.projection == "equirectangular":
-            # Towards the poles columns are ever nearer to each other: what counts is the angle, 128 px to a turn.
+            # Towards the poles columns converge: the angle is compared, 128 px for a revolution.
             across = np.cross(rays / np.linalg.norm(rays, axis=1)[:, None], unproject(here, camera))
             away = np.arcsin(np.linalg.norm(across, axis=1))[:, None] * 64 / math.pi
         else:
             away = project(rays, camera)[0] - here
-        known = np.isfinite(away).all(axis=1)  # a texel may lie beyond the rim of the lens
+        known = np.isfinite(away).all(axis=1)  # a texel may be outside the lens
         assert known.mean() > 0.95
         assert np.linalg.norm(away[known], axis=1).max() < 0.5
 
@@ -104,7 +104,7 @@ def test_a_camera_without_a_pixel_inside_its_lens_is_refused():
         views_of(beside)
 
 
-def test_a_view_that_nothing_can_draw_is_refused():
+def test_a_view_that_is_too_large_is_refused():
     with pytest.raises(ConfigError, match=r"a view of \d+x\d+ pixels is needed"):
         views_of(
             replace(

@@ -16,7 +16,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 FASTEST, SLOWEST, GAIN, NEAR = 0.25, 0.03, 1.0, 0.005
-"""m/s, m/s, 1/s (speed for what remains), m."""
+"""Greatest and least speed, m/s; speed per remaining distance, 1/s; distance at which it stops, m."""
 
 
 class Client(Node):
@@ -30,11 +30,11 @@ class Client(Node):
         self.first: Odometry | None = None
         self.travelled = 0.0
         self.still = 0
-        self.heard = 0
+        self.matched = 0
 
     def on_odom(self, msg: Odometry) -> None:
-        self.heard += self.publisher.get_subscription_count() > 0
-        if self.heard < 30:  # what is sent while the peers still match may be lost
+        self.matched += self.publisher.get_subscription_count() > 0
+        if self.matched < 30:  # messages sent while the peers are being matched may be lost
             return
         self.first = self.first or msg
         a, b = self.first.pose.pose.position, msg.pose.pose.position

@@ -38,11 +38,11 @@ from gibson_sim.types import Pose  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STEPS = 4
-"""Of a tick."""
+"""Physics steps in a tick."""
 
 
 class Rig:
-    """A world, and the topics of its robot's arm, ticks on which are made as fast as they come."""
+    """A world, and the topics of its robot's arm; ticks are made as fast as possible."""
 
     def __init__(self, context: Any, folder: Path) -> None:
         box = UrdfCollision(Shape("box", (0.06, 0.06, 0.06)), Pose())
@@ -67,15 +67,15 @@ class Rig:
         self.arms = ArmInterface(self.node, self.scene.robots[0], lambda topic: None, 0)
         self.inputs: list[tuple[int, str, Any]] = []
         self.positions: dict[int, Any] = {}
-        """By step: of all links."""
+        """Step -> poses of all links."""
         self.refused = 0
 
     def note(self, name: str, message: Any) -> None:
-        """Stands for the journal."""
+        """Replaces the journal."""
         self.inputs.append((self.world.step_count, name, message))
 
     def tick(self) -> None:
-        """Obeys, makes a tick, publishes."""
+        """Applies commands, makes a tick, publishes."""
         self._executor.spin_once(timeout_sec=0.001)
         self.arms.latch_commands()
         self.refused += self.arms.apply_commands(self.world, self)[1]  # type: ignore[arg-type]
@@ -84,7 +84,7 @@ class Rig:
         self.arms.publish(self.world)
 
     def run_until(self, listener: Listener, condition: Callable[[], bool], what: str) -> None:
-        """Makes ticks until a client has what it waits for."""
+        """Makes ticks until a client's condition holds."""
 
         def look() -> bool:
             self.tick()
@@ -118,7 +118,7 @@ def trajectory(positions: dict[str, float], seconds: float = 0.5) -> JointTrajec
     )
 
 
-def test_commands_on_topics_are_obeyed_and_noted_so_that_a_run_can_be_repeated(rig: Rig, listener: Listener) -> None:
+def test_commands_on_topics_are_applied_and_noted_so_that_a_run_can_be_repeated(rig: Rig, listener: Listener) -> None:
     client = listener.node
     states = listener.collect(GraspState, "bot/grasp_state")
     counts = listener.collect(CollisionCount, "bot/collisions")
@@ -136,11 +136,11 @@ def test_commands_on_topics_are_obeyed_and_noted_so_that_a_run_can_be_repeated(r
     arm.publish(trajectory({"turn": 0.3}))
     rig.run_until(listener, lambda: abs(rig.joints()["turn"] - 0.3) < 2e-3, "turned arm")
     assert rig.world.body_pose("cup").position[1] > 0.1
-    before = rig.world.tool_pose("robot").position
+    before = rig.world.arms.tool_pose("robot").position
     twist = TwistStamped()
     twist.header.frame_id, twist.twist.linear.z = "tool", 0.2
     tool.publish(twist)
-    rig.run_until(listener, lambda: rig.world.tool_pose("robot").position[2] > before[2] + 0.03, "raised tool")
+    rig.run_until(listener, lambda: rig.world.arms.tool_pose("robot").position[2] > before[2] + 0.03, "raised tool")
     fingers.publish(trajectory({FINGERS[0]: 0.045, FINGERS[1]: 0.02}))
     arm.publish(trajectory({"nose": 0.3}))
     rig.run_until(listener, lambda: rig.refused == 1 and rig.joints()[FINGERS[1]] < 0.03, "closed finger, and a refusal")
@@ -172,7 +172,7 @@ def test_commands_on_topics_are_obeyed_and_noted_so_that_a_run_can_be_repeated(r
 
 class _Nowhere:
     def note(self, name: str, message: Any) -> None:
-        """Forgets."""
+        """Clears what was received."""
 
 
 @pytest.fixture
@@ -222,7 +222,7 @@ def test_arm_follows_the_trajectories_of_an_action(actions: Any, rig: Rig, liste
 
 def test_gripper_stalls_at_what_it_holds(actions: Any, rig: Rig, listener: Listener) -> None:
     kind = actions.GripperCommand
-    rig.world.set_state("cup", Pose(rig.world.tool_pose("robot").position))
+    rig.world.set_state("cup", Pose(rig.world.arms.tool_pose("robot").position))
     client = ActionClient(listener.node, kind, "bot/gripper_controller/gripper_cmd")
     listener.spin_until(client.server_is_ready, "action")
     for position, expected in ((0.0, (True, False)), (0.05, (False, True))):

@@ -18,16 +18,16 @@ from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
 from gibson_sim_bench.cli import ros as bench_ros  # noqa: E402
 from gibson_sim_bench.cli.ros import measure  # noqa: E402
 from gibson_sim_bench.reports.ros import report_text  # noqa: E402
-from gibson_sim_bench.ros import Listener, Plan, Size, Way  # noqa: E402
+from gibson_sim_bench.ros import IdleNode, RosPlan, RoundTripMethod, Size  # noqa: E402
 
 pytestmark = pytest.mark.ros
-TINY = Plan(
+TINY = RosPlan(
     bodies=3,
     round_trips=10,
     transport_size=Size(64, 48),
     transport_images=6,
     clock_s=0.5,
-    listeners=(Listener("events", True), Listener("polled", True), Listener("standard", False)),
+    idle_nodes=(IdleNode("events", True), IdleNode("polled", True), IdleNode("standard", False)),
     pipeline_sizes=(Size(64, 48),),
     pipeline_hz=(10.0,),
     pipeline_s=0.5,
@@ -38,7 +38,7 @@ TINY = Plan(
     ("executor", "form"), [("standard", "message"), ("events", "bytes"), ("wait set", "message"), ("wait set", "bytes")]
 )
 def test_every_round_trip_is_counted_whichever_way_it_goes(ros_domain: int, executor: str, form: str) -> None:
-    plan = Plan(("state",), bodies=3, round_trips=10, ways=(Way(executor, form),))
+    plan = RosPlan(("state",), bodies=3, round_trips=10, methods=(RoundTripMethod(executor, form),))
     report = measure(plan)
     assert report.left_out == ()
     (trip,) = report.round_trips
@@ -47,14 +47,14 @@ def test_every_round_trip_is_counted_whichever_way_it_goes(ros_domain: int, exec
 
 
 def test_images_are_counted_once_and_have_an_age(ros_domain: int) -> None:
-    report = measure(Plan(("transport",), transport_size=TINY.transport_size, transport_images=6))
+    report = measure(RosPlan(("transport",), transport_size=TINY.transport_size, transport_images=6))
     assert report.left_out == ()
     assert [row.executor for row in report.transports] == ["standard", "events", "wait set"]
     assert all(0 < row.received <= row.sent == 6 and row.ms.median > 0.0 for row in report.transports)
 
 
 def test_clock_reaches_the_node_that_uses_it_and_no_other(ros_domain: int) -> None:
-    report = measure(Plan(("clock",), clock_s=TINY.clock_s, listeners=TINY.listeners))
+    report = measure(RosPlan(("clock",), clock_s=TINY.clock_s, idle_nodes=TINY.idle_nodes))
     assert report.left_out == ()
     *listening, idle = report.clocks
     assert all(row.clock_s > 0.0 and row.cpu_percent > 0.0 for row in listening)
@@ -62,7 +62,7 @@ def test_clock_reaches_the_node_that_uses_it_and_no_other(ros_domain: int) -> No
 
 
 def test_running_simulation_is_measured_from_its_own_images(ros_domain: int) -> None:
-    report = measure(Plan(("pipeline",), **{k: getattr(TINY, k) for k in ("pipeline_sizes", "pipeline_hz", "pipeline_s")}))
+    report = measure(RosPlan(("pipeline",), **{k: getattr(TINY, k) for k in ("pipeline_sizes", "pipeline_hz", "pipeline_s")}))
     assert report.left_out == ()
     (row,) = report.pipelines
     assert 0 < row.received <= row.due
@@ -83,7 +83,7 @@ def test_a_scenario_beside_a_running_simulation_is_refused(ros_domain: int) -> N
 def test_report_goes_to_the_file_that_is_named(
     ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tiny = Plan(("state",), bodies=3, round_trips=10, ways=(Way("events", "bytes"),))
+    tiny = RosPlan(("state",), bodies=3, round_trips=10, methods=(RoundTripMethod("events", "bytes"),))
     monkeypatch.setattr(bench_ros, "plan_of", lambda args: tiny)
     path = tmp_path / "new" / "ros.json"
     with pytest.raises(SystemExit) as end:

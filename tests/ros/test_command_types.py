@@ -1,4 +1,4 @@
-"""``cmd_vel`` under one type or two: who drives the robot, what ROS's tools make of the topic, and where the commands are recorded."""
+"""``cmd_vel`` with one type or two: which commands drive the robot, what ROS's tools see, and where the commands are recorded."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ from support.robots import write_gibson_bot  # noqa: E402
 
 pytestmark = pytest.mark.ros
 REAL_TIME, SLOW, FAST = ("--rate", "1"), ("--rate", "0.3"), ("--rate", "3", "--no-render")
-"""Nothing is drawn at a high speed: what a slow machine can draw is another test's matter."""
+"""Nothing is drawn at a high speed: what a slow machine can draw is for another test."""
 ENOUGH = 6
 """Messages of each stream."""
 SOON = 240
@@ -57,7 +57,7 @@ def _name(options: tuple[str, ...]) -> str:
 
 @pytest.fixture(scope="module", params=[REAL_TIME, SLOW, FAST], ids=_name)
 def sim(ros_domain: int, robot: Path, request: pytest.FixtureRequest) -> Iterator[Launched]:
-    """A simulation; there can be one at a time, so tests that want another one ask for its options."""
+    """A simulation; there can be one at a time, so tests that need another one name its options."""
     start = f"{START[0]},{START[1]},0"
     launched = Launched("run", "--robot", str(robot), "--start", start, *request.param)
     launched.wait_for_line("collision shapes" if "--no-render" in request.param else "triangles")
@@ -71,7 +71,7 @@ def _options(*options: str) -> pytest.MarkDecorator:
 
 @pytest.fixture(scope="module")
 def heard(sim: Launched, ros_context: Any) -> dict[str, Heard]:
-    """What the consumers of one simulation heard, all of them at a time, by who and what."""
+    """What the consumers of one simulation received, all of them at a time, by consumer and topic."""
     client = Listener(ros_context)
     found = hear(client, [row for row in STREAMS if _is_drawn(sim) or not row.rendered], ENOUGH)
     client.close()
@@ -88,7 +88,7 @@ def control(sim: Launched, listener: Listener) -> Iterator[Control]:
 
 every_latched = pytest.mark.parametrize("wanted", LATCHED_ROWS, ids=lambda row: row.topic)
 in_real_time = pytest.mark.parametrize("sim", [REAL_TIME], indirect=True, ids=_name, scope="module")
-"""For what is the same at every speed."""
+"""For facts that hold at every speed."""
 
 
 def test_consumers_receive_with_their_own_quality_of_service(heard: dict[str, Heard]) -> None:
@@ -132,7 +132,7 @@ def test_no_message_is_sent_before_the_transform_of_its_stamp(heard: dict[str, H
 
 
 def _sent_too_late(heard: Heard, stamps: dict[int, int], reach: int) -> list[str]:
-    """Returns what is wrong with messages of another topic that should be there, by step, before those that were heard.
+    """Returns what is wrong with messages of another topic that should be there, by step, before those that were received.
 
     A busy machine may lose some of the other topic: then those within ``reach`` steps, of which there must be some, are missing too.
     """
@@ -153,7 +153,7 @@ def test_imu_lies_between_two_transforms_of_neighbouring_ticks(heard: dict[str, 
     found = heard["robot_localization: imu"]
     ticks = sorted(map(step_of, found.transforms))
     bracketed = [step for step in steps_of(found.messages) if step - step % TICK in ticks and step + (-step) % TICK in ticks]
-    # Those outside were sent before transforms were heard, or on a machine so busy that it lost some.
+    # The others were sent before transforms were received, or on a machine so busy that it lost some.
     assert len(bracketed) >= ENOUGH // 2
 
 
@@ -375,7 +375,7 @@ localised = _options("--publish-map-tf", "--no-render")
 
 
 @localised
-def test_our_map_gives_way_to_that_of_another_node(sim: Launched, listener: Listener) -> None:
+def test_our_map_is_withdrawn_once_another_node_publishes_one(sim: Launched, listener: Listener) -> None:
     maps = listener.collect(OccupancyGrid, "map", LATCHED)
     listener.spin_until(lambda: bool(maps), "our map")
     publisher = listener.node.create_publisher(OccupancyGrid, "map", LATCHED)
@@ -386,7 +386,7 @@ def test_our_map_gives_way_to_that_of_another_node(sim: Launched, listener: List
 
 
 @localised
-def test_perfect_localiser_is_there_for_who_asks(sim: Launched, listener: Listener) -> None:
+def test_perfect_localiser_can_be_enabled(sim: Launched, listener: Listener) -> None:
     moving = listener.collect(TFMessage, "/tf", DEEP)
     listener.spin_until(lambda: bool(moving), "transforms")
     (found,) = [t for t in moving[0].transforms if t.child_frame_id == "odom"]

@@ -1,4 +1,4 @@
-"""Services that answer later, on both executors of rclpy."""
+"""Services with deferred responses, on both executors of rclpy."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def test_answers_come_when_they_are_there_in_any_order(ros_context: Any, kind: L
         response.result.error_message = str(request.steps)
         if request.steps == 0:
             return response
-        later = DeferredResponse()
-        waiting[request.steps] = lambda: later.answer(response)
-        return later
+        deferred = DeferredResponse()
+        waiting[request.steps] = lambda: deferred.send(response)
+        return deferred
 
     node = Node("deferred", context=ros_context, use_global_arguments=False, start_parameter_services=False)
     executor = make_executor(kind, context=ros_context)

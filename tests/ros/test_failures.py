@@ -1,4 +1,4 @@
-"""What goes wrong, what it says, and what is left behind."""
+"""Failures: their messages, and what they leave behind."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_mesh_cut_in_half_is_named_in_one_line(ros_domain: int, tmp_path: Path) 
     assert launched.wait() == 1
     assert launched.lines[-1].startswith("error:")
     assert "thing.glb" in launched.lines[-1]
-    # Only physics speaks before its scene is taken, and nothing is recorded.
+    # Only the physics node logs before its scene is loaded, and nothing is recorded.
     assert not any("Traceback" in line or line.startswith(("render", "record")) for line in launched.lines)
     assert not (tmp_path / "bag").exists()
 
@@ -96,8 +96,8 @@ def test_death_of_physics_ends_the_run_and_its_shared_memory_is_cleaned_up(ros_d
     assert _left_behind(segments) == []
 
 
-def test_physics_node_started_by_hand_gives_way_to_the_time_of_another_machine(ros_domain: int, listener: Listener) -> None:
-    # No lock tells of simulations elsewhere: it is what they publish.
+def test_physics_node_started_by_hand_ends_if_another_machine_publishes_time(ros_domain: int, listener: Listener) -> None:
+    # The lock does not cover simulations on other machines: their topics do.
     listener.node.create_publisher(Clock, "/clock", 1)
     command = [sys.executable, "-m", "gibson_sim.ros.nodes.physics_node", "--ros-args", "-p", "scene:=arena"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -146,7 +146,7 @@ def _segments(*pids: int) -> set[str]:
 
 
 def _left_behind(segments: set[str]) -> list[str]:
-    """Returns those that are still there though nobody uses them: some are shared by all simulations of a machine."""
+    """Returns those that still exist but are not in use: some are shared by all simulations of a machine."""
     assert segments, "the nodes had no shared memory"
     used = _segments(*(int(path.name) for path in Path("/proc").iterdir() if path.name.isdecimal()))
     return sorted(path for path in segments - used if Path(path).exists())

@@ -1,4 +1,4 @@
-"""Requests about parameters that rclpy itself raises at: one of them ended the whole simulation."""
+"""Parameter requests at which rclpy itself raises: one of them ended the whole simulation."""
 
 from __future__ import annotations
 

@@ -26,12 +26,12 @@ pytestmark = pytest.mark.ros
 IMAGE_STEPS = 24
 """Steps between two images at 10 Hz."""
 ENOUGH = 40
-"""Images of 80x60 pixels: free-running, physics skips some of so many."""
+"""Number of images of 80x60 pixels of which a free-running simulation skips some."""
 
 
 @pytest.fixture
 def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Launched]]:
-    """Starts a run without lockstep in a room of four walls; ends it, and shows what it said."""
+    """Starts a run without lockstep in a room of four walls; ends it, and prints its output."""
     robot = write_gibson_bot(tmp_path / "robot", camera={"width": 80, "height": 60, "rate_hz": 10.0})
     runs: list[Launched] = []
 
@@ -46,7 +46,7 @@ def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Launched]]:
 
 
 def _whole(images: list[Any]) -> bool:
-    """Returns whether none of the newest images is missing; what came before time waited is another matter."""
+    """Returns whether none of the newest images is missing; earlier ones, before time waited, may be."""
     return {b - a for a, b in pairwise(steps_of(images[-ENOUGH:]))} == {IMAGE_STEPS}
 
 
@@ -68,7 +68,7 @@ def test_it_can_be_turned_off(start: Callable[..., Launched], listener: Listener
     listener.spin_until(lambda: len(images) > 5 and not _whole(images), "an image that was skipped")
 
 
-def test_time_waits_from_when_somebody_asks_for_full_speed(start: Callable[..., Launched], listener: Listener) -> None:
+def test_time_waits_from_when_full_speed_is_requested(start: Callable[..., Launched], listener: Listener) -> None:
     launched = start("--rate", "1")
     images = listener.collect(Image, "camera/image_raw", DEEP)
     listener.spin_until(lambda: len(images) > 3, "images")
@@ -102,7 +102,7 @@ def test_time_passes_without_a_renderer_that_stands_still_and_waits_for_it_again
     _receives_all(listener, images)
 
 
-def test_time_does_not_wait_where_nobody_subscribes_to_images(start: Callable[..., Launched], listener: Listener) -> None:
+def test_time_does_not_wait_for_images_without_subscribers(start: Callable[..., Launched], listener: Listener) -> None:
     launched = start("--rate", "max")
     launched.wait_for_line("triangles")
     clock = listener.collect(Clock, "/clock")

@@ -1,4 +1,4 @@
-"""The topics of cameras: formats, stamps and frames; what is drawn for whom; scenes that change. No physics: states are made here."""
+"""The topics of cameras: formats, stamps and frames; drawing on demand; scenes that change. No physics: states are made here."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Rig:
         self._executor.add_node(node)
 
     def load(self, scene: DrawnScene, *, ready: bool = True) -> None:
-        """Sends a scene and, if asked for, waits until all render nodes take its states."""
+        """Sends a scene and, if requested, waits until all render nodes subscribe to its states."""
         self.scene = scene
         self._scenes.publish(conversions.scene_to_msg(scene, self.stamp_ns))
         if ready:
@@ -285,7 +285,7 @@ def test_nothing_is_drawn_for_camera_info_alone(rig: Rig) -> None:
     assert (summary["images"], summary["skipped_images"]) == ({}, 0)
 
 
-def test_only_outputs_that_somebody_listens_to_are_drawn(rig: Rig) -> None:
+def test_only_outputs_with_subscribers_are_drawn(rig: Rig) -> None:
     rig.render()
     rig.load(_scene(EYE))
     depth = rig.collect(Image, "eye/depth/image_raw")
@@ -295,7 +295,7 @@ def test_only_outputs_that_somebody_listens_to_are_drawn(rig: Rig) -> None:
     assert set(summary["messages"]) == {"eye/depth"}
 
 
-def test_compressed_images_are_encoded_only_while_somebody_listens(rig: Rig) -> None:
+def test_compressed_images_are_encoded_only_while_they_have_subscribers(rig: Rig) -> None:
     rig.render()
     rig.load(_scene(EYE))
     raw = rig.collect(Image, "eye/image_raw")
@@ -310,7 +310,7 @@ def test_compressed_images_are_encoded_only_while_somebody_listens(rig: Rig) -> 
 
 
 class _Counter:
-    """Looks whether a kind of message is made any more, while raw images go on."""
+    """Returns whether a kind of message is still made, while raw images go on."""
 
     def __init__(self, rig: Rig, kind: str) -> None:
         self._rig, self._kind, self._last = rig, kind, (-1, 0)
@@ -323,7 +323,7 @@ class _Counter:
         return images - self._last[1] >= 10
 
 
-def test_images_that_nobody_wanted_are_not_skipped_ones(rig: Rig) -> None:
+def test_images_without_subscribers_are_not_skipped_ones(rig: Rig) -> None:
     rig.render()
     rig.load(_scene(EYE))
     reports = rig.collect(DiagnosticArray, "/diagnostics")
@@ -331,7 +331,7 @@ def test_images_that_nobody_wanted_are_not_skipped_ones(rig: Rig) -> None:
     subscription = rig.user.create_subscription(Image, "eye/image_raw", images.append, 10)
     rig.tick_until(lambda: len(images) >= 2, "images")
     rig.user.destroy_subscription(subscription)
-    rig.tick_until(lambda: reports[-1:] != [] and reports[-1].status[0].message == "nothing is asked for", "rest")
+    rig.tick_until(lambda: reports[-1:] != [] and reports[-1].status[0].message == "no image has a subscriber", "rest")
     skipped = rig.renders[0].summary()["skipped_images"]
     rig.stamp_ns += 50 * TICK_NS
     again = rig.collect(Image, "eye/image_raw")

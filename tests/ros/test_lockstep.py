@@ -1,4 +1,4 @@
-"""Lockstep as its participants see it: who dies, hangs or is slow is named, and nothing is lost."""
+"""Lockstep as its participants see it: a node that dies, hangs or is slow is named, and nothing is lost."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ IMAGE_STEPS = 24
 
 @pytest.fixture
 def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Launched]]:
-    """Starts a lockstep run as fast as possible in a room of four walls; ends it, and shows what it said."""
+    """Starts a lockstep run as fast as possible in a room of four walls; ends it, and prints its output."""
     robot = write_gibson_bot(tmp_path / "robot", camera={"width": 80, "height": 60, "rate_hz": 10.0})
     runs: list[Launched] = []
 
@@ -64,11 +64,11 @@ def _steps_in_bag(bag: Path, topic: str) -> list[int]:
     return [step_of(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec) for m in messages]
 
 
-def test_time_waits_for_those_who_were_announced(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
+def test_time_waits_for_declared_participants(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
     summary = tmp_path / "summary.json"
     launched = start("--no-render", "--participants", NAME, "--duration", "2", "--summary", str(summary))
     odometry = listener.collect(Odometry, "odom", DEEP)
-    launched.wait_for_line(f"'{NAME}' (there is no such node) has not joined")
+    launched.wait_for_line(f"waiting for '{NAME}' to join")
     assert not odometry
     controller = Controller(listener)
     assert _ended(launched, listener) == 0
@@ -119,11 +119,11 @@ def test_a_controller_that_hangs_is_named_and_the_bag_is_whole(
     launched = start("--no-render", "--participants", NAME, "--participant-timeout", "1", "--record", str(bag))
     Controller(listener).hangs_after = 30
     assert _ended(launched, listener) == 1
-    assert f"'{NAME}' (it hangs or is slow) has not done the tick at 0.517 s" in _error(launched)
+    assert f"waiting for '{NAME}' to finish the tick at 0.517 s (the node hangs or is slow)" in _error(launched)
     assert _steps_in_bag(bag, "/odom") == list(range(STEPS_A_TICK, 31 * STEPS_A_TICK + 1, STEPS_A_TICK)), "nothing else is lost"
 
 
-def test_a_run_may_go_on_without_the_answer_of_one_who_hangs(
+def test_a_run_may_go_on_without_the_answer_of_a_participant_that_hangs(
     start: Callable[..., Launched], listener: Listener, tmp_path: Path
 ) -> None:
     summary = tmp_path / "summary.json"
@@ -160,7 +160,7 @@ def test_a_renderer_that_stands_still_is_named_and_nothing_is_lost(start: Callab
     pid = launched.node_pid("render")
     os.kill(pid, signal.SIGSTOP)
     try:
-        listener.spin_until(lambda: bool(_said(launched, "'render' (it hangs or is slow) has not done")), "a word")
+        listener.spin_until(lambda: bool(_said(launched, "waiting for 'render' to finish the tick")), "a word")
     finally:
         os.kill(pid, signal.SIGCONT)
     before = len(images)
@@ -180,7 +180,7 @@ def test_time_waits_for_a_recorder_that_stands_still_and_its_bag_is_whole(
     pid = launched.node_pid("record")
     os.kill(pid, signal.SIGSTOP)
     try:
-        listener.spin_until(lambda: bool(_said(launched, "'record' (it hangs or is slow) has not done")), "a word")
+        listener.spin_until(lambda: bool(_said(launched, "waiting for 'record' to finish the tick")), "a word")
         before = len(images)
     finally:
         os.kill(pid, signal.SIGCONT)
@@ -192,7 +192,7 @@ def test_time_waits_for_a_recorder_that_stands_still_and_its_bag_is_whole(
     assert not any(json.loads(summary.read_text())["record"]["lost"].values())
 
 
-def test_a_recorder_that_is_killed_holds_nobody_up(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
+def test_a_recorder_that_is_killed_does_not_hold_time(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
     launched = start("--participants", NAME, "--participant-timeout", "100", "--record", str(tmp_path / "bag"))
     launched.wait_for_line("triangles")
     images = Controller(listener, images=(IMAGE,)).images[IMAGE]
@@ -210,10 +210,12 @@ def test_a_recorder_that_comes_later_takes_part_until_it_ends(
     launched.wait_for_line("triangles")
     images = Controller(listener, images=(IMAGE,)).images[IMAGE]
     recorder = LaunchedNode("record", "-p", f"output:={tmp_path / 'bag'}", "-p", "duration:=5.0", env={PARENT_VARIABLE: ""})
-    listener.spin_until(lambda: bool(_said(launched, "'record' takes part, after cameras")), "a recorder")
+    listener.spin_until(
+        lambda: bool(_said(launched, "'record' joined; time waits for it at ticks with camera images")), "a recorder"
+    )
     listener.spin_until(lambda: recorder.process.poll() is not None, "its end")
     assert recorder.wait() == 0
-    assert _said(launched, "'record' leaves")
+    assert _said(launched, "'record' left")
     before = len(images)
     listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
     steps = _steps_in_bag(tmp_path / "bag", f"/{IMAGE}")
@@ -251,15 +253,15 @@ def _said(launched: Launched, text: str) -> list[str]:
     return [line for line in launched.lines if text in line]
 
 
-def test_who_says_done_without_having_joined_is_told_so(start: Callable[..., Launched], listener: Listener) -> None:
+def test_a_report_of_a_node_that_has_not_joined_is_a_warning(start: Callable[..., Launched], listener: Listener) -> None:
     launched = start("--no-render", "--participants", NAME)
     controller = Controller(listener)
     listener.spin_until(lambda: controller.ticks > 5, "ticks")
     publisher: Any = listener.node.create_publisher(TickDone, "tick_done", qos.TICK_DONE)
     publisher.publish(TickDone(event=TickDone.DONE, participant="stranger"))
-    listener.spin_until(lambda: bool(_said(launched, "'stranger' has done a tick, but has not joined")), "a word")
+    listener.spin_until(lambda: bool(_said(launched, "'stranger' reports a tick as done, but has not joined")), "a word")
     publisher.publish(TickDone(event=TickDone.LEAVE, participant=NAME))
-    listener.spin_until(lambda: bool(_said(launched, f"'{NAME}' leaves")), "a word")
+    listener.spin_until(lambda: bool(_said(launched, f"'{NAME}' left")), "a word")
     ticks = controller.ticks
     listener.spin_until(lambda: controller.ticks > ticks + 100, "time that goes on without it")
 

@@ -1,4 +1,4 @@
-"""When a new participant is believed to hear the simulation: not before its subscriptions are known, whatever else is."""
+"""When a new participant counts as matched: not before its subscriptions are discovered, whatever else is."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from gibson_sim.standard.lockstep import CAMERAS  # noqa: E402
 
 
 class Graph:
-    """The node of a simulation, as far as the gate asks it, and what it has heard of another one called ``nav``."""
+    """The node of a simulation, as far as the gate asks it, and what it has discovered of another one called ``nav``."""
 
     def __init__(self) -> None:
         self.listens_to: list[str] = []
-        """Topics of ``nav`` that have become known."""
+        """Subscriptions of ``nav`` that were discovered."""
         self.nodes = ["nav"]
         """Those that publish ``tick_done``."""
         self.matched: dict[str, int] = {"/odom": 0, "/scene_state": 0, "/tf": 0}
-        """Of each topic that the simulation publishes: how many are known to get it."""
+        """Topic that the simulation publishes -> matched subscribers."""
 
     @property
     def publishers(self) -> list[Any]:
@@ -59,51 +59,51 @@ class Graph:
 
 
 @pytest.mark.parametrize(("after", "topic"), [("odom", "/odom"), (CAMERAS, "/scene_state")])
-def test_one_whose_subscription_is_not_known_yet_is_waited_for(after: str, topic: str) -> None:
+def test_a_participant_is_not_matched_before_its_subscription_is(after: str, topic: str) -> None:
     graph = Graph()
     gate = LockstepGate(graph, PhysicsConfig(), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.core.join("nav", after)
-    assert not gate._hears_us("nav")  # its news of publishers were the quicker ones
+    assert not gate._is_matched("nav")  # its publishers were discovered first
     graph.listens_to = ["/tf"]
     graph.matched["/tf"] = 1
-    assert not gate._hears_us("nav")
+    assert not gate._is_matched("nav")
     graph.listens_to.append(topic)
-    assert not gate._hears_us("nav")
+    assert not gate._is_matched("nav")
     graph.matched[topic] = 1
-    assert gate._hears_us("nav")
+    assert gate._is_matched("nav")
 
 
 class Beside:
-    """The context of commands of a second type: it has heard nobody yet."""
+    """The context of commands of a second type: no JOIN has arrived in it yet."""
 
     def __init__(self) -> None:
-        self.take: Callable[[Any], None] | None = None
+        self.callback: Callable[[Any], None] | None = None
 
-    def hear(self, kind: type[Any], topic: str, profile: Any, take: Callable[[Any], None]) -> str:
-        self.take = take
+    def create_subscription(self, kind: type[Any], topic: str, profile: Any, callback: Callable[[Any], None]) -> str:
+        self.callback = callback
         return topic
 
     def unsubscribe(self, subscription: str) -> None:
         assert subscription == names.TICK_DONE
-        self.take = None
+        self.callback = None
 
 
-def test_time_waits_until_both_contexts_have_heard_a_participant_join() -> None:
+def test_time_waits_until_a_join_has_arrived_in_both_contexts() -> None:
     graph, beside = Graph(), Beside()
     graph.listens_to, graph.matched = ["/odom"], {"/odom": 1}
     gate = LockstepGate(graph, PhysicsConfig(lockstep=True, participants="nav"), lambda: None, lambda again: None)  # type: ignore[arg-type]
-    gate.listen(beside)  # type: ignore[arg-type]
+    gate.subscribe(beside)  # type: ignore[arg-type]
     joins = TickDone(event=TickDone.JOIN, participant="nav", after="odom")
-    gate._on_done(serialize_message(joins))
-    assert not gate.may_go()  # its commands as TwistStamped might be lost
-    assert beside.take is not None
-    beside.take(joins)
-    assert gate.may_go()
-    assert gate.may_go() and beside.take is None  # nor does it hear each tick being done
+    gate._on_tick_done(serialize_message(joins))
+    assert not gate.may_step()  # its commands as TwistStamped might be lost
+    assert beside.callback is not None
+    beside.callback(joins)
+    assert gate.may_step()
+    assert gate.may_step() and beside.callback is None  # nor does it receive each tick that is done
 
 
-def test_who_can_join_knows_of_all_that_takes_commands(ros_context: Any) -> None:
-    """News of subscriptions come in the order in which they were made."""
+def test_a_participant_that_can_join_has_discovered_all_command_subscriptions(ros_context: Any) -> None:
+    """Subscriptions are announced in the order in which they were made."""
     settings = {"scene": "flat", "robot": "gibson_bot", "lockstep": True}
     node = PhysicsNode(
         context=ros_context, use_global_arguments=False, parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
@@ -117,25 +117,25 @@ def test_who_can_join_knows_of_all_that_takes_commands(ros_context: Any) -> None
         node.destroy_node()
 
 
-def test_one_that_does_not_say_what_it_waits_for_hears_us_once_all_that_is_known_reaches_it() -> None:
+def test_one_without_after_is_matched_once_all_its_known_subscriptions_are() -> None:
     graph = Graph()
     gate = LockstepGate(graph, PhysicsConfig(), lambda: None, lambda again: None)  # type: ignore[arg-type]
     gate.core.join("nav")
     graph.listens_to = ["/tf"]
-    assert not gate._hears_us("nav")
+    assert not gate._is_matched("nav")
     graph.matched["/tf"] = 1
-    assert gate._hears_us("nav")
+    assert gate._is_matched("nav")
 
 
 @pytest.mark.parametrize("event", [TickDone.JOIN, TickDone.WATCH])
-def test_time_goes_on_without_one_who_only_watched_and_has_gone(event: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_goes_on_without_a_watcher_that_has_gone(event: int, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, beside = Graph(), Beside()
     gate = LockstepGate(graph, PhysicsConfig(lockstep=True), lambda: None, lambda again: None)  # type: ignore[arg-type]
-    gate.listen(beside)  # type: ignore[arg-type]
-    gate._on_done(serialize_message(TickDone(event=event, participant="nav")))
-    gate.publish_tick(1, lambda: ())
+    gate.subscribe(beside)  # type: ignore[arg-type]
+    gate._on_tick_done(serialize_message(TickDone(event=event, participant="nav")))
+    gate.begin_tick(1, lambda: ())
     monkeypatch.setattr(lockstep_gate, "LATE_NS", -1)
-    assert not gate.may_go()
+    assert not gate.may_step()
     graph.nodes = []
-    assert gate.may_go() == (event == TickDone.WATCH)
+    assert gate.may_step() == (event == TickDone.WATCH)
     assert bool(gate.core.participants) == (event == TickDone.JOIN)

@@ -98,4 +98,4 @@ def test_what_keeps_ros_from_starting_is_one_line(capfd: pytest.CaptureFixture[s
     with pytest.raises(SystemExit) as end:
         run_node(Talker, ["--ros-args", "--no-such-argument"])
     assert end.value.code == 1
-    assert capfd.readouterr().err == "error: ROS cannot start: arguments that it does not know: ['--no-such-argument']\n"
+    assert capfd.readouterr().err == "error: ROS cannot start: unknown arguments: ['--no-such-argument']\n"

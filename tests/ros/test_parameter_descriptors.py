@@ -1,4 +1,4 @@
-"""What tools learn of parameters, from real nodes: ranges for sliders, choices, what may be set while a node runs."""
+"""Parameter descriptors of real nodes: ranges for sliders, choices, what may be set while a node runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who reaches a simulation from this machine and from another one, tried with plain clients on both."""
+"""Which clients reach a simulation, from this machine and from another one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ require("rclpy", "gibson_msgs", "pybullet")
 VISITOR = Path(__file__).resolve().parents[1] / "support" / "visitor.py"
 NOTHING = {"nodes": [], "topics": [], "clocks": 0, "service": False, "answers": [], "moved": False}
 LOOK_S = 6
-"""So long a client looks that should find nothing: one that may find the simulation does so in two seconds."""
+"""Wall time in which a client must find nothing, s: one that can reach the simulation finds it in two seconds."""
 FIND_S = 60
 
 

@@ -42,7 +42,7 @@ NS = 10**9
 
 
 class Source:
-    """Publishes what a recorder hears, and asks it for things."""
+    """Publishes topics for a recorder, and calls its services."""
 
     def __init__(self, listener: Listener, folder: Path) -> None:
         self.listener, self.folder = listener, folder
@@ -58,15 +58,15 @@ class Source:
         """Starts a recorder that is ready."""
         settings = {"output": self.folder / "bag", "reserve_mb": 1, "summary_path": self.folder / "summary.json", **settings}
         parameters = [part for name, value in settings.items() for part in ("-p", f"{name}:={value}")]
-        # Without a launcher, which would tell the numbers in its place.
+        # Without a launcher, which would print the numbers instead.
         self.recorder = LaunchedNode("record", *parameters, env={PARENT_VARIABLE: ""})
         publishers = (self._clock, self._text, self._short, self._room)
-        self.listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "a recorder that listens")
+        self.listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "a recorder that subscribes")
         self._wait_for_an_answer()
         return self.recorder
 
     def _wait_for_an_answer(self) -> None:
-        """Asks until the recorder answers: then it has matched us as we have matched it. An answer to a client too new is dropped."""
+        """Calls a service until the recorder answers: then both are matched. A response to a client that is not matched yet is dropped."""
         client = self.listener.node.create_client(IsPaused, "record/is_paused")
         self.listener.spin_until(client.service_is_ready, "service is_paused")
         asked: list[tuple[float, Any]] = []
@@ -79,7 +79,7 @@ class Source:
         self.listener.spin_until(answered, "answer of is_paused")
 
     def wait_until_delivered(self) -> None:
-        """Returns when all that was published lies with the recorder, taken or not."""
+        """Returns once all that was published is in the recorder's queues."""
         for publisher in (self._clock, self._text, self._short):
             assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
 
@@ -134,12 +134,12 @@ def test_everything_sent_before_the_end_is_in_the_bag_in_its_order(source: Sourc
     assert any("/text" in line and "600 messages" in line and "nothing lost" in line for line in recorder.lines)
 
 
-def test_messages_that_never_came_are_counted_and_told(source: Source) -> None:
+def test_lost_messages_are_counted_and_reported(source: Source) -> None:
     recorder = source.record()
     source.say(at_ns=1)
     source.flood(0, 5)
     os.kill(recorder.process.pid, signal.SIGSTOP)
-    source.flood(5, 4000)  # far more than the publisher keeps for a reader that stands still
+    source.flood(5, 4000)  # far more than the publisher's queue for a subscriber that hangs
     os.kill(recorder.process.pid, signal.SIGCONT)
     source.flood(4005, 5)
     source.wait_until_delivered()
@@ -203,7 +203,7 @@ def test_recording_goes_on_in_another_bag_after_a_reset(source: Source) -> None:
     assert sum("time went back from 5.000 s to 0.000 s" in line for line in recorder.lines) == 1
 
 
-def test_where_lockstep_runs_already_it_begins_once_it_hears_everybody(source: Source) -> None:
+def test_where_lockstep_runs_already_it_begins_once_all_publishers_are_matched(source: Source) -> None:
     listener, node, publishers = source.listener, source.listener.node, list[Any]()
     said = listener.collect(TickDone, "tick_done", qos.TICK_DONE)
     news = node.create_timer(0.2, lambda: publishers.append(node.create_publisher(String, f"/new_{len(publishers)}", 10)))
@@ -223,7 +223,7 @@ def test_where_lockstep_runs_already_it_begins_once_it_hears_everybody(source: S
     made_ns = next(stamps)
     listener.spin_until(happens(lambda: any(m.event == TickDone.WATCH for m in said)), "a recorder that takes part")
     assert all(publisher.get_subscription_count() for publisher in publishers)
-    time.sleep(0.5)  # what is on its way comes
+    time.sleep(0.5)  # messages on their way arrive
     source.say("first", at_ns=NS)
     publishers[-1].publish(String(data="first"))
     source.wait_until_delivered()
@@ -232,7 +232,7 @@ def test_where_lockstep_runs_already_it_begins_once_it_hears_everybody(source: S
     texts = _texts(bag)
     assert texts[-1] == (NS, "first")
     assert _texts(bag, publishers[-1].topic_name) == [(NS, "first")]
-    assert texts[0][0] > made_ns, "nothing of the time in which it did not hear everybody"
+    assert texts[0][0] > made_ns, "nothing of the time before all publishers were matched"
     assert _texts(bag, "/room") == [(texts[0][0], "four walls")]
     assert (summary["lost"]["/text"], summary["message_lost"]) == (0, {})
     assert any("time is running already: the bag begins" in line for line in recorder.lines)
@@ -305,5 +305,5 @@ def last_clock_s(bag: Path) -> float:
 
 
 def simulated_s(summary: Path) -> float:
-    """Returns when a run ended that began at 0."""
+    """Returns the end time of a run that began at 0."""
     return float(json.loads(summary.read_text())["physics"]["simulation_time_s"])

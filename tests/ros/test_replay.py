@@ -45,7 +45,7 @@ class Driver:
         listener.spin_until(lambda: bool(self._states) and self._publisher.get_subscription_count() > 0, "a robot")
 
     def drive(self, linear: float, angular: float, ticks: int) -> None:
-        """Sends a velocity (m/s, rad/s) for so many ticks."""
+        """Sends a velocity (m/s, rad/s) for a number of ticks."""
         command, until = Twist(), len(self._states) + ticks
         command.linear.x, command.angular.z = linear, angular
 
@@ -69,7 +69,7 @@ class Driver:
         assert self.control.call(SetEntityState, "set_entity_state", request).result.result == 1
 
     def load(self, scene: str) -> None:
-        """Takes the world away, loads another one and lets it play."""
+        """Unloads the world, loads another one and plays."""
         assert self.control.call(UnloadWorld, "unload_world", UnloadWorld.Request()).result.result == 1
         assert self.control.call(LoadWorld, "load_world", LoadWorld.Request(uri=scene)).result.result == 1
         self.control.play()
@@ -85,7 +85,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.fixture(scope="module")
 def recorded(ros_domain: int, world: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bag of a run at the pace of wall time, with commands, a spawn, a push, a reset and another world, whenever they came."""
+    """The bag of a run at the pace of wall time, with commands, a spawn, a push, a reset and another world, at any times."""
     bag = tmp_path_factory.mktemp("recorded") / "bag"
     sim, context = Launched("run", *world, "--no-render", "--digests", "--record", str(bag)), new_context()
     listener = Listener(context)
@@ -117,7 +117,7 @@ def _replay(bag: Path, *options: str) -> tuple[int, str]:
     return code, "\n".join(launched.lines)
 
 
-def test_a_run_whose_clients_were_never_waited_for_is_repeated_to_the_bit(recorded: Path) -> None:
+def test_a_free_run_is_repeated_to_the_bit(recorded: Path) -> None:
     code, said = _replay(recorded, "--verify")
     assert code == ExitCode.OK and "equal to the bit" in said
     assert "after its step" not in said and "came after" not in said, "no input may be late"
@@ -132,7 +132,7 @@ def test_another_seed_differs_from_the_first_tick_and_only_where_there_is_noise(
     assert re.findall(r"(/\S+): \d+ of \d+ ticks differ", said) == ["/imu"]
 
 
-def test_one_changed_command_differs_at_the_tick_behind_it(recorded: Path, tmp_path: Path) -> None:
+def test_one_changed_command_differs_at_the_tick_after_it(recorded: Path, tmp_path: Path) -> None:
     step = _copy_with_one_command_changed(recorded, tmp_path / "changed")
     code, said = _replay(tmp_path / "changed", "--verify")
     assert code == ExitCode.REPLAY_DIFFERS
@@ -149,7 +149,7 @@ def _copy_with_one_command_changed(bag: Path, copy: Path) -> int:
         kinds = {topic: reader.topics()[topic].type_name for topic in topics}
         found = list(reader.raw_messages(topics))
     inputs = [(i, deserialize_message(data, Input)) for i, (topic, _, data) in enumerate(found) if topic == "/inputs"]
-    # The last of its step: the robot obeys no other.
+    # The last of its step: it is the one in effect.
     changed, message = next(
         (i, now)
         for (i, now), (_, following) in pairwise(inputs)

@@ -81,7 +81,7 @@ def test_images_carry_the_stamp_of_an_odometry_and_of_their_camera_info(sim: Lau
     topics = (rgb, depth, info, odometry)
 
     def common() -> tuple[int, int]:
-        """From where on, and up to where, something has arrived on every topic: they come in any order."""
+        """First and last stamp at which every topic has a message: they arrive in any order."""
         return max(_stamps(m)[0] for m in topics), min(_stamps(m)[-1] for m in topics)
 
     def stamps(messages: list[object]) -> set[int]:
@@ -153,7 +153,7 @@ def test_command_that_is_not_a_number_is_refused_and_the_robot_stays(
     listener = other_listener
     odometry = listener.collect(Odometry, "odom")
     publisher = listener.node.create_publisher(message_type, "cmd_vel", 1)
-    listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that listens")
+    listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that subscribes")
     lines = len(sim.lines)
     message = message_type()
     (message.twist if message_type is TwistStamped else message).linear.x = bad
@@ -184,7 +184,7 @@ def test_covariance_of_odometry_is_that_of_this_robot(sim: Launched, listener: L
 def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener, control: Control) -> None:
     odometry = listener.collect(Odometry, "odom", DEEP)
     publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)
-    listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that listens")
+    listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that subscribes")
     turn = Twist()
     turn.angular.z = 0.5
     # Steps, not wall time, lie between the last command and the stop.
@@ -280,7 +280,7 @@ def test_record_beside_a_running_simulation_ends_after_its_duration(sim: Launche
 
 
 @pytest.mark.parametrize("name", ["physics", "render"])
-def test_node_that_is_asked_says_where_it_is_and_goes_on(sim: Launched, listener: Listener, name: str) -> None:
+def test_sigusr1_prints_the_stacks_of_a_node_that_goes_on(sim: Launched, listener: Listener, name: str) -> None:
     lines = len(sim.lines)
     os.kill(sim.node_pid(name), signal.SIGUSR1)
     assert sim.wait_for_line("most recent call first", after=lines).startswith(name)

@@ -28,7 +28,7 @@ ONLY_SOMETIMES = {
 
 
 def _rights(policy: ElementTree.Element, node: str) -> set[tuple[str, str]]:
-    """Returns what the enclave of a node may do: the right, and the topics or services that a pattern names."""
+    """Returns the rights of a node's enclave: (right, pattern of topics or services)."""
     found = set()
     for profile in policy.findall(f"./enclaves/enclave[@path='/gibson_sim/{node}']/profiles/profile"):
         for rule in profile:

@@ -30,7 +30,7 @@ ROBOTS = ("left", "right")
 STARTS = {"left": (1.0, 4.7), "right": (6.4, 3.3)}
 """In the hall and in the kitchen of our flat: they do not see each other."""
 TF_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""As tf2 has it: each robot latches a message of its own, and a queue of one would keep one of them."""
+"""As in tf2: each robot latches its own message, and a queue of one would keep only one of them."""
 CAMERA_HZ = 10.0
 CAMERA_STEPS = 24
 OF_A_ROBOT = {
@@ -79,7 +79,7 @@ def _publishers(listener: Listener, topic: str) -> list[str]:
 
 
 def _with_publishers(listener: Listener) -> set[str]:
-    """Returns the topics that somebody publishes."""
+    """Returns the topics that have publishers."""
     return {name for name, _ in listener.node.get_topic_names_and_types() if listener.node.count_publishers(name)}
 
 
@@ -145,7 +145,7 @@ def _yaw(message: Odometry) -> float:
 
 
 def _rests(message: Odometry) -> bool:
-    """Whether a robot has stopped doing what it was told before."""
+    """Returns whether a robot has stopped after its last command."""
     twist = message.twist.twist
     return abs(twist.angular.z) < 1e-3 and abs(twist.linear.x) < 1e-3
 

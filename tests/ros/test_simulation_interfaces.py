@@ -151,7 +151,7 @@ def sim(ros_domain: int, folder: Path) -> Iterator[Launched]:
 
 @pytest.fixture(scope="module")
 def client(sim: Launched, ros_context: Any) -> Iterator[Client]:
-    """One for all tests: that clients and services find each other takes longer than most of the tests."""
+    """One for all tests: discovery of clients and services takes longer than most of the tests."""
     listener = Listener(ros_context)
     yield Client(listener)
     listener.close()
@@ -337,7 +337,7 @@ def test_action_tells_every_step_and_succeeds(start: Client) -> None:
     assert start.code(srv.ResetSimulation) == OK
     assert result_of(start, handle).status == GoalStatus.STATUS_ABORTED
     handle, _ = goal(start, 8, lambda m: seen.append((m.feedback.completed_steps, m.feedback.remaining_steps)), actions=actions)
-    # The client listens to feedback until it has the result.
+    # The client receives feedback until it has the result.
     start.listener.spin_until(lambda: len(seen) == 8, "feedback")
     ended = result_of(start, handle)
     assert seen == [(i, 8 - i) for i in range(1, 9)]
@@ -583,7 +583,7 @@ def test_several_are_spawned_in_one_call(start: Client) -> None:
     assert start.code(srv.SpawnEntities) == OK, "nothing to do"
 
 
-def test_failure_of_some_is_told_for_each(start: Client) -> None:
+def test_failure_of_some_is_reported_for_each(start: Client) -> None:
     answer = start.call(srv.SpawnEntities, spawn_requests=[item("one"), item("robot"), item("x/y"), item("four", "?")])
     assert answer.result.result == 150
     assert [r.result.result for r in answer.results] == [OK, 101, 102, 103]

@@ -46,7 +46,7 @@ def room(tmp_path: Path) -> list[str]:
 
 @pytest.fixture
 def start(ros_domain: int, room: list[str]) -> Iterator[Callable[..., Launched]]:
-    """Starts a run in the room; whatever a test leaves running is ended, and what it said is shown."""
+    """Starts a run in the room; a run that a test leaves is ended, and its output is printed."""
     runs: list[Launched] = []
 
     def begin(*options: str) -> Launched:
@@ -172,5 +172,5 @@ def test_run_goes_on_when_the_recorder_is_killed_and_its_bag_can_be_mended(
     assert mended.wait() == 0, "\n".join(mended.lines)
     with AnyReader([bag]) as reader:
         written = sum(1 for c, _, _ in reader.messages() if c.topic == "/odom")
-    # Three seconds of 60 messages were heard; what came since the last flush, a second before, is lost with the process.
+    # Three seconds of 60 messages were recorded; those since the last flush, a second before, are lost with the process.
     assert written > 10

@@ -1,4 +1,4 @@
-"""The task node beside a running simulation: goals, results and resets, as somebody sees them who drives the robot."""
+"""The task node and a running simulation: goals, results and resets, as a node that drives the robot sees them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def sim(ros_domain: int) -> Iterator[Launched]:
 
 @pytest.fixture
 def before(sim: Launched, listener: Listener) -> set[str]:
-    """What is there before the first episode."""
+    """Bodies before the first episode."""
     return entities(Control(listener))
 
 
@@ -98,6 +98,6 @@ def test_episodes_are_announced_judged_and_reset(listener: Listener, before: set
     assert (answer.success, answer.message) == (True, f"the episode of seed {SEED + 1} begins")
     begun(SEED + 1)
     control.call(Trigger, "task/reset", Trigger.Request())
-    listener.spin_until(lambda: len(texts["result"]) == 2, "the result of what nobody did")
+    listener.spin_until(lambda: len(texts["result"]) == 2, "the result of an episode without commands")
     assert [(one["seed"], one["success"]) for one in texts["result"]] == [(SEED, True), (SEED + 1, False)]
-    assert texts["result"][1]["path_length"] == pytest.approx(0.0, abs=0.05), "nobody drove"
+    assert texts["result"][1]["path_length"] == pytest.approx(0.0, abs=0.05), "no node drove"

@@ -22,12 +22,12 @@ from support.clients import DEEP, LATCHED, Control, stamp_ns, step_of, steps_of 
 
 pytestmark = pytest.mark.ros
 NEVER_FASTER = 1.05
-"""Times the pace asked for. A busy machine may be slower, no machine may be faster."""
+"""Greatest real-time factor relative to the requested rate. A busy machine may be slower, no machine may be faster."""
 
 
 @pytest.fixture(scope="module", params=[()], ids=["usual"])
 def sim(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Launched]:
-    """A simulation; there can be one at a time, so the tests that want another one ask for its options."""
+    """A simulation; there can be one at a time, so the tests that need another one name its options."""
     launched = Launched("run", "--no-render", *request.param)
     launched.wait_for_line("collision shapes")
     yield launched
@@ -85,13 +85,15 @@ def test_stamps_of_another_step_rate_are_whole_nanoseconds_too(sim: Launched, li
 
 
 @pytest.mark.parametrize("rate", [0.3, 1.0])
-def test_real_time_factor_is_never_above_what_is_asked(sim: Launched, listener: Listener, control: Control, rate: float) -> None:
+def test_real_time_factor_is_never_above_the_requested_rate(
+    sim: Launched, listener: Listener, control: Control, rate: float
+) -> None:
     assert control.set_parameter("physics", "rate", rate) == (True, "")
     factors = listener.collect(Float64, "real_time_factor", DEEP)
     # The report in which the pace changed is a mixture.
     listener.spin_until(lambda: len(factors) > 3, "real-time factors")
     later = [factor.data for factor in factors[1:]]
-    print(f"asked for {rate:g}: {[round(factor, 3) for factor in later]}")
+    print(f"requested {rate:g}: {[round(factor, 3) for factor in later]}")
     assert 0.0 < median(later) <= NEVER_FASTER * rate
 
 

@@ -1,4 +1,4 @@
-"""``gibson-sim top`` beside nodes that report, and alone."""
+"""``gibson-sim top`` with nodes that report, and alone."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_a_view_goes_and_comes_with_its_target(world: PhysicsWorld, caplog: pyte
     node = _Node()
     topics = WorldInterface(node, PhysicsConfig(views="top,follow:right"), None)  # type: ignore[arg-type]
     right = world.scene.robots[1]
-    for change in (lambda: None, lambda: world.remove("right"), lambda: world.add_robot(right)):
+    for change in (lambda: None, lambda: world.remove("right"), lambda: world.add(right)):
         change()
         topics.publish_scene(world)
         world.step()

@@ -1,4 +1,4 @@
-"""Commands beside a simulation, where none runs."""
+"""Commands that need a simulation, while none runs."""
 
 from __future__ import annotations
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
+
+from gibson_sim.formats.glb import glb_bytes
 
 CORNERS = [[1.0, 2.0, 3.0], [4.0, 2.0, 3.0], [1.0, 5.0, 3.0]]
 """A triangle in the axes of glTF (y up), facing +z of the file."""
@@ -24,7 +25,7 @@ def png(rgb: tuple[int, int, int]) -> bytes:
 
 
 class Gltf:
-    """A document that is put together piece by piece."""
+    """Builds a glTF document with full control over its JSON, also invalid ones."""
 
     def __init__(self) -> None:
         self.chunk = b""
@@ -34,14 +35,14 @@ class Gltf:
         }  # fmt: skip
 
     def view(self, data: bytes) -> int:
-        """Adds bytes to the buffer and returns the number of their view."""
+        """Adds bytes to the buffer and returns the index of their view."""
         self.chunk += b"\0" * (-len(self.chunk) % 4)
         self.document["bufferViews"].append({"buffer": 0, "byteOffset": len(self.chunk), "byteLength": len(data)})
         self.chunk += data
         return len(self.document["bufferViews"]) - 1
 
     def accessor(self, values: ArrayLike, dtype: str = "<f4") -> int:
-        """Adds an array of numbers, (N,) or (N, width), and returns its number."""
+        """Adds an accessor of numbers, (N,) or (N, width), and returns its index."""
         array = np.asarray(values, dtype=dtype)
         kind = "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
         component = {"<f4": 5126, "<u2": 5123, "<u4": 5125}[dtype]
@@ -68,7 +69,7 @@ class Gltf:
         return self
 
     def image_material(self, image: dict[str, Any]) -> int:
-        """Adds a material that shows ``image``, a glTF image object, and returns its number."""
+        """Adds a material with ``image``, a glTF image object, and returns its index."""
         for key in ("images", "textures", "materials"):
             self.document.setdefault(key, [])
         self.document["images"].append(image)
@@ -79,12 +80,7 @@ class Gltf:
 
     def glb(self) -> bytes:
         """Returns the binary form."""
-        document = {**self.document, "buffers": [{"byteLength": len(self.chunk)}]}
-        text = json.dumps(document).encode()
-        text += b" " * (-len(text) % 4)
-        chunk = self.chunk + b"\0" * (-len(self.chunk) % 4)
-        chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(chunk), 0x004E4942) + chunk
-        return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+        return glb_bytes({**self.document, "buffers": [{"byteLength": len(self.chunk)}]}, self.chunk)
 
     def text(self) -> str:
         """Returns the text form with its buffer inside."""
@@ -92,7 +88,7 @@ class Gltf:
         return json.dumps({**self.document, "buffers": [{"byteLength": len(self.chunk), "uri": uri}]})
 
     def write(self, path: Path) -> Path:
-        """Writes the form that the suffix says and returns the path."""
+        """Writes the form of the suffix and returns the path."""
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(self.glb() if path.suffix == ".glb" else self.text().encode())
         return path

@@ -64,7 +64,7 @@ class Controller:
             command.angular.z = max(-1.5, min(1.5, left - right)) + 0.2 * msg.twist.twist.linear.x
         self._publisher.publish(command)
         if self._participant is not None:
-            self._participant.done(msg.header.stamp, [self._publisher.topic_name])
+            self._participant.tick_done(msg.header.stamp, [self._publisher.topic_name])
 
 
 def _waiting(subscription: Any) -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""Surfaces of many triangles, and what can be said of where they are open."""
+"""Surfaces of many triangles, and their open edges."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource, area_normals
-from gibson_sim.render.batching import joining
-from gibson_sim.render.batching.batches import Batches
-from gibson_sim.render.batching.building import build_batches
-from gibson_sim.render.lod.clusters import places
+from gibson_sim.render.batching import assembly
+from gibson_sim.render.batching.building import build_geometry
+from gibson_sim.render.batching.scene_geometry import SceneGeometry
+from gibson_sim.render.lod.clusters import weld
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -43,7 +43,7 @@ def bumpy_sphere(rings: int = 71, radius: float = 1.0, material: Material | None
     for k in range(3):
         flat |= (corners[:, k] == corners[:, k - 1]).all(axis=1)
     triangles = triangles[~flat]
-    number = places(vertices)
+    number = weld(vertices)
     normals = area_normals(vertices, triangles)
     total = np.zeros((int(number.max()) + 1, 3))
     np.add.at(total, number, normals)
@@ -81,37 +81,37 @@ def _picked(part: MeshPart, triangles: NDArray[np.uint32], material: Material) -
 
 
 def textured(name: str, unlit: bool = True) -> Material:
-    """Returns a material with a texture of its own: smooth stripes both ways."""
+    """Returns a material with a unique texture: smooth stripes in both directions."""
     v, u = np.mgrid[:64, :64] / 64.0 * 2 * math.pi
     pixels = np.stack([128 + 60 * np.sin(2 * u), 128 + 60 * np.sin(2 * v), 128 + 60 * np.sin(u + v + len(name))], axis=-1)
     return Material(name, (1.0, 1.0, 1.0, 1.0), TextureSource(name, pixels.astype(np.uint8)), unlit=unlit)
 
 
 def detail_from(triangles: int) -> AbstractContextManager[object]:
-    """Lets scenes of so many triangles have levels of detail, as long as it is entered."""
-    return mock.patch.object(joining, "DETAIL_FROM", triangles)
+    """Enables levels of detail from this number of triangles, within the context."""
+    return mock.patch.object(assembly, "DETAIL_FROM", triangles)
 
 
-def batches_of(mesh: Mesh, coarser: bool = True) -> Batches:
-    """Returns what the renderer makes of a mesh in the world, with levels of detail however small it is."""
+def geometry_of(mesh: Mesh, coarser: bool = True) -> SceneGeometry:
+    """Returns the renderer's geometry of a mesh in the world, with levels of detail at any size."""
     visual = VisualSpec("mesh", "", Shape("mesh", mesh="/mesh"))
     with detail_from(1):
-        return build_batches([visual], (), lambda shape: mesh, coarser=coarser)
+        return build_geometry([visual], (), lambda shape: mesh, coarser=coarser)
 
 
-def drawn_positions(scene: Batches, chunks: I64) -> F32:
-    """Returns the corners of all triangles of some chunks, (F, 3, 3), metres."""
+def drawn_positions(scene: SceneGeometry, clusters: I64) -> F32:
+    """Returns the corners of all triangles of some clusters, (F, 3, 3), metres."""
     rows = [
         np.arange(first, first + count)
-        for first, count in zip(scene.chunk_first[chunks].tolist(), scene.chunk_count[chunks].tolist(), strict=True)
+        for first, count in zip(scene.cluster_first[clusters].tolist(), scene.cluster_count[clusters].tolist(), strict=True)
     ]
     corners: F32 = scene.vertices["position"][scene.indices[np.concatenate(rows)]]
     return corners.reshape(-1, 3, 3)
 
 
 def open_edges(corners: F32) -> F32:
-    """Returns the edges that have a triangle on one side only, (E, 2, 3), from start to end as that triangle goes round."""
-    number = places(corners.reshape(-1, 3))
+    """Returns the edges of one triangle only, (E, 2, 3), from start to end in its winding order."""
+    number = weld(corners.reshape(-1, 3))
     _, first = np.unique(number, return_index=True)
     spot, number = corners.reshape(-1, 3)[first], number.reshape(-1, 3)
     count = int(number.max()) + 1

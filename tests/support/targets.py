@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.render.draw.target import Target
-from gibson_sim.render.readback.pixel_buffers import RAW
+from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.readback.frames import RAW_FORMATS
 
 Images = dict[str, NDArray[Any]]
 
@@ -18,7 +18,7 @@ def blank_images(width: int, height: int) -> Images:
     """Returns what a target holds where nothing was drawn."""
     return {
         name: np.zeros((height, width) if raw.channels == 1 else (height, width, raw.channels), dtype=raw.dtype)
-        for name, raw in RAW.items()
+        for name, raw in RAW_FORMATS.items()
     }
 
 
@@ -35,10 +35,10 @@ def random_images(width: int, height: int, seed: int = 0) -> Images:
     return images
 
 
-def fill(context: GlContext, target: Target, images: Images) -> None:
+def fill(context: GlContext, target: RenderTarget, images: Images) -> None:
     """Puts images into the textures of a target."""
     gl = GL.Gl(context)
     gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
     for name, texture in target.textures.items():
-        image, raw = np.ascontiguousarray(images[name]), RAW[name]
-        gl.glTextureSubImage2D(texture, 0, 0, 0, target.width, target.height, raw.form, raw.kind, image.ctypes.data)
+        image, raw = np.ascontiguousarray(images[name]), RAW_FORMATS[name]
+        gl.glTextureSubImage2D(texture, 0, 0, 0, target.width, target.height, raw.gl_format, raw.gl_type, image.ctypes.data)

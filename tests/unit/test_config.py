@@ -1,4 +1,4 @@
-"""Settings: one place for defaults, limits and words."""
+"""Settings: defaults, limits and error messages in one place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``gibson-sim demo``: what it refuses, what it would start, what it says."""
+"""``gibson-sim demo``: the requests that it refuses, the processes that it starts, its output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands and Python of the documentation: what it shows can be typed."""
+"""Commands and Python code in the documentation work as shown."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.scenes.load_views import load_camera_file
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 INCOMPLETE = ("the following arguments are required", "expected one argument", "invalid int value: 'N'", "'FORMAT' is unknown")
-"""What is wrong with a command that a sentence only mentions."""
+"""Errors of commands that a sentence only mentions."""
 RUNNABLE = ("maps", "scenes", "manipulation")
 
 

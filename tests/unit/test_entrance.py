@@ -1,4 +1,4 @@
-"""The Python entrance: what ``import gibson_sim`` offers, and what it does not load."""
+"""The Python API: the names of ``import gibson_sim``, and the packages that it does not load."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The launch file: what it offers, what its nodes get, what it does when one of them ends."""
+"""The launch file: its arguments, the parameters of its nodes, and its reaction to the end of a node."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gibson_sim.cli.commands.params import allowed
-from gibson_sim.cli.launching import CONFIGS, Plan, arguments, plan
+from gibson_sim.cli.launching import CONFIGS, LaunchPlan, arguments, plan
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.nodes import start
@@ -45,7 +45,7 @@ def params_file(tmp_path: Path) -> Path:
     return path
 
 
-def _parameters(given: Plan) -> dict[str, dict[str, Any]]:
+def _parameters(given: LaunchPlan) -> dict[str, dict[str, Any]]:
     return {start.node: start.parameters for start in given.nodes}
 
 

@@ -1,4 +1,4 @@
-"""Who reaches a simulation, as its environment says."""
+"""The reach of a simulation by its environment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files, YAML and XML of strangers: what is refused is refused before anything is built of it."""
+"""Untrusted files, YAML and XML are refused before any value is built."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from gibson_sim.reading import (
 BOMB = "name: b\ngravity:\n- &z0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"- &z{k} [{','.join([f'*z{k - 1}'] * 9)}]\n" for k in range(1, 12)
 )
-"""500 bytes that stand for 9^12 values."""
+"""500 bytes that expand to 9^12 values."""
 MERGE_BOMB = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{','.join([f'*a{k - 1}'] * 9)}]}}\n" for k in range(1, 12))
 
 

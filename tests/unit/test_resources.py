@@ -1,4 +1,4 @@
-"""Finding things by path and by name."""
+"""Search of scenes, robots and files by path and by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values refuse what cannot be."""
+"""Invalid values are refused."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def test_the_number_of_coefficients_names_the_distortion_model(values: dict[str,
         ({"matrix": (300.0, 0.0, 1.0, 0.0, -300.0, 1.0, 0.0, 0.0, 1.0)}, "fx and fy above 0"),
         ({"matrix": (300.0, 0.0, 1.0, 0.0, 300.0, 1.0, 0.0, 0.0, 2.0)}, "must be fx skew cx 0 fy cy 0 0 1"),
         ({"matrix": (1.0,) * 9, "projection": "equirectangular"}, "always shows the whole sphere"),
-        ({"distortion": (0.1, 0.2)}, r"2 numbers; how many a pinhole camera may have: 4 or 5 \(plumb_bob\), 8"),
-        ({"distortion": (0.1,) * 5, "projection": "fisheye"}, r"how many a fisheye camera may have: 4 \(equidistant\)"),
-        ({"distortion": (0.1,) * 4, "projection": "equirectangular"}, "may have: none"),
+        ({"distortion": (0.1, 0.2)}, r"2 numbers; projection pinhole allows: 4 or 5 \(plumb_bob\), 8"),
+        ({"distortion": (0.1,) * 5, "projection": "fisheye"}, r"projection fisheye allows: 4 \(equidistant\)"),
+        ({"distortion": (0.1,) * 4, "projection": "equirectangular"}, "allows: none"),
         ({"distortion": (0.1, math.inf, 0.0, 0.0)}, "its numbers must be finite"),
         ({"fov": 180.0}, "was it given in degrees"),
         ({"fov": math.nan}, "fov is nan"),

@@ -1,4 +1,4 @@
-"""Files are there whole or not at all, and what keeps them from it is said."""
+"""Files are written completely or not at all, with the reason."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gibson_sim.writing import cannot_write, replacing, size_text, write_file
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """Lets the system refuse what makes a file longer, as a full disk does."""
+    """Makes the system refuse writes that extend a file, as a full disk does."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -90,7 +90,7 @@ def test_place_that_takes_no_file_is_said(tmp_path: Path, name: str, said: str) 
 
 
 def test_picture_of_no_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(WriteError, match=r"no picture ends so; the name must end in \.png, \.jpg, \.jpeg"):
+    with pytest.raises(WriteError, match=r"its suffix is that of no image format; the name must end in \.png, \.jpg, \.jpeg"):
         write_picture(tmp_path / "a.pnk", np.zeros((2, 2, 3), dtype=np.uint8))
 
 

@@ -8,18 +8,18 @@
         frame = sim.render("camera", outputs=["rgb", "depth"])        # drawn from that state, nothing else
         print(sim.robot.pose, frame.rgb.shape, sim.scan())
 
-What is listed in ``__all__`` is public: it changes only with an announcement in the changelog. All modules are private.
+Names in ``__all__`` are public: they change only with an entry in the changelog. All modules are private.
 
 Simulation      scene, robots, physics, sensors and renderer in one process; ``Robot``, ``SavedRun`` and ``Scan`` come from it
-Renderer        draws a scene and its states: cameras of any kind, colour, depth, labels, normals, flow; needs no physics
-PhysicsWorld    physics alone: commands and time go in, poses come out
+Renderer        draws a scene at its states: all camera models, colour, depth, labels, normals, flow; needs no physics
+PhysicsWorld    physics only: commands and steps go in, poses come out
 load_scene, load_robot, list_scenes, list_robots, list_objects, drawn_scene, camera_pose
-*Spec           what there is: scenes, robots, bodies, cameras, light
-SceneState, Frame, ...   what flows between them, frozen; ``Simulation.render`` says what a frame holds
-GibsonSimError  and its kinds: every error that is raised on purpose, one line each
+*Spec           descriptions of scenes, robots, bodies, cameras and light
+SceneState, Frame, ...   frozen values; ``Simulation.render`` explains what a frame holds
+GibsonSimError  and its subclasses: every error that is raised on purpose, one line each
 
-SI units and radians, frames of REP 103 and REP 105, quaternions (x, y, z, w). Importing this package executes nothing: neither PyBullet nor
-OpenGL, ROS nor PyTorch is loaded before it is needed. The tutorial is docs/python.md.
+SI units and radians, frames of REP 103 and REP 105, quaternions (x, y, z, w). PyBullet, OpenGL, ROS and PyTorch are loaded when they are
+needed, not when this package is imported. The tutorial is docs/python.md.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from __future__ import annotations
 import difflib
 from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gibson_sim.field_docs import with_field_docs
 
 __version__ = "0.1.0"
 
@@ -53,11 +55,14 @@ _HOMES = {
         "RenderError", "RobotError", "SceneError", "SceneMismatchError", "SceneNotFoundError", "StartError",
     ),
 }  # fmt: skip
-"""Module -> what it is the home of."""
+"""Module -> the public names that it defines."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 if TYPE_CHECKING:
-    from gibson_sim.errors import (CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError, PhysicsError, RenderError, RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,)  # fmt: skip
+    from gibson_sim.errors import (
+        CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError, PhysicsError, RenderError,
+        RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,
+    )  # fmt: skip
     from gibson_sim.geometry.transforms import camera_pose
     from gibson_sim.physics.world import PhysicsWorld
     from gibson_sim.render.renderer import Renderer
@@ -96,12 +101,12 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Loads a public name when it is first asked for."""
+    """Loads a public name on first access."""
     if name not in _HOME_OF:
         near = difflib.get_close_matches(name, __all__, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
-    value = globals()[name] = getattr(import_module(_HOME_OF[name]), name)
+    value = globals()[name] = with_field_docs(getattr(import_module(_HOME_OF[name]), name))
     return value
 
 

@@ -1,4 +1,4 @@
-"""The settings of the nodes that work with a simulation, as in ``config``, and where those of every node stand."""
+"""The settings of the nodes that work with a simulation, as in ``config``, and a table of the settings of every node."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gibson_sim.settings import check_settings, setting
 from gibson_sim.types import OUTPUTS, Output
 
 DRIVES = ("tour", "forward", "square", "spin", "keyboard")
-"""Drives that have a name; any other is a file."""
+"""Names of built-in drives; any other drive is a file."""
 TASK_NAMES = ("point-goal", "push-through", "object-search", "open-door", "open-cabinet-and-fetch", "pick-and-place")
 """Names of all tasks, as in ``tasks.registry``, which takes a second to load."""
-TIMEOUT = "Give up when no simulation is there after so long (wall time); 0 = wait on"
+TIMEOUT = "Give up if no simulation appears within this wall time; 0 = wait forever"
 _TOPIC = re.compile(r"[~/]?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
@@ -28,15 +28,15 @@ class DriveConfig:
         "tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`", names="drive"
     )
     scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour", names="scene")
-    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour", names="robots")
+    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear of obstacles; only for tour", names="robots")
     length: float = setting(
         0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
     )
-    linear: float = setting(0.4, "Greatest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
-    angular: float = setting(1.2, "Greatest turning speed", unit="rad/s", minimum=0.01, maximum=20.0)
+    linear: float = setting(0.4, "Largest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
+    angular: float = setting(1.2, "Largest yaw rate", unit="rad/s", minimum=0.01, maximum=20.0)
     stamped: bool = setting(False, "Send TwistStamped instead of Twist")
     subscribers: int = setting(
-        1, "Begin once so many receive the commands: the simulation, a recorder (10 s at most)", minimum=0, maximum=100
+        1, "Subscribers of the commands to wait for: the simulation, a recorder (10 s at most)", minimum=0, maximum=100
     )
     timeout: float = setting(0.0, TIMEOUT, unit="s", minimum=0.0)
 
@@ -48,41 +48,41 @@ class DriveConfig:
 class RecordConfig:
     """Settings of the record node."""
 
-    output: str = setting("", "Folder of the bag; it must not exist, or be empty")
+    output: str = setting("", "Folder of the bag; it may exist if it is empty")
     topics: str = setting("", "Topics to record, separated by commas; empty = all")
-    storage: str = setting("mcap", "Kind of the bag's files", choices=("mcap", "sqlite3"))
-    compression: str = setting("none", "Compression of the bag's chunks; sqlite3 has none", choices=("none", "zstd", "lz4"))
-    max_bag_size: int = setting(0, "Begin another file of the bag at this size; 0 = never", unit="bytes", minimum=0)
+    storage: str = setting("mcap", "Format of the bag's files", choices=("mcap", "sqlite3"))
+    compression: str = setting("none", "Compression of the bag's chunks; none with sqlite3", choices=("none", "zstd", "lz4"))
+    max_bag_size: int = setting(0, "Size at which another file of the bag begins; 0 = never", unit="bytes", minimum=0)
     max_bag_duration: float = setting(
-        0.0, "Begin another file of the bag after so much simulation time; 0 = never", unit="s", minimum=0.0
+        0.0, "Simulation time after which another file of the bag begins; 0 = never", unit="s", minimum=0.0
     )
     flush_period: float = setting(
         1.0,
-        "Hand what was recorded to the system so often (wall time): a recorder that is killed loses no more than this",
+        "Period, wall time, of flushing to the operating system: the most that a killed recorder loses",
         unit="s",
         minimum=0.05,
         maximum=60.0,
     )
     snapshot_seconds: float = setting(
         0.0,
-        "Write nothing but keep the last seconds (simulation time) in memory, for ~/snapshot to write; 0 = write everything",
+        "Keep only the last seconds (simulation time) in memory, which ~/snapshot writes; 0 = write everything",
         unit="s",
         minimum=0.0,
     )
     snapshot_mb: int = setting(
-        1000, "Memory for `snapshot_seconds`: the oldest messages go when it is full", unit="MB", minimum=1
+        1000, "Memory for `snapshot_seconds`; the oldest messages are dropped when it is full", unit="MB", minimum=1
     )
-    reserve_mb: int = setting(256, "Stop recording, bag intact, when the disk has less than this left", unit="MB", minimum=1)
-    duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
+    reserve_mb: int = setting(256, "Free space of the disk below which recording stops with an intact bag", unit="MB", minimum=1)
+    duration: float = setting(0.0, "End after this much simulation time; 0 = never", unit="s", minimum=0.0)
     timeout: float = setting(0.0, TIMEOUT, unit="s", minimum=0.0)
-    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
+    summary_path: str = setting("", "File for a JSON summary of the run; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
         for topic in self.wanted_topics():
             if not _TOPIC.fullmatch(topic):
                 raise ConfigError(
-                    f"setting 'topics' has {quoted(topic)}, which is no name of a topic: letters, digits, _ and /, no digit after a /"
+                    f"setting 'topics' has {quoted(topic)}, which is no topic name: use letters, digits, _ and /, no digit after a /"
                 )
         if self.storage == "sqlite3" and self.compression != "none":
             raise ConfigError(f"setting 'compression' is {self.compression!r}, must be 'none' where 'storage' is 'sqlite3'")
@@ -97,7 +97,7 @@ class SnapshotConfig:
     """Settings of the snapshot node."""
 
     output: str = setting(".", "Folder for the PNG files")
-    timeout: float = setting(30.0, "Give up when a camera sent nothing for so long (wall time)", unit="s", minimum=0.1)
+    timeout: float = setting(30.0, "Give up when a camera sends nothing for this wall time", unit="s", minimum=0.1)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -105,45 +105,45 @@ class SnapshotConfig:
 
 @dataclass(frozen=True, slots=True)
 class RenderBagConfig:
-    """Settings of ``gibson-sim render``, which draws a recorded run again."""
+    """Settings of ``gibson-sim render``, which renders a recorded run again."""
 
     bag: str = setting("", "Folder of the recorded bag")
-    output: str = setting("", "Folder of the new bag; it must not exist, or be empty")
+    output: str = setting("", "Folder of the new bag; it may exist if it is empty")
     cameras: str = setting(
         "",
         "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
     )
-    views: str = setting("", VIEWS + "; they come beside the other cameras", names="views")
+    views: str = setting("", VIEWS + "; drawn in addition to the other cameras", names="views")
     view_size: str = setting("640x480", "Default width and height of views", unit="px")
-    view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
+    view_rate: float = setting(30.0, "Images per second of views", unit="Hz", minimum=0.001, maximum=1000.0)
     outputs: str = setting(
-        "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the cameras have it"
+        "", f"Outputs of every camera, separated by commas: {', '.join(OUTPUTS)}; empty = those of the cameras"
     )
     rate: float = setting(
         0.0,
-        "Images a second for every camera; 0 = as the cameras have it. Never more than the bag has states, unless `interpolate`",
+        "Images per second of every camera; 0 = the rates of the cameras. At most one per recorded state, unless `interpolate`",
         unit="Hz",
         minimum=0.0,
         maximum=1000.0,
     )
-    interpolate: bool = setting(False, "Draw at exactly the times that the rates ask for, between recorded states too")
+    interpolate: bool = setting(False, "Draw exactly at the times of the rates, also between recorded states")
     lights: str = setting(
-        "", "Other lights: a YAML file with a section `light` as in scene.yaml; empty = the bag's", names="file"
+        "", "Different light: a YAML file with a section `light` as in scene.yaml; empty = the bag's", names="file"
     )
     randomise: str = setting(
         "",
         "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
         names="rules",
     )
-    randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
-    begin: float = setting(0.0, "Begin so long after the begin of the bag", unit="s", minimum=0.0)
-    end: float = setting(0.0, "End so long after the begin of the bag; 0 = at its end", unit="s", minimum=0.0)
+    randomise_seed: int = setting(0, "Seed of the rules; equal seeds give equal pixels", minimum=0)
+    begin: float = setting(0.0, "Start of the rendered part, after the start of the bag", unit="s", minimum=0.0)
+    end: float = setting(0.0, "End of the rendered part, after the start of the bag; 0 = its end", unit="s", minimum=0.0)
     copy: str = setting(
         "auto",
-        "Topics to take over from the bag, separated by commas; auto = all but images and what is made of them, none = none",
+        "Topics to copy from the bag, separated by commas; auto = all but images and topics derived from them, none = none",
     )
     compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
-    reserve_mb: int = setting(256, "Stop, bag intact, when the disk has less than this left", unit="MB", minimum=1)
+    reserve_mb: int = setting(256, "Free space of the disk below which it stops with an intact bag", unit="MB", minimum=1)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -163,15 +163,15 @@ class RenderBagConfig:
 
 @dataclass(frozen=True, slots=True)
 class ReplayConfig:
-    """Settings of the replay node: it gives a simulation the inputs of a recorded run again."""
+    """Settings of the replay node, which sends the inputs of a recorded run to a simulation again."""
 
     bag: str = setting("", "Folder of the recorded bag")
-    lockstep: bool = setting(False, "Give every input before its step: the simulation must be in lockstep")
+    lockstep: bool = setting(False, "Send every input before its step; the simulation must be in lockstep")
     verify: bool = setting(False, "Compare the digests of every tick with those of the bag")
-    images: bool = setting(True, "Listen to the images that the bag has digests of, so that they are drawn; only for verify")
-    step_hz: int = setting(240, "Physics steps a second, as the simulation has them", unit="Hz", minimum=60, maximum=10_000)
-    publish_hz: int = setting(60, "Ticks a second, as the simulation has them", unit="Hz", minimum=1, maximum=1000)
-    summary_path: str = setting("", "File that gets a JSON summary of the replay at its end; empty = none")
+    images: bool = setting(True, "Subscribe to the images whose digests the bag has, so that they are drawn; only for verify")
+    step_hz: int = setting(240, "Physics steps per second of the simulation", unit="Hz", minimum=60, maximum=10_000)
+    publish_hz: int = setting(60, "Ticks per second of the simulation", unit="Hz", minimum=1, maximum=1000)
+    summary_path: str = setting("", "File for a JSON summary of the replay; empty = none")
     timeout: float = setting(60.0, TIMEOUT, unit="s", minimum=0.0)
 
     def __post_init__(self) -> None:
@@ -180,23 +180,37 @@ class ReplayConfig:
 
 @dataclass(frozen=True, slots=True)
 class TaskConfig:
-    """Settings of the task node: it sets up episodes of a task in a running simulation, and judges them."""
+    """Settings of the task node, which sets up and evaluates episodes of a task in a running simulation."""
 
-    task: str = setting("point-goal", "Name of the task; `gibson-sim task --list` says more of each", choices=TASK_NAMES)
-    seed: int = setting(0, "Seed of the first episode: same seed, same episode", minimum=0)
-    episodes: int = setting(1, "How many episodes, with the seeds that follow", minimum=1, maximum=1_000_000)
+    task: str = setting("point-goal", "Name of the task; `gibson-sim task --list` describes all", choices=TASK_NAMES)
+    seed: int = setting(0, "Seed of the first episode; equal seeds give equal episodes", minimum=0)
+    episodes: int = setting(1, "Number of episodes, with consecutive seeds", minimum=1, maximum=1_000_000)
     baseline: str = setting(
         "none",
-        "Who drives; none = another node; careful is for push-through alone",
+        "Driver; none = another node; careful is for push-through alone",
         choices=("scripted", "random", "none", "careful"),
     )
     scene: str = setting("", "Scene that the simulation was started with; empty = that of the task", names="scene")
-    robot: str = setting("", "Robot that it was started with; empty = that of the task", names="robots")
-    output: str = setting("", "File that gets all results as JSON; empty = none")
+    robot: str = setting("", "Robot that the simulation was started with; empty = that of the task", names="robots")
+    output: str = setting("", "File for all results as JSON; empty = none")
     timeout: float = setting(60.0, TIMEOUT, unit="s", minimum=0.0)
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class WebConfig:
+    """Settings of the web node, which serves the live page."""
+
+    host: str = setting("127.0.0.1", "Address to serve the page on; any but 127.0.0.1 lets other machines in, with a token")
+    port: int = setting(8080, "TCP port of the page; 0 = any that is free", minimum=0, maximum=65535)
+    token: str = setting("", "What a page on another machine must know; empty = made at the start and printed")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.token and not re.fullmatch(r"[A-Za-z0-9_-]{8,128}", self.token):
+            raise ConfigError("setting 'token' must have 8 to 128 letters, digits, - and _")
 
 
 NODE_CONFIGS: dict[str, type[Any]] = {
@@ -207,5 +221,6 @@ NODE_CONFIGS: dict[str, type[Any]] = {
     "snapshot": SnapshotConfig,
     "replay": ReplayConfig,
     "task": TaskConfig,
+    "web": WebConfig,
 }
 """Node name -> its settings."""

@@ -1,7 +1,7 @@
-"""The settings of the nodes that simulate: each stands once, with its unit, limits and meaning; ``client_config`` has those of all others.
+"""The settings of the physics and the render node, each with its unit, limits and meaning; ``client_config`` has those of all other nodes.
 
-The same dataclass is filled from ROS parameters (``ros/nodes/params.py``), from command-line options (``cli``) and from Python, and is
-printed as a table by ``gibson-sim params --markdown``. An impossible value fails with the same words everywhere.
+ROS parameters (``ros/nodes/params.py``), command-line options (``cli``) and Python all fill the same dataclasses, and ``gibson-sim params
+--markdown`` prints them as tables. An invalid value raises the same message everywhere.
 """
 
 from __future__ import annotations
@@ -16,13 +16,11 @@ from gibson_sim.settings import check_settings, nearest, setting
 from gibson_sim.types import OUTPUTS, Output
 
 DETAIL_PX = 1.0
-"""How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
+"""Default of the largest error of levels of detail in the image, pixels."""
 VIEWS = (
-    "Cameras on no robot, separated by commas: follow, orbit or top, also with what they go with (`follow:left`), "
+    "Cameras on no robot, separated by commas: follow, orbit or top, also with a target (`follow:left`), "
     "or a YAML file of them; see docs/images.md"
 )
-
-
 DEFAULT_SCENE = "linden_flat"
 
 
@@ -42,18 +40,18 @@ class PhysicsConfig:
     )
     start: str = setting(
         "",
-        "Name of a start pose, or x,y,yaw_deg; of several robots in their order, separated by `;`; "
+        "Name of a start pose, or x,y,yaw_deg; for several robots in their order, separated by `;`; "
         "empty = the scene's first start pose, or its most open place",
     )
     robot_tf: str = setting(
         "namespaced",
-        "Several robots: each its own `<robot>/tf` with frames as on one robot, or one `/tf` with frames `<robot>/base_link`",
+        "For several robots: a `<robot>/tf` for each with the frames of a single robot, or one `/tf` with frames `<robot>/base_link`",
         choices=("namespaced", "prefixed"),
     )
-    step_hz: int = setting(240, "Physics steps in a second of simulation time", unit="Hz", minimum=60, maximum=10_000)
+    step_hz: int = setting(240, "Physics steps per second of simulation time", unit="Hz", minimum=60, maximum=10_000)
     clock_hz: int = setting(
         100,
-        "Rate of /clock in simulation time; it also comes with whatever else is published",
+        "Rate of /clock in simulation time; it is also published with every other message",
         unit="Hz",
         minimum=1,
         maximum=1000,
@@ -67,104 +65,106 @@ class PhysicsConfig:
         minimum=0.0,
         maximum=1000.0,
     )
-    start_paused: bool = setting(False, "Time stands still until somebody sets the simulation to playing")
+    start_paused: bool = setting(False, "Time stands still until a client sets the simulation to playing")
     reset_time: str = setting(
         "rewind",
-        "What a reset of time does to /clock: begin at 0 again, or go on, for nodes that cannot bear a jump back",
+        "Effect of a reset of time on /clock: start at 0 again, or go on, for nodes that cannot handle a jump back",
         choices=("rewind", "monotonic"),
     )
-    seed: int = setting(0, "Seed of the noise of all sensors: same seed, same commands, same measurements", minimum=0)
+    seed: int = setting(0, "Seed of the noise of all sensors; equal seeds and commands give equal measurements", minimum=0)
     map: str = setting(
         "auto",
         "Publish the occupancy grid of the floor on `map`: auto = until another node publishes one (SLAM, a map server)",
         choices=("auto", "on", "off"),
     )
     map_resolution: float = setting(0.05, "Edge of a cell of the map", unit="m", minimum=0.005, maximum=1.0)
-    duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
+    duration: float = setting(0.0, "End after this much simulation time; 0 = never", unit="s", minimum=0.0)
     cmd_vel_timeout: float = setting(
         0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0
     )
     cmd_vel_type: str = setting(
         "both",
-        "Type of `cmd_vel`: Twist, TwistStamped, or both at once, which `ros2 topic echo` and `ros2 bag record` refuse: "
-        "they have `cmd_vel_applied`; see docs/ros_interfaces.md",
+        "Type of `cmd_vel`: Twist, TwistStamped, or both, which `ros2 topic echo` and `ros2 bag record` refuse: "
+        "use `cmd_vel_applied` there; see docs/ros_interfaces.md",
         choices=("both", "twist", "stamped"),
     )
     publish_map_tf: bool = setting(
-        False, "Publish map -> odom from ground truth: a perfect localiser. Leave it off where AMCL or SLAM runs"
+        False, "Publish map -> odom from ground truth, as a perfect localiser does. Leave it off with AMCL or SLAM"
     )
     camera_rate: float = setting(
-        0.0, "Images a second for every camera; 0 = as the robot's file says", unit="Hz", minimum=0.0, maximum=1000.0
+        0.0, "Images per second of every camera; 0 = as in the robot's file", unit="Hz", minimum=0.0, maximum=1000.0
     )
     camera_outputs: str = setting(
-        "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
+        "", f"Outputs of every camera, separated by commas: {', '.join(OUTPUTS)}; empty = as in the robot's file"
     )
     views: str = setting("", VIEWS + "; on topics `view_follow/image_raw` and so on", names="views")
     view_size: str = setting("640x480", "Default width and height of views", unit="px")
-    view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
+    view_rate: float = setting(30.0, "Images per second of views", unit="Hz", minimum=0.001, maximum=1000.0)
     grasp_mode: str = setting(
         "assisted",
-        "How grippers hold: by friction alone, by a ball joint to what is in reach, or rigidly what they touch; see docs/manipulation.md",
+        "How grippers hold objects: by friction, by a ball joint to an object in reach, or rigidly to one they touch; see docs/manipulation.md",
         choices=("physical", "assisted", "sticky"),
     )
     grasp_distance: float = setting(
         0.2,
-        "assisted: distance from the tool to a surface within which a gripper takes hold",
+        "assisted: largest distance between tool and surface at which a gripper takes hold",
         unit="m",
         minimum=0.001,
         maximum=10.0,
     )
     grasp_force: float = setting(
-        500.0, "The most that the joint between a gripper and what it holds bears", unit="N", minimum=0.001, maximum=1e6
+        500.0, "Largest force of the joint between a gripper and the held object", unit="N", minimum=0.001, maximum=1e6
     )
     grasp_release_force: float = setting(
-        0.0, "Force above which a gripper lets go; 0 = never", unit="N", minimum=0.0, maximum=1e6
+        0.0, "Force above which a gripper releases the object; 0 = never", unit="N", minimum=0.0, maximum=1e6
     )
     grasp_release_angle_deg: float = setting(
-        90.0, "Opening of a door beyond which a gripper lets go of it; 0 = never", unit="deg", minimum=0.0, maximum=360.0
+        90.0, "Opening angle above which a gripper releases a door; 0 = never", unit="deg", minimum=0.0, maximum=360.0
     )
     servo_timeout: float = setting(
-        0.25, "A velocity of a tool older than this (simulation time) stops the arm", unit="s", minimum=0.01, maximum=60.0
+        0.25, "A tool velocity command older than this (simulation time) stops the arm", unit="s", minimum=0.01, maximum=60.0
     )
-    servo_max_linear: float = setting(0.5, "Greatest speed of a tool", unit="m/s", minimum=0.001, maximum=100.0)
-    servo_max_angular: float = setting(1.5, "The same about any axis", unit="rad/s", minimum=0.001, maximum=100.0)
+    servo_max_linear: float = setting(0.5, "Largest linear speed of a tool", unit="m/s", minimum=0.001, maximum=100.0)
+    servo_max_angular: float = setting(1.5, "Largest angular speed of a tool", unit="rad/s", minimum=0.001, maximum=100.0)
     contacts_rate: float = setting(
         30.0,
-        "Messages a second on `contacts`, while somebody listens; at most publish_hz",
+        "Messages per second on `contacts` while it has subscribers; at most publish_hz",
         unit="Hz",
         minimum=0.001,
         maximum=1000.0,
     )
     sdf_lamps: bool = setting(
-        False, "Lamps of an SDF world light it, through walls too, and cost time each; off = they count as light from everywhere"
+        False,
+        "Simulate the lamps of an SDF world, which shine through walls and cost time each; off = they count as ambient light",
     )
     randomise: str = setting(
         "",
         "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
         names="rules",
     )
-    randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
+    randomise_seed: int = setting(0, "Seed of the rules; equal seeds give equal pixels", minimum=0)
     service_prefix: str = setting(
-        "", "Stands before the names of the services of simulation_interfaces, e.g. `sim/` or `/gzserver/`; empty = plain names"
+        "", "Prefix of the services of simulation_interfaces, e.g. `sim/` or `/gzserver/`; empty = none"
     )
     lockstep: bool = setting(
-        False, "A tick begins only when every participant has done the last one: renderers, and who joins; see docs/lockstep.md"
+        False,
+        "Begin a tick only when every participant, renderers and nodes that join, has finished the last one; see docs/lockstep.md",
     )
     pipelined: bool = setting(
         False,
-        "In lockstep, make the next tick while the others do this one, where cores are free for both; a command takes effect one tick later",
+        "In lockstep, compute the next tick while the participants do this one, if cores are free; a command takes effect one tick later",
     )
     participants: str = setting(
         "",
-        "Nodes that must join lockstep before time starts, separated by `;`: names of those who say themselves what they have "
-        "done, as `render`; or rules for others, as `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`",
+        "Nodes that must join lockstep before time starts, separated by `;`: names of nodes that report their own "
+        "progress, as `render`; or rules for other nodes, as `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`",
         names="participants",
     )
     participant_timeout: float = setting(
-        30.0, "So long (wall time) a tick of lockstep waits for a participant", unit="s", minimum=0.01, maximum=86_400.0
+        30.0, "Timeout of a participant in a tick of lockstep, wall time", unit="s", minimum=0.01, maximum=86_400.0
     )
     on_timeout: str = setting(
-        "stop", "What happens then: end the run, or go on without that participant's answer", choices=("stop", "go_on")
+        "stop", "Action after that timeout: end the run, or go on without the participant's answer", choices=("stop", "go_on")
     )
     image_timeout: float = setting(
         5.0,
@@ -174,13 +174,13 @@ class PhysicsConfig:
         minimum=0.0,
         maximum=86_400.0,
     )
-    digests: bool = setting(False, "Publish a number of all that each tick holds, on `tick_digest`, to compare runs by")
+    digests: bool = setting(False, "Publish a hash of the data of each tick on `tick_digest`, to compare runs")
     wait_for: str = setting(
         "",
-        "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1,robots:1`, and each robot so many "
+        "Delay the first tick until topics have this many subscribers, e.g. `scene_state:1,cameras:1,robots:1`, and each robot this many "
         "publishers of its cmd_vel, `commands:1` (120 s at most)",
     )
-    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
+    summary_path: str = setting("", "File for a JSON summary of the run; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -208,7 +208,7 @@ class PhysicsConfig:
         return size_of("view_size", self.view_size)
 
     def wanted_subscribers(self) -> dict[str, int]:
-        """Returns how many subscribers each topic of ``wait_for`` must have."""
+        """Returns the number of subscribers that each topic of ``wait_for`` must have."""
         wanted = {}
         for part in filter(None, self.wait_for.split(",")):
             topic, _, count = part.partition(":")
@@ -219,7 +219,7 @@ class PhysicsConfig:
 
 
 def outputs_of(name: str, text: str) -> tuple[Output, ...]:
-    """Returns the outputs that a setting names, in the usual order."""
+    """Returns the outputs in a setting, in the order of ``OUTPUTS``."""
     names = [part.strip() for part in text.split(",") if part.strip()]
     unknown = [part for part in names if part not in OUTPUTS]
     if unknown:
@@ -231,7 +231,7 @@ def outputs_of(name: str, text: str) -> tuple[Output, ...]:
 
 
 def size_of(name: str, text: str) -> tuple[int, int]:
-    """Returns the width and the height, pixels, that a setting holds."""
+    """Returns the width and the height in a setting, pixels."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
         raise ConfigError(f"setting {quoted(name)} is {quoted(text)}, must be WIDTHxHEIGHT, each 1 to 16384 pixels, e.g. 640x480")
@@ -246,42 +246,43 @@ class RenderConfig:
         -1, "EGL device, as listed by `gibson-sim doctor`; -1 = a GPU if there is one, else software", minimum=-1, maximum=255
     )
     egl_uuid: str = setting(
-        "", "UUID of the GPU that draws, as `gibson-sim doctor` shows it, or the beginning of it; empty = as `egl_device` says"
+        "", "UUID of the rendering GPU, as `gibson-sim doctor` shows it, or its beginning; empty = by `egl_device`"
     )
-    egl_library: str = setting("libEGL.so.1", "Library that offers EGL: a file name for the loader, or a path")
-    cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
+    egl_library: str = setting("libEGL.so.1", "EGL library: a file name for the dynamic linker, or a path")
+    cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all cameras of the scene")
     detail_px: float = setting(
         DETAIL_PX,
-        "How far levels of detail may put a surface from where it is, in scenes of 50,000 triangles and more; 0 = draw every triangle",
+        "Largest error of levels of detail in the image, in scenes with 50,000 triangles or more; 0 = draw every triangle",
         unit="px",
         minimum=0.0,
         maximum=16.0,
     )
-    compress_textures: bool = setting(False, "Keep textures compressed (S3TC): an eighth of the memory, a little less exact")
-    cache: str = setting(
-        "", "Folder that keeps loaded scenes for the next start; empty = ~/.cache/gibson-sim/scenes, none = keep nothing"
-    )
+    compress_textures: bool = setting(False, "Compress textures (S3TC): an eighth of the memory, slightly less exact")
+    cache: str = setting("", "Folder of the cache of loaded scenes; empty = ~/.cache/gibson-sim/scenes, none = no cache")
     register_depth: str = setting(
         "",
-        "Depth cameras whose depth is also published as a colour camera of the same robot sees it, "
+        "Depth cameras whose depth is also published registered to a colour camera of the same robot, "
         "e.g. `depth_camera=color`; separated by commas",
     )
     compressed_format: str = setting("jpeg", "Format of <camera>/image_raw/compressed", choices=("jpeg", "png"))
     jpeg_quality: int = setting(95, "Quality of JPEG images", minimum=1, maximum=100)
-    png_level: int = setting(3, "How hard PNG images are compressed: 0 = fast, 9 = small", minimum=0, maximum=9)
+    png_level: int = setting(3, "Compression level of PNG images: 0 = fast, 9 = small", minimum=0, maximum=9)
     compressed_depth_max: float = setting(
-        10.0, "Depth from which on compressedDepth images have none", unit="m", minimum=0.1, maximum=1000.0
+        10.0, "Depth from which on compressedDepth images have no value", unit="m", minimum=0.1, maximum=1000.0
     )
     compressed_depth_quantization: float = setting(
-        100.0, "How fine compressedDepth is: a step at d metres is about d^2 / quantization^2 metres", minimum=1.0, maximum=1000.0
+        100.0,
+        "Resolution of compressedDepth: a step at d metres is about d^2 / quantization^2 metres",
+        minimum=1.0,
+        maximum=1000.0,
     )
     asset_roots: str = setting(
         "",
-        "Where files of the physics machine lie on this one: `from=to` pairs of folders, separated by commas; "
-        "empty = scenes, robots and objects are looked for by name",
+        "Folders of the physics machine and the same folders on this one: `from=to` pairs, separated by commas; "
+        "empty = scenes, robots and objects are searched by name",
     )
-    digests: bool = setting(False, "Publish a number of each image, on `tick_digest`, to compare runs by")
-    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
+    digests: bool = setting(False, "Publish a hash of each image on `tick_digest`, to compare runs")
+    summary_path: str = setting("", "File for a JSON summary of the run; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -325,14 +326,14 @@ class RenderConfig:
 
 
 def _pairs(name: str, text: str, example: str) -> tuple[tuple[str, str], ...]:
-    """Returns what stands left and right of the equals signs of a setting."""
+    """Returns the pairs left and right of the equals signs in a setting."""
     found: list[tuple[str, str]] = []
     for part in (part.strip() for part in text.split(",")):
         left, equals, right = (word.strip() for word in part.partition("="))
         if part and (not (left and equals and right) or "=" in right):
             raise ConfigError(f"setting {quoted(name)} has {quoted(part)}, must be pairs separated by commas, e.g. {example}")
         if any(left == other for other, _ in found):
-            raise ConfigError(f"setting {quoted(name)} has {quoted(left)} twice; it can stand left of one equals sign only")
+            raise ConfigError(f"setting {quoted(name)} has {quoted(left)} twice; it may be left of one equals sign only")
         if part:
             found.append((left, right))
     return tuple(found)

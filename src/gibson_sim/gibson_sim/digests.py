@@ -1,4 +1,4 @@
-"""Numbers that tell whether two values are the same, to the bit."""
+"""Digests of values, which are equal if the values are equal to the bit."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 STAMP_FIELD = "stamp_ns"
-"""Fields of this name do not count: a run that is repeated later is the same run."""
+"""Name of fields that do not count: a run that is repeated later is the same run."""
 
 
 def digest_of(value: Any) -> int:
     """Returns the first eight bytes of BLAKE2b of a value, as an unsigned number of 64 bits.
 
-    Arrays count with type, shape and every bit, so 0.0 differs from -0.0, and one NaN from another; dataclasses by their fields, but
-    for ``stamp_ns``; then mappings in their order, tuples and lists, numbers, strings, bytes and None.
+    Arrays count with type, shape and every bit, so 0.0 differs from -0.0, and one NaN from another. Dataclasses count with their fields
+    other than ``stamp_ns``, mappings in their order; tuples, lists, numbers, strings, bytes and None are the other types.
 
     Raises:
-        TypeError: the value holds something else.
+        TypeError: the value holds another type.
     """
     digest = hashlib.blake2b(digest_size=8)
     _feed(digest, value)
@@ -29,7 +29,7 @@ def digest_of(value: Any) -> int:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Adds a value, so that values of different shapes never give the same bytes."""
+    """Adds a value in a way that values of different structure never yield the same bytes."""
     if isinstance(value, np.ndarray):
         digest.update(f"a{value.dtype.str}{value.shape}".encode())
         digest.update(np.ascontiguousarray(value).data)

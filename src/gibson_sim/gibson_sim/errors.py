@@ -1,30 +1,29 @@
 """The errors that this package raises on purpose.
 
-    GibsonSimError                 catch this one; its text is one line, fit for a user
+    GibsonSimError                 the base class; its message is one line for a user
       TextError                    a text is no YAML or no XML, or too large
-      ConfigError                  a setting has an impossible value
+      ConfigError                  a setting has an invalid value
       SceneError                   a scene cannot be loaded
-        SceneNotFoundError         nothing is there, or nothing that we can read
+        SceneNotFoundError         a path leads to nothing, or to nothing that can be read
         MeshError                  a mesh or a texture file is broken
-        scenes.spawning.SpawnError something cannot be spawned; its code says why
-        scenes.worlds.WorldError   a world cannot be listed or loaded; its code says why
+        scenes.spawning.SpawnError a resource cannot be spawned; its code is the reason
+        scenes.worlds.WorldError   a world cannot be listed or loaded; its code is the reason
       RobotError                   a robot description cannot be used
       CommandError                 a command cannot be executed (a NaN velocity)
       PhysicsError                 the physics engine refused
-        StartError                 a robot would start inside of something
+        StartError                 a robot would start in collision
       RenderError                  the renderer refused
         GraphicsUnavailableError   no EGL, no usable device
-        SceneMismatchError         a state belongs to another scene than the one loaded
-      scanning.posed_rgbd.ScanError images of a scan cannot be read, written or fused
+        SceneMismatchError         a state belongs to another scene than the loaded one
+      ScanError                    images of a scan cannot be read, written or fused; in gibson_sim_tools.scanning
       RecordError                  a bag cannot be written or read
-        bags.room.DiskFullError    the disk is full; the bag holds everything up to there
+        bags.folders.DiskFullError the disk is full; the bag holds everything before
       WriteError                   a file cannot be written
       EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy
       AlreadyRunningError          another simulation owns this ROS domain
       LockstepError                a participant of lockstep is gone, or hangs
 
-Messages say what, which value, what is allowed and what to do. They may quote a file; ``public`` never does. Nothing here imports
-anything of this package but ``quoting``.
+Messages say what, which value, what is allowed and what to do. They may quote a file; ``public`` never does. Imports ``quoting`` alone.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from typing import TypeVar
 
 from gibson_sim.quoting import clipped
 
-_LONGEST = 4000
+_MAX_LENGTH = 4000
 """Characters of a message."""
 _Error = TypeVar("_Error", bound="GibsonSimError")
 
@@ -42,25 +41,25 @@ class GibsonSimError(Exception):
     """Base of every error that this package raises on purpose."""
 
     public = ""
-    """What a client may be told who may not see the files that the message quotes, nor where they lie; empty = nothing."""
+    """Message for clients that may see neither the files that the message quotes nor their paths; empty = none."""
 
     def __init__(self, message: str = "", *more: object) -> None:
-        """Makes it; names and paths in a message may come from a file of strangers: it stays one line, and within bounds."""
+        """Keeps the message in one line of limited length, since it may quote names and paths from untrusted files."""
         text = str(message)
-        super().__init__(text if len(text) <= _LONGEST and text.isprintable() else clipped(text, _LONGEST), *more)
+        super().__init__(text if len(text) <= _MAX_LENGTH and text.isprintable() else clipped(text, _MAX_LENGTH), *more)
 
     def telling(self: _Error, public: str) -> _Error:
-        """Returns the error itself, which now tells clients ``public``."""
+        """Sets ``public`` and returns the error itself."""
         self.public = public
         return self
 
 
 class TextError(GibsonSimError):
-    """A text is not what it should be: no YAML, no XML, or more of it than is read."""
+    """A text is no YAML or no XML, or too large."""
 
 
 class ConfigError(GibsonSimError):
-    """A setting has an impossible value."""
+    """A setting has an invalid value."""
 
 
 class SceneError(GibsonSimError):
@@ -68,7 +67,7 @@ class SceneError(GibsonSimError):
 
 
 class SceneNotFoundError(SceneError):
-    """Nothing is at the given place, or nothing that can be read as a scene."""
+    """A path leads to nothing, or to nothing that can be read as a scene."""
 
 
 class MeshError(SceneError):
@@ -88,7 +87,7 @@ class PhysicsError(GibsonSimError):
 
 
 class StartError(PhysicsError):
-    """A robot would start inside of something."""
+    """A robot would start in collision."""
 
 
 class RenderError(GibsonSimError):
@@ -96,11 +95,11 @@ class RenderError(GibsonSimError):
 
 
 class GraphicsUnavailableError(RenderError):
-    """This machine offers no EGL, or no device that can draw."""
+    """This machine has no EGL, or no device that can render."""
 
 
 class SceneMismatchError(RenderError):
-    """A state belongs to another scene than the one that is loaded."""
+    """A state belongs to another scene than the loaded one."""
 
 
 class RecordError(GibsonSimError):
@@ -108,7 +107,7 @@ class RecordError(GibsonSimError):
 
 
 class WriteError(GibsonSimError):
-    """A file cannot be written: the disk is full, the folder may not be written."""
+    """A file cannot be written, because the disk is full or the folder is read-only, for example."""
 
 
 class EnvironmentProblemError(GibsonSimError):
@@ -120,4 +119,4 @@ class AlreadyRunningError(GibsonSimError):
 
 
 class LockstepError(GibsonSimError):
-    """A participant of lockstep has not done a tick in time."""
+    """A lockstep participant has not finished a tick in time."""

@@ -1,9 +1,8 @@
-"""Ctrl-C (SIGINT), from the first to the last moment of a process: it ends, or cleans up and ends, and prints no stack.
+"""Handling of Ctrl-C (SIGINT) over the whole life of a process, which ends, or cleans up and ends, without a traceback.
 
-Python's own handler raises KeyboardInterrupt in whatever the process is doing, also in the middle of an import, where it ends in a stack,
-is turned into another exception, or is printed and lost. A program of ours therefore lets SIGINT end it while it loads what it needs,
-raises KeyboardInterrupt only while it does its work, and lets SIGINT end it again while the interpreter shuts down. Imports nothing but
-the standard library.
+Python's own handler raises KeyboardInterrupt at any point, also in the middle of an import, where it prints a traceback, becomes another
+exception, or is printed and lost. Programs of this package therefore let SIGINT end them during imports, raise KeyboardInterrupt only
+during their work, and let SIGINT end them again during the interpreter's shutdown. Imports the standard library alone.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ from types import FrameType
 from typing import Any, NoReturn
 
 INTERRUPTED = 128 + signal.SIGINT
-"""Exit code, as shells see it, of a process that SIGINT ended."""
-_AGAIN_S = 0.01
-"""Wall time after which an interrupt is raised again that was lost in a destructor, s."""
+"""Exit code of a process that SIGINT ended, as shells report it."""
+_RETRY_S = 0.01
+"""Delay after which an interrupt that was lost in a destructor is raised again, seconds of wall time."""
 
 
 def end_silently() -> None:
-    """Lets SIGINT end this process at once, and receives one that ``held_back`` kept; ignored as before where a shell has it ignored."""
+    """Lets SIGINT end this process, also one that ``held_back`` has blocked so far; it stays ignored if a shell ignores it."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def die() -> NoReturn:
-    """Ends this process as SIGINT does: a shell that runs it in a loop ends the loop."""
+    """Ends this process by SIGINT, so that a shell that runs it in a loop ends the loop."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -40,12 +39,12 @@ def die() -> NoReturn:
             continue
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     os.kill(os.getpid(), signal.SIGINT)
-    os._exit(INTERRUPTED)  # where SIGINT is blocked
+    os._exit(INTERRUPTED)  # if SIGINT is blocked
 
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Holds SIGINT back in this thread; processes started in the block receive it only once they call ``end_silently``."""
+    """Blocks SIGINT in this thread; processes started in the block receive it only once they call ``end_silently``."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -54,13 +53,13 @@ def held_back() -> Iterator[None]:
 
 
 class Interruptible:
-    """Raises KeyboardInterrupt for SIGINT in a block, so that it cleans up; afterwards what was before holds again.
+    """Raises KeyboardInterrupt for SIGINT in a block, so that the block cleans up; restores the previous handlers afterwards.
 
-    An exception that leaves the block after an interrupt comes of it, whatever its type: imports turn KeyboardInterrupt into others.
+    After an interrupt, an exception of any type that leaves the block results from it, because imports turn KeyboardInterrupt into others.
     """
 
     def __init__(self, *numbers: signal.Signals) -> None:
-        """``numbers``: signals that interrupt; none = SIGINT, unless a shell has it ignored."""
+        """``numbers``: signals that interrupt; none = SIGINT, unless a shell ignores it."""
         self._numbers = numbers
         self.was_interrupted = False
         self._before: dict[signal.Signals, Any] = {}
@@ -85,8 +84,8 @@ class Interruptible:
         raise KeyboardInterrupt
 
     def _on_unraisable(self, what: Any) -> None:
-        """Raises again what Python cannot raise where it is, such as in a destructor."""
+        """Raises an interrupt again that Python could not raise at its place, such as in a destructor."""
         if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
-            threading.Timer(_AGAIN_S, _thread.interrupt_main).start()  # an exception in this hook would be printed as well
+            threading.Timer(_RETRY_S, _thread.interrupt_main).start()  # an exception in this hook would be printed as well
         else:
             self._hook(what)

@@ -1,4 +1,4 @@
-"""Writes pictures through ``writing``: OpenCV's own way prints a warning and says no reason where a disk is full."""
+"""Writes images and arrays through ``writing``; OpenCV's own function reports a full disk by a warning without a reason."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from gibson_sim.errors import WriteError
 from gibson_sim.writing import write_file
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
-"""How the names of pictures that are asked for may end."""
+"""Suffixes that messages propose for images."""
 _JPEG_QUALITY = 88
+"""Default quality of JPEG images, 1 to 100."""
 
 
 def write_picture(path: str | Path, pixels: NDArray[Any], options: Sequence[int] | None = None, *, durable: bool = True) -> None:
-    """Writes a picture in the format that the name says; its folder is made where it is missing.
+    """Writes an image in the format of the file's suffix; creates its folder if necessary.
 
     Args:
-        path: of the file.
-        pixels: (H, W) or (H, W, 3 or 4), channels in OpenCV's order: blue first.
-        options: of the encoder, as OpenCV takes them; None = JPEG at quality 88, the others as OpenCV writes them.
-        durable: as of ``write_file``.
+        path: the file.
+        pixels: (H, W) or (H, W, 3 or 4), channels in OpenCV's order, blue first.
+        options: options of OpenCV's encoder; None = quality 88 for JPEG, OpenCV's defaults for other formats.
+        durable: as for ``write_file``.
 
     Raises:
-        WriteError: it cannot be written, or no format ends so.
+        WriteError: the file cannot be written, or its suffix is that of no format.
     """
     path = Path(path)
     if options is None:
@@ -39,20 +40,22 @@ def write_picture(path: str | Path, pixels: NDArray[Any], options: Sequence[int]
     except cv2.error:
         done, data = False, np.zeros(0, dtype=np.uint8)
     if not done:
-        raise WriteError(f"cannot write {path}: no picture ends so; the name must end in {', '.join(SUFFIXES)}")
+        raise WriteError(
+            f"cannot write {path}: its suffix is that of no image format; the name must end in {', '.join(SUFFIXES)}"
+        )
     write_file(path, data.tobytes(), durable=durable)
 
 
 def write_array(path: str | Path, values: NDArray[Any], *, durable: bool = True) -> None:
-    """Writes an array as NumPy reads it; its folder is made where it is missing.
+    """Writes an array in NumPy's format; creates its folder if necessary.
 
     Args:
-        path: of the file, whose name ends in .npy.
-        values: of any shape.
-        durable: as of ``write_file``.
+        path: the file, with suffix .npy.
+        values: array of any shape.
+        durable: as for ``write_file``.
 
     Raises:
-        WriteError: it cannot be written.
+        WriteError: the file cannot be written.
     """
     content = io.BytesIO()
     np.save(content, values)

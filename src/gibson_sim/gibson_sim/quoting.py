@@ -1,4 +1,4 @@
-"""Quotes in messages what came from outside: always short, always one line, whatever it is."""
+"""Quotes untrusted values in messages, always briefly and in one line."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 import reprlib
 
 LONGEST = 80
-"""Characters of a text, and of what a list or a mapping holds."""
+"""Largest length of a quoted text, or of the quoted items of a list or mapping, characters."""
 _LONGEST_NUMBER_BITS = 200
+"""Largest whole number that is written out, bits."""
 
 
 class _Brief(reprlib.Repr):
-    """A ``repr`` that visits a few values of a few levels, whatever they hold: a list of aliases may stand for more than memory holds."""
+    """A ``repr`` limited to a few values on a few levels: a list of YAML aliases can represent more values than fit into memory."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -29,7 +30,7 @@ _BRIEF = _Brief()
 
 
 def quoted(value: object, longest: int = LONGEST) -> str:
-    """Returns a value as Python writes it, in about ``longest`` characters at most."""
+    """Returns the ``repr`` of a value in at most about ``longest`` characters."""
     if isinstance(value, str):
         return repr(value) if len(value) <= longest else f"{value[:longest]!r}... ({len(value)} characters)"
     if isinstance(value, bytes):
@@ -39,7 +40,7 @@ def quoted(value: object, longest: int = LONGEST) -> str:
 
 
 def clipped(text: str, longest: int) -> str:
-    """Returns a text on one line, its middle left out where it is too long, control characters as Python writes them."""
+    """Returns a text in one line of about ``longest`` characters, without its middle if it is longer, with control characters escaped."""
     line = _plain(text[: 4 * longest])
     if len(line) <= longest and len(text) <= 4 * longest:
         return line
@@ -47,6 +48,6 @@ def clipped(text: str, longest: int) -> str:
 
 
 def _plain(text: str) -> str:
-    """Returns a text on one line, without what moves the cursor or changes colours of a terminal."""
+    """Returns a text in one line, with characters escaped that would move a terminal's cursor or change its colours."""
     line = " ".join(text.split())
     return line if line.isprintable() else "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -1,8 +1,8 @@
-"""Who can reach a simulation: the variables that give its processes a DDS profile and a range of discovery.
+"""The reach of a simulation, that is who can see and command it: environment variables for the DDS profile and the discovery range.
 
-``local``: processes of this machine. Sockets are bound to 127.0.0.1 (``config/fastdds_local.xml``); discovery by ``LOCALHOST`` alone would
-not do, since rmw_fastrtps then listens on all interfaces, and whoever names this machine in ``ROS_STATIC_PEERS`` is let in.
-``subnet``: every machine of the network, as everywhere in ROS (``config/fastdds.xml``).
+``local``: processes of this machine. Sockets are bound to 127.0.0.1 (``config/fastdds_local.xml``). Discovery range ``LOCALHOST`` alone is
+not enough: rmw_fastrtps then listens on all interfaces and admits every machine that names this one in ``ROS_STATIC_PEERS``.
+``subnet``: every machine of the network, which is the default of ROS (``config/fastdds.xml``).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 RMW_VARIABLE = "RMW_IMPLEMENTATION"
 FAST_DDS = "rmw_fastrtps"
-"""What the names of the ROS middlewares on Fast DDS begin with, the default of Jazzy among them."""
+"""Prefix of the ROS middlewares based on Fast DDS, among them the default of Jazzy."""
 _PROFILES = {LOCAL: "fastdds_local.xml", SUBNET: "fastdds.xml"}
 _DECIDING = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_ENVIRONMENT_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-"""Variables with which somebody has decided who reaches a process."""
+"""Variables by which a user decides the reach of a process."""
 
 
 def profile_of(reach: str) -> Path:
@@ -30,35 +30,39 @@ def profile_of(reach: str) -> Path:
     return find_config(_PROFILES[reach])
 
 
-def reach_of(environment: Mapping[str, str], wanted: str | None = None) -> str:
-    """Returns the reach, ``local`` or ``subnet``; empty where the environment decides.
+def reach_of(environment: Mapping[str, str], requested: str | None = None) -> str:
+    """Returns the reach, ``local`` or ``subnet``; empty if the environment decides it.
 
     Args:
-        environment: of the process that starts the simulation.
-        wanted: what a user asked for; None = as the environment says, and ``local`` if it says nothing.
+        environment: environment of the process that starts the simulation.
+        requested: the requested reach; None = that of the environment, or ``local`` if the environment does not decide.
     """
-    if wanted is not None:
-        return wanted
+    if requested is not None:
+        return requested
     discovery = environment.get(RANGE_VARIABLE, "").upper()
     if _decided_by(environment) or discovery not in ("", "LOCALHOST", "SUBNET"):
         return LOCAL if is_local(environment) else ""
     return SUBNET if discovery == "SUBNET" else LOCAL
 
 
-def reach_variables(environment: Mapping[str, str], wanted: str | None = None) -> dict[str, str]:
-    """Returns the variables that a process needs for a reach beside its environment; an empty one must not be set.
+def reach_variables(environment: Mapping[str, str], requested: str | None = None) -> dict[str, str]:
+    """Returns the variables that a process needs for a reach in addition to its environment; an empty one must be unset.
+
+    Args:
+        environment: as for ``reach_of``.
+        requested: as for ``reach_of``.
 
     Raises:
-        ConfigError: ``wanted`` is no reach, or the middleware of the environment cannot keep it.
+        ConfigError: ``requested`` is no reach, or the middleware of the environment does not support it.
     """
-    if wanted is not None and wanted not in REACHES:
-        raise ConfigError(f"reach is {wanted!r}, must be one of {', '.join(REACHES)}")
-    reach = reach_of(environment, wanted)
+    if requested is not None and requested not in REACHES:
+        raise ConfigError(f"reach is {requested!r}, must be one of {', '.join(REACHES)}")
+    reach = reach_of(environment, requested)
     own_profile = _foreign_profile(environment)
     if not reach:
         return {} if own_profile else {PROFILE_VARIABLE: str(profile_of(SUBNET))}
     if not environment.get(RMW_VARIABLE, FAST_DDS).startswith(FAST_DDS):
-        if wanted == LOCAL:
+        if requested == LOCAL:
             raise ConfigError(
                 f"reach local needs Fast DDS, and {RMW_VARIABLE} is {environment[RMW_VARIABLE]!r}: unset it, or restrict that "
                 "middleware to the interface `lo` by its own settings (docs/security.md) and leave out reach"
@@ -68,7 +72,7 @@ def reach_variables(environment: Mapping[str, str], wanted: str | None = None) -
         return {
             PROFILE_VARIABLE: str(profile_of(LOCAL)),
             RANGE_VARIABLE: "SYSTEM_DEFAULT",
-            "SKIP_DEFAULT_XML_FILE": "1",  # else a profile in the current folder would count
+            "SKIP_DEFAULT_XML_FILE": "1",  # else a profile in the current folder would be used
             "ROS_LOCALHOST_ONLY": "",
             "ROS_SUPER_CLIENT": "",
             **dict.fromkeys(_DECIDING, ""),
@@ -77,9 +81,9 @@ def reach_variables(environment: Mapping[str, str], wanted: str | None = None) -
     return variables if own_profile else {PROFILE_VARIABLE: str(profile_of(SUBNET)), **variables}
 
 
-def apply_reach(environment: MutableMapping[str, str], wanted: str | None = None) -> None:
+def apply_reach(environment: MutableMapping[str, str], requested: str | None = None) -> None:
     """Sets and removes the variables of ``reach_variables`` in an environment."""
-    for name, value in reach_variables(environment, wanted).items():
+    for name, value in reach_variables(environment, requested).items():
         if value:
             environment[name] = value
         else:
@@ -87,11 +91,11 @@ def apply_reach(environment: MutableMapping[str, str], wanted: str | None = None
 
 
 def describe_reach(environment: Mapping[str, str], option: str = "--reach ") -> str:
-    """Returns in one line who can reach processes with this environment, as ``reach_variables`` completed it.
+    """Returns a line about the reach of processes with an environment that ``reach_variables`` completed.
 
     Args:
-        environment: of the processes.
-        option: what a user writes before the name of a reach.
+        environment: environment of the processes.
+        option: text before the name of a reach in the user's command.
     """
     if is_local(environment):
         return f"reach: processes of this machine alone; `{option}subnet` lets other machines in"
@@ -105,27 +109,27 @@ def describe_reach(environment: Mapping[str, str], option: str = "--reach ") -> 
 
 
 def is_local(environment: Mapping[str, str]) -> bool:
-    """Returns whether processes with this environment, as ``reach_variables`` completed it, reach this machine alone."""
+    """Returns whether processes with an environment that ``reach_variables`` completed reach this machine alone."""
     profile = environment.get(PROFILE_VARIABLE, "")
-    return _is_ours(profile, LOCAL) and environment.get(RANGE_VARIABLE, "").upper() == "SYSTEM_DEFAULT"
+    return _is_profile_of(profile, LOCAL) and environment.get(RANGE_VARIABLE, "").upper() == "SYSTEM_DEFAULT"
 
 
 def _decided_by(environment: Mapping[str, str]) -> str:
-    """Returns the first variable, with its value, that decides on the reach; empty if none does."""
+    """Returns the first variable that decides the reach, with its value; empty if none does."""
     names = (*_DECIDING, *([PROFILE_VARIABLE] if _foreign_profile(environment) else []))
     return next((f"{name}={environment[name]}" for name in names if environment.get(name)), "")
 
 
 def _foreign_profile(environment: Mapping[str, str]) -> bool:
-    """Returns whether the environment names a profile that is none of ours."""
+    """Returns whether the environment names a profile other than those of this package."""
     profile = environment.get(PROFILE_VARIABLE, "")
-    return bool(profile) and not any(_is_ours(profile, reach) for reach in REACHES)
+    return bool(profile) and not any(_is_profile_of(profile, reach) for reach in REACHES)
 
 
-def _is_ours(profile: str, reach: str) -> bool:
-    """Returns whether a profile is that of a reach, or a copy of it in another installation."""
-    ours = profile_of(reach)
+def _is_profile_of(profile: str, reach: str) -> bool:
+    """Returns whether a profile is that of a reach, also if it is a copy in another installation."""
+    own = profile_of(reach)
     try:
-        return bool(profile) and (Path(profile).samefile(ours) or Path(profile).read_bytes() == ours.read_bytes())
+        return bool(profile) and (Path(profile).samefile(own) or Path(profile).read_bytes() == own.read_bytes())
     except OSError:
         return False

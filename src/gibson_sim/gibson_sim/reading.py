@@ -1,7 +1,7 @@
-"""Reads what strangers wrote: a file that must be one, and YAML and XML of a bounded size. Everything else reads through this.
+"""Reads untrusted files, YAML and XML within limits. All other modules read through this one.
 
-Whoever names a file may name a pipe, which is waited for, a device without end, or a text of 500 bytes whose aliases stand for more
-values than memory holds. All limits are checked before anything is built.
+A path may lead to a pipe, which blocks, to an endless device, or to a text of 500 bytes whose aliases expand to more values than fit into
+memory. All limits are checked before any value is built.
 """
 
 from __future__ import annotations
@@ -21,38 +21,41 @@ from gibson_sim.errors import TextError
 from gibson_sim.quoting import clipped, quoted
 
 MAX_TEXT_BYTES = 32 * 2**20
-"""Of a description that is read as text."""
+"""Size of a description that is read as text."""
 MAX_YAML_BYTES = 8 * 2**20
 MAX_YAML_VALUES = 150_000
-"""Of a YAML text; an alias counts as often as what it stands for."""
+"""Values of a YAML text; an alias counts as all values that it stands for."""
 MAX_DEPTH = 100
-"""Levels of lists and mappings of a YAML text."""
+"""Levels of nested lists and mappings of a YAML text."""
 MAX_XML_TAGS = 300_000
-"""Of an XML text; an element has one or two."""
+"""Tags of an XML text; an element has one or two."""
 MAX_XML_ATTRIBUTES = 500_000
-"""Of an XML text."""
+"""Attributes of an XML text."""
 MAX_XML_DEPTH = 200
+"""Levels of nested elements of an XML text."""
 YAML_LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The parser of libyaml, where PyYAML was built with it, takes a tenth of the time."""
+"""The parser of libyaml, if PyYAML has it, which takes a tenth of the time; else PyYAML's own."""
 _LONGEST_REASON = 200
+"""Characters of a parser's message that are quoted."""
 _LONGEST_NUMBER = 200
-"""Characters of a number of YAML: whatever its base, it fits into a float."""
+"""Characters of a number in YAML, which then fits into a float in any base."""
 _NUMBERS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
 _NOTHING = ("~", "null", "Null", "NULL")
-"""How YAML writes that there is no value."""
+"""Null values of YAML."""
 _MEGA = 2**20
 _CHUNK = 65536
+"""Bytes that are read at once."""
 
 
 def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
     """Returns the content of a regular file of at most ``most`` bytes.
 
     Raises:
-        OSError: it is none, is too large, or cannot be read; ``strerror`` says which.
+        OSError: the path is no regular file, or it is too large or cannot be read; ``strerror`` says which.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
-    except ValueError as error:  # a NUL in it, or characters that no text has
+    except ValueError as error:  # a NUL, or characters that cannot be encoded
         raise OSError(errno.EINVAL, "no file can have this name") from error
     try:
         status = os.fstat(descriptor)
@@ -63,7 +66,7 @@ def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
     with open(descriptor, "rb") as file:
         parts = [file.read(status.st_size) or b""]
         size = len(parts[0])
-        # A file of /proc has no size beforehand, and one that another process writes may grow.
+        # A file of /proc reports no size, and a file that another process writes can grow.
         while more := file.read(_CHUNK):
             parts.append(more)
             size += len(more)
@@ -73,10 +76,10 @@ def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
 
 
 def read_head(path: Path, most: int) -> bytes:
-    """Returns the first ``most`` bytes of a regular file, however large it is.
+    """Returns at most the first ``most`` bytes of a regular file of any size.
 
     Raises:
-        OSError: it is none, or cannot be read; ``strerror`` says which.
+        OSError: the path is no regular file, or cannot be read; ``strerror`` says which.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
@@ -88,7 +91,7 @@ def read_head(path: Path, most: int) -> bytes:
 
 
 def is_file(path: Path) -> bool:
-    """Returns whether a regular file is there that this process may see; False for what can be no path (a NUL in it, too long)."""
+    """Returns whether a path is a regular file that this process may access; False for invalid paths (a NUL in it, too long)."""
     try:
         return stat.S_ISREG(os.stat(path).st_mode)
     except (OSError, ValueError):
@@ -96,7 +99,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Returns whether a folder is there that this process may see; False for what can be no path."""
+    """Returns whether a path is a folder that this process may access; False for invalid paths."""
     try:
         return stat.S_ISDIR(os.stat(path).st_mode)
     except (OSError, ValueError):
@@ -104,7 +107,7 @@ def is_folder(path: Path) -> bool:
 
 
 def exists(path: Path) -> bool:
-    """Returns whether something is there that this process may see; False for what can be no path."""
+    """Returns whether a path exists and this process may access it; False for invalid paths."""
     try:
         os.stat(path)
     except (OSError, ValueError):
@@ -113,9 +116,9 @@ def exists(path: Path) -> bool:
 
 
 def real_path(path: Path) -> Path:
-    """Returns a path with its symbolic links followed, but not that of a file to a name that lacks its suffix.
+    """Returns a path with symbolic links resolved, except for the link of a file whose target has another suffix.
 
-    The suffix says how a file is read; in a store of blobs, to which links of an installation may lead, names have none.
+    The suffix decides how a file is read, and files in a store of blobs, to which an installation can link, have none.
     """
     real = Path(os.path.realpath(path))
     if not path.suffix or path.suffix.lower() == real.suffix.lower() or not is_file(real):
@@ -124,7 +127,7 @@ def real_path(path: Path) -> Path:
 
 
 def check_status(status: os.stat_result, most: int) -> None:
-    """Checks what ``stat`` says of a file that is to be read.
+    """Checks the status of a file before it is read.
 
     Raises:
         OSError: it is no regular file, or has more than ``most`` bytes.
@@ -136,7 +139,7 @@ def check_status(status: os.stat_result, most: int) -> None:
 
 
 def read_yaml_file(path: Path, most: int = MAX_YAML_BYTES) -> Any:
-    """Returns what a YAML file holds, as Python's plain types.
+    """Returns the document in a YAML file of at most ``most`` bytes, in Python's built-in types.
 
     Raises:
         OSError: as ``read_file``.
@@ -146,14 +149,14 @@ def read_yaml_file(path: Path, most: int = MAX_YAML_BYTES) -> Any:
 
 
 def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
-    """Returns what a YAML text holds, as Python's plain types.
+    """Returns the document in a YAML text, in Python's built-in types.
 
     Args:
-        text: the YAML, one document.
-        loader: a loader of PyYAML that knows more tags.
+        text: the YAML with one document.
+        loader: a loader of PyYAML, for more tags.
 
     Raises:
-        TextError: it is none, or holds too much; without the name of the file, which the caller knows.
+        TextError: the text is no YAML, or too large; the message lacks the name of the file, which the caller adds.
     """
     if len(text) > MAX_YAML_BYTES:
         reason = f"has {len(text) / _MEGA:.0f} MB of YAML, must have at most {MAX_YAML_BYTES // _MEGA} MB"
@@ -165,7 +168,7 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
     try:
         node = _Composer(parser).document()
         return None if node is None else parser.construct_document(node)
-    # A date with a month 13, a number of 5000 digits, bytes that are no text.
+    # A date with month 13, a number of 5000 digits, bytes that are no text.
     except (yaml.YAMLError, ValueError, OverflowError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise _no_yaml(error) from error
     finally:
@@ -173,17 +176,17 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
 
 
 def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict[str, str]:
-    """Returns the texts and numbers, as written, that stand in the outermost mapping under some keys; nothing else of it is built.
+    """Returns the texts and numbers of some keys of the outermost mapping, as written, without building the document.
 
-    It reads no further than to the last of the keys, and what follows may be wrong.
+    It stops at the last of the keys; errors behind it are not found.
 
     Args:
         text: the YAML.
-        keys: what to look for.
-        cut: it is the beginning of a text: where it is wrong, what stands before that is returned.
+        keys: the keys.
+        cut: whether the text may be cut off: at an error, the values before it are returned.
 
     Raises:
-        TextError: it is no YAML as far as it was read.
+        TextError: the text is no YAML up to where it was read.
     """
     found: dict[str, str] = {}
     try:
@@ -191,7 +194,7 @@ def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict
     except (yaml.YAMLError, ValueError) as error:
         raise _no_yaml(error) from error
     depth, count, key = 0, 0, ""
-    """Lists and mappings that are open; keys and values of the outermost mapping so far, and its newest key."""
+    """Number of open lists and mappings; number of keys and values of the outermost mapping so far; its last key."""
     try:
         while len(found) < len(keys):
             event = parser.get_event()
@@ -206,7 +209,7 @@ def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict
             if isinstance(event, yaml.CollectionStartEvent):
                 key = "" if depth == 1 and count % 2 == 0 else key
                 depth += 1
-                if depth > MAX_DEPTH:  # libyaml looks through all that are open at every further one
+                if depth > MAX_DEPTH:  # libyaml checks all open collections at each further one
                     raise _too_deep(event)
             elif depth == 1 and isinstance(event, yaml.NodeEvent):
                 scalar = event if isinstance(event, yaml.ScalarEvent) else None
@@ -229,7 +232,7 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     """Returns the outermost element of an XML text.
 
     Raises:
-        TextError: it is none, or holds too much; without the name of the file, which the caller knows.
+        TextError: the text is no XML, or too large; the message lacks the name of the file, which the caller adds.
     """
     if len(text) > MAX_TEXT_BYTES:
         reason = f"has {len(text) / _MEGA:.0f} MB of XML, must have at most {MAX_TEXT_BYTES // _MEGA} MB"
@@ -242,7 +245,7 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     if attributes > MAX_XML_ATTRIBUTES:
         reason = f"has about {attributes} attributes of XML, must have at most {MAX_XML_ATTRIBUTES}; split it"
         raise TextError(reason).telling(reason)
-    # Both let a few bytes stand for many: an entity wherever it is named, a default in every element that has no such attribute.
+    # Both let a few bytes expand to many: an entity at each reference, a default in every element without that attribute.
     plain = text.replace(b"\0", b"") if b"\0" in text[:4] else text
     for mark, what in ((b"<!ENTITY", "entities"), (b"<!ATTLIST", "defaults of attributes")):
         if mark in plain:
@@ -250,7 +253,7 @@ def parse_xml(text: bytes) -> ElementTree.Element:
             raise TextError(reason).telling(reason)
     try:
         top = ElementTree.fromstring(text)
-    # A text that says it is UTF-16 is no such thing.
+    # A ValueError or LookupError: a declared encoding that the text does not have.
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TextError(f"is no well-formed XML: {clipped(str(error), _LONGEST_REASON)}").telling(
             "is no well-formed XML"
@@ -278,7 +281,7 @@ def _no_yaml(error: Exception) -> TextError:
     return TextError(f"is not YAML: {at}{reason}").telling("is not YAML that can be read")
 
 
-class _Open:
+class _OpenCollection:
     """A list or a mapping while its values are read."""
 
     def __init__(self, node: Any, anchor: str | None) -> None:
@@ -288,19 +291,19 @@ class _Open:
 
 
 class _Composer:
-    """Makes the nodes of a document from its events, as PyYAML's composer does, but without recursion and within limits.
+    """Composes the nodes of a document from its events, as PyYAML's composer does, but without recursion and within limits.
 
-    libyaml's own composer recurses in C: a text of 200 KB of ``[`` ends the process.
+    libyaml's own composer recurses in C, so that 200 KB of ``[`` crash the process.
     """
 
     def __init__(self, parser: Any) -> None:
         self._parser = parser
         self._anchors: dict[str, tuple[Any, int, int]] = {}
-        """Node, number of values in it, levels of it."""
-        self._open: list[_Open] = []
+        """Anchor -> its node, the number of its values and of its levels."""
+        self._open: list[_OpenCollection] = []
 
     def document(self) -> Any:
-        """Returns the node of the only document, None where there is none."""
+        """Returns the node of the only document, None if there is none."""
         parser = self._parser
         root: Any = None
         documents = 0
@@ -314,12 +317,12 @@ class _Composer:
                 if documents > 1:
                     raise yaml.MarkedYAMLError(problem="there is a second document", problem_mark=start)
                 self._anchors.clear()
-            done = self._take(event)
+            done = self._compose(event)
             if done is not None and not self._open:
                 root = done
 
-    def _take(self, event: Any) -> Any:
-        """Returns the node that an event ends, if it ends one, which has been put where it belongs."""
+    def _compose(self, event: Any) -> Any:
+        """Handles an event; returns the node that it completes, which is part of its collection already, or None."""
         start, end = event.start_mark, event.end_mark
         anchor: Any = getattr(event, "anchor", None)
         if isinstance(event, yaml.AliasEvent):
@@ -342,7 +345,7 @@ class _Composer:
         if isinstance(event, yaml.CollectionStartEvent):
             kind = yaml.SequenceNode if isinstance(event, yaml.SequenceStartEvent) else yaml.MappingNode
             node = kind(self._tag(kind, event, None), [], start, None, flow_style=event.flow_style)
-            self._open.append(_Open(node, anchor))
+            self._open.append(_OpenCollection(node, anchor))
             if len(self._open) > MAX_DEPTH:
                 raise _too_deep(event)
             return None
@@ -358,7 +361,7 @@ class _Composer:
         return self._parser.resolve(kind, value, event.implicit) if event.tag is None or event.tag == "!" else event.tag
 
     def _put(self, node: Any, size: int, height: int, event: Any) -> Any:
-        """Puts a node into the list or mapping that is open."""
+        """Adds a node to the innermost open list or mapping."""
         if not self._open:
             return node
         above = self._open[-1]

@@ -1,9 +1,9 @@
-"""Finds scenes, configuration files and other data by name, and knows where caches go.
+"""Finds scenes, configuration files and other data by name, and the folders of caches.
 
-What starts with ``/``, ``./``, ``../`` or ``~`` is a path. Anything else is looked for, in this order: under every folder of
+A name that starts with ``/``, ``./``, ``../`` or ``~`` is a path. Any other name is searched in this order: below every folder of
 ``$GIBSON_SIM_PATH`` (separated by colons); in the ROS installations of ``$AMENT_PREFIX_PATH``; in the Python installation
-(``<prefix>/share/gibson_sim``); in the source tree, for an editable installation; in the current folder. Imports no other part
-of the package but the errors.
+(``<prefix>/share/gibson_sim``); in the source tree of an editable installation; in the current folder. Imports ``errors``, ``quoting`` and
+``reading`` alone.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
 _CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
 _OBJECTS = "objects"
-"""Folder beside our scenes that is none."""
+"""Folder beside the scenes that is no scene."""
 
 
 def share_folders() -> tuple[Path, ...]:
-    """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, the first one wins."""
+    """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, by precedence."""
     candidates = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
     prefixes = [*(Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry), Path(sys.prefix)]
     candidates += [_unlinked(prefix / "share" / PACKAGE) for prefix in prefixes]
     candidates += [p for p in Path(__file__).resolve().parents if is_folder(p / "config") and is_folder(p / "scenes")]
     found: list[Path] = []
     for folder in candidates:
-        # The package itself holds a Python package `scenes`: it has no `config` beside it, but be sure.
+        # The Python package has a folder `scenes` too, but is no share folder.
         if is_folder(folder) and not exists(folder / "__init__.py") and folder not in found:
             found.append(folder)
     return tuple(found)
 
 
 def _unlinked(share: Path) -> Path:
-    """Returns the source tree where ``share`` is made of links to its folders, so that every file has one path; else ``share``."""
+    """Returns the source tree if ``share`` consists of links to its folders, so that every file has one path; else ``share``."""
     links = [share / "config", share / "scenes"]
     trees = {link.resolve().parent for link in links if link.is_symlink()}
     return trees.pop() if len(trees) == 1 and all(link.is_symlink() for link in links) else share
@@ -54,7 +54,7 @@ def find_scene(name_or_path: str | Path) -> Path:
             ``$GIBSON_SIM_PATH`` may also hold scenes directly.
 
     Raises:
-        SceneNotFoundError: there is no such scene; says where it was looked for and names the nearest known one.
+        SceneNotFoundError: there is no such scene; the message names the searched folders and the most similar scene.
     """
     return _find(name_or_path, _folders("scenes"), ("",), SceneNotFoundError, "scene")
 
@@ -67,7 +67,7 @@ def find_config(name_or_path: str | Path, kind: str = "") -> Path:
         kind: subfolder of ``config``, such as ``presets``; empty = ``config`` itself.
 
     Raises:
-        ConfigError: there is no such file; says where it was looked for and names the nearest known one.
+        ConfigError: there is no such file; the message names the searched folders and the most similar file.
     """
     folders = tuple(share / "config" / kind for share in share_folders())
     path = _find(
@@ -82,23 +82,23 @@ def find_robot(name_or_path: str | Path) -> Path:
     """Returns the folder or file of a robot: a path, or a name under ``robots/`` or ``config/robots/`` of a share folder.
 
     Raises:
-        RobotError: there is no such robot; says where it was looked for and names the nearest known one.
+        RobotError: there is no such robot; the message names the searched folders and the most similar robot.
     """
     return _find(name_or_path, _robot_folders(), _CONFIG_SUFFIXES, RobotError, "robot")
 
 
 def list_scenes() -> list[str]:
-    """Returns the names of all scenes that need no path, in alphabetical order."""
+    """Returns the names of all scenes that are found without a path, in alphabetical order."""
     return sorted(known_scenes())
 
 
 def list_robots() -> list[str]:
-    """Returns the names of all robots that need no path, in alphabetical order."""
+    """Returns the names of all robots that are found without a path, in alphabetical order."""
     return sorted(set(_names(_robot_folders())))
 
 
 def known_scenes() -> dict[str, Path]:
-    """Returns the folder of every scene that can be named, by name."""
+    """Returns the folder of every scene that is found without a path, by name."""
     found: dict[str, Path] = {}
     for folder in _folders("scenes"):
         for entry in sorted(folder.iterdir()) if is_folder(folder) else ():
@@ -108,10 +108,7 @@ def known_scenes() -> dict[str, Path]:
 
 
 def cache_folder(kind: str) -> Path:
-    """Returns where things of a kind are kept that can be made again: ``$XDG_CACHE_HOME/gibson-sim/<kind>``, or the same below ``~/.cache``.
-
-    It may not exist yet.
-    """
+    """Returns the cache folder of a kind, ``$XDG_CACHE_HOME/gibson-sim/<kind>`` or the same below ``~/.cache``, which may not exist yet."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / kind
 
@@ -141,7 +138,7 @@ def _find(
     for folder in folders:
         for suffix in suffixes or ("",):
             candidate = folder / (text + suffix)
-            # The name must not lead out of the folder; a link in it may: an installation can be made of links.
+            # The name must not lead out of the folder, but a link in it may, as an installation can consist of links.
             if exists(candidate) and Path(os.path.normpath(candidate)).is_relative_to(os.path.normpath(folder)):
                 return real_path(candidate)
     if exists(path):

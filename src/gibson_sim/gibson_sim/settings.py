@@ -1,4 +1,4 @@
-"""Settings as fields of dataclasses: each with its default, unit, limits and meaning, checked in one way."""
+"""Settings as fields of dataclasses with default, unit, limits and meaning, and their checks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.quoting import quoted
 
 Value = bool | int | float | str
 Names = Literal["", "scene", "robots", "drive", "rules", "views", "file", "participants"]
-"""What the text of a setting names; "" = nothing that could be looked up."""
+"""Kind of name in the text of a setting; "" = no name that can be looked up."""
 
 
 class Settings(Protocol):
@@ -32,9 +32,16 @@ def setting(
     choices: tuple[str, ...] = (),
     names: Names = "",
 ) -> Any:
-    """Returns a dataclass field with its default, meaning, unit and limits; the type of the default is the field's type.
+    """Returns a dataclass field of a setting, whose type is that of its default.
 
-    ``names``: what its text names, which the command line looks up before anything starts; an empty text names nothing.
+    Args:
+        default: the default value.
+        doc: meaning of the setting, one sentence.
+        unit: unit of the value, such as ``m``; empty = none.
+        minimum: least value of a number.
+        maximum: largest value of a number.
+        choices: allowed values of a text; none = any.
+        names: kind of name in the text, which the command line looks up before anything starts; an empty text names nothing.
     """
     return field(
         default=default,
@@ -46,16 +53,16 @@ def check_settings(settings: Settings) -> None:
     """Checks type, limits and choices of every field.
 
     Raises:
-        ConfigError: naming the field, its value and what is allowed.
+        ConfigError: a value is not allowed; the message names the field, its value and the allowed ones.
     """
     for f in fields(settings):
         value, what = getattr(settings, f.name), f"setting {quoted(f.name)}"
-        wanted = type(f.default)
-        if wanted is float and type(value) is int:
+        required = type(f.default)
+        if required is float and type(value) is int:
             value = float(value)
             object.__setattr__(settings, f.name, value)
-        if type(value) is not wanted:
-            raise ConfigError(f"{what} is {quoted(value)} ({type(value).__name__}), must be of type {wanted.__name__}")
+        if type(value) is not required:
+            raise ConfigError(f"{what} is {quoted(value)} ({type(value).__name__}), must be of type {required.__name__}")
         if isinstance(value, (int, float)) and not f.metadata["minimum"] <= value <= f.metadata["maximum"]:
             raise ConfigError(f"{what} is {quoted(value)}, must be {limits_of(f)}")
         if f.metadata["choices"] and value not in f.metadata["choices"]:
@@ -66,7 +73,7 @@ def check_settings(settings: Settings) -> None:
 
 
 def limits_of(f: Field[Any]) -> str:
-    """Returns what numbers a setting may have, with their unit, in words; only the unit where any may be."""
+    """Returns the limits of a setting with their unit in words; the unit alone if there are no limits."""
     low, high, unit = f.metadata["minimum"], f.metadata["maximum"], f.metadata["unit"]
     if math.isinf(low) and math.isinf(high):
         return str(unit)
@@ -75,6 +82,6 @@ def limits_of(f: Field[Any]) -> str:
 
 
 def nearest(text: str, known: Sequence[str]) -> str:
-    """Returns ``did you mean 'x'?`` with the one of ``known`` that is most like a text; empty where none is."""
+    """Returns ``did you mean 'x'?`` with the known text that is most similar to a text; empty if none is similar."""
     found = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
     return f"did you mean {quoted(found[0])}?" if found else ""

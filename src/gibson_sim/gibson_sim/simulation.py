@@ -1,4 +1,4 @@
-"""A whole simulation in one process, without ROS: a scene, its robots, physics, sensors and the renderer behind one class."""
+"""A simulation in one process, without ROS: scene, robots, physics, sensors and renderer behind one class."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 import numpy as np
 
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import CommandError, ConfigError, GibsonSimError, PhysicsError
 from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
 from gibson_sim.maps.floor_extent import extent_of_scene
@@ -67,23 +66,23 @@ class _Named(Protocol):
 T = TypeVar("T", bound=_Named)
 _DEFAULTS = PhysicsConfig()
 _NEVER_S = 1e9
-"""Seconds of simulation time after which a command is stale, where none was given: more than any run lasts."""
+"""Command timeout when none is given, seconds of simulation time: longer than any run."""
 
 
 @dataclass(frozen=True)
 class SavedRun:
-    """A moment of a simulation: everything that was done since its beginning. ``Simulation.restore`` goes back to it."""
+    """A saved moment of a simulation: all inputs since its beginning. ``Simulation.restore`` returns to it."""
 
     step: int
     """Physics steps since the beginning."""
     inputs: tuple[tuple[int, str, tuple[Any, ...]], ...]
-    """(step, method, arguments) of each call that changed what happens."""
+    """(step, method, arguments) of each call that changed the simulation."""
     of: tuple[Any, ...] = ()
-    """Scene, robots and settings that it belongs to."""
+    """Identity of the simulation: scene, robots and settings."""
 
 
 class Body:
-    """A robot or a thing of a simulation: what is true of it now, in SI units, world frame unless told otherwise."""
+    """A robot or another body of a simulation. Its properties are present values, in SI units, world frame unless noted."""
 
     def __init__(self, world: PhysicsWorld, name: str) -> None:
         self._world, self.name = world, name
@@ -100,12 +99,12 @@ class Body:
 
     @property
     def joints(self) -> JointStates:
-        """Its moving joints: radians or metres, and per second; a door has one, a box none."""
+        """Positions and velocities of its moving joints, radians or metres, and per second; a door has one, a box none."""
         return self._world.joint_states(self.name)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """Where it touched anything in the last step, the floor under it included."""
+        """Its contacts in the last step, including those with the floor."""
         return self._world.contacts(self.name)
 
     def __repr__(self) -> str:
@@ -118,7 +117,7 @@ class Body:
 
 
 class Robot(Body):
-    """One robot of a simulation: what is true of it now, in SI units, world frame unless told otherwise."""
+    """A robot of a simulation. Its properties are present values, in SI units, world frame unless noted."""
 
     @property
     def spec(self) -> RobotSpec:
@@ -137,15 +136,15 @@ class Robot(Body):
 
     @property
     def odometry(self) -> Odometry:
-        """What its wheels say, in the odom frame; differs from ``pose`` where wheels slip or have errors."""
+        """Wheel odometry in the odom frame; differs from ``pose`` where wheels slip or have errors."""
         return self._world.odometry(self.name)
 
 
 class Simulation:
     """Scene, robots, physics, sensors and renderer in one process. Close it, or use it in a ``with`` statement.
 
-    Time passes in ``step`` alone; everything else is instantaneous. Equal arguments and equal calls give bit-equal states, sensor readings
-    and images. Not thread-safe; the renderer belongs to the thread that draws first.
+    Simulation time passes only in ``step``; all other calls are instantaneous. Equal arguments and equal calls give bit-equal states, sensor
+    readings and images. Not thread-safe; the renderer belongs to the thread that draws first.
 
     Example:
         >>> import gibson_sim as gs
@@ -171,26 +170,26 @@ class Simulation:
         view_size: tuple[int, int] = (640, 480),
         device: int | str | None = None,
     ) -> None:
-        """Loads scene and robots; nothing is drawn, and no OpenGL loaded, before the first ``render``.
+        """Loads scene and robots. OpenGL is loaded with the first ``render``.
 
         Args:
-            scene: name, folder, world or mesh file, as ``gibson-sim run --scene`` takes it; or a scene that was loaded, whose robots stay.
-            robot: name, file or spec; several as ``left=gibson_bot,right=gibson_bot``; None = no robot but the scene's own.
+            scene: name, folder, world or mesh file, as for ``gibson-sim run --scene``; or a loaded scene, whose robots are kept.
+            robot: name, file or spec; several as ``left=gibson_bot,right=gibson_bot``; None = only the robots of the scene.
             start: name of a start pose (``scene.starts``), or ``x,y,yaw_deg`` as text or numbers; of several robots as text, separated by
                 ``;``. Empty = the scene's first.
             seed: of the errors of all sensors and of odometry, 0 or more.
-            step_hz: physics steps in a second of simulation time.
-            publish_hz: rate of the ticks at which bumpers measure, Hz; must divide ``step_hz``. None = 60, or ``step_hz`` where 60 does not
+            step_hz: physics steps per second of simulation time.
+            publish_hz: rate of the ticks at which bumpers measure, Hz; must divide ``step_hz``. None = 60, or ``step_hz`` if 60 does not
                 divide it.
-            cmd_vel_timeout: seconds of simulation time after which a velocity command no longer counts, as on a real robot; None = it
-                counts until the next one.
-            views: chase cameras beside those of the robots, such as ``follow,top,orbit``, or a file of cameras; ``render`` takes ``follow``
-                or ``view_follow`` as the name of one.
-            view_size: width and height of views, pixels.
-            device: EGL device that draws, a number or a UUID as ``gibson-sim doctor`` lists them; None = a GPU if one works, else software.
+            cmd_vel_timeout: seconds of simulation time after which a velocity command expires, as on a real robot; None = it holds until the
+                next one.
+            views: additional chase cameras, such as ``follow,top,orbit``, or a file of cameras; ``render`` accepts ``follow`` or
+                ``view_follow`` as a name.
+            view_size: width and height of the views, pixels.
+            device: EGL device that draws, number or UUID as ``gibson-sim doctor`` lists them; None = a GPU if one works, else software.
 
         Raises:
-            GibsonSimError: scene, robot or a setting cannot be used; the message says which value, what is allowed and what to do.
+            GibsonSimError: scene, robot or a setting cannot be used; the message names the value, what is allowed and the remedy.
         """
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
             raise ConfigError(f"seed is {quoted(seed)}, must be a whole number, 0 or more")
@@ -213,21 +212,21 @@ class Simulation:
             raise ConfigError(f"publish_hz is {publish_hz}, must be 1 Hz or more and divide step_hz")
         usual = _DEFAULTS.publish_hz if step_hz % _DEFAULTS.publish_hz == 0 else step_hz
         self._tick_hz = usual if publish_hz is None else publish_hz
-        self._wanted_views = read_views(views, view_size)
+        self._view_specs = read_views(views, view_size)
         self._renderer: Renderer | None = None
         self._loaded: DrawnScene | None = None
-        """What the renderer has."""
+        """The scene that the renderer has loaded."""
         self._drawn: tuple[int, LightSpec, DrawnScene, Views] | None = None
         self._light = loaded.light
         self._suites: dict[str, SensorSuite] = {}
-        self._by_time: dict[str, Callable[[str], bool]] = {}
-        """Whether a robot's sensor of a name measures as time passes."""
+        self._measures_in_step: dict[str, Callable[[str], bool]] = {}
+        """By robot: whether ``step`` measures a sensor of a name."""
         self._readings: dict[tuple[str, str], Reading] = {}
         self._inputs: list[tuple[int, str, tuple[Any, ...]]] = []
         self._closed = False
         timeout = _NEVER_S if cmd_vel_timeout is None else cmd_vel_timeout
         self.world = PhysicsWorld(loaded, step_hz=step_hz, cmd_vel_timeout=timeout, seed=seed)
-        """Physics itself, for all that is not here: grasping, rays, joint efforts, attachments."""
+        """The physics world, for what this class does not cover: grasping, rays, joint efforts, attachments."""
         try:
             self._add_suites()
         except BaseException:
@@ -238,7 +237,7 @@ class Simulation:
 
     @property
     def scene(self) -> SceneSpec:
-        """What there is now: robots and bodies that came and went included."""
+        """The present scene, with all robots and bodies that were spawned, without those that were removed."""
         return self.world.scene
 
     @property
@@ -248,61 +247,61 @@ class Simulation:
 
     @property
     def bodies(self) -> Mapping[str, Body]:
-        """Doors, chairs and all other things that are no robots, by name; ``command_joints`` moves the joints of those that have any."""
+        """All bodies that are no robots, such as doors and chairs, by name; ``command_joints`` moves their joints."""
         return {body.name: Body(self.world, body.name) for body in self.world.scene.bodies}
 
     @property
     def semantic_classes(self) -> tuple[str, ...]:
-        """Class of each number in ``Frame.semantic``, in their order; numbers change when something of a new class is spawned."""
+        """Class names by their number in ``Frame.semantic``; numbers may change when a body of a new class is spawned."""
         return self._drawn_now()[0].semantic_classes
 
     @property
     def instances(self) -> tuple[str, ...]:
-        """What each number in ``Frame.instance`` is: a static thing or a body, by name; 0 = nothing."""
+        """Names of static visuals and bodies by their number in ``Frame.instance``; 0 = nothing."""
         return self._drawn_now()[0].instances
 
     @property
     def robot(self) -> Robot:
-        """The first robot, or the only one.
+        """The first robot.
 
         Raises:
-            CommandError: there is none.
+            CommandError: there is no robot.
         """
         return Robot(self.world, self._robot_name(None))
 
     @property
     def time(self) -> float:
-        """Simulation time since the beginning, seconds; ``state.stamp_ns`` has it in whole nanoseconds."""
+        """Simulation time since the beginning, seconds; ``state.stamp_ns`` is the same in whole nanoseconds."""
         return self.world.step_count / self.world.step_hz
 
     @property
     def state(self) -> SceneState:
-        """Poses and velocities of all links now; arrays of their own, read-only."""
+        """Present poses and velocities of all links; its arrays are read-only copies."""
         return self.world.state()
 
     @property
     def cameras(self) -> tuple[CameraSpec, ...]:
-        """The cameras of all robots, then the views; their names are what ``render`` takes."""
+        """The cameras of all robots, then the views; ``render`` accepts their names."""
         return self._drawn_now()[0].cameras
 
     # Time
 
     def step(self, seconds: float | None = None, *, steps: int | None = None) -> SceneState:
-        """Lets simulation time pass, and returns the state at its end. Sensors measure when they are due, at each physics step.
+        """Makes physics steps, and returns the state after them. Sensors measure at each step at which they are due.
 
         Args:
-            seconds: how much; must be a whole number of physics steps (``1 / step_hz``), within a millionth of one.
-            steps: how many physics steps; give this or ``seconds``. Neither = one step.
+            seconds: simulation time; must be a whole number of physics steps (``1 / step_hz``), within a millionth of one.
+            steps: number of physics steps; give this or ``seconds``. Neither = one step.
 
         Raises:
-            ConfigError: both are given, or it is no whole number of steps, 0 or more.
+            ConfigError: both are given, or the number of steps is not a whole number, 0 or more; the message names the nearest ones.
         """
         count = self._steps(seconds, steps)
         world = self.world
         for _ in range(count):
             world.step(1)
             for name, suite in self._suites.items():
-                measured = suite.measure(world, world.step_count, world.stamp_ns, self._by_time[name])
+                measured = suite.measure(world, world.step_count, world.stamp_ns, self._measures_in_step[name])
                 if measured:
                     self._note(name, measured)
         return world.state()
@@ -313,14 +312,20 @@ class Simulation:
         for what, value in (("seconds", seconds), ("steps", steps)):
             if value is not None:
                 _number(what, value)
-        wanted = float(1 if steps is None else steps) if seconds is None else seconds * self.world.step_hz
-        if not (math.isfinite(wanted) and wanted >= 0 and abs(wanted - round(wanted)) < 1e-6):
-            given = f"{steps} steps" if seconds is None else f"{seconds:g} s, {wanted:g} steps of 1/{self.world.step_hz} s"
-            raise ConfigError(f"step by {given}: must be a finite whole number of steps, 0 or more")
-        return round(wanted)
+        count = float(1 if steps is None else steps) if seconds is None else seconds * self.world.step_hz
+        if not (math.isfinite(count) and count >= 0 and abs(count - round(count)) < 1e-6):
+            given = f"{steps} steps" if seconds is None else f"{seconds:g} s, {count:g} steps of 1/{self.world.step_hz} s"
+            hint = self._nearest_steps(count) if math.isfinite(count) else ""
+            raise ConfigError(f"step by {given}: must be a finite whole number of steps, 0 or more{hint}")
+        return round(count)
+
+    def _nearest_steps(self, count: float) -> str:
+        """Returns the nearest allowed numbers of steps, with their seconds, for an error message."""
+        allowed = sorted({max(0, math.floor(count)), max(0, math.ceil(count))})
+        return "; nearest: " + " or ".join(f"steps={steps} ({steps / self.world.step_hz:g} s)" for steps in allowed)
 
     def reset(self) -> SceneState:
-        """Begins anew at time 0: what was spawned, moved, removed or commanded is forgotten. What follows equals a new simulation to the bit."""
+        """Restarts at time 0 with the initial robots and bodies; what follows is bit-equal to a new simulation."""
         world = self.world
         world.repopulate(self._initial.robots, self._initial.bodies)
         world.set_step_count(0)
@@ -332,20 +337,20 @@ class Simulation:
         return world.state()
 
     def save(self) -> SavedRun:
-        """Returns this moment, for ``restore``: what was done since the beginning, a few numbers for each call."""
+        """Returns the present moment for ``restore``: all inputs since the beginning, a few numbers for each call."""
         self._check_open()
         return SavedRun(self.world.step_count, tuple(self._inputs), self._identity())
 
     def restore(self, saved: SavedRun) -> SceneState:
-        """Goes back, or forward, to a saved moment, exactly: contacts, what joints and motors remember, errors of sensors.
+        """Returns to a saved moment exactly, including contacts, the internal state of joints and motors, and errors of sensors.
 
-        It begins anew and repeats what was done, which takes as long as those steps took; calls on ``world`` itself are not repeated.
+        It resets, and replays all inputs, which takes as long as those steps took. Calls on ``world`` itself are not replayed.
 
         Args:
-            saved: of this simulation, or of one with equal arguments.
+            saved: from this simulation, or from one with equal arguments.
 
         Raises:
-            ConfigError: it is of another scene, robot or setting; nothing has changed.
+            ConfigError: it is from a simulation with another scene, robot or setting; nothing has changed.
         """
         if not isinstance(saved, SavedRun):
             raise ConfigError(f"restore takes what save returned, not {quoted(saved)}")
@@ -357,36 +362,42 @@ class Simulation:
             getattr(self, method)(*arguments)
         return self.step(steps=saved.step - self.world.step_count)
 
-    # Doing something
+    # Commands
 
     def command(self, linear: float = 0.0, angular: float = 0.0, lateral: float = 0.0, robot: str | None = None) -> None:
-        """Drives a robot from the next step on, until the next command (or ``cmd_vel_timeout``), within the limits of its drive.
+        """Commands the velocity of a robot from the next step on, until the next command or ``cmd_vel_timeout``; the drive limits it.
 
         Args:
             linear: m/s, forward.
             angular: rad/s, counter-clockwise.
-            lateral: m/s, to the left; omnidirectional drives alone have it.
+            lateral: m/s, to the left; other than 0 for omnidirectional drives only.
             robot: its name; None = the first one.
 
         Raises:
-            CommandError: a number is not finite, or the robot is not there or has no drive.
+            CommandError: a number is not finite, there is no such robot, or its drive cannot do that.
         """
         self._check_open()
         name = self._robot_name(robot)
         linear, angular, lateral = _number("linear", linear), _number("angular", angular), _number("lateral", lateral)
         velocity = VelocityCommand((linear, lateral, 0.0), (0.0, 0.0, angular), self.world.stamp_ns)
+        drive = self.robots[name].spec.drive
+        # Over ROS, `linear.y` of a Twist is ignored instead: teleoperation nodes send one message to robots of all kinds.
+        if lateral and drive is not None and drive.kind != "omni":
+            raise CommandError(
+                f"robot {quoted(name)} has a drive of type {drive.kind}, which cannot move sideways: lateral is {lateral:g} m/s, must be 0"
+            )
         self.world.command(name, velocity)
         self._inputs.append((self.world.step_count, "command", (linear, angular, lateral, name)))
 
     def command_joints(self, positions: Mapping[str, float], name: str | None = None) -> None:
-        """Moves joints of a robot, or of a body such as a door, to positions, as fast as their limits allow.
+        """Commands joints of a robot, or of a body such as a door, to positions, as fast as their limits allow.
 
         Args:
             positions: joint name -> radians or metres.
-            name: of the robot or the body; None = the first robot.
+            name: robot or body; None = the first robot.
 
         Raises:
-            CommandError: there is no such robot, body or joint, or it cannot move there.
+            CommandError: there is no such robot, body or joint, or the joint cannot move there.
         """
         self._check_open()
         name = name if name is not None else self._robot_name(None)
@@ -397,53 +408,56 @@ class Simulation:
         self._inputs.append((self.world.step_count, "command_joints", (dict(positions), name)))
 
     def spawn(self, uri: str | Path, name: str, position: Vec3 = (0.0, 0.0, 0.0), yaw: float = 0.0) -> None:
-        """Puts a thing or a robot into the scene.
+        """Adds a body or a robot to the scene.
 
         Args:
-            uri: name of one of our objects (``gibson_sim.list_objects``) or robots, or a URDF, SDF, robot.yaml or mesh file.
-            name: what it is called from now on: letters, digits and _, a letter first. Cameras of a robot are called ``<name>/<camera>``.
+            uri: name of a built-in object (``gibson_sim.list_objects``) or robot, or a URDF, SDF, robot.yaml or mesh file.
+            name: its new name: letters, digits and _, a letter first. Cameras of a robot are named ``<name>/<camera>``.
             position: of its root link, metres, world frame.
             yaw: about the world's z axis, radians.
 
         Raises:
-            SceneError: it cannot be read; the message names the file and what is wrong.
-            PhysicsError: the name is taken, or a robot would stand inside of something.
+            SceneError: it cannot be loaded; the message names the file and what is wrong.
+            PhysicsError: the name is in use, or a robot would overlap another body.
         """
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or name == WORLD_FRAME:
             raise ConfigError(f"name is {quoted(name)}, must be letters, digits and _, a letter first, and not {WORLD_FRAME!r}")
         spec = load_spawnable(str(uri), "", name=name, pose=_upright(position, yaw))
-        self._place(in_namespace(spec, name) if isinstance(spec, RobotSpec) else spec)
+        self.world.add(in_namespace(spec, name) if isinstance(spec, RobotSpec) else spec)
+        self._add_suites()
         self._inputs.append((self.world.step_count, "spawn", (uri, name, tuple(position), yaw)))
 
     def move(self, name: str, position: Vec3, yaw: float = 0.0) -> None:
-        """Puts a robot or a body somewhere else, upright and at rest.
+        """Sets the pose of a robot or a body, upright and at rest.
+
+        The place is not checked: a body that then overlaps a wall or another body is pushed out by the next steps.
 
         Args:
-            name: which.
+            name: robot or body.
             position: of its root link, metres, world frame.
             yaw: about the world's z axis, radians.
 
         Raises:
-            PhysicsError: there is none of this name.
+            PhysicsError: there is no robot or body of this name.
         """
         self.world.set_state(name, _upright(position, yaw), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._inputs.append((self.world.step_count, "move", (name, tuple(position), yaw)))
 
     def remove(self, name: str) -> None:
-        """Takes a robot or a body out of the scene.
+        """Removes a robot or a body from the scene.
 
         Raises:
-            PhysicsError: there is none of this name.
+            PhysicsError: there is no robot or body of this name.
         """
         self.world.remove(name)
         self._suites.pop(name, None)
         self._readings = {of: reading for of, reading in self._readings.items() if of[0] != name}
         self._inputs.append((self.world.step_count, "remove", (name,)))
 
-    # What sensors measure
+    # Sensors
 
     def scan(self, lidar: str = "", robot: str | None = None) -> Scan:
-        """Returns what a planar lidar measures now, with its errors; ROS drivers publish the same at the lidar's rate.
+        """Returns a scan of a planar lidar now, with its errors; over ROS the same is published at the lidar's rate.
 
         Args:
             lidar: its name; empty = the robot's first.
@@ -465,7 +479,7 @@ class Simulation:
             robot: its name; None = the first one.
 
         Raises:
-            ConfigError: there is no such sensor, or it was not due yet: let time pass first.
+            ConfigError: there is no such sensor, or it has not measured yet.
         """
         name = self._robot_name(robot)
         found = self._readings.get((name, sensor))
@@ -476,11 +490,11 @@ class Simulation:
             raise ConfigError(f"robot {quoted(name)} has no sensor {quoted(sensor)}; it has: {', '.join(known) or 'none'}")
         return found
 
-    # What cameras see
+    # Cameras
 
     @property
     def light(self) -> LightSpec:
-        """How the scene is lit; set it to ``dataclasses.replace(sim.light, sun=0.2, ...)`` for another light."""
+        """Light of the scene; assign ``dataclasses.replace(sim.light, sun=0.2, ...)`` to change it."""
         return self._light
 
     @light.setter
@@ -496,21 +510,21 @@ class Simulation:
 
     @property
     def renderer(self) -> Renderer:
-        """The renderer, with the scene as it is now; opened when first asked for.
+        """The renderer, with the present scene; opened on first access.
 
         Raises:
-            RenderError: nothing here can draw, or another thread has drawn before.
+            RenderError: no EGL device can draw, or another thread has drawn before.
         """
         return self._renderer_of(self._drawn_now()[0])
 
     def render(
         self, camera: str | CameraSpec = "", outputs: Sequence[Output] | None = None, previous: SceneState | None = None
     ) -> Frame:
-        """Returns what a camera sees now, drawn from the present state and nothing else.
+        """Returns the image of a camera at the present state.
 
         Args:
             camera: name of a camera or a view, or a camera of your own; empty = the first one.
-            outputs: what to draw, one or several of ``gibson_sim.OUTPUTS``; None = as the camera's file says.
+            outputs: one or several of ``gibson_sim.OUTPUTS``; None = those of the camera's spec.
             previous: an earlier state, which ``flow`` needs; with it, cameras with a shutter have motion blur.
 
         Returns:
@@ -518,12 +532,12 @@ class Simulation:
             optical axis, +inf = nothing, with the camera's ``depth_noise``. ``semantic``, ``instance`` (H, W) uint16: numbers in
             ``semantic_classes`` and ``instances``. ``normal`` (H, W, 3) float32, optical frame (x right, y down, z forward), and
             ``normal_world``. ``position`` (H, W, 3) float32, world frame, metres, NaN = nothing. ``flow`` (H, W, 2) float32, pixels right
-            and down since ``previous``. What was not asked for is None. ``stamp_ns`` is that of the state; ``T_world_camera`` (4, 4) takes
-            the optical frame to the world.
+            and down since ``previous``. Outputs that were not requested are None. ``stamp_ns`` is that of the state; ``T_world_camera``
+            (4, 4) takes the optical frame to the world.
 
         Raises:
             ConfigError: there is no such camera or output, or ``flow`` has no previous state.
-            RenderError: nothing here can draw.
+            RenderError: no EGL device can draw.
         """
         return self.render_all([camera], outputs, previous)[0]
 
@@ -533,9 +547,9 @@ class Simulation:
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
     ) -> list[Frame]:
-        """Returns a frame of each camera, drawn side by side, which is quicker than one by one. No cameras = all. See ``render``."""
-        renderer, state, wanted, before = self._picture(cameras, outputs, previous)
-        frames = renderer.render(state, wanted, before)
+        """Returns the frames of several cameras, drawn together, which is faster than one by one; none given = all. See ``render``."""
+        renderer, state, specs, before = self._render_arguments(cameras, outputs, previous)
+        frames = renderer.render(state, specs, before)
         return [apply_depth_noise(frame, frame.camera.depth_noise) for frame in frames]
 
     def render_tensors(
@@ -544,14 +558,14 @@ class Simulation:
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
     ) -> list[TensorFrame]:
-        """Returns the frames as PyTorch tensors: on the GPU that drew them where CUDA has it, else on the CPU. Without depth noise; see
-        ``render_all``.
+        """Returns the frames of ``render_all`` as PyTorch tensors, without depth noise: on the GPU that drew them if CUDA supports it, else on
+        the CPU.
 
         Raises:
             ConfigError: PyTorch is not installed, or there is no such camera.
         """
-        renderer, state, wanted, before = self._picture(cameras, outputs, previous)
-        return renderer.render_tensors(state, wanted, before)
+        renderer, state, specs, before = self._render_arguments(cameras, outputs, previous)
+        return renderer.render_tensors(state, specs, before)
 
     def close(self) -> None:
         """Frees engine and renderer; a second call does nothing."""
@@ -578,14 +592,14 @@ class Simulation:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    # Inside
+    # Internals
 
     def _check_open(self) -> None:
         if self._closed:
             raise PhysicsError("this simulation is closed; make a new one")
 
     def _identity(self) -> tuple[Any, ...]:
-        """Returns what a saved run depends on beside its inputs."""
+        """Returns what a saved run depends on besides its inputs."""
         scene = self._initial
         robots = tuple((robot.name, str(robot.urdf), robot.start) for robot in scene.robots)
         return scene.name, scene.content_hash, robots, self.world.step_hz, self._tick_hz, self._seed
@@ -607,14 +621,7 @@ class Simulation:
                 self._suites[robot.name] = suite
                 sensors = robot.sensors
                 lidars = frozenset((*(planar.name for planar in sensors.lidars), *(other.name for other in sensors.lidars_3d)))
-                self._by_time[robot.name] = _all_but(lidars)  # these are cast when ``scan`` is called
-
-    def _place(self, spec: BodySpec | RobotSpec) -> None:
-        if isinstance(spec, RobotSpec):
-            self.world.add_robot(spec)
-            self._add_suites()
-        else:
-            self.world.add_body(spec)
+                self._measures_in_step[robot.name] = _all_but(lidars)  # `scan` measures these
 
     def _note(self, robot: str, measured: Measurements) -> None:
         readings: list[Reading] = [*measured.imus, *measured.bumpers, *measured.batteries]
@@ -622,13 +629,13 @@ class Simulation:
             self._readings[robot, reading.name] = reading
 
     def _drawn_now(self) -> tuple[DrawnScene, Views]:
-        """Returns the scene with its views as it is to be drawn now; made anew only where something changed."""
+        """Returns the scene to draw with its views; cached until something changes."""
         self._check_open()
         world = self.world
         if self._drawn is None or self._drawn[0] != world.scene.revision or self._drawn[1] is not self._light:
             robot = next((robot.name for robot in world.scene.robots), "")
             lit = replace(drawn_scene(world.scene, world.links), light=self._light)
-            views = Views(self._wanted_views, lit, robot, lambda: extent_of_scene(world.scene))
+            views = Views(self._view_specs, lit, robot, lambda: extent_of_scene(world.scene))
             if views.absent:
                 raise ConfigError(next(iter(views.absent.values())))
             self._drawn = world.scene.revision, self._light, views.scene, views
@@ -649,24 +656,24 @@ class Simulation:
             logger.warning("%s", warning)
         return self._renderer
 
-    def _picture(
+    def _render_arguments(
         self, cameras: Sequence[str | CameraSpec], outputs: Sequence[Output] | None, previous: SceneState | None
     ) -> tuple[Renderer, SceneState, list[CameraSpec], SceneState | None]:
         drawn, views = self._drawn_now()
         if isinstance(cameras, (str, CameraSpec)) or not isinstance(cameras, Sequence):
             raise ConfigError(f"cameras is {quoted(cameras)}, must be a list of names or cameras; `render` takes a single one")
-        wanted = [self._camera(drawn.cameras, camera) for camera in cameras] or list(drawn.cameras)
+        specs = [self._camera(drawn.cameras, camera) for camera in cameras] or list(drawn.cameras)
         if outputs is not None:
-            asked = cast("tuple[Output, ...]", (outputs,) if isinstance(outputs, str) else tuple(outputs))
-            wanted = [replace(camera, outputs=asked) for camera in wanted]
+            requested = cast("tuple[Output, ...]", (outputs,) if isinstance(outputs, str) else tuple(outputs))
+            specs = [replace(camera, outputs=requested) for camera in specs]
         if previous is not None and not isinstance(previous, SceneState):
             raise ConfigError(f"previous is {quoted(previous)}, must be a state: what `step` returned, or `sim.state`")
         if previous is not None and previous.links != self.world.links:
             raise ConfigError("previous is a state with other things in it: take one from after the last spawn, remove or reset")
-        if previous is None and any("flow" in camera.outputs for camera in wanted):
+        if previous is None and any("flow" in camera.outputs for camera in specs):
             raise ConfigError("optical flow needs an earlier state: render(..., previous=state)")
         before = None if previous is None else views.extended(previous)
-        return self._renderer_of(drawn), views.extended(self.world.state()), wanted, before
+        return self._renderer_of(drawn), views.extended(self.world.state()), specs, before
 
     def _camera(self, known: Sequence[CameraSpec], camera: str | CameraSpec) -> CameraSpec:
         if isinstance(camera, CameraSpec):
@@ -678,7 +685,7 @@ class Simulation:
 
     @staticmethod
     def _one_of(known: Sequence[T], name: str, what: str) -> T:
-        """Returns the one of a name, or the first where the name is empty."""
+        """Returns the one with a name, or the first if the name is empty."""
         for one in known:
             if name in ("", one.name):
                 return one
@@ -695,7 +702,7 @@ def _upright(position: Vec3, yaw: float) -> Pose:
 
 
 def _number(what: str, value: Any) -> float:
-    """Returns a number, or raises ConfigError: text, None and arrays are none."""
+    """Returns a number as float; raises ConfigError for text, None, flags and arrays."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ConfigError(f"{what} is {quoted(value)}, must be a number")
     return float(value)

@@ -1,4 +1,4 @@
-"""The values that flow between the parts of the simulator: frozen, checked where they are born.
+"""The values that the parts of the simulator exchange: frozen, and checked when they are created.
 
 Conventions: metres, radians, seconds (REP 103); time is a whole number of nanoseconds since the scene was loaded;
 quaternions are ``(x, y, z, w)``; ``T_a_b`` takes coordinates in b to coordinates in a. Knows neither ROS, PyBullet nor OpenGL.
@@ -28,7 +28,7 @@ DISTORTIONS: dict[Projection, dict[str, tuple[int, ...]]] = {
     "fisheye": {"equidistant": (4,)},
     "equirectangular": {},
 }
-"""Projection -> ``distortion_model`` of camera_info -> how many numbers its ``d`` may have."""
+"""Projection -> ``distortion_model`` of camera_info -> allowed lengths of its ``d``."""
 NS_PER_S = 1_000_000_000
 
 
@@ -48,31 +48,31 @@ class Pose:
 
 
 def check_seed(what: str, seed: int) -> None:
-    """Raises ConfigError, which begins with ``what``, unless the seed fits a signed 64-bit integer and is not negative."""
+    """Raises ConfigError, with ``what`` in its message, unless the seed is 0 to 2**63 - 1."""
     if not 0 <= seed < 2**63:
         raise ConfigError(f"{what}: seed is {seed}, must be 0 to {2**63 - 1}")
 
 
 @dataclass(frozen=True, slots=True)
 class ImageEffects:
-    """What a real camera does to colours. All off by default; depth, labels and normals never change."""
+    """Effects of a real camera on colours. All are off by default; depth, labels and normals never change."""
 
     exposure_ev: float = 0.0
-    """Stops: each doubles the light."""
+    """Exposure compensation, stops; each doubles the light."""
     white_balance_k: float = 6500.0
-    """Colour temperature that comes out white, kelvin: lower = bluer picture of the same scene."""
+    """Colour temperature that is rendered white, kelvin; lower = bluer image of the same scene."""
     vignette: float = 0.0
-    """How much of the light is missing in the corners, 0 to 1 (falls as cos^4 of the angle would, scaled to this)."""
+    """Share of the light that is missing in the corners, 0 to 1; falls off like cos^4 of the angle, scaled to this."""
     shutter_s: float = 0.0
-    """Time that the shutter is open, seconds: motion blur over the motion since the previous state."""
+    """Exposure time, seconds: motion blur over the motion since the previous state."""
     readout_s: float = 0.0
     """Time from the first row to the last, seconds: rolling shutter."""
     shot_noise: float = 0.0
-    """Standard deviation of noise that grows with the root of the light, at full white, 0 to 1, linear."""
+    """Standard deviation of shot noise at full white, 0 to 1, linear; proportional to the square root of the light."""
     read_noise: float = 0.0
-    """Standard deviation of noise that is always there, 0 to 1, linear."""
+    """Standard deviation of read noise, 0 to 1, linear; independent of the light."""
     seed: int = 0
-    """Of the noise; with the stamp of the image and the name of the camera it decides every pixel."""
+    """Seed of the noise, which decides every pixel together with the image's stamp and the camera's name."""
 
     def __post_init__(self) -> None:
         if not abs(self.exposure_ev) <= 20.0:
@@ -90,26 +90,26 @@ class ImageEffects:
 
 @dataclass(frozen=True, slots=True)
 class DepthNoise:
-    """What a depth camera does to depths: sigma(z) = constant + linear z + quadratic z^2, metres; steps of disparity; holes."""
+    """Noise of a depth camera: standard deviation constant + linear z + quadratic z^2, metres; quantised disparity; holes."""
 
     constant: float = 0.0
-    """m."""
+    """Constant term, m."""
     linear: float = 0.0
-    """1."""
+    """Linear coefficient."""
     quadratic: float = 0.0
-    """1/m: a stereo camera's noise grows with z^2."""
+    """Quadratic coefficient, 1/m: a stereo camera's noise grows with z^2."""
     disparity_step_px: float = 0.0
-    """Disparities are multiples of this; 0 = no steps."""
+    """Step of disparities, pixels; 0 = none."""
     baseline: float = 0.05
-    """m, between the camera and its projector or second eye: disparity = fx baseline / z."""
+    """Distance of the camera from its projector or second camera, metres: disparity = fx baseline / z."""
     hole_angle_deg: float = 90.0
-    """Surfaces seen under a larger angle from their normal give no depth; 90 = all give one."""
+    """Largest angle between the line of sight and a surface's normal at which the surface has a depth; 90 = all surfaces."""
     hole_fraction: float = 0.0
-    """Part of the other pixels that give no depth, at random."""
+    """Share of the other pixels that have no depth, at random."""
     range_min: float = 0.0
-    """m; nearer depths are reported as -inf (REP 117)."""
+    """Least measurable depth, metres; smaller depths are -inf (REP 117)."""
     seed: int = 0
-    """With the stamp of the image and the name of the camera it decides every pixel."""
+    """Seed of the noise, which decides every pixel together with the image's stamp and the camera's name."""
 
     def __post_init__(self) -> None:
         for name in ("constant", "linear", "quadratic", "disparity_step_px", "range_min"):
@@ -133,9 +133,9 @@ class CameraSpec:
     """A camera fixed to a robot link. The camera frame is optical (REP 103): x right, y down, z forward."""
 
     name: str
-    """Name of the camera: its topics live under it, and its frame is ``<name>_optical_frame``."""
+    """Name of the camera, of which its topics and its frame ``<name>_optical_frame`` are made."""
     link: str
-    """Link that it is fixed to, as named in ``SceneState.links``: ``<body>/<link>``; "map" or empty = the world, and kept as empty."""
+    """Link that it is fixed to, as in ``SceneState.links``: ``<body>/<link>``; "map", which becomes empty, or empty = the world."""
     pose: Pose = field(default_factory=Pose)
     """T_link_optical."""
     width: int = 640
@@ -145,13 +145,13 @@ class CameraSpec:
     fov_y: float = math.radians(60.0)
     """Pinhole without ``matrix``: vertical field of view, radians, in (0, pi)."""
     near: float = 0.05
-    """Nearest distance drawn, metres along the axis (a camera made from several views: along the axis of each)."""
+    """Distance of the near plane, metres along the axis (along the axis of each view of a camera that is composed of several)."""
     far: float = 100.0
-    """Farthest depth reported, metres; beyond it depth is +inf (REP 117)."""
+    """Largest depth, metres; beyond it depth is +inf (REP 117)."""
     rate_hz: float = 30.0
-    """Images a second of simulation time."""
+    """Images per second of simulation time."""
     outputs: tuple[Output, ...] = DEFAULT_OUTPUTS
-    """What to draw, all in one pass."""
+    """Outputs of an image, all of one pass."""
     projection: Projection = "pinhole"
     """pinhole; fisheye (equidistant: the angle from the axis is proportional to the distance from the centre); equirectangular."""
     matrix: tuple[float, ...] | None = None
@@ -159,15 +159,15 @@ class CameraSpec:
     distortion: tuple[float, ...] = ()
     """``d`` of camera_info. pinhole: 4 or 5 numbers of plumb_bob, or 8 of rational_polynomial; fisheye: 4 of equidistant; else none."""
     fov: float = math.pi
-    """Fisheye only: full angle seen, radians, in (0, 2 pi]; nothing is drawn beyond it."""
+    """Fisheye only: full field of view, radians, in (0, 2 pi]; nothing is drawn beyond it."""
     samples: int = 1
-    """Colour samples a pixel: 1 or 4 (edges smoothed). Depth, labels and normals always are those of one point."""
+    """Colour samples per pixel: 1 or 4 (antialiasing). Depth, labels and normals always have one sample."""
     stereo_baseline: float = 0.0
-    """Right camera of a stereo pair: metres to the left one. It goes into ``p`` of camera_info."""
+    """Right camera of a stereo pair: distance from the left one, metres, for ``p`` of camera_info."""
     effects: ImageEffects = field(default_factory=ImageEffects)
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
     frame_id: str = ""
-    """The tf frame of its images; empty = ``<name>_optical_frame``."""
+    """tf frame of its images; empty = ``<name>_optical_frame``."""
 
     def __post_init__(self) -> None:
         what = f"camera {quoted(self.name)}"
@@ -195,7 +195,7 @@ class CameraSpec:
         if self.distortion and self.distortion_model is None:
             known = ", ".join(f"{' or '.join(map(str, counts))} ({model})" for model, counts in models.items()) or "none"
             raise ConfigError(
-                f"{what}: distortion has {len(self.distortion)} numbers; how many a {self.projection} camera may have: {known}"
+                f"{what}: distortion has {len(self.distortion)} numbers; projection {self.projection} allows: {known}"
             )
         if not all(map(math.isfinite, self.distortion)):
             raise ConfigError(f"{what}: distortion is {self.distortion}, its numbers must be finite")
@@ -227,7 +227,7 @@ class CameraSpec:
 
     @property
     def distortion_model(self) -> str | None:
-        """The model of ``distortion`` as camera_info names it; None where no model has so many numbers, or none is known."""
+        """Name of the distortion model in camera_info; None if no model has as many numbers as ``distortion``."""
         models = DISTORTIONS[self.projection]
         return next((model for model, counts in models.items() if not self.distortion or len(self.distortion) in counts), None)
 
@@ -239,8 +239,8 @@ class CameraSpec:
     def intrinsics(self) -> NDArray[np.float64]:
         """Returns K, shape (3, 3), pixels; pixel centres are at whole numbers (OpenCV, ROS).
 
-        Without ``matrix`` pixels are square and the image's middle is that of the picture. The circle that is ``fov`` wide then
-        touches the edges of a fisheye's image. K of an equirectangular camera takes (longitude, -latitude) to pixels.
+        Without ``matrix``, pixels are square and the principal point is the centre of the image. The circle of a fisheye's ``fov`` then
+        touches the edges of its image. K of an equirectangular camera maps (longitude, -latitude) to pixels.
         """
         if self.matrix is not None:
             return np.array(self.matrix, dtype=np.float64).reshape(3, 3)
@@ -264,9 +264,9 @@ class SceneState:
     step: int
     """Physics steps since load."""
     revision: int
-    """Revision of the scene whose links these are; a state of another revision must not be drawn."""
+    """Revision of the scene with these links; a renderer refuses a state of another revision."""
     links: tuple[str, ...]
-    """Names ``<body>/<link>``, one a row."""
+    """Names ``<body>/<link>``, one for each row."""
     positions: NDArray[np.float64]
     """(N, 3), metres: origins of the URDF link frames (not centres of mass)."""
     quats_xyzw: NDArray[np.float64]
@@ -282,24 +282,24 @@ class SceneState:
 
     @classmethod
     def still(cls, revision: int = 1) -> SceneState:
-        """Returns the state, at time 0, of a scene without links: nothing in it moves.
+        """Returns the state at time 0 of a scene without links, in which nothing moves.
 
         Args:
-            revision: of the scene.
+            revision: revision of the scene.
         """
         return cls(0, 0, revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
 
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand:
-    """A wanted velocity of the robot's base, in its own frame (x forward, z up)."""
+    """A commanded velocity of the robot's base, in its own frame (x forward, z up)."""
 
     linear: Vec3
     """m/s."""
     angular: Vec3
     """rad/s."""
     stamp_ns: int
-    """Simulation time at which it arrived."""
+    """Simulation time of its arrival, nanoseconds."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.linear, *self.angular))):
@@ -320,26 +320,26 @@ class Contact:
     link_b: str
     """Empty for a static shape."""
     position: Vec3
-    """On b, world frame, metres."""
+    """Contact point on b, world frame, metres."""
     normal: Vec3
     """From b to a, unit vector, world frame."""
     force: float
-    """N, along the normal."""
+    """Normal force, N."""
     distance: float = 0.0
-    """Metres between the two surfaces; negative = they overlap."""
+    """Distance between the two surfaces, metres; negative = penetration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """What one camera saw at one tick. Row 0 is the top of the image."""
+    """The image of one camera at one tick. Row 0 is the top."""
 
     camera: CameraSpec
     stamp_ns: int
-    """Stamp of the state that was drawn."""
+    """Stamp of the drawn state, nanoseconds of simulation time."""
     T_world_camera: NDArray[np.float64]
     """(4, 4), optical frame."""
     rgb: NDArray[np.uint8] | None = None
-    """(height, width, 3) uint8, sRGB, or None if not asked for."""
+    """(height, width, 3) uint8, sRGB, or None if not requested."""
     depth: NDArray[np.float32] | None = None
     """(height, width) float32, metres along the optical axis (fisheye, equirectangular: from the camera's centre), +inf = nothing
     (REP 117/118), or None. With depth noise also -inf = too near, NaN = a hole."""
@@ -348,34 +348,38 @@ class Frame:
     instance: NDArray[np.uint16] | None = None
     """(height, width) uint16, index into the scene's instances, 0 = nothing, or None."""
     normal: NDArray[np.float32] | None = None
-    """(height, width, 3) float32, unit normals in the optical frame, turned towards the camera, 0 = nothing, or None."""
+    """(height, width, 3) float32, unit normals in the optical frame, facing the camera, 0 = nothing, or None."""
     normal_world: NDArray[np.float32] | None = None
     """The same in the world frame."""
     position: NDArray[np.float32] | None = None
     """(height, width, 3) float32, points in the world frame, metres, NaN = nothing, or None."""
     flow: NDArray[np.float32] | None = None
-    """(height, width, 2) float32, pixels right and down that the point seen here moved since the previous state, NaN = nothing; or None."""
+    """(height, width, 2) float32, motion of the visible point since the previous state, pixels right and down, NaN = nothing; or None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointStates:
-    """Joints of one body at one tick: radians or metres, and per second."""
+    """Joints of one body at one tick."""
 
     names: tuple[str, ...]
     positions: NDArray[np.float64]
+    """(J,), radians or metres."""
     velocities: NDArray[np.float64]
+    """(J,), rad/s or m/s."""
     efforts: NDArray[np.float64]
+    """(J,), N m or N."""
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """What the wheels say: pose of the base in the odom frame, and its velocity in its own frame."""
+    """Wheel odometry: pose of the base in the odom frame, and its velocity in its own frame."""
 
     x: float
     """Metres, odom frame."""
     y: float
+    """Metres, odom frame."""
     yaw: float
-    """Radians, in (-pi, pi]."""
+    """Radians, in (-pi, pi], odom frame."""
     linear: float
     """Forward speed, m/s, base frame."""
     angular: float

@@ -1,7 +1,7 @@
-"""Writes files whole or not at all. Every file that somebody asked for is written through this.
+"""Writes files atomically. All modules write files for users through this one.
 
-What is written goes into a draft beside the file, and takes its name once it is complete: who looks meanwhile, and who looks after a
-disk ran full, finds the old file or the new one. Bags alone are written in place: they are of use before they are complete.
+The content goes into a draft beside the file, which takes the file's name once it is complete: a reader always finds the old file or the
+new one, also after the disk ran full. Only bags are written in place, because they are useful before they are complete.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from uuid import uuid4
 from gibson_sim.errors import WriteError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors that say that nothing more fits."""
-_OF_THE_DISK = (*FULL, errno.EROFS, errno.EIO)
+"""Error numbers of a full disk, quota or file size limit."""
+_DISK_ERRORS = (*FULL, errno.EROFS, errno.EIO)
 _UNITS = ("bytes", "KB", "MB", "GB", "TB")
 
 
 def write_file(path: str | Path, content: bytes | str, *, durable: bool = True) -> None:
-    """Writes a file; its folder is made where it is missing.
+    """Writes a file; creates its folder if necessary.
 
     Args:
-        path: of the file, which is replaced; a device or a pipe is written into.
+        path: the file, which is replaced; a device or a pipe is written to.
         content: bytes, or text, which is written as UTF-8.
-        durable: wait until the disk has it, which a file of thousands need not.
+        durable: whether to wait until the disk has stored it, which costs time for thousands of files.
 
     Raises:
-        WriteError: it cannot be written; what was there before still is, and nothing else.
+        WriteError: the file cannot be written; a previous file is unchanged.
     """
     data = content.encode("utf-8") if isinstance(content, str) else content
     with replacing(path, durable=durable, needs=len(data)) as draft, draft.open("wb", buffering=0) as file:
@@ -41,15 +41,15 @@ def write_file(path: str | Path, content: bytes | str, *, durable: bool = True) 
 
 @contextmanager
 def replacing(path: str | Path, *, durable: bool = True, needs: int = 0) -> Iterator[Path]:
-    """Yields a draft to be written, whose name ends as the file's does; it takes the place of the file once the block ends well.
+    """Yields the path of a draft with the file's suffix, which replaces the file if the block ends without an exception.
 
     Args:
-        path: of the file; its folder is made where it is missing. A device or a pipe is its own draft.
-        durable: wait until the disk has it.
-        needs: bytes that will be written, where that is known; for the message.
+        path: the file; its folder is created if necessary. A device or a pipe is its own draft.
+        durable: whether to wait until the disk has stored it.
+        needs: bytes that will be written, for the error message; 0 = not known.
 
     Raises:
-        WriteError: it cannot be written, or an OSError left the block; the draft is gone.
+        WriteError: the file cannot be written, or an OSError left the block; the draft is deleted.
     """
     target = Path(path)
     draft: Path | None = None
@@ -82,12 +82,12 @@ def replacing(path: str | Path, *, durable: bool = True, needs: int = 0) -> Iter
 
 
 def cannot_write(path: str | Path | None, error: OSError | ValueError, needs: int = 0, spare: int = 0) -> WriteError:
-    """Returns the error that says that a file cannot be written; where the disk is full, with what it needs and what there is.
+    """Returns the error for a file that cannot be written; on a full disk, with the needed and the free space.
 
     Args:
-        path: of the file; None = not known, such as standard output.
-        error: what the system says.
-        needs: bytes, at least; 0 = not known.
+        path: the file; None = not known, such as standard output.
+        error: the system's error.
+        needs: least number of bytes that the file needs; 0 = not known.
         spare: bytes of the draft, which will be free again.
     """
     what = f"cannot write {'the output' if path is None else path}"
@@ -103,12 +103,12 @@ def cannot_write(path: str | Path | None, error: OSError | ValueError, needs: in
 
 
 def is_of_the_disk(error: OSError) -> bool:
-    """Returns whether an error is about a disk that is full, read-only or broken, wherever it came up."""
-    return error.errno in _OF_THE_DISK
+    """Returns whether an error is that of a full, read-only or broken disk."""
+    return error.errno in _DISK_ERRORS
 
 
 def size_text(size: int) -> str:
-    """Returns a number of bytes in the unit that suits it, such as 12.3 MB."""
+    """Returns a number of bytes with a suitable unit, such as 12.3 MB."""
     value, unit = float(size), 0
     while value >= 1000.0 and unit < len(_UNITS) - 1:
         value, unit = value / 1000.0, unit + 1
@@ -122,7 +122,7 @@ def _write_all(descriptor: int, data: bytes) -> None:
 
 
 def _is_special(path: Path) -> bool:
-    """Returns whether something is there that has no contents to replace, such as /dev/stdout."""
+    """Returns whether a path is neither a regular file nor a folder, such as /dev/stdout."""
     try:
         mode = path.stat().st_mode
     except OSError:
@@ -131,10 +131,10 @@ def _is_special(path: Path) -> bool:
 
 
 def _mode_of(path: Path) -> int | None:
-    """Returns the permissions of the file that is to be replaced, None where there is none.
+    """Returns the permissions of the file to replace, None if it does not exist.
 
     Raises:
-        OSError: it may not be written, or is a folder.
+        OSError: the file is not writable, or is a folder.
     """
     try:
         mode = path.stat().st_mode
@@ -163,7 +163,7 @@ def _size(path: Path | None) -> int:
 
 
 def _free(path: Path) -> int | None:
-    """Returns how many bytes the disk of a path has left, None where that cannot be said."""
+    """Returns the free bytes of the disk of a path, None if unknown."""
     for place in path.absolute().parents:
         try:
             return shutil.disk_usage(place).free

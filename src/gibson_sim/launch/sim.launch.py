@@ -1,6 +1,6 @@
 """Starts the simulation: ros2 launch gibson_sim sim.launch.py scene:=linden_flat rate:=2.0
 
-Every parameter of the physics and the render node is an argument (--show-args lists them); params_file:=FILE.yaml gives many at once.
+Every parameter of the physics node and the render node is an argument (--show-args lists them); params_file:=FILE.yaml sets many at once.
 """
 
 import atexit
@@ -24,7 +24,7 @@ def generate_launch_description():
     known = arguments()
     return LaunchDescription(
         [
-            # Before the arguments are declared, those alone have a value that somebody gave: the others shall not win over params_file.
+            # Runs before the arguments are declared: only those that the user set have a value, so that defaults do not override params_file.
             OpaqueFunction(function=_start),
             *[
                 DeclareLaunchArgument(a.name, default_value=a.default, description=a.description, choices=list(a.choices) or None)
@@ -35,7 +35,7 @@ def generate_launch_description():
 
 
 def _start(context):
-    """Starts the nodes with what was given."""
+    """Starts the nodes with the arguments that the user set."""
     for warning in misspelt([text.partition(":=")[0] for text in context.argv]):
         logging.get_logger("gibson_sim").warning(warning)
     given = plan(context.launch_configurations)
@@ -52,7 +52,7 @@ def _start(context):
             executable=f"{start.node}_node",
             namespace=given.namespace,
             parameters=[*([str(given.params_file)] if given.params_file else []), *([file] if start.parameters else [])],
-            additional_env={**reach, **enclave_variables(context.environment, start.node)},  # of these nodes alone
+            additional_env={**reach, **enclave_variables(context.environment, start.node)},  # for these nodes only
             output="screen",
         )
 
@@ -71,7 +71,7 @@ def _start(context):
         if name == "render" and event.returncode != USER_ERROR and restarts.allow():
             running[name] = node(starts[name])
             return [LogInfo(msg="the render node crashed; starting it again"), running[name]]
-        # Time ends with the physics node, and a renderer that cannot work will not do so the next time. An error makes launch end with code 1.
+        # Without the physics node there is no time, and a renderer with a user's error fails again. An error makes launch end with code 1.
         raise RuntimeError(
             f"the {name} node ended with code {event.returncode}, so the simulation ends; see above for its reason"
         )

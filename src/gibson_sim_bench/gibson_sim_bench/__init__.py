@@ -1,3 +1,3 @@
-"""Measurements of Gibson Sim that anyone can repeat: ``gibson-sim bench``."""
+"""Reproducible measurements of Gibson Sim: ``gibson-sim bench``."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""Stop-watches: how long calls of a function took that others make, and all calls of OpenGL."""
+"""Stopwatches around the calls of a function, and around all calls of OpenGL."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from gibson_sim.render.context import gl as GL
 
 @dataclass(slots=True)
 class Clock:
-    """Adds up time."""
+    """Accumulates time."""
 
     ns: int = 0
 
-    def take(self) -> float:
-        """Returns the milliseconds since the last call, and begins at 0 again."""
-        taken, self.ns = self.ns / 1e6, 0
-        return taken
+    def pop_ms(self) -> float:
+        """Returns the accumulated milliseconds, and resets them to 0."""
+        elapsed, self.ns = self.ns / 1e6, 0
+        return elapsed
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Returns a function that does the same and adds its time here."""
+        """Returns a wrapper of a function that adds the duration of each call."""
 
         def call(*arguments: Any, **named: Any) -> Any:
             began = time.perf_counter_ns()
@@ -39,7 +39,7 @@ class Clock:
 
 @contextmanager
 def calls_of(owner: Any, name: str) -> Iterator[Clock]:
-    """Measures all calls of ``owner.name`` while the block lasts."""
+    """Times all calls of ``owner.name`` inside the block."""
     clock, original = Clock(), getattr(owner, name)
     setattr(owner, name, clock.timed(original))
     try:
@@ -50,7 +50,7 @@ def calls_of(owner: Any, name: str) -> Iterator[Clock]:
 
 @contextmanager
 def opengl_calls() -> Iterator[Clock]:
-    """Measures all OpenGL calls of renderers that are made in the block, for as long as they live."""
+    """Times all OpenGL calls of the renderers that are opened inside the block, also after it."""
     clock, original = Clock(), GL.Gl
 
     class Timed(original):  # type: ignore[misc, valid-type]
@@ -67,7 +67,7 @@ def opengl_calls() -> Iterator[Clock]:
 
 
 def copy_ms(size_bytes: int, times: int = 50) -> float:
-    """Returns how long copying so many bytes takes, milliseconds, median: no frame can come back to the host in less."""
+    """Returns the median time of copying ``size_bytes``, milliseconds: a lower bound of the readback of a frame."""
     source, target = np.ones(max(1, size_bytes), dtype=np.uint8), np.empty(max(1, size_bytes), dtype=np.uint8)
     found = []
     for _ in range(times):

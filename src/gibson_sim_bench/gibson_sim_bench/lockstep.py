@@ -1,7 +1,7 @@
-"""What lockstep costs: the same ticks without ROS, with both nodes in one process, and in processes that wait for each other.
+"""Cost of lockstep: the same ticks without ROS, with both nodes in one process, and with each node in a process of its own.
 
-``Alone`` makes ticks in this process; the others are what ``gibson_sim_bench.cli.lockstep`` starts. All make ticks in turns, a block at a time: the
-machine that is measured may be twice as fast a minute later.
+``InProcessTicks`` makes ticks in this process; ``gibson_sim_bench.cli.lockstep`` starts the others. All take turns, a block at a time, since
+the speed of a machine may double within a minute.
 """
 
 from __future__ import annotations
@@ -15,73 +15,70 @@ from typing import Any
 
 import numpy as np
 
-from gibson_sim.render.cache import default_folder
-from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim_bench.loop import Loop
 from gibson_sim_bench.protocol import TICK_WARM_UP
-from gibson_sim_bench.ros import Size, Spread, Target, spread, without_nan
+from gibson_sim_bench.ros import PerformanceTarget, Size, Spread, spread, without_nan
 
 TICKS_PER_S, SPLIT = 1000.0, 0.20
-"""Targets for two cores: ticks of one physics step without images, and what the split into processes may add where images are drawn."""
+"""Targets for two cores: ticks per second of one physics step without images, and the overhead of separate processes with images."""
 BLOCKS = 10
-"""So often each side has its turn, after a first one that does not count."""
+"""Measured blocks of each configuration, after one that does not count."""
 ONE_PROCESS, LOCKSTEP, PIPELINED = WAYS = ("one_process", "lockstep", "pipelined")
-"""Ways with ROS: both nodes in one process, each in its own, the same in a pipeline."""
+"""Configurations with ROS: both nodes in one process, each in its own, each in its own and pipelined."""
 
 
 @dataclass(frozen=True, slots=True)
 class LockstepPlan:
-    """How much to measure."""
+    """Amount of measurements."""
 
     scene: str = "flat"
     substeps: int = 1
-    """Physics steps a tick."""
+    """Physics steps per tick."""
     ticks: int = 2000
-    """Without images."""
+    """Ticks without images."""
     image_ticks: int = 200
-    """With images: one at every tick."""
+    """Ticks with images, one set at each."""
     sizes: tuple[Size, ...] = (Size(256, 256), Size(640, 480))
 
     @classmethod
     def quick(cls) -> LockstepPlan:
-        """Returns a plan that takes a minute."""
+        """Returns a plan of about a minute."""
         return cls(ticks=500, image_ticks=60)
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """Milliseconds a tick, with RGB and depth of a size or without images; all in turns with each other."""
+class LockstepCase:
+    """Milliseconds per tick, with RGB and depth of a size or without images."""
 
     size: Size | None
     physics: Spread
-    """A step, all poses, what is due of the sensors; without ROS."""
+    """Physics steps, all poses and due sensors, without ROS."""
     draw: Spread
-    """NaN without images."""
+    """Rendering, without ROS; NaN without images."""
     without_ros: Spread
-    """Physics and drawing, one after the other."""
+    """Physics and rendering, one after the other."""
     one_process: Spread
-    """From tick to tick, both nodes in one process, with a controller in another that answers every tick, and listens to the images. NaN
-    without images: there is one node then."""
+    """Tick to tick, both nodes in one process; a controller in another process answers each tick and subscribes to the images. NaN
+    without images, where there is only one node."""
     lockstep: Spread
     """As ``one_process``, each node in a process of its own."""
     pipelined: Spread
-    """As ``lockstep`` where physics makes the next tick while the others do this one."""
+    """As ``lockstep``, while physics already computes the next tick."""
 
     @property
     def split(self) -> tuple[float, float]:
-        """What the split into processes adds in lockstep and in a pipeline, each as a part of one process; NaN without images."""
+        """Overhead of separate processes in lockstep and pipelined, as a fraction of ``one_process``; NaN without images."""
         return self.lockstep.median / self.one_process.median - 1.0, self.pipelined.median / self.one_process.median - 1.0
 
     @property
     def ros(self) -> float:
-        """What ROS adds in lockstep, messages, processes and controller together, as a part of what it takes without."""
+        """Overhead of ROS in lockstep (messages, processes, controller), as a fraction of ``without_ros``."""
         return self.lockstep.median / self.without_ros.median - 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class LockstepReport:
-    """All that was measured, and where."""
+    """The measurements, with the machine."""
 
     date: str
     version: str
@@ -89,12 +86,12 @@ class LockstepReport:
     cores: int
     load: float
     scene: str
-    cases: tuple[Case, ...] = ()
+    cases: tuple[LockstepCase, ...] = ()
     left_out: tuple[str, ...] = ()
     substeps: int = 1
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the report as JSON's types; what was not measured is null."""
+        """Returns the report as JSON types; NaN becomes null."""
         found = asdict(self)
         for case, values in zip(self.cases, found["cases"], strict=True):
             values["ticks_per_s"] = {"lockstep": rate_of(case.lockstep), "pipelined": rate_of(case.pipelined)}
@@ -105,48 +102,46 @@ class LockstepReport:
 
 
 @dataclass(slots=True)
-class Turns:
-    """Milliseconds of each tick that counts: without ROS, and of what has turns with it."""
+class TickTimes:
+    """Milliseconds of each counted tick, without ROS and in each configuration with ROS."""
 
     physics: list[float] = field(default_factory=list)
     draw: list[float] = field(default_factory=list)
     """Empty without images."""
     others: dict[str, list[float]] = field(default_factory=dict)
-    """From tick to tick, by the name of the way."""
+    """Tick to tick, by configuration."""
 
     @property
     def without_ros(self) -> list[float]:
-        """Physics and drawing."""
+        """Physics and rendering."""
         return [sum(parts) for parts in zip(self.physics, self.draw, strict=True)] if self.draw else self.physics
 
 
-class Alone:
-    """Makes ticks in this process. A context manager.
+class InProcessTicks:
+    """Makes ticks in this process, without ROS. A context manager.
 
     Args:
-        scene: what to load.
-        robot: its file; it has one camera.
-        size: of the images of that camera; None = nothing is drawn.
-        substeps: physics steps a tick.
+        scene: name or path of the scene.
+        robot: file of the robot, which has one camera.
+        size: of the images of that camera; None = no images.
+        substeps: physics steps per tick.
     """
 
     def __init__(self, scene: str, robot: Path, size: Size | None, substeps: int = 1) -> None:
         self._loop = Loop(scene, robot, substeps)
         self._loop.settle()
-        drawn = drawn_scene(self._loop.world.scene, self._loop.world.links)
-        self._cameras = [replace(camera, outputs=("rgb", "depth")) for camera in drawn.cameras[:1]]
-        self._renderer = None if size is None else Renderer(drawn, cache=default_folder())
+        simulation = self._loop.simulation
+        self._cameras = [replace(camera, outputs=("rgb", "depth")) for camera in simulation.cameras[:1]]
+        self._renderer = None if size is None else simulation.renderer
 
-    def __enter__(self) -> Alone:
+    def __enter__(self) -> InProcessTicks:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
         self._loop.close()
 
-    def block(self, ticks: int, turns: Turns) -> None:
-        """Makes ticks, and adds the times of those that count to ``turns``."""
+    def block(self, ticks: int, turns: TickTimes) -> None:
+        """Makes ``ticks`` ticks after the warm-up, and appends their times to ``turns``."""
         for tick in range(ticks + TICK_WARM_UP):
             began = time.perf_counter_ns()
             self._loop.step()
@@ -160,17 +155,17 @@ class Alone:
                     turns.draw.append((time.perf_counter_ns() - stepped) / 1e6)
 
 
-def in_turns(alone: Alone, others: Mapping[str, Callable[[int], Sequence[int]]], ticks: int) -> Turns:
-    """Returns the times of about ``ticks`` ticks of each side.
+def in_turns(alone: InProcessTicks, others: Mapping[str, Callable[[int], Sequence[int]]], ticks: int) -> TickTimes:
+    """Returns the times of about ``ticks`` ticks of each configuration, measured in turns.
 
     Args:
-        alone: one side.
-        others: by the names of the ways, what makes so many ticks, and returns when each came, and the one before the first; nanoseconds.
-        ticks: of each side.
+        alone: the ticks without ROS.
+        others: by configuration, a function that makes ``n`` ticks and returns their times, preceded by that of the tick before, nanoseconds.
+        ticks: of each configuration.
     """
-    turns, size = Turns(others={name: [] for name in others}), max(1, ticks // BLOCKS)
+    turns, size = TickTimes(others={name: [] for name in others}), max(1, ticks // BLOCKS)
     for block in range(1 + BLOCKS):
-        alone.block(size, turns if block else Turns())
+        alone.block(size, turns if block else TickTimes())
         for name, make in others.items():
             took = np.diff(np.asarray(make(size + TICK_WARM_UP), dtype=np.float64))[TICK_WARM_UP:] / 1e6
             turns.others[name] += took.tolist() if block else []
@@ -178,18 +173,18 @@ def in_turns(alone: Alone, others: Mapping[str, Callable[[int], Sequence[int]]],
 
 
 def rate_of(ticks: Spread) -> float:
-    """Returns ticks a second."""
+    """Returns ticks per second."""
     return 1e3 / ticks.median
 
 
-def case_of(size: Size | None, turns: Turns) -> Case:
-    """Returns a case from what was measured of all ways, which ``WAYS`` names."""
+def case_of(size: Size | None, turns: TickTimes) -> LockstepCase:
+    """Returns the case of measured times; ``WAYS`` names the configurations."""
     others = {way: spread(turns.others.get(way, ())) for way in WAYS}
-    return Case(size, spread(turns.physics), spread(turns.draw), spread(turns.without_ros), **others)
+    return LockstepCase(size, spread(turns.physics), spread(turns.draw), spread(turns.without_ros), **others)
 
 
-def targets(cases: Sequence[Case], substeps: int = 1) -> list[Target]:
-    """Returns the targets that the cases say something about; that of ticks without images is one of single physics steps."""
+def targets(cases: Sequence[LockstepCase], substeps: int = 1) -> list[PerformanceTarget]:
+    """Returns the targets that the cases cover; the one without images holds for one physics step per tick."""
     found = []
     for case in cases:
         if case.size is None and substeps > 1:
@@ -199,9 +194,11 @@ def targets(cases: Sequence[Case], substeps: int = 1) -> list[Target]:
             if case.size is None:
                 rate = rate_of(ticks)
                 found.append(
-                    Target(f"ticks without images{way}", f"> {TICKS_PER_S:,.0f}/s", f"{rate:,.0f}/s", "", rate > TICKS_PER_S)
+                    PerformanceTarget(
+                        f"ticks without images{way}", f"> {TICKS_PER_S:,.0f}/s", f"{rate:,.0f}/s", "", rate > TICKS_PER_S
+                    )
                 )
             else:
                 what = f"what the processes add at {case.size} RGB + depth{way}"
-                found.append(Target(what, f"< {100 * SPLIT:.0f} %", f"{100 * added:.0f} %", "", added < SPLIT))
+                found.append(PerformanceTarget(what, f"< {100 * SPLIT:.0f} %", f"{100 * added:.0f} %", "", added < SPLIT))
     return found

@@ -1,4 +1,4 @@
-"""Memory, open files and files on disk of processes: what must not grow."""
+"""Memory, open files and files on disk of processes, none of which may grow."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 WARM_UP = 0.25
-"""Part of a run after which things must stay as they are: caches fill, and Python keeps what it once had."""
+"""Fraction of a run that does not count: caches fill, and Python keeps memory that it once had."""
 
 
 def resident_mb(pid: int | str = "self") -> float:
-    """Returns the resident memory of a process, MB; NaN where it is gone."""
+    """Returns the resident memory of a process, MB; NaN if it has ended."""
     try:
         text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
     except OSError:
@@ -23,7 +23,7 @@ def resident_mb(pid: int | str = "self") -> float:
 
 
 def open_files(pid: int | str = "self") -> int:
-    """Returns how many files a process has open; 0 where it is gone."""
+    """Returns the number of open files of a process; 0 if it has ended."""
     try:
         return len(os.listdir(f"/proc/{pid}/fd"))
     except OSError:
@@ -31,7 +31,7 @@ def open_files(pid: int | str = "self") -> int:
 
 
 def descendants(pid: int) -> dict[int, str]:
-    """Returns the processes that a process started, and they in turn, by number: the name of what they run."""
+    """Returns the descendants of a process: process id -> name of what it runs."""
     parents: dict[int, list[int]] = {}
     for entry in os.listdir("/proc"):
         if entry.isdigit():
@@ -49,7 +49,7 @@ def descendants(pid: int) -> dict[int, str]:
 
 
 def command_name(pid: int) -> str:
-    """Returns the module or the file that a Python process runs; empty where it is gone."""
+    """Returns the module or the file that a Python process runs; empty if it has ended."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
     except OSError:
@@ -60,19 +60,19 @@ def command_name(pid: int) -> str:
 
 
 def files_below(folders: Iterable[Path]) -> int:
-    """Returns how many files lie in folders and below."""
+    """Returns the number of files in folders and below."""
     return sum(len(names) for folder in folders for _, _, names in os.walk(folder))
 
 
 def growth(values: Sequence[float]) -> float:
-    """Returns how much the mean of the last third is above that of the first third, after the warm-up; NaN = too few values."""
+    """Returns the mean of the last third minus that of the first third, after the warm-up; NaN = too few values."""
     counted = np.asarray(values, dtype=np.float64)[int(len(values) * WARM_UP) :]
     third = len(counted) // 3
     return float(counted[-third:].mean() - counted[:third].mean()) if third else math.nan
 
 
 def drift(values: Sequence[float]) -> float:
-    """Returns the median of the last third over that of the first third, after the warm-up; NaN = too few values."""
+    """Returns the median of the last third divided by that of the first third, after the warm-up; NaN = too few values."""
     counted = np.asarray(values, dtype=np.float64)[int(len(values) * WARM_UP) :]
     third = len(counted) // 3
     return float(np.median(counted[-third:]) / np.median(counted[:third])) if third else math.nan

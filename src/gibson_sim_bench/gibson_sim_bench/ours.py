@@ -1,4 +1,4 @@
-"""Gibson Sim as a contestant: ``python -m gibson_sim_bench.ours`` is told what to draw over a pipe."""
+"""Gibson Sim as a contestant of the renderer benchmark: ``python -m gibson_sim_bench.ours`` receives commands over a pipe."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ STILL = SceneState.still()
 
 
 class GibsonSim:
-    """Our renderer with a scene loaded from its files.
+    """Gibson Sim's renderer with a scene loaded from its files.
 
     Args:
-        scene: folder or file.
+        scene: folder or file of the scene.
         detail_px: as ``Renderer`` takes it.
         device: EGL device; None = a GPU if there is one.
     """
@@ -45,12 +45,12 @@ class GibsonSim:
         self._camera = CameraSpec("eye", "")
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
-        """Makes ready for images of this size (pixels, radians) with these outputs."""
-        asked = cast("tuple[Output, ...]", outputs)
-        self._camera = CameraSpec("eye", "", Pose(), width, height, fov_y, near=NEAR, far=FAR, outputs=asked)
+        """Prepares for images of a size, pixels, and a vertical field of view, radians, with these outputs."""
+        known = cast("tuple[Output, ...]", outputs)
+        self._camera = CameraSpec("eye", "", Pose(), width, height, fov_y, near=NEAR, far=FAR, outputs=known)
 
     def draw(self, pose: Matrix) -> Frame:
-        """Draws one image with all of its outputs."""
+        """Draws one image with all its outputs."""
         c = self._camera
         camera = CameraSpec(c.name, c.link, pose_of(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs)
         return self._renderer.render(STILL, [camera])[0]
@@ -61,12 +61,12 @@ class GibsonSim:
         return drawn.rgb.tobytes(), drawn.camera.height, drawn.camera.width
 
     def triangles(self) -> int:
-        """Returns how many triangles the last image took."""
+        """Returns the number of triangles drawn for the last image."""
         return self._renderer.drawn_triangles
 
 
 def pose_of(matrix: Sequence[float]) -> Pose:
-    """Returns a pose from the 16 numbers of its matrix, by rows."""
+    """Returns the pose of a 4x4 matrix given as 16 numbers by rows."""
     T = np.array(matrix, dtype=np.float64).reshape(4, 4)
     assert math.isclose(T[3, 3], 1.0)
     return Pose((float(T[0, 3]), float(T[1, 3]), float(T[2, 3])), quat_from_matrix(T[:3, :3]))

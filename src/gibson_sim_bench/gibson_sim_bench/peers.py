@@ -1,7 +1,7 @@
 """Other renderers as contestants: ``python -m gibson_sim_bench.peers``, in any Python that has them.
 
-Each draws the same triangles with the same texture as it is, without light, shadows and background, from the same camera. Imports
-nothing of ours but ``workers``, and the peers themselves only when they are asked for.
+Each draws the same triangles with the same unlit texture, without shadows and background, from the same camera. Imports only ``workers`` of
+this package, and each renderer when it is requested.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from gibson_sim_bench.workers import Matrix, serve
 
 NEAR, FAR = 0.05, 100.0
 _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""OpenGL's camera has y up and looks along -z."""
+"""From OpenGL's camera frame (y up, looking along -z) to the optical frame."""
 
 
 def _triangles(folder: str) -> dict[str, Any]:
-    """Returns vertices (V, 3), normals (V, 3), uvs (V, 2) with v = 0 at the top of the picture, triangles (F, 3)."""
+    """Returns vertices (V, 3), normals (V, 3), uvs (V, 2) with v = 0 at the top of the texture, triangles (F, 3)."""
     with np.load(os.path.join(folder, "mesh.npz")) as arrays:
         return dict(arrays)
 
@@ -41,7 +41,7 @@ def _rgb(image: Any) -> tuple[bytes, int, int]:
 
 
 class _Peer:
-    """What they share."""
+    """What all peers share."""
 
     info: dict[str, str]
 
@@ -50,7 +50,7 @@ class _Peer:
         return _rgb(drawn[0])
 
     def triangles(self) -> int:
-        """None of them says."""
+        """Returns 0: none of them tells."""
         return 0
 
 
@@ -58,8 +58,8 @@ class MuJoCo(_Peer):
     """``mujoco.Renderer``: RGB; depth is a second render.
 
     Args:
-        folder: as ``scenes.export_for_peers`` writes it.
-        sizes: (width, height) of all images to come.
+        folder: written by ``scenes.export_for_peers``.
+        sizes: (width, height) of all images, pixels.
     """
 
     def __init__(self, folder: str, sizes: Sequence[tuple[int, int]]) -> None:
@@ -68,7 +68,7 @@ class MuJoCo(_Peer):
         from OpenGL import EGL
 
         if not hasattr(EGL, "EGLDeviceEXT"):
-            # The PyOpenGL that pyrender insists on is older than what MuJoCo expects; it is a pointer.
+            # pyrender pins a PyOpenGL that is older than MuJoCo expects; the missing type is a pointer.
             EGL.EGLDeviceEXT = ctypes.c_void_p
         import mujoco
 
@@ -85,7 +85,7 @@ class MuJoCo(_Peer):
         mujoco, arrays = self._mujoco, _triangles(folder)
         spec = mujoco.MjSpec()
         texture = spec.add_texture(name="atlas", type=mujoco.mjtTexture.mjTEXTURE_2D, file=os.path.join(folder, "atlas.png"))
-        # Nothing but its own light: the picture as it is.
+        # Emission only, so that the texture is drawn unlit.
         material = spec.add_material(name="atlas", emission=1.0, specular=0.0, shininess=0.0, reflectance=0.0)
         names = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
         names[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
@@ -102,7 +102,7 @@ class MuJoCo(_Peer):
         self._fov_at = spec.worldbody.add_camera(name="eye").name
         spec.stat.extent = 1.0
         spec.visual.map.znear, spec.visual.map.zfar = NEAR, FAR
-        # One sample a pixel, as ours.
+        # One sample per pixel, as Gibson Sim.
         spec.visual.quality.offsamples = 0
         spec.visual.quality.shadowsize = 0
         spec.visual.headlight.active = 0
@@ -111,7 +111,7 @@ class MuJoCo(_Peer):
         return spec.compile()
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
-        """Makes ready for images of this size (pixels, radians) with these outputs."""
+        """Prepares for images of a size, pixels, and a vertical field of view, radians, with these outputs."""
         if (width, height) not in self._renderers:
             renderer = self._mujoco.Renderer(self._model, height, width)
             for flag in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
@@ -122,7 +122,7 @@ class MuJoCo(_Peer):
         self._depth = "depth" in outputs
 
     def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws colours, and depth if it is asked for."""
+        """Draws colour, and depth if it is one of the outputs."""
         T = _camera(pose)
         self._data.cam_xpos[0] = T[:3, 3]
         self._data.cam_xmat[0] = T[:3, :3].ravel()
@@ -142,7 +142,7 @@ class Pyrender(_Peer):
 
     def __init__(self, folder: str, sizes: Sequence[tuple[int, int]]) -> None:
         os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-        # It is older than NumPy 2.
+        # pyrender is older than NumPy 2.
         for name, value in (("infty", np.inf), ("float_", np.float64)):
             if not hasattr(np, name):
                 setattr(np, name, value)
@@ -170,12 +170,12 @@ class Pyrender(_Peer):
         self.info = {"version": version("pyrender")}
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
-        """Makes ready for images of this size (pixels, radians)."""
+        """Prepares for images of a size, pixels, and a vertical field of view, radians."""
         self._renderer.viewport_width, self._renderer.viewport_height = width, height
         self._camera.yfov, self._camera.aspectRatio = fov_y, width / height
 
     def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws colours and depth."""
+        """Draws colour and depth."""
         self._scene.set_pose(self._eye, _camera(pose))
         drawn: tuple[Any, ...] = self._renderer.render(self._scene, flags=self._flags)
         return drawn
@@ -204,12 +204,12 @@ class PyBullet(_Peer):
         self.info = {"version": version("pybullet")}
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
-        """Makes ready for images of this size (pixels, radians)."""
+        """Prepares for images of a size, pixels, and a vertical field of view, radians."""
         self._size = (width, height)
         self._projection = self._bullet.computeProjectionMatrixFOV(math.degrees(fov_y), width / height, NEAR, FAR)
 
     def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws colours, depth and segmentation."""
+        """Draws colour, depth and segmentation."""
         view = np.linalg.inv(_camera(pose)).T.ravel().tolist()
         _, _, rgb, depth, labels = self._bullet.getCameraImage(
             *self._size,
@@ -228,18 +228,18 @@ _IGIBSON_MODES = {"rgb": "rgb", "depth": "3d", "normal": "normal"}
 
 
 class IGibson(_Peer):
-    """iGibson 2's ``MeshRenderer``, as it is without its data: RGB, normals and positions, of which depth is a part.
+    """iGibson 2's ``MeshRenderer`` without its data sets: RGB, normals, and positions, which include depth.
 
     Args:
-        folder: as ``MuJoCo``.
-        sizes: as ``MuJoCo``; there is one renderer at a time, since it takes the context of the last one for its own.
+        folder: as for ``MuJoCo``.
+        sizes: as for ``MuJoCo``; one renderer at a time, since each assumes that the OpenGL context made last is its own.
     """
 
     def __init__(self, folder: str, sizes: Sequence[tuple[int, int]]) -> None:
         from igibson.render.mesh_renderer.mesh_renderer_cpu import MeshRenderer
         from igibson.render.mesh_renderer.mesh_renderer_settings import MeshRendererSettings
 
-        # Its shaders for OpenGL 4.5, since software renderers have no 4.6; its light needs data that it does not bring.
+        # Shaders for OpenGL 4.5, since software renderers have no 4.6; its lighting needs data that the package does not contain.
         settings = MeshRendererSettings(enable_pbr=False, enable_shadow=False, msaa=False, glsl_version_override=450)
         self._make = partial(MeshRenderer, rendering_settings=settings)
         self._mesh = os.path.join(folder, "mesh.obj")
@@ -249,7 +249,7 @@ class IGibson(_Peer):
         self.info = {"version": version("igibson")}
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
-        """Makes ready for images of this size (pixels, radians) with these outputs."""
+        """Prepares for images of a size, pixels, and a vertical field of view, radians, with these outputs."""
         if self._size != (width, height):
             if self._renderer is not None:
                 self._renderer.release()
@@ -261,7 +261,7 @@ class IGibson(_Peer):
         self._modes = tuple(_IGIBSON_MODES[name] for name in outputs)
 
     def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws what was asked for; every mode comes back as four floats a pixel."""
+        """Draws the outputs; each is returned as four floats per pixel."""
         T = np.array(pose, dtype=np.float64).reshape(4, 4)
         self._renderer.set_camera(T[:3, 3], T[:3, 3] + T[:3, 2], -T[:3, 1])
         return tuple(self._renderer.render(modes=self._modes))

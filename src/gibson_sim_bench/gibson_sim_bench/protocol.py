@@ -1,4 +1,4 @@
-"""How the paper's table is measured, whichever way: robot, time step, commands, how much. Knows neither ROS, physics nor OpenGL."""
+"""Protocol of the paper's table: robot, time step, commands, amount of measurements. Imports neither ROS, physics nor OpenGL."""
 
 from __future__ import annotations
 
@@ -15,60 +15,61 @@ from gibson_sim_bench.reports.paper import Mode
 
 STEP_HZ = 240
 SUBSTEPS = (24, 4, 1)
+"""Physics steps per frame."""
 COMMANDS_PER_S = 10
-"""Of simulation time."""
+"""Commands per second of simulation time."""
 HOUSES = ("scan:linden_flat:300k", "scan:garden_house:500k")
-"""Of scan size; the second has two floors."""
+"""Houses of the size of a scan; the second has two floors."""
 HOUSES_ONLY = "houses"
 WAYS = ("in process", "lockstep", "free-running", HOUSES_ONLY)
-"""What can be measured alone."""
+"""Parts of the table that can be measured alone."""
 FOV_Y_DEG = 90.0
 ROBOT = "gibson_bot"
 HOUSE_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")))
 WARM_UP = 10
-"""Frames that do not count, at least."""
+"""Least number of frames that do not count."""
 SETTLE_S = 4.0
-"""Simulation time that passes before the first frame: what lies still has fallen asleep by then, whichever way and row."""
+"""Simulation time before the first frame, seconds: by then bodies at rest sleep, in every row."""
 BLOCK = 12
-"""Frames that are made before the limits have their turn again."""
+"""Frames between two measurements of the limits."""
 TICK_WARM_UP = 3
-"""Ticks at the beginning of each block that do not count."""
+"""Ticks at the start of each block that do not count."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """How much to measure."""
+class Table1Plan:
+    """What to measure, and how much."""
 
     scene: str = "linden_flat"
     houses: tuple[str, ...] = HOUSES
     substeps: tuple[int, ...] = SUBSTEPS
     frames: int = 150
-    """With images."""
+    """Frames with images."""
     sensor_frames: int = 1500
-    """Without."""
+    """Frames without images."""
     seconds: float = 4.0
-    """Wall time of each mode of the free-running simulation."""
+    """Wall time for each mode of the free-running simulation, seconds."""
     ways: tuple[str, ...] = WAYS
     device: int | str | None = None
 
     @classmethod
-    def quick(cls) -> Plan:
-        """Returns a plan that takes about three minutes."""
+    def quick(cls) -> Table1Plan:
+        """Returns a plan of about three minutes."""
         return cls(substeps=(24, 1), frames=40, sensor_frames=300, seconds=1.5)
 
 
 def write_robot(folder: Path, size: tuple[int, int]) -> Path:
-    """Writes the robot of the table into a folder: ours with one camera of 90 degrees and no lidar; returns its file."""
+    """Writes the robot of the table, ``ROBOT`` with one camera of 90 degrees and without lidar, into a folder; returns its file."""
     return write_changed_robot(folder, size, fov_y_deg=FOV_Y_DEG, lidar=False)
 
 
 def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float | None = None, lidar: bool = True) -> Path:
-    """Writes our robot with other images into a folder; returns its file.
+    """Writes ``ROBOT`` with other images into a folder; returns its file.
 
     Args:
-        folder: where.
-        size: width and height of images, pixels.
-        fov_y_deg: degrees from top to bottom; None = its own.
+        folder: where to write.
+        size: width and height of the images, pixels.
+        fov_y_deg: vertical field of view, degrees; None = unchanged.
         lidar: whether it keeps its lidar.
     """
     home = find_robot(ROBOT)
@@ -83,8 +84,8 @@ def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float
     return path
 
 
-class Commands:
-    """Velocities of a robot, from one seed: (m/s, rad/s). Their mean is 0, so that it stays where it began and all rows see the same."""
+class RandomCommands:
+    """Random velocities of a robot, (m/s, rad/s), from one seed. Their mean is 0, so the robot stays near its start in every row."""
 
     def __init__(self, substeps: int) -> None:
         self._rng = np.random.default_rng(0)
@@ -93,7 +94,7 @@ class Commands:
         self._command = (0.0, 0.0)
 
     def next(self) -> tuple[float, float]:
-        """Returns what to do in the next frame."""
+        """Returns the velocities of the next frame."""
         if self._frame % self._frames == 0:
             self._command = float(self._rng.uniform(-0.2, 0.2)), float(self._rng.uniform(-1.0, 1.0))
         self._frame += 1

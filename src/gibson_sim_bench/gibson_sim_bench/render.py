@@ -1,7 +1,7 @@
-"""How many images a second, along a fixed way through scenes: ours, and other renderers on the same mesh.
+"""Images per second along a fixed camera path through scenes: Gibson Sim, and other renderers on the same mesh.
 
-Every contestant has a process of its own, and only one draws at a time: they take turns in rounds, so that whatever else the machine
-does hits all alike. An image counts once all that was asked for lies in host memory.
+Every contestant has a process of its own, and only one draws at a time: they take turns in rounds, so that any other load on the machine
+affects all alike. An image is complete when all its outputs are in host memory.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ SCENES = ("rooms:100k", "rooms:500k", "rooms:1m")
 SIZES = ((256, 256), (640, 480), (1024, 1024))
 OUTPUT_SETS: tuple[tuple[Output, ...], ...] = (("rgb",), ("rgb", "depth"), FIVE)
 FOV_Y = math.radians(60.0)
-"""Vertical, of every camera."""
+"""Vertical field of view of every camera, radians."""
 ROUNDS = 6
 OURS = "Gibson Sim"
 
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Another renderer, and what it is asked for."""
+    """Another renderer, and the sets of outputs that it draws."""
 
     name: str
     outputs: tuple[tuple[str, ...], ...]
     how: str
-    """How it draws them; for the report."""
+    """How it draws them, for the report."""
 
 
 PEERS = (
@@ -64,11 +64,11 @@ ABSENT = (
     ("Isaac Sim", "needs an RTX GPU"),
     ("Gazebo", "its cameras belong to a running simulation and are no library; docs/comparison.md"),
 )
-"""Who cannot take part here, and why."""
+"""Renderers that cannot be measured here, and why."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RenderPlan:
     """What to measure."""
 
     scenes: tuple[str, ...] = SCENES
@@ -76,20 +76,20 @@ class Plan:
     """(width, height), pixels."""
     outputs: tuple[tuple[Output, ...], ...] = OUTPUT_SETS
     frames: int = 60
-    """Images of each case. A sixth as many are drawn before, and one at the beginning of each turn, that do not count."""
+    """Images of each case; a sixth of them as warm-up, and one at the start of each turn, do not count."""
     detail_px: tuple[float, ...] = (DETAIL_PX,)
-    """Each value is a contestant."""
+    """Levels of detail; each value is a contestant."""
     device: int | str | None = None
     peers: bool = False
     peer_pythons: tuple[str, ...] = ("",)
-    """Interpreters that may have a peer's package, tried in this order; empty = this one."""
+    """Interpreters that may have the peers installed, in order of trial; empty = this one."""
     pictures: Path | None = None
-    """Folder for the first image of every contestant."""
+    """Folder for the first image of every contestant; None = not written."""
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One line of the report: one contestant in one case."""
+class RenderRow:
+    """One row of the report: one contestant in one case."""
 
     scene: str
     triangles: int
@@ -99,11 +99,11 @@ class Row:
     outputs: tuple[str, ...]
     contestant: str
     fps: float
-    """Images a second: 1 / median of the time of one."""
+    """Images per second: 1 / median time of an image."""
     p5: float
     p95: float
     drawn: int
-    """Triangles that one image took, median; 0 = the contestant does not say."""
+    """Triangles drawn for an image, median; 0 = the contestant does not tell."""
 
     @property
     def size(self) -> str:
@@ -112,25 +112,25 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """What was measured, where and when."""
+class RenderReport:
+    """The measurements, with machine and date."""
 
     date: str
     version: str
     machine: str
     cores: int
     load: float
-    """Average over the minute before."""
+    """Load average over the minute before."""
     contestants: dict[str, dict[str, str]]
-    """What each says of itself."""
+    """Library, version and device of each."""
     fov_y_deg: float
     frames: int
-    rows: tuple[Row, ...]
+    rows: tuple[RenderRow, ...]
     left_out: tuple[str, ...] = field(default=())
-    """Who could not take part, and why."""
+    """What could not be measured, and why."""
 
     def as_json(self) -> dict[str, Any]:
-        """Returns it as values for JSON, with the ratios."""
+        """Returns the report as JSON types, with the ratios."""
         figures = [
             {
                 "name": f"{r.contestant}: {'+'.join(r.outputs)}, {r.scene}, {r.size}",
@@ -147,7 +147,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Against:
-    """Our five outputs against RGB + depth of the best peer."""
+    """Speed of Gibson Sim with five outputs relative to the best peer with RGB and depth."""
 
     scene: str
     width: int
@@ -158,26 +158,26 @@ class Against:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """What takes turns: one contestant with one set of outputs."""
+class RenderCase:
+    """One contestant with one set of outputs."""
 
     contestant: str
     worker: Worker
     outputs: tuple[str, ...]
 
 
-def measure(plan: Plan, tell: Callable[[str], None] = lambda line: None) -> Report:
-    """Returns what was measured.
+def measure(plan: RenderPlan, tell: Callable[[str], None] = lambda line: None) -> RenderReport:
+    """Returns the measurements.
 
     Args:
         plan: what to measure.
-        tell: is told in one line what is going on.
+        tell: called with one line of progress.
 
     Raises:
-        GibsonSimError: a scene cannot be loaded, or our own renderer fails. A peer that fails is left out.
+        GibsonSimError: a scene cannot be loaded, or Gibson Sim cannot draw it. A peer that fails is left out.
     """
     date, version, load = timing.now(), timing.version(), timing.load()
-    rows: list[Row] = []
+    rows: list[RenderRow] = []
     infos: dict[str, dict[str, str]] = {}
     left_out: list[str] = []
     for scene in [bench_scene(name) for name in plan.scenes]:
@@ -188,7 +188,7 @@ def measure(plan: Plan, tell: Callable[[str], None] = lambda line: None) -> Repo
             triangles = int(contestants[0][1]["triangles"])
             poses = [pose.ravel().tolist() for pose in camera_path(scene, plan.frames)]
             for width, height in plan.sizes:
-                cases = [Case(name, worker, outputs) for name, _, worker, sets in contestants for outputs in sets]
+                cases = [RenderCase(name, worker, outputs) for name, _, worker, sets in contestants for outputs in sets]
                 _pictures(plan, scene, width, height, contestants, poses[0])
                 found, lines = _measured(cases, width, height, poses)
                 left_out += [line for line in lines if line not in left_out]
@@ -196,9 +196,11 @@ def measure(plan: Plan, tell: Callable[[str], None] = lambda line: None) -> Repo
                     rates = rates_of(seconds)
                     fps, p5, p95 = (round(rate, 2) for rate in (rates.median, rates.p5, rates.p95))
                     typical = int(np.median(drawn))
-                    rows.append(Row(scene.name, triangles, width, height, case.outputs, case.contestant, fps, p5, p95, typical))
+                    rows.append(
+                        RenderRow(scene.name, triangles, width, height, case.outputs, case.contestant, fps, p5, p95, typical)
+                    )
                     tell(f"{scene.name} {width}x{height} {case.contestant} {'+'.join(case.outputs)}: {fps:.1f} fps")
-    return Report(
+    return RenderReport(
         date=date,
         version=version,
         machine=timing.machine(),
@@ -216,9 +218,9 @@ _Contestant = tuple[str, dict[str, str], Worker, tuple[tuple[str, ...], ...]]
 
 
 def _contestants(
-    scene: BenchScene, plan: Plan, stack: ExitStack, infos: dict[str, dict[str, str]]
+    scene: BenchScene, plan: RenderPlan, stack: ExitStack, infos: dict[str, dict[str, str]]
 ) -> tuple[list[_Contestant], list[str]]:
-    """Returns (name, info, worker, output sets) of all that have loaded the scene, ours first, and who has not."""
+    """Returns (name, info, worker, output sets) of all contestants that loaded the scene, Gibson Sim first, and why others did not."""
     found: list[_Contestant] = []
     for detail_px in plan.detail_px:
         name = OURS if detail_px == plan.detail_px[0] else f"{OURS}, detail {detail_px:g} px"
@@ -247,8 +249,8 @@ def _contestants(
     return found, lines
 
 
-def _opened(peer: Peer, plan: Plan, folder: str, stack: ExitStack) -> tuple[Worker, dict[str, str]] | str:
-    """Returns a peer that has loaded the scene, in the first interpreter that has it, with what it says of itself; else why none has."""
+def _opened(peer: Peer, plan: RenderPlan, folder: str, stack: ExitStack) -> tuple[Worker, dict[str, str]] | str:
+    """Returns the worker of a peer that loaded the scene, in the first interpreter that has it, with its info; else the reason."""
     why = ""
     for python in plan.peer_pythons:
         with ExitStack() as attempt:
@@ -264,9 +266,9 @@ def _opened(peer: Peer, plan: Plan, folder: str, stack: ExitStack) -> tuple[Work
 
 
 def _measured(
-    cases: Sequence[Case], width: int, height: int, poses: list[list[float]]
-) -> tuple[list[tuple[Case, list[float], list[int]]], list[str]]:
-    """Returns the seconds of each image and the triangles that it took, of every case that came through, and what did not."""
+    cases: Sequence[RenderCase], width: int, height: int, poses: list[list[float]]
+) -> tuple[list[tuple[RenderCase, list[float], list[int]]], list[str]]:
+    """Returns seconds and triangles of each image for every case that succeeded, and the errors of the others."""
     seconds: dict[int, list[float]] = {k: [] for k in range(len(cases))}
     drawn: dict[int, list[int]] = {k: [] for k in range(len(cases))}
     lines: list[str] = []
@@ -291,32 +293,32 @@ def _measured(
 
 
 def rounds(poses: list[list[float]]) -> Iterator[list[list[float]]]:
-    """Returns the poses of each round; the first is the warm-up, whose images are drawn again later."""
+    """Yields the poses of each round; the first is the warm-up, whose images are drawn again later."""
     parts = [list(part) for part in np.array_split(np.arange(len(poses)), min(ROUNDS, len(poses)))]
     for part in (parts[-1], *parts):
         yield [poses[k] for k in part]
 
 
 def _pictures(
-    plan: Plan, scene: BenchScene, width: int, height: int, contestants: Sequence[_Contestant], pose: list[float]
+    plan: RenderPlan, scene: BenchScene, width: int, height: int, contestants: Sequence[_Contestant], pose: list[float]
 ) -> None:
-    """Writes what each of them sees first."""
+    """Writes the first image of each contestant."""
     if plan.pictures is None:
         return
     plan.pictures.mkdir(parents=True, exist_ok=True)
     for name, _, worker, sets in contestants:
         try:
-            asked = {"width": width, "height": height, "fov_y": FOV_Y, "outputs": sets[-1], "poses": [pose]}
-            pixels, rows, columns = worker.ask("picture", **asked)
+            request = {"width": width, "height": height, "fov_y": FOV_Y, "outputs": sets[-1], "poses": [pose]}
+            pixels, rows, columns = worker.ask("picture", **request)
         except WorkerError:
-            continue  # it is said when it is measured
+            continue  # reported when it is measured
         image = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns, 3)
         file = f"{scene.name}_{width}x{height}_{name}.png".replace(" ", "_").replace(":", "_").replace(",", "")
         write_picture(plan.pictures / file, image[:, :, ::-1])
 
 
-def against_peers(rows: Sequence[Row]) -> list[Against]:
-    """Returns, of each scene and size, how many times as fast our five outputs are as RGB + depth of the best peer."""
+def against_peers(rows: Sequence[RenderRow]) -> list[Against]:
+    """Returns, for each scene and size, the speed with five outputs relative to the best peer with RGB and depth."""
     found = []
     for ours in rows:
         if ours.outputs != FIVE or not ours.contestant.startswith(OURS):
@@ -335,8 +337,8 @@ def against_peers(rows: Sequence[Row]) -> list[Against]:
     return found
 
 
-def growth(rows: Sequence[Row]) -> list[tuple[Row, float]]:
-    """Returns, of each case of the largest rooms, how many times as long an image takes as in the smallest rooms."""
+def growth(rows: Sequence[RenderRow]) -> list[tuple[RenderRow, float]]:
+    """Returns, for each case of the largest rooms, the time of an image relative to the smallest rooms."""
     sizes = sorted({(row.triangles, row.scene) for row in rows if row.scene.startswith("rooms:")})
     if len(sizes) < 2:
         return []

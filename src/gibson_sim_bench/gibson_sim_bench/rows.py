@@ -1,4 +1,4 @@
-"""The rows of ``gibson-sim bench table1``: one way to a frame, its stages, and the limits that were measured beside it. Pure."""
+"""The rows of ``gibson-sim bench table1``: a configuration, its stages, and the limits that were measured beside it. Pure."""
 
 from __future__ import annotations
 
@@ -10,64 +10,64 @@ from typing import Any
 import numpy as np
 
 from gibson_sim_bench.reports.paper import FILLED, HOUSE_SIZE, HOUSES, SENSOR_ONLY, mode_of
-from gibson_sim_bench.ros import Target, without_nan
+from gibson_sim_bench.ros import PerformanceTarget, without_nan
 from gibson_sim_bench.timing import Facts
 
 IN_PROCESS, LOCKSTEP, FREE = "in process", "lockstep", "free-running"
 HOST, TENSOR = "host", "tensor"
 BULLET, OPENGL, COPY, DDS = "Bullet alone", "OpenGL alone", "copies alone", "DDS alone"
 ENOUGH = 0.7
-"""Share of a limit above which nothing is left to explain."""
+"""Fraction of the limit from which on a row needs no explanation."""
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """How many frames a second in one way."""
+class Table1Row:
+    """Frames per second of one configuration."""
 
     way: str
-    """in process, lockstep or free-running."""
+    """``in process``, ``lockstep`` or ``free-running``."""
     to: str
-    """host or tensor."""
+    """``host`` or ``tensor``."""
     mode: str
-    """As ``paper.MODES`` names them."""
+    """Name in ``paper.MODES``."""
     scene: str
     triangles: int
     width: int
     height: int
     substeps: int
-    """Physics steps of 1/240 s a frame; 0 = no physics."""
+    """Physics steps of 1/240 s per frame; 0 = no physics."""
     fps: float
     """1 / median time of a frame."""
     p5: float
     p95: float
     frames: int
     stages: dict[str, float] = field(default_factory=dict)
-    """Milliseconds a frame, medians, each stage waited for; their sum may exceed the time of a frame that was not."""
+    """Median milliseconds per frame, each stage completed before the next; their sum may exceed the time of a frame."""
     bounds: dict[str, float] = field(default_factory=dict)
-    """Milliseconds a frame that each part takes alone, on the same machine, with nothing around it."""
+    """Milliseconds per frame of each part alone, on the same machine."""
     lost: float = math.nan
-    """Part of the ticks that the simulation made of which the subscriber got nothing: not drawn in time, or lost; NaN = none can be."""
+    """Fraction of ticks of which the subscriber received nothing: not drawn in time, or lost; NaN = not applicable."""
 
     @property
     def key(self) -> str:
-        """What it is, in one line; two reports have the same row under the same key."""
+        """The configuration in one line; equal in two reports for the same row."""
         physics = f"{self.substeps} substeps" if self.substeps else "no physics"
         return f"{self.way}, {self.to}: {self.mode}, {self.scene}, {self.width}x{self.height}, {physics}"
 
     @property
     def bound_fps(self) -> float:
-        """Frames a second if nothing took time but the parts that were measured alone, one after the other; NaN = not measured."""
+        """Frames per second if only the parts measured alone took time, one after the other; NaN = not measured."""
         total = sum(self.bounds.values())
         return 1e3 / total if total > 0.0 else math.nan
 
     @property
     def share(self) -> float:
-        """Part of ``bound_fps`` that is reached."""
+        """Fraction of ``bound_fps`` that is reached."""
         return self.fps / self.bound_fps
 
     @property
     def between(self) -> dict[str, float]:
-        """Milliseconds a frame that lie between the parts alone and the frame as it comes, by what they are; the largest first."""
+        """Milliseconds per frame beyond the parts alone, by cause, the largest first."""
         s, b = self.stages, self.bounds
         found = {
             "our Python around a step": s.get("step", 0.0) - b.get(BULLET, 0.0) if BULLET in b else 0.0,
@@ -82,22 +82,22 @@ class Row:
 
     @property
     def bound_by(self) -> str:
-        """The part that takes longest alone; empty = none was measured."""
+        """The slowest part alone; empty = none was measured."""
         return max(self.bounds, key=lambda name: self.bounds[name], default="")
 
 
 @dataclass(frozen=True, slots=True)
 class Table1:
-    """All that was measured, and where."""
+    """The measurements, with the machine."""
 
     facts: Facts
     robot: str
     tensors_on: str
-    rows: tuple[Row, ...] = ()
+    rows: tuple[Table1Row, ...] = ()
     left_out: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the report as JSON's types; what was not measured is null."""
+        """Returns the report as JSON types; NaN becomes null."""
         rows = [
             {
                 **asdict(row),
@@ -126,13 +126,13 @@ class Table1:
 
 def table_of(read: Mapping[str, Any]) -> Table1:
     """Returns a report from its JSON."""
-    names = [name for name in Row.__dataclass_fields__ if name != "lost"]
-    rows = [Row(**{n: r[n] for n in names}, lost=math.nan if r["lost"] is None else r["lost"]) for r in read["rows"]]
+    names = [name for name in Table1Row.__dataclass_fields__ if name != "lost"]
+    rows = [Table1Row(**{n: r[n] for n in names}, lost=math.nan if r["lost"] is None else r["lost"]) for r in read["rows"]]
     return Table1(Facts(**read["facts"]), read["robot"], read["tensors_on"], tuple(rows), tuple(read["left_out"]))
 
 
-def paper_of(row: Row) -> dict[str, float | None]:
-    """Returns what the paper has for a row: ``v2``, ``v1`` and ``habitat``, frames a second; None = nothing."""
+def paper_of(row: Table1Row) -> dict[str, float | None]:
+    """Returns the paper's values for a row, ``v2``, ``v1`` and ``habitat``, frames per second; None = not in the paper."""
     none: dict[str, float | None] = {"v2": None, "v1": None, "habitat": None}
     if row.substeps:
         mode = mode_of(row.mode)
@@ -143,31 +143,31 @@ def paper_of(row: Row) -> dict[str, float | None]:
     return {**none, "v2": fastest[1], "habitat": fastest[2]}
 
 
-def row_of(times: Sequence[float], **values: Any) -> Row:
-    """Returns a row from the seconds that each frame took."""
+def row_of(times: Sequence[float], **values: Any) -> Table1Row:
+    """Returns a row from the durations of the frames, seconds."""
     rates = 1.0 / np.asarray(times, dtype=np.float64)
     low, middle, high = (round(float(np.percentile(rates, p)), 2) for p in (5, 50, 95))
-    return Row(fps=middle, p5=low, p95=high, frames=len(times), **values)
+    return Table1Row(fps=middle, p5=low, p95=high, frames=len(times), **values)
 
 
-def lockstep_row(times: Sequence[float], alone: Row, exchanged: Mapping[str, float]) -> Row:
-    """Returns the row in lockstep of what ``alone`` is in process.
+def lockstep_row(times: Sequence[float], alone: Table1Row, exchanged: Mapping[str, float]) -> Table1Row:
+    """Returns the lockstep row that corresponds to a row in process.
 
     Args:
         times: seconds from tick to tick.
         alone: the row in process.
-        exchanged: milliseconds of convert, encode, publish and transport, measured with nothing around them.
+        exchanged: milliseconds of convert, encode, publish and transport, measured alone.
     """
     bounds = {**alone.bounds, DDS: _dds(exchanged)}
     return row_of(times, way=LOCKSTEP, stages=_stages(alone, exchanged), bounds=bounds, **_what(alone))
 
 
-def free_row(received_ns: Sequence[int], ticks: int, alone: Row, exchanged: Mapping[str, float]) -> Row:
-    """Returns the row of a free-running simulation that a subscriber listens to; physics and drawing have a process each.
+def free_row(received_ns: Sequence[int], ticks: int, alone: Table1Row, exchanged: Mapping[str, float]) -> Table1Row:
+    """Returns the row of a free-running simulation with a subscriber; physics and rendering are separate processes.
 
     Args:
-        received_ns: when sets of images were whole, or odometry came.
-        ticks: how many the simulation made meanwhile.
+        received_ns: times at which sets of images were complete, or odometry arrived.
+        ticks: ticks of the simulation in that time.
         alone: the row in process.
         exchanged: as for ``lockstep_row``.
     """
@@ -176,11 +176,11 @@ def free_row(received_ns: Sequence[int], ticks: int, alone: Row, exchanged: Mapp
     if alone.mode != SENSOR_ONLY:
         bounds[DDS] = _dds(exchanged)
     row = row_of(times.tolist(), way=FREE, stages=_stages(alone, exchanged), bounds=bounds, **_what(alone))
-    # The mean: what comes in bursts comes no oftener for that.
+    # The mean rate: messages that arrive in bursts would distort a median.
     return replace(row, fps=round(1.0 / float(times.mean()), 2), lost=max(0.0, 1.0 - len(received_ns) / max(1, ticks)))
 
 
-def _what(row: Row) -> dict[str, Any]:
+def _what(row: Table1Row) -> dict[str, Any]:
     names = ("to", "mode", "scene", "triangles", "width", "height", "substeps")
     return {name: getattr(row, name) for name in names}
 
@@ -189,12 +189,12 @@ def _dds(exchanged: Mapping[str, float]) -> float:
     return round(exchanged["publish"] + exchanged["transport"], 5)
 
 
-def _stages(alone: Row, exchanged: Mapping[str, float]) -> dict[str, float]:
+def _stages(alone: Table1Row, exchanged: Mapping[str, float]) -> dict[str, float]:
     return {**alone.stages, **exchanged, "convert": round(alone.stages.get("convert", 0.0) + exchanged["convert"], 5)}
 
 
 SENSOR_FPS, RGBD_FPS, ALL_FPS, SENSOR_24_FPS, LOCKSTEP_PART = 3000.0, 150.0, 100.0, 400.0, 0.8
-"""Targets for two cores without a GPU: in process with one substep, with 24, and lockstep as a part of in process."""
+"""Targets for two cores without a GPU, frames per second in process with 1 substep and with 24; lockstep as a fraction of in process."""
 _IN_PROCESS_TARGETS = (
     (SENSOR_ONLY, 1, SENSOR_FPS),
     ("RGB-D, pre-filled", 1, RGBD_FPS),
@@ -203,8 +203,8 @@ _IN_PROCESS_TARGETS = (
 )
 
 
-def targets(rows: Sequence[Row]) -> list[Target]:
-    """Returns the targets for two cores that the rows say something about."""
+def targets(rows: Sequence[Table1Row]) -> list[PerformanceTarget]:
+    """Returns the targets for two cores that the rows cover."""
     found = []
     physics = [row for row in rows if row.substeps and row.to == HOST]
     alone = {(row.mode, row.substeps): row.fps for row in physics if row.way == IN_PROCESS}
@@ -212,10 +212,12 @@ def targets(rows: Sequence[Row]) -> list[Target]:
         if (mode, substeps) in alone:
             fps = alone[mode, substeps]
             what = f"{mode}, {substeps} substep{'s' if substeps > 1 else ''}, in process"
-            found.append(Target(what, f"> {wanted:,.0f}/s", f"{fps:,.0f}/s", "", fps > wanted))
+            found.append(PerformanceTarget(what, f"> {wanted:,.0f}/s", f"{fps:,.0f}/s", "", fps > wanted))
     for row in physics:
         if row.way == LOCKSTEP and row.substeps == 1 and row.mode != SENSOR_ONLY and (row.mode, 1) in alone:
             part = row.fps / alone[row.mode, 1]
             what = f"{row.mode}, lockstep against one process"
-            found.append(Target(what, f"> {100 * LOCKSTEP_PART:.0f} %", f"{100 * part:.0f} %", "", part > LOCKSTEP_PART))
+            found.append(
+                PerformanceTarget(what, f"> {100 * LOCKSTEP_PART:.0f} %", f"{100 * part:.0f} %", "", part > LOCKSTEP_PART)
+            )
     return found

@@ -1,6 +1,6 @@
-"""How cost grows: with triangles, bodies, cameras, robots, resolution, environments in a process, and processes.
+"""Growth of time and memory with triangles, resolution, cameras, bodies, robots, environments in a process, and processes.
 
-Every case has a process of its own, so that its memory is its own.
+Every case runs in a process of its own, so that its memory can be measured.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from gibson_sim import interrupts
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.maps.placement import populate
-from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
@@ -30,45 +29,45 @@ from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.simulation import Simulation
 from gibson_sim.tasks.episode import Item, item_body
 from gibson_sim.tasks.ground import ground_of
-from gibson_sim.types import CameraSpec, VelocityCommand
+from gibson_sim.types import CameraSpec
 from gibson_sim_bench import timing
 from gibson_sim_bench.measured.scenes import bench_scene, camera_path
 from gibson_sim_bench.memory import resident_mb
 from gibson_sim_bench.ours import STILL, pose_of
 from gibson_sim_bench.ros import without_nan
-from gibson_sim_bench.tasks import LOOSE
+from gibson_sim_bench.tasks import LOOSE_MODELS
 from gibson_sim_bench.timing import FIVE, Facts
 
 STEP_HZ = 240
 SCENE, ROBOT = "arena", "gibson_bot"
 ROOMS = "rooms:100k"
 SIZE = 256
-"""Width and height where they are not what grows, pixels."""
+"""Width and height of images unless resolution is varied, pixels."""
 REST_S = 2.0
-"""Simulated seconds in which bodies come to rest."""
+"""Simulation time in which bodies come to rest, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """What grows."""
+class ScalingKind:
+    """A quantity that is varied."""
 
     name: str
     values: tuple[int, ...]
     quick: tuple[int, ...]
     what: str
-    """What is timed."""
+    """What is timed, for the report."""
 
 
 KINDS = (
-    Kind("triangles", (20_000, 100_000, 500_000, 1_000_000), (20_000, 100_000), "a picture of 256x256, five outputs"),
-    Kind("resolution", (128, 256, 512, 1024), (128, 256), "a picture of so many pixels a side, five outputs, 100 k triangles"),
-    Kind("cameras", (1, 4, 16, 64), (1, 4), "so many pictures of 128x128, RGB and depth, 100 k triangles"),
-    Kind("bodies", (0, 10, 30, 100), (0, 10), "a physics step with so many loose things at rest and one robot, and all poses"),
-    Kind("robots", (1, 2, 4, 8), (1, 2), "a physics step with so many robots that drive, and all poses"),
-    Kind(
+    ScalingKind("triangles", (20_000, 100_000, 500_000, 1_000_000), (20_000, 100_000), "an image of 256x256, five outputs"),
+    ScalingKind("resolution", (128, 256, 512, 1024), (128, 256), "an image of N x N pixels, five outputs, 100 k triangles"),
+    ScalingKind("cameras", (1, 4, 16, 64), (1, 4), "N images of 128x128, RGB and depth, 100 k triangles"),
+    ScalingKind("bodies", (0, 10, 30, 100), (0, 10), "a physics step with N loose objects at rest and one robot, and all poses"),
+    ScalingKind("robots", (1, 2, 4, 8), (1, 2), "a physics step with N driving robots, and all poses"),
+    ScalingKind(
         "environments", (1, 2, 4), (1, 2), "a step of each environment in one process: four physics steps, 256x256 RGB and depth"
     ),
-    Kind("processes", (1, 2, 4), (1, 2), "such a step where so many processes have one environment each"),
+    ScalingKind("processes", (1, 2, 4), (1, 2), "such a step in each of N processes with one environment"),
 )
 
 
@@ -79,23 +78,23 @@ class ScalingRow:
     kind: str
     value: int
     ms: float
-    """Of what is timed, median; for environments and processes, of one step of all of them."""
+    """Median duration; for environments and processes, of one step of all of them."""
     per_s: float
-    """How often that is done a second; for environments and processes, steps of all of them together."""
+    """Rate; for environments and processes, steps of all of them together."""
     mb: float
     """Resident memory of all processes of the case."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScalingReport:
-    """All that was measured, and where."""
+    """The measurements, with the machine."""
 
     facts: Facts
     rows: tuple[ScalingRow, ...] = ()
     left_out: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the report as JSON's types."""
+        """Returns the report as JSON types."""
         figures = [{"name": f"{r.kind}: {r.value}", "value": r.per_s, "unit": "1/s", "better": "more"} for r in self.rows]
         figures += [{"name": f"memory, {r.kind}: {r.value}", "value": r.mb, "unit": "MB", "better": "less"} for r in self.rows]
         found: dict[str, Any] = without_nan({"kind": "scaling", **asdict(self), "figures": figures})
@@ -107,13 +106,15 @@ def report_of(read: dict[str, Any]) -> ScalingReport:
     return ScalingReport(Facts(**read["facts"]), tuple(ScalingRow(**row) for row in read["rows"]), tuple(read["left_out"]))
 
 
-def measure(kinds: Sequence[Kind], *, quick: bool = False, tell: Callable[[str], None] = lambda line: None) -> ScalingReport:
-    """Returns what was measured; a case that fails is left out, and the report says why.
+def measure(
+    kinds: Sequence[ScalingKind], *, quick: bool = False, tell: Callable[[str], None] = lambda line: None
+) -> ScalingReport:
+    """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
-        kinds: what is to grow.
+        kinds: the quantities to vary.
         quick: fewer and smaller cases.
-        tell: is told in one line what is going on.
+        tell: called with one line of progress.
     """
     report = ScalingReport(timing.facts())
     rows: list[ScalingRow] = []
@@ -130,11 +131,11 @@ def measure(kinds: Sequence[Kind], *, quick: bool = False, tell: Callable[[str],
 
 
 def _in_processes(kind: str, value: int, frames: int) -> ScalingRow:
-    """Returns a case, measured in a process of its own, or in as many as it is about."""
+    """Returns the row of a case, measured in a process of its own, or in ``value`` processes."""
     count = value if kind == "processes" else 1
-    # Spawned: a forked process would have the memory of this one, and its OpenGL.
+    # Spawned: a forked process would share this one's memory and OpenGL context.
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=interrupts.end_silently) as pool:
-        with interrupts.held_back():  # Ctrl-C reaches them too
+        with interrupts.held_back():  # Ctrl-C also reaches the children
             jobs = [pool.submit(_case, kind, value, frames) for _ in range(count)]
         found = [job.result() for job in jobs]
     ms = float(np.median([ms for ms, _ in found]))
@@ -143,7 +144,7 @@ def _in_processes(kind: str, value: int, frames: int) -> ScalingRow:
 
 
 def _case(kind: str, value: int, frames: int) -> tuple[float, float]:
-    """Returns milliseconds and MB of a case, in this process."""
+    """Returns milliseconds and MB of a case, measured in this process."""
     logging.disable(logging.WARNING)
     with ExitStack() as stack:
         if kind in ("triangles", "resolution", "cameras"):
@@ -181,10 +182,11 @@ def _pictures(kind: str, value: int, frames: int, stack: ExitStack) -> Callable[
 
 
 def _physics(scene: SceneSpec, stack: ExitStack) -> Callable[[], Any]:
-    world = stack.enter_context(PhysicsWorld(scene, step_hz=STEP_HZ, cmd_vel_timeout=1e6))
+    sim = stack.enter_context(Simulation(scene, None, step_hz=STEP_HZ))
+    world = sim.world  # without sensors
     world.step(round(REST_S * STEP_HZ))
-    for robot in scene.robots:
-        world.command(robot.name, VelocityCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.8), world.stamp_ns))
+    for name in sim.robots:
+        sim.command(linear=0.1, angular=0.8, robot=name)
 
     def work() -> Any:
         world.step()
@@ -196,7 +198,7 @@ def _physics(scene: SceneSpec, stack: ExitStack) -> Callable[[], Any]:
 def _with_bodies(count: int) -> SceneSpec:
     ground = ground_of(SCENE, ROBOT)
     poses = random_free_poses(ground.floor, count + 1, np.random.default_rng(0), clearance=0.1, spacing=0.25)
-    items = [item_body(Item(f"loose_{k}", LOOSE[k % len(LOOSE)], pose)) for k, pose in enumerate(poses[1:])]
+    items = [item_body(Item(f"loose_{k}", LOOSE_MODELS[k % len(LOOSE_MODELS)], pose)) for k, pose in enumerate(poses[1:])]
     return replace(ground.scene, robots=(replace(ground.robot, start=poses[0]),), bodies=(*ground.scene.bodies, *items))
 
 
@@ -209,7 +211,7 @@ def _with_robots(count: int) -> SceneSpec:
 
 
 def _environment(stack: ExitStack) -> Callable[[], Any]:
-    """Returns a step of an environment: a flat with a robot and its camera."""
+    """Returns a function that makes one step of an environment: a flat with a robot and its camera."""
     sim = stack.enter_context(Simulation("flat", ROBOT, step_hz=STEP_HZ))
     camera = replace(sim.cameras[0], width=SIZE, height=SIZE, outputs=("rgb", "depth"))
     sim.command(linear=0.1, angular=0.8)
@@ -221,11 +223,11 @@ def _environment(stack: ExitStack) -> Callable[[], Any]:
     return work
 
 
-def kinds_of(text: str) -> tuple[Kind, ...]:
-    """Returns the kinds that are named, joined by commas; empty = all.
+def kinds_of(text: str) -> tuple[ScalingKind, ...]:
+    """Returns the quantities of a comma-separated list of names; empty = all.
 
     Raises:
-        ConfigError: one of them does not exist.
+        ConfigError: a name is unknown.
     """
     names = [name for name in text.split(",") if name]
     known = {kind.name: kind for kind in KINDS}

@@ -1,6 +1,6 @@
-"""Long runs: environment steps in this process, and what a free-running simulation did meanwhile. Memory, rates and files must stay.
+"""Long runs: environment steps in this process, and a free-running simulation. Memory, rates and numbers of files must stay constant.
 
-Pure but for ``environment_steps``; the processes of the other half are started by ``gibson_sim_bench.cli.soak``.
+Pure except for ``environment_steps``; ``gibson_sim_bench.cli.soak`` starts the free-running simulation.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from gibson_sim_bench.timing import Facts
 
 TASK = "point-goal"
 ALLOWED_GROWTH_MB, ALLOWED_DRIFT, ALLOWED_FILES = 16.0, 0.1, 4
-"""Between the first and the last third after the warm-up: memory of a process; part of a rate; open files, or files on disk."""
+"""Allowed change from the first to the last third after the warm-up: memory of a process, fraction of a rate, number of files."""
 
 
 @dataclass(slots=True)
 class Samples:
-    """What was seen of something that runs, again and again."""
+    """Time series of a running process."""
 
     seconds: list[float] = field(default_factory=list)
-    """Wall time since the begin."""
+    """Wall time of each sample since the start."""
     values: dict[str, list[float]] = field(default_factory=dict)
-    """By name: ``... MB``, ``... files``, ``... /s``."""
+    """Values by name; the names end with ``MB``, ``files`` or ``/s``."""
 
     def add(self, seconds: float, **values: float) -> None:
-        """Takes what is seen now; every call has the same names, with ``_`` for spaces."""
+        """Adds a sample; every call has the same names, with ``_`` for spaces."""
         self.seconds.append(round(seconds, 2))
         for name, value in values.items():
-            self.put(name.replace("_", " "), value)
+            self.append(name.replace("_", " "), value)
 
-    def put(self, name: str, value: float) -> None:
-        """Takes one value."""
+    def append(self, name: str, value: float) -> None:
+        """Appends one value."""
         self.values.setdefault(name, []).append(round(value, 3))
 
     def problems(self) -> list[str]:
-        """Returns what grew, or drifted, more than is allowed."""
+        """Returns what grew or drifted more than allowed, one line each."""
         found = []
         for name, values in self.values.items():
             if name.endswith("MB") and growth(values) > ALLOWED_GROWTH_MB:
@@ -58,7 +58,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class SoakReport:
-    """All that was seen, and where."""
+    """The samples, with the machine."""
 
     facts: Facts
     steps: int
@@ -68,11 +68,11 @@ class SoakReport:
     seconds: float
     """Wall time of the free-running simulation."""
     images: int
-    """That its subscriber received: sets of RGB and depth."""
+    """Sets of RGB and depth that its subscriber received."""
     running: Samples
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the report as JSON's types; what was not measured is null."""
+        """Returns the report as JSON types; NaN becomes null."""
         figures = []
         for part, samples in (("environment", self.environment), ("running", self.running)):
             for name, values in samples.values.items():
@@ -85,7 +85,7 @@ class SoakReport:
 
     @property
     def problems(self) -> list[str]:
-        """What grew or drifted."""
+        """What grew or drifted more than allowed, one line each."""
         return [*self.environment.problems(), *self.running.problems()]
 
 
@@ -103,13 +103,13 @@ def report_of(read: dict[str, Any]) -> SoakReport:
 def environment_steps(
     count: int, samples: int = 50, task: str = TASK, tell: Callable[[str], None] = lambda line: None
 ) -> tuple[Samples, int]:
-    """Makes so many environment steps with random actions, and returns what was seen and how many episodes began.
+    """Makes environment steps with random actions; returns the samples and the number of episodes.
 
     Args:
-        count: steps of a tenth of a second of simulation time each.
-        samples: how often to look.
-        task: its name.
-        tell: is told in one line what is going on.
+        count: steps, each 0.1 s of simulation time.
+        samples: number of samples.
+        task: name of the task.
+        tell: called with one line of progress.
     """
     found, episodes = Samples(), 1
     rng = np.random.default_rng(0)
@@ -124,7 +124,7 @@ def environment_steps(
                 if run.over:
                     controls.begin(run.reset(episodes))
                     episodes += 1
-                action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.view)
+                action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.observation)
                 here = time.perf_counter()
                 run.step(action)
                 passed += time.perf_counter() - here

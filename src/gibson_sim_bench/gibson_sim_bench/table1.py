@@ -1,8 +1,8 @@
-"""The paper's table in this process: physics, sensors and pictures, one after the other, each stage timed; and drawing alone.
+"""The paper's table in this process: physics, sensors and images, one after the other, each stage timed; and rendering alone.
 
-Protocol: our differential robot of a TurtleBot's size with one camera, 90 degrees; physics steps of 1/240 s; wheel commands that are
-drawn anew ten times a second of simulation time, from one seed; frames before the first that counts; a frame counts once all that was
-asked for lies in the host's memory, or in tensors that are waited for.
+Protocol: a differential robot of a TurtleBot's size with one camera of 90 degrees; physics steps of 1/240 s; random velocities, ten per
+second of simulation time, from one seed; warm-up frames that do not count. A frame is complete when all its outputs are in host memory, or
+in tensors that are synchronised.
 """
 
 from __future__ import annotations
@@ -32,52 +32,54 @@ from gibson_sim_bench.clocks import Clock, calls_of, copy_ms, opengl_calls
 from gibson_sim_bench.loop import Loop
 from gibson_sim_bench.measured.scenes import bench_scene, camera_path
 from gibson_sim_bench.ours import STILL, pose_of
-from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, WARM_UP, WAYS, Plan
+from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, WARM_UP, WAYS, Table1Plan
 from gibson_sim_bench.reports.paper import HOUSE_SIZE, MODES, PHYSICS_SIZE, Mode
-from gibson_sim_bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Row, Table1, lockstep_row, row_of
+from gibson_sim_bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Table1, Table1Row, lockstep_row, row_of
 from gibson_sim_bench.tensors import synchronize
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
-    """Simulations in lockstep, whose ticks come in turns with the frames in this process."""
+class LockstepRunner:
+    """Runs simulations in lockstep, whose ticks take turns with the frames in this process."""
 
     start: Callable[[int, Sequence[Mode]], AbstractContextManager[Callable[[int, int], Sequence[float]]]]
-    """Runs one for modes with so many substeps. What it yields makes ticks of one of the modes: (which, how many) to the seconds that each of
-    them took, or to nothing where that failed."""
+    """Starts a simulation: (substeps, modes) -> context manager of a function that makes ticks of one mode: (index of the mode, count) ->
+    seconds of each tick, or nothing if that failed."""
     messages: Mapping[str, Mapping[str, float]]
-    """Milliseconds of each mode's messages alone."""
+    """Milliseconds of the messages alone, by mode."""
 
 
-def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: None, beside: Beside | None = None) -> Table1:
-    """Returns what was measured in this process, and beside it.
+def measure(
+    plan: Table1Plan, robot: Path, tell: Callable[[str], None] = lambda line: None, lockstep: LockstepRunner | None = None
+) -> Table1:
+    """Returns the measurements in this process, and those in lockstep that take turns with them.
 
     Args:
         plan: what to measure.
         robot: file of the robot, as ``write_robot`` writes it.
-        tell: is told in one line what is going on.
-        beside: what gives the rows in lockstep; None = there are none.
+        tell: called with one line of progress.
+        lockstep: runs the rows in lockstep; None = no such rows.
 
     Raises:
         GibsonSimError: a scene cannot be loaded, or nothing here can draw.
     """
     began = timing.facts()
-    rows: list[Row] = []
+    rows: list[Table1Row] = []
     with ExitStack() as stack:
         loop = Loop(plan.scene, robot, 1)
         stack.callback(loop.close)
         drawn = drawn_scene(loop.world.scene, loop.world.links)
-        pair = Pair(drawn, plan.device, None, stack)
+        pair = RendererPair(drawn, plan.device, None, stack)
         if IN_PROCESS in plan.ways:
             for substeps, pictures in ((k, d) for k in plan.substeps for d in (False, True)):
                 modes = [mode for mode in MODES if bool(mode.outputs) == pictures]
                 with ExitStack() as running:
-                    ticks = running.enter_context(beside.start(substeps, modes)) if beside else None
+                    ticks = running.enter_context(lockstep.start(substeps, modes)) if lockstep else None
                     for which, mode in enumerate(modes):
                         tell(f"{'in process and in lockstep' if ticks else 'in process'}: {mode.name}, {substeps} substeps")
                         other = partial(ticks, which) if ticks else None
                         rows += _with_physics(
-                            plan, robot, substeps, mode, pair, other, beside.messages[mode.name] if beside else {}
+                            plan, robot, substeps, mode, pair, other, lockstep.messages[mode.name] if lockstep else {}
                         )
         info, tensors_on = pair.plain.info, pair.plain.tensors_on
     for house in plan.houses if HOUSES_ONLY in plan.ways else ():
@@ -88,8 +90,8 @@ def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: 
     return Table1(facts, f"{ROBOT}, {FOV_Y_DEG:g} degrees", tensors_on, tuple(in_order))
 
 
-class Pair:
-    """Two renderers of a scene: one as it is, one whose OpenGL calls are timed."""
+class RendererPair:
+    """Two renderers of a scene: one unmodified, one whose OpenGL calls are timed."""
 
     def __init__(self, scene: DrawnScene, device: int | str | None, roots: list[Path] | None, stack: ExitStack) -> None:
         options: dict[str, Any] = {"device": device, "cache": default_folder(), "allowed_roots": roots}
@@ -101,27 +103,27 @@ class Pair:
         self.triangles = int(self.plain.info["triangles"])
 
     def apart(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, float, float, float]:
-        """Returns a frame, and the milliseconds of drawing it, of reading it back, and of OpenGL itself while drawing."""
-        self.clock.take()
+        """Returns a frame, and the milliseconds of drawing, of readback, and of the OpenGL calls while drawing."""
+        self.clock.pop_ms()
         began = time.perf_counter_ns()
         ((target, shots, _),) = self._timed.drawn(state, [camera])
         self._finish()
         drawn = time.perf_counter_ns()
-        opengl = self.clock.take()
+        opengl = self.clock.pop_ms()
         (frame,) = self._readback.frames(target, shots)
         return frame, (drawn - began) / 1e6, (time.perf_counter_ns() - drawn) / 1e6, opengl
 
 
 def _with_physics(
-    plan: Plan,
+    plan: Table1Plan,
     robot: Path,
     substeps: int,
     mode: Mode,
-    pair: Pair,
+    pair: RendererPair,
     other: Callable[[int], Sequence[float]] | None,
     messages: Mapping[str, float],
-) -> Iterable[Row]:
-    """Returns the rows of a mode: to the host, in lockstep where ``other`` makes ticks of it, and for the fewest substeps to tensors."""
+) -> Iterable[Table1Row]:
+    """Yields the rows of a mode: to the host, in lockstep if ``other`` makes its ticks, and for the fewest substeps to tensors."""
     loop = Loop(plan.scene, robot, substeps)
     try:
         loop.settle()
@@ -145,7 +147,7 @@ def _with_physics(
         common: dict[str, Any] = {"way": IN_PROCESS, "mode": mode.name, "scene": plan.scene, "triangles": pair.triangles}
         common |= {"width": PHYSICS_SIZE[0], "height": PHYSICS_SIZE[1], "substeps": substeps}
         with calls_of(pybullet, "stepSimulation") as engine:
-            parts = Parts(loop, camera, pair, engine)
+            parts = FrameStages(loop, camera, pair, engine)
             times, ticks = in_turns(to_host, parts.measure, frames, warm_up, other)
         stages, bounds = parts.result()
         here = row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
@@ -159,12 +161,12 @@ def _with_physics(
 
 
 def camera_of(camera: CameraSpec, mode: Mode) -> CameraSpec | None:
-    """Returns the camera with the outputs of a mode; None where it has none."""
+    """Returns the camera with the outputs of a mode; None if the mode has none."""
     return replace(camera, outputs=mode.outputs) if mode.outputs else None
 
 
 def seconds_of(work: Callable[[], Any], count: int, warm_up: int) -> list[float]:
-    """Returns how long each of ``count`` calls took, seconds, after others that do not count."""
+    """Returns the duration of each of ``count`` calls, seconds, after ``warm_up`` calls that do not count."""
     found = []
     for _ in range(count + warm_up):
         began = time.perf_counter()
@@ -180,16 +182,16 @@ def in_turns(
     warm_up: int,
     other: Callable[[int], Sequence[float]] | None = None,
 ) -> tuple[list[float], list[float]]:
-    """Returns how long each of ``count`` calls of ``whole`` took, and each of ``other``; blocks of them and of ``apart`` come in turns.
+    """Returns the durations of ``count`` calls of ``whole``, and of ``other``; blocks of both and of ``apart`` take turns.
 
-    So whatever else the machine does hits the frames and what they are held against alike.
+    Other load on the machine then affects the frames and the limits that they are compared with alike.
 
     Args:
         whole: makes a frame.
-        apart: makes one whose parts are measured.
-        count: of calls of ``whole`` that count.
-        warm_up: of calls before them.
-        other: makes so many frames another way, and returns the seconds that each took.
+        apart: makes a frame whose parts are measured.
+        count: calls of ``whole`` that count.
+        warm_up: calls before them.
+        other: makes ``n`` frames in another configuration, and returns the duration of each, seconds.
     """
     found, others = seconds_of(whole, 0, warm_up), list[float]()
     if other is not None:
@@ -204,17 +206,17 @@ def in_turns(
     return found, others
 
 
-class Parts:
-    """The stages of a frame, each waited for, and what of them is Bullet's and OpenGL's."""
+class FrameStages:
+    """Times the stages of a frame, each completed before the next, and the shares of Bullet and OpenGL."""
 
-    def __init__(self, loop: Loop, camera: CameraSpec | None, pair: Pair, engine: Clock) -> None:
+    def __init__(self, loop: Loop, camera: CameraSpec | None, pair: RendererPair, engine: Clock) -> None:
         self._loop, self._camera, self._pair, self._engine = loop, camera, pair, engine
         self._found: list[dict[str, float]] = []
         self._bytes = 0
 
     def measure(self) -> None:
-        """Makes one frame."""
-        self._engine.take()
+        """Makes and times one frame."""
+        self._engine.pop_ms()
         began = time.perf_counter_ns()
         self._loop.step()
         stepped = time.perf_counter_ns()
@@ -222,7 +224,7 @@ class Parts:
         values = {
             "step": (stepped - began) / 1e6,
             "convert": (time.perf_counter_ns() - stepped) / 1e6,
-            BULLET: self._engine.take(),
+            BULLET: self._engine.pop_ms(),
         }
         if self._camera is not None:
             frame, values["draw"], values["read back"], values[OPENGL] = self._pair.apart(state, self._camera)
@@ -230,33 +232,33 @@ class Parts:
         self._found.append(values)
 
     def result(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Returns the milliseconds of each stage, medians, and those of its parts alone."""
-        every = self._found[2:] or self._found
-        found = {name: float(np.median([values[name] for values in every])) for name in every[0]}
+        """Returns the median milliseconds of each stage, and of the parts alone."""
+        counted = self._found[2:] or self._found
+        found = {name: float(np.median([values[name] for values in counted])) for name in counted[0]}
         return parted({**found, **({COPY: copy_ms(self._bytes)} if self._bytes else {})})
 
 
 def parted(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns stages and limits apart, rounded."""
+    """Returns the stages and the limits, rounded."""
     alone = (BULLET, OPENGL, COPY)
     rounded = {name: round(value, 5) for name, value in values.items()}
     return {n: v for n, v in rounded.items() if n not in alone}, {n: v for n, v in rounded.items() if n in alone}
 
 
 def bytes_of(frame: Frame) -> int:
-    """Returns how much memory the images of a frame take."""
+    """Returns the size of the images of a frame, bytes."""
     return sum(image.nbytes for output in OUTPUTS if (image := getattr(frame, output)) is not None)
 
 
-def _house(plan: Plan, name: str) -> Iterable[Row]:
-    """Returns the rows of drawing a house, no physics, along a fixed way."""
+def _house(plan: Table1Plan, name: str) -> Iterable[Table1Row]:
+    """Yields the rows of rendering a house along a fixed camera path, without physics."""
     scene = bench_scene(name)
     spec = load_scene(scene.path)
     width, height = HOUSE_SIZE
     path = [pose_of(T.ravel().tolist()) for T in camera_path(scene, plan.frames)]
     for mode in HOUSE_MODES:
         with ExitStack() as stack:
-            pair = Pair(drawn_scene(spec, ()), plan.device, list(scene_roots(spec)), stack)
+            pair = RendererPair(drawn_scene(spec, ()), plan.device, list(scene_roots(spec)), stack)
             fov_y = math.radians(FOV_Y_DEG)
             cameras = [
                 CameraSpec("eye", "", pose, width, height, fov_y, near=0.05, far=100.0, outputs=mode.outputs) for pose in path

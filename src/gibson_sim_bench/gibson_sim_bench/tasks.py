@@ -1,6 +1,6 @@
-"""How fast tasks are: environment steps a second, where their time goes, and what loose things in a home cost.
+"""Speed of tasks: environment steps per second, the time of their stages, and the cost of loose objects in a home.
 
-Gymnasium's own vector environments measure several processes, as that is what training uses; without Gymnasium these are left out.
+Several processes are measured with Gymnasium's vector environments, since training uses them; without Gymnasium they are left out.
 """
 
 from __future__ import annotations
@@ -28,72 +28,83 @@ from gibson_sim.tasks.registry import TASKS, task_of
 from gibson_sim.tasks.run import CONTROL_HZ, STEP_HZ, TaskRun
 from gibson_sim_bench import timing
 from gibson_sim_bench.reports.render import table
-from gibson_sim_bench.ros import Target, without_nan
+from gibson_sim_bench.ros import PerformanceTarget, without_nan
 
 OBSERVATIONS = ("state", "rgbd")
 WARM_UP = 10
 """Steps that do not count."""
-LOOSE = ("box_small", "book_a", "bottle_water", "can_soda", "mug", "toy_ball", "fruit_apple", "box_cereal", "basket", "stool")
+LOOSE_MODELS = (
+    "box_small",
+    "book_a",
+    "bottle_water",
+    "can_soda",
+    "mug",
+    "toy_ball",
+    "fruit_apple",
+    "box_cereal",
+    "basket",
+    "stool",
+)
 THINGS, REST_S, MOVING_S = 50, 4.0, 2.0
-"""Loose things; seconds in which they come to rest; seconds that are timed."""
+"""Number of loose objects; simulation time in which they come to rest; simulation time that is timed, seconds."""
 REAL_TIME, REAL_TIME_RGBD = 10.0, 3.0
-"""Targets for two cores without a GPU: how many times faster than real time without pictures, and with 256x256 RGB-D."""
+"""Targets for two cores without a GPU: real-time factor without images, and with 256x256 RGB-D."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskPlan:
-    """How much to measure."""
+    """What to measure, and how much."""
 
     tasks: tuple[str, ...] = tuple(TASKS)
     observations: tuple[str, ...] = OBSERVATIONS
     processes: tuple[int, ...] = (1, 2)
     scene: str = ""
-    """Empty = that of each task."""
+    """Scene of all tasks; empty = that of each task."""
     steps: int = 200
     size: int = 256
-    """Of pictures, pixels."""
+    """Width and height of images, pixels."""
     loose_scene: str = "flat"
-    """Where loose things lie; empty = that is not measured."""
+    """Scene with loose objects; empty = not measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskRow:
-    """One task with one kind of observation in some processes."""
+    """One task with one kind of observation in a number of processes."""
 
     task: str
     scene: str
     observation: str
     processes: int
     steps_per_s: float
-    """Of all processes together, median."""
+    """Median rate of all processes together."""
     physics_ms: float
-    """Of a step, medians; NaN where several processes ran."""
+    """Median of a step; this and the following are NaN for several processes."""
     judge_ms: float
-    """The view, contacts, metrics, success."""
+    """Observation, contacts, metrics and success."""
     observe_ms: float
-    """The array, or the pictures."""
+    """The array, or the images."""
     reset_ms: float
 
     @property
     def real_time(self) -> float:
-        """Seconds of simulation time in a second."""
+        """Real-time factor."""
         return self.steps_per_s / CONTROL_HZ
 
 
 @dataclass(frozen=True, slots=True)
 class LooseRow:
-    """Physics of a home with a robot and loose things."""
+    """Physics of a home with a robot and loose objects."""
 
     scene: str
     things: int
     what: str
     real_time: float
-    """Seconds of simulation time in a second."""
+    """Real-time factor."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskReport:
-    """All that was measured, and where."""
+    """The measurements, with the machine."""
 
     date: str
     version: str
@@ -108,17 +119,17 @@ class TaskReport:
     left_out: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Returns the report as JSON's types; what was not measured is null."""
+        """Returns the report as JSON types; NaN becomes null."""
         found: dict[str, Any] = without_nan(asdict(self))
         return found
 
 
 def measure(plan: TaskPlan, tell: Callable[[str], None] = lambda line: None) -> TaskReport:
-    """Returns what was measured; a case that fails is left out, and the report says why.
+    """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
         plan: what to measure.
-        tell: is told in one line what is going on.
+        tell: called with one line of progress.
 
     Raises:
         ConfigError: a task or an observation does not exist.
@@ -146,29 +157,25 @@ def measure(plan: TaskPlan, tell: Callable[[str], None] = lambda line: None) -> 
 
 
 def _alone(plan: TaskPlan, name: str, observation: str) -> TaskRow:
-    """Returns a case in this process, its stages apart; actions are random."""
+    """Returns the row of a case in this process, with its stages; actions are random."""
     rng = np.random.default_rng(0)
     with TaskRun(task_of(name), scene=plan.scene) as run:
         controls = Controls(run.robot, 1.0 / CONTROL_HZ)
         resets: list[float] = []
 
         def begin() -> None:
-            begun = time.perf_counter()
+            began = time.perf_counter()
             controls.begin(run.reset(len(resets)))
-            resets.append(time.perf_counter() - begun)
+            resets.append(time.perf_counter() - began)
 
         begin()
         camera = TaskCamera(run, (plan.size, plan.size)) if observation == "rgbd" else None
         stages: list[tuple[float, float, float]] = []
-        try:
-            for _ in range(plan.steps + WARM_UP):
-                if run.over:
-                    begin()
-                action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.view)
-                stages.append(_stages(run, lambda: run.step(action), lambda: _observe(run, controls, camera)))  # noqa: B023
-        finally:
-            if camera is not None:
-                camera.close()
+        for _ in range(plan.steps + WARM_UP):
+            if run.over:
+                begin()
+            action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.observation)
+            stages.append(_stages(run, lambda: run.step(action), lambda: _observe(run, controls, camera)))  # noqa: B023
     counted = np.array(stages[WARM_UP:])
     physics, judge, observe = (1e3 * np.median(counted, axis=0)).tolist()
     rate = 1.0 / float(np.median(counted.sum(axis=1)))
@@ -176,15 +183,15 @@ def _alone(plan: TaskPlan, name: str, observation: str) -> TaskRow:
 
 
 def _stages(run: TaskRun, step: Callable[[], Any], observe: Callable[[], Any]) -> tuple[float, float, float]:
-    """Returns seconds of physics, of the rest of a step, and of the observation."""
+    """Returns the seconds of physics, of the rest of a step, and of the observation."""
     physics = 0.0
     whole_step = run.world.step
 
     def timed(steps: int = 1) -> None:
         nonlocal physics
-        begun = time.perf_counter()
+        began = time.perf_counter()
         whole_step(steps)
-        physics += time.perf_counter() - begun
+        physics += time.perf_counter() - began
 
     run.world.step = timed  # type: ignore[method-assign]
     try:
@@ -205,11 +212,11 @@ def _observe(run: TaskRun, controls: Controls, camera: TaskCamera | None) -> Any
     def rays(origins: Any, directions: Any, longest: float) -> Any:
         return run.world.cast_rays(origins, directions, longest, ignore=run.robot.name)
 
-    return full_state(controls.layout, run.episode, run.view, classes, rays)
+    return full_state(controls.layout, run.episode, run.observation, classes, rays)
 
 
 def _together(plan: TaskPlan, name: str, observation: str, processes: int) -> TaskRow:
-    """Returns a case in Gymnasium's processes."""
+    """Returns the row of a case in processes of Gymnasium."""
     if importlib.util.find_spec("gymnasium") is None:
         raise GibsonSimError("several processes need Gymnasium: pip install gibson_sim[gym]")
     from gibson_sim.tasks.environments import in_processes
@@ -221,9 +228,9 @@ def _together(plan: TaskPlan, name: str, observation: str, processes: int) -> Ta
         seconds = []
         for _ in range(plan.steps // processes + WARM_UP):
             actions = together.action_space.sample()
-            begun = time.perf_counter()
+            began = time.perf_counter()
             together.step(actions)
-            seconds.append(time.perf_counter() - begun)
+            seconds.append(time.perf_counter() - began)
     finally:
         together.close()
     rate = processes / float(np.median(seconds[WARM_UP:]))
@@ -231,11 +238,11 @@ def _together(plan: TaskPlan, name: str, observation: str, processes: int) -> Ta
 
 
 def loose_things(scene: str, robot: str = "gibson_bot") -> tuple[LooseRow, ...]:
-    """Returns how fast physics of a scene is with a robot alone, with 50 things at rest, and with all of them rolling and sliding."""
+    """Returns the speed of physics with a robot alone, with ``THINGS`` objects at rest, and with all of them rolling and sliding."""
     ground = ground_of(scene, robot)
     rng = np.random.default_rng(0)
     poses = random_free_poses(ground.floor, THINGS + 1, rng, clearance=0.1, spacing=0.35)
-    items = [Item(f"loose_{k + 1}", LOOSE[k % len(LOOSE)], pose) for k, pose in enumerate(poses[1:])]
+    items = [Item(f"loose_{k + 1}", LOOSE_MODELS[k % len(LOOSE_MODELS)], pose) for k, pose in enumerate(poses[1:])]
     here = replace(ground.robot, start=poses[0])
     rows = []
     for count, what in ((0, "none"), (THINGS, "at rest"), (THINGS, "moving")):
@@ -249,22 +256,22 @@ def loose_things(scene: str, robot: str = "gibson_bot") -> tuple[LooseRow, ...]:
 
 
 def _real_time(world: PhysicsWorld, moved: Sequence[Item], rng: np.random.Generator) -> float:
-    """Returns seconds of simulation time in a second, things being thrown about twice a second."""
-    taken = 0.0
+    """Returns the real-time factor of physics; the items of ``moved`` are thrown twice per second of simulation time."""
+    elapsed = 0.0
     for _ in range(round(2 * MOVING_S)):
         for item in moved:
             angle = float(rng.uniform(-math.pi, math.pi))
             low = pose_from_xyz_rpy(world.body_pose(item.name).position)
             world.set_state(item.name, low, (0.8 * math.cos(angle), 0.8 * math.sin(angle), 0.5), (0.0, 0.0, 2.0))
-        begun = time.perf_counter()
+        began = time.perf_counter()
         for _ in range(STEP_HZ // 2):
             world.step()
-        taken += time.perf_counter() - begun
-    return MOVING_S / taken
+        elapsed += time.perf_counter() - began
+    return MOVING_S / elapsed
 
 
-def targets(report: TaskReport) -> list[Target]:
-    """Returns the targets that the report says something about."""
+def targets(report: TaskReport) -> list[PerformanceTarget]:
+    """Returns the targets that the report covers."""
     found = []
     for observation, wanted in (("state", REAL_TIME), ("rgbd", REAL_TIME_RGBD)):
         rows = [row for row in report.rows if row.observation == observation]
@@ -273,7 +280,7 @@ def targets(report: TaskReport) -> list[Target]:
             slowest = min(max(row.real_time for row in rows if row.task == task) for task in {row.task for row in rows})
             what = "without pictures" if observation == "state" else f"with {report.size}x{report.size} RGB-D"
             found.append(
-                Target(
+                PerformanceTarget(
                     f"real-time factor {what}", f">= {wanted:g}", f"{slowest:.1f} (best task {best:.1f})", "", slowest >= wanted
                 )
             )

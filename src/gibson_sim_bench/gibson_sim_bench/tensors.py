@@ -1,6 +1,6 @@
-"""How fast images become tensors: the comparison of the paper, one view with every output, and 64 views at once.
+"""Speed of images as tensors: the comparison of the paper, one view with all outputs, and 64 views at once.
 
-On a machine without CUDA the same cases run, and the report says that the tensors are on the CPU.
+Without CUDA the same cases run, and the report says that the tensors are on the CPU.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import Mat4, quat_from_matrix
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.render.draw.target import Target
-from gibson_sim.render.readback.frames import Shot
-from gibson_sim.render.readback.pixel_buffers import Pending
+from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.readback.frames import TargetImage
+from gibson_sim.render.readback.pixel_buffers import PendingFrames
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Output, Pose
@@ -37,24 +37,24 @@ WARM_UP = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """One line of the report."""
+class TensorCase:
+    """One row of the report."""
 
     name: str
     size: int
-    """Pixels a side."""
+    """Width and height, pixels."""
     views: int
-    """Images a call."""
+    """Images per call."""
     outputs: tuple[Output, ...]
     median: float
-    """Images a second; median over the blocks."""
+    """Images per second, median over the blocks."""
     p5: float
     p95: float
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """What was measured, where and when."""
+class TensorReport:
+    """The measurements, with machine and date."""
 
     date: str
     machine: str
@@ -69,10 +69,10 @@ class Report:
     triangles: int
     blocks: int
     calls_per_block: int
-    cases: tuple[Case, ...]
+    cases: tuple[TensorCase, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Returns it as values for JSON."""
+        """Returns the report as JSON types."""
         return asdict(self)
 
 
@@ -81,31 +81,33 @@ def measure(
     blocks: int = 20,
     calls: int = 50,
     device: int | str | None = None,
-    progress: Callable[[Case], None] | None = None,
-) -> Report:
-    """Returns what was measured on a generated floor of twelve rooms.
+    progress: Callable[[TensorCase], None] | None = None,
+) -> TensorReport:
+    """Returns the measurements on a generated floor of twelve rooms.
 
     Args:
         triangles: of the scene.
-        blocks: how often each case is timed.
-        calls: calls in each block; the clock stops when the last image is there.
+        blocks: timed blocks of each case.
+        calls: calls in each block, which ends when the last image is complete.
         device: EGL device; None = a GPU if there is one.
-        progress: is told of each case.
+        progress: called with each case.
     """
     mesh = rooms_mesh(triangles)
     visual = VisualSpec("rooms", "", Shape("mesh", mesh="/rooms"), semantic_class="building")
     scene = DrawnScene("bench", 1, "", (), (visual,), (), LightSpec())
-    cases: list[Case] = []
+    cases: list[TensorCase] = []
     with Renderer(scene, device=device, loader=_loader(mesh)) as renderer:
         for name, size, views, outputs, call, finish in _cases(renderer):
             rates = _rates(call, finish, _cameras(size, views, outputs, blocks * calls), blocks, calls)
             found = timing.spread([rate * views for rate in rates])
-            cases.append(Case(name, size, views, outputs, *(round(rate, 1) for rate in (found.median, found.p5, found.p95))))
+            cases.append(
+                TensorCase(name, size, views, outputs, *(round(rate, 1) for rate in (found.median, found.p5, found.p95)))
+            )
             if progress is not None:
                 progress(cases[-1])
         info = renderer.info
         tensors_on = renderer.tensors_on
-    return Report(
+    return TensorReport(
         date=timing.now(),
         machine=timing.machine(),
         renderer=str(info["renderer"]),
@@ -119,7 +121,7 @@ def measure(
     )
 
 
-def table(report: Report) -> str:
+def table(report: TensorReport) -> str:
     """Returns the report as a Markdown table."""
     where = "on the GPU" if report.tensors_on.startswith("cuda") else "on the CPU: there is no CUDA here"
     lines = [
@@ -141,7 +143,7 @@ _Finish = Callable[[Any], None]
 
 
 def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], _Call, _Finish]]:
-    """Returns name, size, views, outputs, what is called for each set of cameras, and what makes its last result certain."""
+    """Returns, for each case, name, size, views, outputs, the function that draws a set of cameras, and one that completes its last result."""
 
     def nothing(_: Any) -> None:
         return None
@@ -169,36 +171,36 @@ def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], 
 
 
 class _Ahead:
-    """Draws image k + 1 while image k is on its way."""
+    """Draws image k + 1 while image k is read back."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
-        self._pending: Pending | None = None
+        self._pending: PendingFrames | None = None
 
     def __call__(self, cameras: list[CameraSpec]) -> list[Frame]:
-        """Returns the frames of the call before."""
+        """Returns the frames of the previous call."""
         before, self._pending = self._pending, self._renderer.start(STILL, cameras)
         return [] if before is None else before.result()
 
     def finish(self, _: Any) -> None:
-        """Takes the last one."""
+        """Completes the last frames."""
         if self._pending is not None:
             self._pending.result()
             self._pending = None
 
 
 class FloatRgba:
-    """Reads colours as four floats each and waits for them, as the original simulator did."""
+    """Reads colours back synchronously as four floats per pixel, as the original simulator did."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
 
     def __call__(self, cameras: list[CameraSpec]) -> list[NDArray[np.float32]]:
-        """Returns (H, W, 4) float32 of each camera."""
+        """Returns the image of each camera, (H, W, 4) float32."""
         return [image for target, shots, _ in self._renderer.drawn(STILL, cameras) for image in self.read(target, shots)]
 
-    def read(self, target: Target, shots: Sequence[Shot]) -> list[NDArray[np.float32]]:
-        """Returns (H, W, 4) float32 of each image."""
+    def read(self, target: RenderTarget, shots: Sequence[TargetImage]) -> list[NDArray[np.float32]]:
+        """Returns each image, (H, W, 4) float32."""
         gl = GL.Gl(self._context)
         gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
         gl.glReadBuffer(GL.COLOR_ATTACHMENT0)
@@ -217,7 +219,7 @@ class FloatRgba:
 
 
 def _rates(call: _Call, finish: _Finish, cameras: list[list[CameraSpec]], blocks: int, calls: int) -> list[float]:
-    """Returns calls a second in each block."""
+    """Returns calls per second in each block."""
     for k in range(WARM_UP):
         last = call(cameras[k % len(cameras)])
     finish(last)
@@ -232,15 +234,15 @@ def _rates(call: _Call, finish: _Finish, cameras: list[list[CameraSpec]], blocks
 
 
 def synchronize(frames: Any) -> None:
-    """Waits until the tensors hold their values; those that are not PyTorch's do so from the start."""
+    """Waits until the tensors on a GPU hold their values."""
     tensor = frames[0].rgb
     if getattr(tensor, "is_cuda", False):
-        # Bringing one number to the host waits for all that was asked before, and needs nothing of PyTorch here.
+        # Copying one number to the host waits for all earlier work, without importing PyTorch here.
         tensor[0, 0, 0].item()
 
 
 def _cameras(size: int, views: int, outputs: tuple[Output, ...], calls: int) -> list[list[CameraSpec]]:
-    """Returns the cameras of each call: they go along one path, all views evenly apart."""
+    """Returns the cameras of each call: all move along one path, evenly spaced."""
     steps = max(calls, views)
     path = [_pose(T) for T in rooms_camera_path(steps)]
     base = CameraSpec("eye", "", Pose(), size, size, math.radians(90.0), outputs=outputs)

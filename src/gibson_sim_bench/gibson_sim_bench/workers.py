@@ -1,6 +1,6 @@
-"""Renderers in processes of their own, one command at a time over a pipe. OpenGL of several libraries does not mix in one process.
+"""Renderers in processes of their own, one command at a time over a pipe: OpenGL of several libraries does not mix in one process.
 
-Imports the standard library alone, so that it runs in any Python that a peer is installed in.
+Imports the standard library only, so that it runs in any Python that has a peer installed.
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ if TYPE_CHECKING:
     Matrix = Sequence[float]
     """T_world_camera (optical frame), 16 numbers by rows."""
 else:
-    Matrix = Any  # Python 3.8, which some peers need, cannot say more
+    Matrix = Any  # Python 3.8, which some peers need, cannot subscript the type
 
 
 class WorkerError(Exception):
-    """The process could not do what it was asked for; one line says why."""
+    """A command to a worker failed; one line says why."""
 
 
 class Engine(Protocol):
     """A renderer that has loaded its scene."""
 
     info: dict[str, str]
-    """Name and version of the library, and of what draws."""
+    """Name and version of the library and of the device."""
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
-        """Makes ready for images of this size (pixels, radians) with these outputs."""
+        """Prepares for images of a size, pixels, and a vertical field of view, radians, with these outputs."""
 
     def draw(self, pose: Matrix) -> Any:
-        """Draws and returns host arrays, all of what was prepared for."""
+        """Draws an image, and returns all its outputs as host arrays."""
 
     def picture(self, drawn: Any) -> tuple[bytes, int, int]:
         """Returns RGB bytes, height and width of what ``draw`` returned, row 0 = top."""
 
     def triangles(self) -> int:
-        """Returns how many triangles the last image took; 0 = it does not say."""
+        """Returns the number of triangles drawn for the last image; 0 = unknown."""
 
 
 class Worker:
-    """The caller's end. Use it with ``with``: that ends the process.
+    """A renderer in a process of its own, seen from the caller. Use it in a ``with`` statement, which ends the process.
 
     Args:
-        module: is run with ``python -m`` and calls ``serve``.
-        python: the interpreter; "" = this one.
-        environment: variables on top of ours.
+        module: run with ``python -m``; calls ``serve``.
+        python: the interpreter; empty = this one.
+        environment: additional environment variables.
 
     Raises:
         WorkerError: the interpreter cannot be run.
@@ -77,7 +77,7 @@ class Worker:
         """Returns the answer to a command.
 
         Raises:
-            WorkerError: it failed, or the process has ended.
+            WorkerError: the command failed, or the process has ended.
         """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -111,9 +111,9 @@ class Worker:
 
 
 def serve(engines: Mapping[str, Callable[..., Engine]]) -> None:
-    """The worker's end: does what it is told until the pipe is closed."""
+    """Runs in the worker: executes commands until the pipe is closed."""
     commands, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    # What libraries print must not come between the answers.
+    # Output of libraries must not mix with the answers.
     os.dup2(2, 1)
     engine: Engine | None = None
     with commands, answers:
@@ -128,17 +128,17 @@ def serve(engines: Mapping[str, Callable[..., Engine]]) -> None:
                     answer: Any = engine.info
                 else:
                     assert engine is not None
-                    answer = _obey(engine, command, **values)
-            except Exception as error:  # whatever a foreign library throws is for the caller to report
+                    answer = _execute(engine, command, **values)
+            except Exception as error:  # of a foreign library, whatever it is: the caller reports it
                 text = " ".join(str(error).split())[:300]
                 _send(answers, (False, f"{type(error).__name__}: {text}" if text else type(error).__name__))
             else:
                 _send(answers, (True, answer))
-    # Some libraries crash when they are taken apart.
+    # Some libraries crash in their destructors.
     os._exit(0)
 
 
-def _obey(
+def _execute(
     engine: Engine, command: str, width: int, height: int, fov_y: float, outputs: Sequence[str], poses: list[Matrix]
 ) -> Any:
     engine.prepare(width, height, fov_y, tuple(outputs))
@@ -146,7 +146,7 @@ def _obey(
         return engine.picture(engine.draw(poses[0]))
     assert command == "frames"
     seconds, triangles = [], []
-    # Somebody else has just had the processor and its caches.
+    # Another contestant has just used the processor and its caches.
     engine.draw(poses[0])
     for pose in poses:
         started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Convex parts of an object's mesh, for the collision shapes of its URDF; made once and kept in the user's cache."""
+"""Splits an object's mesh into convex parts for the collision shapes of its URDF, cached for the user."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Parts = list[tuple[F64, I64]]
 Decompose = Callable[[F64, I64], Parts]
 
 _FAITHFUL = 0.05
-"""CoACD's threshold: how concave a part may remain, as a part of the size of the whole."""
+"""CoACD's threshold: largest concavity of a part, relative to the size of the mesh."""
 _MOST_PARTS = 32
 
 

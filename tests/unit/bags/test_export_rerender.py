@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.bags.reader import BagReader, TopicInfo
-from gibson_sim.bags.rerender import SceneTopics, Schedule, scene_topics, topics_to_copy
+from gibson_sim.bags.rerender import CameraSchedule, SceneTopics, scene_topics, topics_to_copy
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError, RobotError
 from gibson_sim.robots.loading.cameras import load_cameras
@@ -31,18 +31,18 @@ def _state(tick: int, revision: int = 1) -> SceneState:
 @pytest.mark.parametrize("rate_hz", [7.0, 25.0, 30.0, 60.0, 100.0])
 def test_cameras_are_due_at_the_ticks_at_which_they_are_in_a_running_simulation(rate_hz: float) -> None:
     camera = CameraSpec("camera", "", rate_hz=rate_hz)
-    schedule = Schedule(NS // 60)
+    schedule = CameraSchedule(NS // 60)
     due = [tick for tick in range(1, 200) for _, cameras in schedule.moments(_state(tick), [camera]) if cameras]
     assert due == [tick for tick in range(1, 200) if is_due(tick, rate_hz, 60)]
 
 
 def test_the_bags_own_cameras_are_due_as_recorded() -> None:
     cameras = [CameraSpec("a", ""), CameraSpec("b", "")]
-    assert next(Schedule(1).moments(_state(3), cameras, [1]))[1] == (1,)
+    assert next(CameraSchedule(1).moments(_state(3), cameras, [1]))[1] == (1,)
 
 
 def test_interpolated_states_stand_at_whole_multiples_of_the_period() -> None:
-    schedule = Schedule(NS // 60, interpolate=True)
+    schedule = CameraSchedule(NS // 60, interpolate=True)
     camera = CameraSpec("camera", "", rate_hz=100.0)
     found = [
         (state.stamp_ns, state.positions[0, 0])
@@ -55,7 +55,7 @@ def test_interpolated_states_stand_at_whole_multiples_of_the_period() -> None:
 
 
 def test_nothing_is_interpolated_between_two_scenes() -> None:
-    schedule = Schedule(NS // 60, interpolate=True)
+    schedule = CameraSchedule(NS // 60, interpolate=True)
     camera = CameraSpec("camera", "", rate_hz=1000.0)
     list(schedule.moments(_state(6), [camera]))
     assert [state.stamp_ns for state, _ in schedule.moments(_state(7, revision=2), [camera])] == [7 * NS // 60]

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-from gibson_sim.ros.recording.intake import Losses
+from gibson_sim.ros.recording.raw_subscriptions import LossCounter
 
 
 def _noted(*numbers: int | None) -> dict[str, int]:
-    losses = Losses()
+    losses = LossCounter()
     for number in numbers:
-        losses.note("/a", number)
+        losses.add("/a", number)
     return losses.counts()
 
 
@@ -27,11 +27,11 @@ def test_middleware_without_numbers_says_nothing() -> None:
 
 
 def test_nothing_is_known_of_a_topic_with_two_publishers() -> None:
-    losses = Losses()
-    losses.note("/a", 1)
-    losses.note("/b", 1)
+    losses = LossCounter()
+    losses.add("/a", 1)
+    losses.add("/b", 1)
     losses.note_publishers("/a", 2)
     losses.note_publishers("/b", 1)
     losses.note_publishers("/a", 1)
-    losses.note("/a", 9)
+    losses.add("/a", 9)
     assert losses.counts() == {"/b": 0}

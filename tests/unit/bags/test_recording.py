@@ -44,11 +44,11 @@ class _Recorder:
         self.recording.add_topic("/scene", STRING, TopicQos.latched(), latched=True)
 
     def clock(self, ns: int) -> None:
-        self.recording.on_clock(_clock(ns))
+        self.recording.receive_clock(_clock(ns))
 
     def say(self, *texts: str, topic: str = "/a") -> None:
         for text in texts:
-            self.recording.take(topic, self._messages.text(text))
+            self.recording.receive(topic, self._messages.text(text))
 
 
 def _read(folder: Path, *topics: str) -> list[tuple[str, int, str]]:

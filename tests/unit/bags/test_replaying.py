@@ -195,22 +195,22 @@ def test_a_loaded_world_is_started() -> None:
 
 
 def test_a_run_without_inputs_hands_out_nothing() -> None:
-    assert not InputSchedule([]).take(3, 7, 8)
+    assert not InputSchedule([]).pop_due(3, 7, 8)
 
 
 def test_inputs_are_handed_out_once_and_some_steps_ahead() -> None:
     inputs = [_input(0, step) for step in (0, 7, 8, 20)]
     schedule = InputSchedule(inputs)
-    assert schedule.take(0, 0, 8) == inputs[:2]
-    assert schedule.take(0, 4, 8) == inputs[2:3]
-    assert schedule.take(0, 4, 8) == []
+    assert schedule.pop_due(0, 0, 8) == inputs[:2]
+    assert schedule.pop_due(0, 4, 8) == inputs[2:3]
+    assert schedule.pop_due(0, 4, 8) == []
     assert schedule.left == 1
 
 
 def test_inputs_behind_a_reset_count_from_it() -> None:
     inputs = [_input(0, 10, "/reset_simulation"), _input(1, 0), _input(1, 3), _input(1, 12)]
     schedule = InputSchedule(inputs)
-    assert schedule.take(0, 4, 8) == inputs[:2], "the reset is 6 steps away, and step 0 behind it as well"
-    assert schedule.take(0, 8, 8) == inputs[2:3], "3 steps behind the reset are 5 steps away"
-    assert schedule.take(1, 4, 8) == []
-    assert schedule.take(1, 8, 8) == inputs[3:]
+    assert schedule.pop_due(0, 4, 8) == inputs[:2], "the reset is 6 steps away, and step 0 behind it as well"
+    assert schedule.pop_due(0, 8, 8) == inputs[2:3], "3 steps behind the reset are 5 steps away"
+    assert schedule.pop_due(1, 4, 8) == []
+    assert schedule.pop_due(1, 8, 8) == inputs[3:]

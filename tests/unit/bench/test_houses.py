@@ -1,4 +1,4 @@
-"""Scans that are made of our scenes: as many triangles as asked for, no cracks, one texture."""
+"""Scans made of scenes: the requested number of triangles, no cracks, one texture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.load_mesh import load_mesh, primitive_mesh
 from gibson_sim.formats.mesh import MeshPart, area_normals
-from gibson_sim.render.culling.closed_solids import find_solids
+from gibson_sim.render.culling.closed_surfaces import find_closed_surfaces
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_bench.measured.houses import divided, make_scan, opened
 from gibson_sim_bench.memory import drift, growth
@@ -99,4 +99,4 @@ def test_nothing_in_a_scan_is_closed() -> None:
     gone = vertices[np.array([t for t in triangles.tolist() if t not in left.tolist()])]
     assert sorted(gone[:, :, 2].mean(axis=1).tolist()) == pytest.approx([-0.2, 1.7], abs=0.01)
     scan = MeshPart(vertices.astype(np.float32), area_normals(vertices, left).astype(np.float32), None, left.astype(np.uint32))
-    assert not len(find_solids([scan], [True]).boxes)
+    assert not len(find_closed_surfaces([scan], [True]).boxes)

@@ -1,4 +1,4 @@
-"""What `gibson-sim bench lockstep` makes of what it measured."""
+"""Cases, targets and report of `gibson-sim bench lockstep`."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import pytest
 
-from gibson_sim_bench.lockstep import BLOCKS, WAYS, LockstepReport, Turns, case_of, in_turns, rate_of, targets
+from gibson_sim_bench.lockstep import BLOCKS, WAYS, LockstepReport, TickTimes, case_of, in_turns, rate_of, targets
 from gibson_sim_bench.protocol import TICK_WARM_UP
 from gibson_sim_bench.ros import Size
 
 
-def _turns(physics: float, draw: float | None, **others: float) -> Turns:
-    return Turns([physics] * 5, [] if draw is None else [draw] * 5, {way: [ms] * 5 for way, ms in others.items()})
+def _turns(physics: float, draw: float | None, **others: float) -> TickTimes:
+    return TickTimes([physics] * 5, [] if draw is None else [draw] * 5, {way: [ms] * 5 for way, ms in others.items()})
 
 
 def test_ticks_without_images_are_judged_by_their_rate_either_way() -> None:
@@ -38,7 +38,7 @@ class _Machine:
         self.turns: list[str] = []
         self.now = 0
 
-    def block(self, ticks: int, turns: Turns) -> None:
+    def block(self, ticks: int, turns: TickTimes) -> None:
         self.turns.append("alone")
         turns.physics += [float(len(self.turns))] * ticks
 

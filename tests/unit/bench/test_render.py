@@ -15,7 +15,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim_bench import render
 from gibson_sim_bench.cli import bench as cli, peers as bench_peers
 from gibson_sim_bench.measured.scenes import parse_count, path_along
-from gibson_sim_bench.render import Plan, Report, Row, against_peers, growth, rounds
+from gibson_sim_bench.render import RenderPlan, RenderReport, RenderRow, against_peers, growth, rounds
 from gibson_sim_bench.reports.render import report_text, table
 from gibson_sim_bench.timing import FIVE
 from gibson_sim_bench.workers import Worker, WorkerError
@@ -23,8 +23,10 @@ from gibson_sim_bench.workers import Worker, WorkerError
 RGB_DEPTH = ("rgb", "depth")
 
 
-def _row(scene: str, triangles: int, outputs: tuple[str, ...], contestant: str, fps: float) -> Row:
-    return Row(scene, triangles, 256, 256, outputs, contestant, fps, fps / 2, fps * 2, 1234 if contestant == "Gibson Sim" else 0)
+def _row(scene: str, triangles: int, outputs: tuple[str, ...], contestant: str, fps: float) -> RenderRow:
+    return RenderRow(
+        scene, triangles, 256, 256, outputs, contestant, fps, fps / 2, fps * 2, 1234 if contestant == "Gibson Sim" else 0
+    )
 
 
 ROWS = (
@@ -36,7 +38,7 @@ ROWS = (
     _row("rooms:1m", 1_000_000, RGB_DEPTH, "MuJoCo", 8.0),
     _row("rooms:1m", 1_000_000, (*RGB_DEPTH, "semantic"), "PyBullet EGL", 10.0),
 )
-REPORT = Report(
+REPORT = RenderReport(
     "2026-01-02T03:04:05+00:00", "0.1.0 (abc)", "x86_64, 2 x CPU", 2, 0.25, {"Gibson Sim": {"renderer": "llvmpipe"}}, 60.0, 30, ROWS,
     ("MuJoCo: ModuleNotFoundError: No module named 'mujoco'",),
 )  # fmt: skip
@@ -116,16 +118,16 @@ def test_the_camera_looks_along_its_way_with_its_top_up() -> None:
     np.testing.assert_allclose(last[:3, 3], [0, 3.5, 1.2])
 
 
-def _plan(*words: str) -> Plan:
+def _plan(*words: str) -> RenderPlan:
     parser = argparse.ArgumentParser()
     cli.add_parser(parser.add_subparsers())
     plan = cli.plan_of(parser.parse_args(["bench", "render", *words]))
-    assert isinstance(plan, Plan)
+    assert isinstance(plan, RenderPlan)
     return plan
 
 
 def test_the_command_line_alone_is_the_plan_alone() -> None:
-    assert _plan() == Plan()
+    assert _plan() == RenderPlan()
 
 
 def test_what_the_command_line_says_is_planned() -> None:
@@ -171,12 +173,12 @@ def test_missing_peers_are_lines_and_not_errors(tmp_path: Path, monkeypatch: pyt
     python = tmp_path / "python"
     python.write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "$@"\n', encoding="utf-8")
     python.chmod(0o755)
-    found = _measure(monkeypatch, Plan(scenes=("rooms:5k",), sizes=((64, 64),), peers=True, peer_pythons=(str(python),)))
+    found = _measure(monkeypatch, RenderPlan(scenes=("rooms:5k",), sizes=((64, 64),), peers=True, peer_pythons=(str(python),)))
     assert [line.split(":")[0] for line in found.left_out] == [peer.name for peer in render.PEERS]
     assert {row.contestant for row in found.rows} == {"Gibson Sim"}
 
 
-def _measure(monkeypatch: pytest.MonkeyPatch, plan: Plan) -> Report:
+def _measure(monkeypatch: pytest.MonkeyPatch, plan: RenderPlan) -> RenderReport:
     """Measures with workers that do not draw, but for the peers."""
 
     class Still:
@@ -209,7 +211,7 @@ def _measure(monkeypatch: pytest.MonkeyPatch, plan: Plan) -> Report:
 
 
 def test_times_of_a_hundredth_of_a_second_are_a_hundred_images_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = _measure(monkeypatch, Plan(scenes=("rooms:5k",), sizes=((64, 64),), outputs=(("rgb",),), frames=6))
+    found = _measure(monkeypatch, RenderPlan(scenes=("rooms:5k",), sizes=((64, 64),), outputs=(("rgb",),), frames=6))
     (row,) = found.rows
     assert (row.fps, row.p5, row.p95, row.drawn, row.triangles) == (100.0, 100.0, 100.0, 7, 5000)
 

@@ -19,8 +19,8 @@ from gibson_sim_bench.reports.ros import report_text
 from gibson_sim_bench.ros import (
     ClockCost,
     Pipeline,
-    Plan,
-    Report,
+    RosPlan,
+    RosReport,
     RoundTrip,
     Size,
     Spread,
@@ -32,7 +32,7 @@ from gibson_sim_bench.ros import (
 
 MS = 1_000_000
 VGA = Size(640, 480)
-REPORT = Report(
+REPORT = RosReport(
     "2026-01-02T03:04:05+00:00",
     "0.1.0 (abc)",
     "x86_64, 2 x CPU",
@@ -111,18 +111,18 @@ def test_json_holds_rows_and_targets_and_no_nan() -> None:
     assert read["round_trips"][1]["us"]["median"] == 200.0
 
 
-def _plan(*words: str) -> Plan:
+def _plan(*words: str) -> RosPlan:
     parser = argparse.ArgumentParser()
     cli.add_parser(parser.add_subparsers())
     return cli.plan_of(parser.parse_args(["ros", *words]))
 
 
 def test_command_line_alone_is_the_plan_alone() -> None:
-    assert _plan() == Plan()
+    assert _plan() == RosPlan()
 
 
 def test_parts_and_scene_can_be_chosen() -> None:
-    assert _plan("--quick", "--only", "clock,state", "--scene", "x") == replace(Plan.quick(("clock", "state")), scene="x")
+    assert _plan("--quick", "--only", "clock,state", "--scene", "x") == replace(RosPlan.quick(("clock", "state")), scene="x")
 
 
 def test_unknown_part_is_refused() -> None:

@@ -13,7 +13,7 @@ import pytest
 from gibson_sim.errors import ConfigError
 from gibson_sim.robots.load import load_robot
 from gibson_sim_bench.cli import table1 as cli
-from gibson_sim_bench.protocol import STEP_HZ, Commands, Plan, write_robot
+from gibson_sim_bench.protocol import STEP_HZ, RandomCommands, Table1Plan, write_robot
 from gibson_sim_bench.reports.paper import FILLED, MODES, SENSOR_ONLY
 from gibson_sim_bench.reports.table1 import report_text
 from gibson_sim_bench.rows import (
@@ -26,8 +26,8 @@ from gibson_sim_bench.rows import (
     LOCKSTEP,
     OPENGL,
     TENSOR,
-    Row,
     Table1,
+    Table1Row,
     free_row,
     lockstep_row,
     paper_of,
@@ -42,9 +42,9 @@ EXCHANGED = {"convert": 0.1, "encode": 0.2, "publish": 0.3, "transport": 0.7}
 FACTS = Facts("2026-01-02T03:04:05+00:00", "0.1.0 (abc)", "x86_64, 2 x CPU", 2, 0.25, "3.11", "llvmpipe", "4.5")
 
 
-def _row(mode: str, fps: float, way: str = IN_PROCESS, substeps: int = 1, **more: object) -> Row:
+def _row(mode: str, fps: float, way: str = IN_PROCESS, substeps: int = 1, **more: object) -> Table1Row:
     bounds = {BULLET: 1.0, **({OPENGL: 4.0, COPY: 0.0} if mode != SENSOR_ONLY else {})}
-    row = Row(
+    row = Table1Row(
         way, HOST, mode, "flat", 1000, 256, 256, substeps, fps, fps / 2, 2 * fps, 100, {"step": 1.5, "convert": 0.5}, bounds
     )
     return replace(row, **more)  # type: ignore[arg-type]
@@ -138,7 +138,7 @@ def test_tensors_have_a_column_of_their_own() -> None:
 
 
 def test_commands_change_ten_times_a_second_whatever_a_frame_is_and_are_the_same_for_all() -> None:
-    slow, quick = Commands(24), Commands(1)
+    slow, quick = RandomCommands(24), RandomCommands(1)
     assert [slow.next() for _ in range(3)] == [quick.next() for _ in range(3 * 24)][::24]
     assert STEP_HZ // 24 == 10
 
@@ -149,19 +149,19 @@ def test_the_robot_of_the_table_has_one_camera_and_no_lidar(tmp_path: Path) -> N
     assert robot.sensors.lidars == ()
 
 
-def _plan(*words: str) -> Plan:
+def _plan(*words: str) -> Table1Plan:
     parser = argparse.ArgumentParser()
     cli.add_parser(parser.add_subparsers())
     return cli.plan_of(parser.parse_args(["table1", *words]))
 
 
 def test_command_line_alone_is_the_plan_alone() -> None:
-    assert _plan() == Plan()
+    assert _plan() == Table1Plan()
 
 
 def test_houses_of_the_user_take_the_place_of_ours() -> None:
     plan = _plan("--quick", "--only", "houses", "--house", "a", "--house", "b", "--device", "1", "--scene", "flat")
-    assert plan == replace(Plan.quick(), ways=("houses",), houses=("a", "b"), device=1, scene="flat")
+    assert plan == replace(Table1Plan.quick(), ways=("houses",), houses=("a", "b"), device=1, scene="flat")
 
 
 def test_an_unknown_way_is_refused() -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 
 from gibson_sim.types import OUTPUTS
-from gibson_sim_bench.tensors import Case, Report, _cameras, table
+from gibson_sim_bench.tensors import TensorCase, TensorReport, _cameras, table
 
-REPORT = Report(
+REPORT = TensorReport(
     "2026-01-02T03:04:05+00:00", "x86_64, 2 x CPU", "a GPU", "4.6", "cuda:0", "2.13.0", 1_000_000, 20, 50,
-    (Case("tensors", 128, 64, OUTPUTS, 20500.0, 20000.0, 21000.0),),
+    (TensorCase("tensors", 128, 64, OUTPUTS, 20500.0, 20000.0, 21000.0),),
 )  # fmt: skip
 
 
@@ -20,7 +20,7 @@ def test_the_table_names_machine_driver_date_and_where_the_tensors_are() -> None
 
 
 def test_tensors_on_the_cpu_are_called_so() -> None:
-    cpu = Report(**{**{name: getattr(REPORT, name) for name in Report.__slots__}, "tensors_on": "cpu"})
+    cpu = TensorReport(**{**{name: getattr(REPORT, name) for name in TensorReport.__slots__}, "tensors_on": "cpu"})
     assert "on the CPU: there is no CUDA here" in table(cpu)
 
 

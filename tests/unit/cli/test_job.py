@@ -35,13 +35,13 @@ class Played:
     def poll(self) -> int | None:
         return self.codes.get(self.name)
 
-    def speak(self) -> None:
+    def print_held(self) -> None:
         self.silent = False
 
     def reason(self) -> str:
         return f"{self.name} refuses"
 
-    def say_error(self) -> None:
+    def print_error(self) -> None:
         pass
 
     def stop(self, **_: Any) -> int:

@@ -43,4 +43,4 @@ def test_node_arguments_carry_any_text_as_text(scene: str) -> None:
 
 def test_parameter_table_has_a_row_for_every_setting() -> None:
     text = markdown()
-    assert "| `step_hz` | int | `240` | 60 to 10000 Hz | Physics steps in a second of simulation time |" in text
+    assert "| `step_hz` | int | `240` | 60 to 10000 Hz | Physics steps per second of simulation time |" in text

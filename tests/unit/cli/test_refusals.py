@@ -28,7 +28,7 @@ WRONG = [
     (("run", "--randomise", "exampel"), 1, "did you mean 'example'? known: example"),
     (("run", "--lockstep", "--participants", "a=b"), 1, "'participants' has 'a=b', must be"),
     (("run", "--storage", "sqlite", "--record", "new"), 1, "'storage' is 'sqlite', must be one of mcap, sqlite3; did you mean 'sqlite3'?"),
-    (("run", "--topics", "a..b", "--record", "new"), 1, "'topics' has 'a..b', which is no name of a topic"),
+    (("run", "--topics", "a..b", "--record", "new"), 1, "'topics' has 'a..b', which is no topic name"),
     (("run", "--asset-roots", "/a=/b=/c"), 1, "'asset_roots' has '/a=/b=/c', must be pairs"),
     (("run", "--asset-roots", "/a=/no/such/folder"), 1, "maps /a to '/no/such/folder', which is not a folder of this machine"),
     (("run", "--asset-roots", "/a=/,/a=/"), 1, "'asset_roots' has '/a' twice"),

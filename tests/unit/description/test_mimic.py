@@ -1,4 +1,4 @@
-"""Joints that follow others."""
+"""Mimic joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""URDFs with what no real robot has: refused with a reason, or mended with a warning."""
+"""URDFs with impossible values: refused with a reason, or corrected with a warning."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def test_root_comes_first_and_parents_before_children(read: Read) -> None:
 
 
 def test_transform_of_a_turned_joint(read: Read) -> None:
-    # b is 1 m ahead of a and turned left by 90 degrees; c is 2 m ahead of b, hence to the left.
+    # b is 1 m ahead of a and rotated left by 90 degrees; c is 2 m ahead of b, hence to the left.
     body = '<link name="a"/><link name="b"/><link name="c"/>'
     body += joint("j1", inside=f'<origin xyz="1 0 0" rpy="0 0 {math.pi / 2}"/>')
     body += joint("j2", parent="b", child="c", inside='<origin xyz="2 0 0"/>')

@@ -169,7 +169,7 @@ def test_a_published_description_names_meshes_that_others_find(root: Path, tmp_p
 
 
 def write_package(folder: Path, files: dict[str, str]) -> Path:
-    """Makes a package; macros and links of ``files`` stand in a <robot> that knows xacro."""
+    """Makes a package; macros and links of ``files`` are in a <robot> with the xacro namespace."""
     (folder / "urdf").mkdir(parents=True)
     (folder / "package.xml").write_text(f"<package><name>{folder.name}</name></package>")
     for name, inside in files.items():
@@ -188,7 +188,7 @@ def test_included_xacros_may_name_packages_as_often_as_they_like(tmp_path: Path)
     include = '<xacro:include filename="$(find {})/urdf/{}"/>'.format
     base = include("arm_description", "arm.xacro") + include("tool_description", "tool.xacro")
     write_package(folder / "base_description", {"r.urdf.xacro": base + '<link name="base"/><xacro:arm/><xacro:tool/>'})
-    # Both include the same file, in which two packages are named that the top one does not mention.
+    # Both include the same file, which names two packages that the top one does not.
     common = include("common_description", "common.xacro")
     arm = f'<xacro:macro name="arm">{link_below("arm", "base")}<xacro:marker at="arm"/></xacro:macro>'
     tool = f'<xacro:macro name="tool">{link_below("tool", "arm")}<xacro:marker at="tool"/></xacro:macro>'
@@ -210,13 +210,13 @@ def test_packages_are_found_in_other_repositories_of_a_workspace(tmp_path: Path,
     top = write_package(
         source / "our_repository/base_description", {"r.urdf.xacro": include("arm", "arm") + '<link name="base"/>'}
     )
-    # The arm is installed elsewhere, and beside it what it names itself.
+    # The arm is installed elsewhere, beside the package that it names.
     prefix = tmp_path / "installed"
     write_package(source / "their_repository/arm_description", {"arm.xacro": include("tool", "tool")})
     write_package(prefix / "share/tool_description", {"tool.xacro": include("bit", "bit")})
     write_package(prefix / "share/bit_description", {"bit.xacro": link_below("bit", "base")})
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
-    # Files of the current folder are no modules of xacro's.
+    # Files in the current folder do not shadow xacro's modules.
     monkeypatch.chdir(tmp_path)
     (tmp_path / "yaml.py").write_text("raise RuntimeError('this must not be imported')")
     model = read_urdf(plain_description(top / "urdf/r.urdf.xacro", {}))
@@ -226,7 +226,7 @@ def test_packages_are_found_in_other_repositories_of_a_workspace(tmp_path: Path,
 @pytest.mark.usefixtures("needs_xacro")
 def test_a_package_that_is_nowhere_is_named_with_the_remedy(tmp_path: Path) -> None:
     include = '<xacro:include filename="$(find gone_description)/urdf/arm.xacro"/>'
-    # What xacro warns of stands before its error.
+    # Warnings of xacro precede its error.
     redefined = '<xacro:property name="pi" value="3"/><xacro:property name="a" value="1"/>'
     top = write_package(tmp_path / "base_description", {"r.urdf.xacro": redefined + include})
     with pytest.raises(RobotError, match=r"xacro refuses it: package 'gone_description' is not found: .*source the workspace"):

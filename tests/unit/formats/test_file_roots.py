@@ -1,4 +1,4 @@
-"""Which files a scene, a model or a mesh may name: those of its own folders, also where an installation is made of links."""
+"""The files that a scene, a model or a mesh may name: those of its own folders, also in an installation by links."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from support.gltf import png
 
 
 def install_with_links(source: Path, target: Path) -> Path:
-    """Mirrors a folder as ``colcon build --symlink-install`` does: folders are made, and each file is a link."""
+    """Mirrors a folder as ``colcon build --symlink-install`` does: real folders with a link for each file."""
     for path in sorted(source.rglob("*")):
         there = target / path.relative_to(source)
         if path.is_dir():
@@ -35,7 +35,7 @@ def test_every_scene_loads_from_an_installation_made_of_links(tmp_path: Path) ->
     assert {"linden_flat", "orchard_house", "corner_shop"} <= set(scenes)
     for name, folder in scenes.items():
         assert load_scene(install_with_links(folder, tmp_path / "share" / name)).visuals, name
-    # Bags and caches know a scene by its hash: it is that of the copy.
+    # Bags and caches identify a scene by its hash, which is that of the copy.
     assert load_scene(tmp_path / "share" / "flat").content_hash == load_scene(scenes["flat"]).content_hash
 
 

@@ -18,9 +18,9 @@ HALF = 0.5**0.5
 
 def test_y_up_becomes_z_up(tmp_path: Path) -> None:
     (part,) = load_mesh(Gltf().triangle().write(tmp_path / "t.glb"), [tmp_path]).parts
-    # (x, y, z) of the file is (x, -z, y) of ours.
+    # (x, y, z) of the file is (x, -z, y) with z up.
     assert part.vertices[part.triangles[0]].tolist() == [[1, -3, 2], [4, -3, 2], [1, -3, 5]]
-    # It faced +z of the file, towards the viewer: -y of ours.
+    # It faced +z of the file, towards the viewer, which is -y with z up.
     assert part.normals.tolist() == [[0, -1, 0]] * 3
 
 

@@ -1,4 +1,4 @@
-"""glTF that is compressed by Draco or meshoptimizer: read as it was, or refused in one line, whatever it holds."""
+"""glTF compressed with Draco or meshoptimizer: decoded exactly, or refused in one line, whatever it contains."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def meshopt() -> Gltf:
         where = gltf.document["bufferViews"][gltf.view(bytes(data))]
         extension = {"buffer": 0, "byteOffset": where["byteOffset"], "byteLength": where["byteLength"]}
         extension |= {"byteStride": stride, "count": len(values), "mode": mode}
-        # The buffer that it stands for is not in the file.
+        # The uncompressed buffer is not in the file.
         where.update(buffer=1, byteOffset=view["byteOffset"], byteLength=view["byteLength"])
         where["extensions"] = {compression.MESHOPT[0]: extension}
     gltf.document["extensionsRequired"] = [compression.MESHOPT[0]]
@@ -138,7 +138,7 @@ def test_broken_draco_is_refused_and_harms_nobody(tmp_path: Path) -> None:
     wrong.document, wrong.chunk = json.loads(json.dumps(good.document)), good.chunk
     wrong.document["accessors"][0]["count"] += 1
     assert refused(wrong.write(tmp_path / "count.glb"))
-    # The counts that stand first ask for more memory than there is.
+    # The counts at the start request more memory than there is.
     huge = Gltf()
     huge.document, huge.chunk = good.document, good.chunk[:11] + b"\xff\xff\xff\xff\x0f" + good.chunk[12:]
     assert refused(huge.write(tmp_path / "huge.glb"))

@@ -1,4 +1,4 @@
-"""Images of strangers: what their first bytes say decides whether anything is decoded."""
+"""Untrusted images: their header decides whether they are decoded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def _bomb(width: int, height: int) -> bytes:
-    """Returns a grey PNG: a few KB for every gigabyte of pixels."""
+    """Returns a grey PNG, which has a few KB for each gigabyte of pixels."""
     packer = zlib.compressobj(9)
     rows = b"".join(packer.compress(bytes(1 + width)) for _ in range(height)) + packer.flush()
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)

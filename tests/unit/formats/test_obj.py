@@ -1,4 +1,4 @@
-"""OBJ with MTL: materials, indices, texture coordinates, what is missing or broken."""
+"""OBJ with MTL: materials, indices, texture coordinates, missing and broken files."""
 
 from __future__ import annotations
 

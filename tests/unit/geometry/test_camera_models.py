@@ -1,4 +1,4 @@
-"""Distorted pinholes, fisheyes and equirectangular cameras: by hand, against OpenCV, and there and back."""
+"""Distorted pinholes, fisheyes and equirectangular cameras: by hand, against OpenCV, and round trips."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from gibson_sim.geometry.distortion import distort, largest_angle, reach
+from gibson_sim.geometry.distortion import distort, valid_angle, valid_radius_squared
 from gibson_sim.geometry.projections import back_project, project, rays, unproject
 from gibson_sim.types import CameraSpec
 
@@ -61,7 +61,7 @@ def test_plumb_bob_by_hand():
 
 
 def test_the_angle_from_the_axis_decides_where_a_fisheye_shows_a_point():
-    # 100 px for pi: 31.83 px a radian; the middle is (99.5, 49.5). 60 degrees to the left is a third of the way across.
+    # 100 px for pi: 31.83 px per radian; the centre is (99.5, 49.5). 60 degrees to the left is a third of the way across.
     pixels, depth = project([(-math.sin(math.pi / 3), 0.0, math.cos(math.pi / 3)), (0.0, 2.0, 0.0), (0.0, 0.0, 7.0)], FISHEYE)
     assert pixels == pytest.approx(np.array([(99.5 - 100 / 3, 49.5), (99.5, 99.5), (99.5, 49.5)]))
     assert depth == pytest.approx((1.0, 2.0, 7.0))
@@ -83,7 +83,7 @@ def test_a_fisheye_may_see_what_is_behind_it():
 
 
 def test_an_equirectangular_image_shows_the_whole_sphere():
-    # 64 px for 2 pi: a pixel is pi / 32; the middle is (31.5, 15.5).
+    # 64 px for 2 pi: a pixel is pi / 32; the centre is (31.5, 15.5).
     points = [(0, 0, 5), (3, 0, 0), (-2, 0, 0), (1, 0, 1), (0, -1, 0), (0, 1, 0), (0, -1, 1)]
     pixels, depth = project(points, SPHERE)
     expected = [(31.5, 15.5), (47.5, 15.5), (15.5, 15.5), (39.5, 15.5), (31.5, -0.5), (31.5, 31.5), (31.5, 7.5)]
@@ -109,7 +109,7 @@ def test_the_depth_of_a_fisheye_is_a_distance():
 def test_no_lens_shows_two_directions_in_one_pixel():
     # r (1 - r2 / 3) grows up to r = 1, where it is 2 / 3.
     d = (-1.0 / 3.0, 0.0, 0.0, 0.0)
-    assert reach(d) == pytest.approx(1.0)
+    assert valid_radius_squared(d) == pytest.approx(1.0)
     camera = CameraSpec(
         "eye", "", width=201, height=201, matrix=(100.0, 0.0, 100.0, 0.0, 100.0, 100.0, 0.0, 0.0, 1.0), distortion=d
     )
@@ -123,7 +123,7 @@ def test_no_lens_shows_two_directions_in_one_pixel():
 def test_an_equidistant_polynomial_ends_where_it_stops_growing():
     # theta (1 - theta2 / 3) grows up to 1 rad.
     d = (-1.0 / 3.0, 0.0, 0.0, 0.0)
-    assert largest_angle(d) == pytest.approx(1.0)
+    assert valid_angle(d) == pytest.approx(1.0)
     camera = replace(FISHEYE, distortion=d)
     pixels, _ = project([(math.sin(a), 0.0, math.cos(a)) for a in (0.99, 1.01)], camera)
     assert np.isnan(pixels[:, 0]).tolist() == [False, True]
@@ -185,6 +185,6 @@ def test_any_lens_shows_what_it_was_pointed_at(k1, k2, k3, tangential):
     pixels, _ = project(points, camera)
     known = np.isfinite(pixels).all(axis=1)
     ray = unproject(pixels[known], camera)
-    # Where a lens nearly stops growing a pixel covers much of the world: compare in the image.
+    # Where the distortion polynomial nearly stops growing, a pixel covers much of the world: compare in the image.
     again, _ = project(ray, camera)
     np.testing.assert_allclose(again, pixels[known], atol=1e-6)

@@ -1,4 +1,4 @@
-"""Compilation by Numba, where it is installed."""
+"""Compilation by Numba, if it is installed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from numba.core import event
 
 def test_ctrl_c_in_the_middle_of_a_compilation_interrupts_after_it() -> None:
     class InAPass(event.Listener):
-        """Presses Ctrl-C in the first pass of the compiler."""
+        """Sends SIGINT in the first pass of the compiler."""
 
         pressed = False
 
@@ -32,7 +32,7 @@ def test_ctrl_c_in_the_middle_of_a_compilation_interrupts_after_it() -> None:
             pass
 
     space: dict[str, Any] = {}
-    exec("def double(x):\n    return 2.0 * x", space)  # no file: nothing is found in a cache
+    exec("def double(x):\n    return 2.0 * x", space)  # without a file there is no cache
     double: Any = compiled(space["double"])
     listener = InAPass()
     before = signal.getsignal(signal.SIGINT)

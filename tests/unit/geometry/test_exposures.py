@@ -1,4 +1,4 @@
-"""Which pictures a shutter and a rolling readout are made of."""
+"""The pictures of which images with motion blur and rolling shutter are composed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CAMERA = CameraSpec("eye", "robot/eye", Pose(quat_xyzw=quat_from_matrix(R_LINK_O
 
 
 def state(stamp_ms: float, yaw: float = 0.0, other: Vec3 = (-5.0, 0.0, 0.0), turned: float = 0.0) -> SceneState:
-    """Returns a state with a camera at the origin that looks along x, and another link (behind the camera if not told)."""
+    """Returns a state with a camera at the origin that looks along x, and another link (behind the camera by default)."""
     quats = np.array([quat_from_rpy(0.0, 0.0, yaw), quat_from_rpy(turned, 0.0, 0.0)])
     return SceneState(
         int(stamp_ms * 1e6), 0, 1, ("robot/eye", "ball/ball"), np.array([(0.0, 0.0, 0.0), other]), quats, np.zeros((2, 6))
@@ -76,7 +76,7 @@ def test_average_over_the_shutter_is_its_middle() -> None:
 
 
 def test_one_sample_for_each_pixel_of_motion() -> None:
-    # Corners: 240 px/rad x 3.78 x rate x 5 ms: at 1 rad/s 4.5 px, of which the turn about the image's own y moves a part.
+    # Corners: 240 px/rad x 3.78 x rate x 5 ms: at 1 rad/s 4.5 px, of which the rotation about the image's own y moves a part.
     few, many, most = (len(_turning(camera(shutter_s=0.005), rate)) for rate in (1.0, 2.0, 50.0))
     assert 3 <= few <= 6
     assert few < many <= 2 * few
@@ -137,7 +137,7 @@ def test_motion_behind_the_camera_does_not_count() -> None:
 
 
 def test_turning_thing_in_view_counts() -> None:
-    # A reach of 0.25 m at 2 m turned by 0.1 rad: 0.0125 rad, 3 px.
+    # A radius of 0.25 m at 2 m rotated by 0.1 rad: 0.0125 rad, 3 px.
     got = pixel_motion(CAMERA, state(0.0, other=(2.0, 0.0, 0.0)), state(10.0, other=(2.0, 0.0, 0.0), turned=0.1))
     assert got == pytest.approx(3.0, rel=0.01)
 

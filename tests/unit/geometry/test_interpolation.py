@@ -1,4 +1,4 @@
-"""States between two states."""
+"""Interpolation of scene states."""
 
 from __future__ import annotations
 

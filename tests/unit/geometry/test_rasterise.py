@@ -1,4 +1,4 @@
-"""Which cells polygons cover."""
+"""The cells that polygons cover."""
 
 from __future__ import annotations
 

@@ -161,4 +161,4 @@ def test_map_too_coarse_for_a_robot_has_few_cells(monkeypatch: pytest.MonkeyPatc
 def test_map_of_things_kilometres_apart_takes_no_gigabyte() -> None:
     assert floor_map._affordable(0.05, np.array([2000.0, 2000.0])) >= 1.0
     assert floor_map._affordable(0.05, np.array([90.0, 90.0])) == 0.05
-    assert floor_map._affordable(0.05, np.array([1e5, 0.1])) == 10.0  # few cells, and yet a row of two million
+    assert floor_map._affordable(0.05, np.array([1e5, 0.1])) == 10.0  # few cells, but a row of two million

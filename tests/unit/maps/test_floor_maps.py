@@ -1,4 +1,4 @@
-"""Where a robot of some size can go: steps, slopes, platforms, storeys, bodies, and which region is indoors."""
+"""Traversability for robots of several sizes: steps, slopes, platforms, storeys, bodies, and the region indoors."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_every_storey_gets_a_map(tmp_path: Path) -> None:
 
 
 def _door(angle: float) -> BodySpec:
-    """A leaf from the hinge at (2, 1) along y, 0.8 m wide, turned about the hinge."""
+    """A leaf from the hinge at (2, 1) along y, 0.8 m wide, rotated about the hinge."""
     leaf = UrdfLink("leaf", collisions=(UrdfCollision(Shape("box", (0.04, 0.8, 2.0)), Pose((0.0, 0.4, 1.0))),))
     hinge = UrdfJoint("hinge", "revolute", "frame", "leaf", Pose(), (0.0, 0.0, 1.0), -1.6, 1.6)
     model = UrdfModel("door", Path("door.urdf"), (UrdfLink("frame"), leaf), (hinge,))
@@ -141,7 +141,7 @@ def _door(angle: float) -> BodySpec:
 
 def test_what_can_be_moved_stands_where_its_joints_are(tmp_path: Path) -> None:
     shut, ajar = ((_scene(tmp_path, ROOM, bodies=(_door(angle),))) for angle in (0.0, -np.pi / 2))
-    # Turned by -90 degrees a leaf along +y points along +x.
+    # Rotated by -90 degrees, a leaf along +y points along +x.
     assert link_transforms(ajar.bodies[0])["leaf"][:3, :3] @ (0, 1, 0) == pytest.approx((1, 0, 0))
     for scene, places in ((shut, (False, True)), (ajar, (True, False))):
         floor = floor_maps(scene, resolution=0.1)[0]
@@ -182,7 +182,7 @@ def test_open_floor_without_any_wall_is_a_region() -> None:
 
 
 def _turned(corners: Corners) -> Corners:
-    """Returns the triangles seen from the other side."""
+    """Returns the triangles with flipped faces."""
     return [corner for k in range(0, len(corners), 3) for corner in (corners[k], corners[k + 2], corners[k + 1])]
 
 

@@ -1,4 +1,4 @@
-"""Maps as files: what Nav2's map server and readers of Gibson's scenes find in them, and the command that writes them."""
+"""Map files for Nav2's map server and in the layout of Gibson's scenes, and the command that writes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places with a name in our flat, and where there is no floor."""
+"""Named poses in the flat and in other scenes, and without a floor."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_every_room_that_a_scene_names_has_one_place_where_a_robot_can_stand(nam
             assert room.room_class in poses[key].tags
         doors = [pose for pose in found if {"door", f"floor_{number}"} <= set(pose.tags)]
         assert all(float(door.description.split()[1]) >= 0.7 for door in doors)
-        # Of each room, one.
+        # At least one for each room.
         words = {word for door in doors for word in door.description.split()}
         opened = {word for pose in found if "opening" in pose.tags for word in pose.description.split()}
         assert {room.name for room in rooms.values()} <= words | opened

@@ -1,4 +1,4 @@
-"""Shortest ways and random places on a floor."""
+"""Shortest paths and random free poses on a floor."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def post() -> FloorMap:
 
 @pytest.fixture(scope="module")
 def flat(root: Path) -> FloorMap:
-    """The floor of our flat."""
+    """The floor of the flat."""
     return floor_maps(load_scene(root / "scenes/flat"))[0]
 
 
@@ -84,15 +84,15 @@ def test_distance_field_is_the_length_of_the_way(post: FloorMap) -> None:
 def test_place_without_a_way_is_an_error() -> None:
     blocked = np.zeros((80, 80), dtype=bool)
     blocked[:, 40] = True
-    with pytest.raises(SceneError, match=r"no way leads from \(1\.00, 1\.00\) to \(3\.00, 1\.00\)"):
+    with pytest.raises(SceneError, match=r"no path leads from \(1\.00, 1\.00\) to \(3\.00, 1\.00\)"):
         shortest_path(_floor(blocked), (1.0, 1.0), (3.0, 1.0), radius=0.2)
-    with pytest.raises(SceneError, match=r"goal \(9\.00, 1\.00\) is no place"):
+    with pytest.raises(SceneError, match=r"goal \(9\.00, 1\.00\) is not free"):
         shortest_path(_floor(blocked), (1.0, 1.0), (9.0, 1.0), radius=0.2)
 
 
 def test_ways_do_not_slip_between_two_cells_that_meet_at_a_corner() -> None:
     blocked = ~np.eye(40, dtype=bool)[::-1]
-    with pytest.raises(SceneError, match="no way"):
+    with pytest.raises(SceneError, match="no path"):
         shortest_path(_floor(blocked), (0.025, 1.975), (1.975, 0.025), radius=0.0)
 
 

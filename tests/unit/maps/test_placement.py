@@ -1,4 +1,4 @@
-"""Where a robot starts in a scene."""
+"""Start poses of robots in a scene."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def test_tour_keeps_its_distance() -> None:
 
 
 def test_tour_keeps_its_distance_in_box_coordinates() -> None:
-    # Not by the map's own distances: the jambs of the door end at (3.95..4.05, 1.5) and (3.95..4.05, 2.5).
+    # Independent of the map's own distances: the jambs of the door end at (3.95..4.05, 1.5) and (3.95..4.05, 2.5).
     points = _along(plan_tour(two_rooms(), (1.0, 1.0), RADIUS, 25.0))
     at_door = points[np.abs(points[:, 0] - 4.0) < 0.05]
     assert len(at_door)
@@ -80,7 +80,7 @@ def test_both_rooms_are_visited() -> None:
 def test_third_corner_is_visited_before_the_first_one_again() -> None:
     # A plus of four corridors, 1 m wide and 4 m long, from the middle (4.5, 4.5).
     floor = _floor(9, 9, (0, 0, 4, 4), (5, 0, 9, 4), (0, 5, 4, 9), (5, 5, 9, 9))
-    # Out of the left arm 4 m, then at most there and back for each of the others.
+    # 4 m out of the left arm, then at most 8 m there and back for each of the others.
     path = plan_tour(floor, (0.5, 4.5), RADIUS, 4 + 3 * 8)
     for end in ((8.5, 4.5), (4.5, 0.5), (4.5, 8.5)):
         assert np.linalg.norm(path - end, axis=1).min() < 0.9

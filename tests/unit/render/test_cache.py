@@ -1,4 +1,4 @@
-"""A scene that was loaded once is there at the next start, unless anything about it has changed; trouble costs time and no more."""
+"""A loaded scene is cached for the next start, unless something it depends on has changed; failures cost only time."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import pytest
 from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.render import cache as module
-from gibson_sim.render.batching.batches import Batches
-from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.batching.building import build_geometry
+from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.cache import SceneCache, default_folder
 from gibson_sim.types import Pose
 from support.scenes import write_square_obj
@@ -32,7 +32,7 @@ def _small_scenes_are_worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def mesh(tmp_path: Path) -> Path:
-    """A square with a texture that is not there."""
+    """A square whose texture file is missing."""
     return write_square_obj(tmp_path / "model" / "meshes", "missing.png")
 
 
@@ -41,9 +41,9 @@ def visuals(mesh: Path) -> Visuals:
     return (VisualSpec("square", "", Shape("mesh", mesh=str(mesh)), semantic_class="wall"),)
 
 
-def _build(visuals: Visuals) -> Batches:
+def _build(visuals: Visuals) -> SceneGeometry:
     folder = Path(visuals[0].shape.mesh).parent.parent
-    return build_batches(visuals, (), MeshLoader([folder]).shape, [(1, 1)] * len(visuals))
+    return build_geometry(visuals, (), MeshLoader([folder]).shape, [(1, 1)] * len(visuals))
 
 
 def _path(cache: SceneCache, visuals: Visuals, coarser: bool = True) -> Path:
@@ -57,7 +57,7 @@ def cache(tmp_path: Path) -> SceneCache:
 
 @pytest.fixture
 def kept(cache: SceneCache, visuals: Visuals) -> Path:
-    """The file of the scene, stored."""
+    """The stored file of the scene."""
     path = _path(cache, visuals)
     cache.store(path, _build(visuals))
     assert path.is_file()
@@ -67,7 +67,7 @@ def kept(cache: SceneCache, visuals: Visuals) -> Path:
 def test_what_is_loaded_is_what_was_stored(cache: SceneCache, visuals: Visuals, kept: Path) -> None:
     stored, loaded = _build(visuals), cache.load(kept)
     assert loaded is not None
-    for field in dataclasses.fields(Batches):
+    for field in dataclasses.fields(SceneGeometry):
         expected, found = getattr(stored, field.name), getattr(loaded, field.name)
         if isinstance(expected, np.ndarray):
             assert found.dtype == expected.dtype
@@ -181,7 +181,7 @@ def test_a_folder_that_cannot_be_made_is_a_warning(tmp_path: Path, visuals: Visu
 def test_a_folder_that_cannot_be_written_to_is_a_warning(
     cache: SceneCache, visuals: Visuals, kept: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    # Permissions do not stop the superuser, who may be running this.
+    # File permissions do not stop root, who may run this test.
     def refuse(*args: object, **kwargs: object) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -202,14 +202,14 @@ def test_a_small_scene_is_not_kept(cache: SceneCache, visuals: Visuals, monkeypa
     assert not path.parent.exists()
 
 
-def test_the_one_unused_for_longest_goes_first(tmp_path: Path, visuals: Visuals) -> None:
+def test_the_least_recently_used_file_is_deleted_first(tmp_path: Path, visuals: Visuals) -> None:
     scenes = [(replace(visuals[0], name=f"square {k}"),) for k in range(4)]
     large = SceneCache(tmp_path / "cache")
     paths = [_path(large, scene) for scene in scenes]
     for k in range(3):
         large.store(paths[k], _build(scenes[k]))
         os.utime(paths[k], ns=(0, (k + 1) * 10**9))
-    assert large.load(paths[0]) is not None  # used just now
+    assert large.load(paths[0]) is not None  # recently used
     size = paths[0].stat().st_size
     small = SceneCache(tmp_path / "cache", limit_bytes=int(2.5 * size))
     small.store(paths[3], _build(scenes[3]))

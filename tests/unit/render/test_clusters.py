@@ -1,4 +1,4 @@
-"""Levels of detail: whatever is chosen stands for every triangle once, has no cracks, and is as coarse as it says."""
+"""Levels of detail: every selection represents each triangle once, has no cracks, and keeps its error."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart
-from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.culling.visibility import Visibility
 from gibson_sim.render.lod import clusters as module
 from gibson_sim.render.lod.clusters import COARSEST, REDUCTION, SMALLEST, Clusters, build_clusters, split
-from gibson_sim.render.lod.lod_selection import Detail
-from support.surfaces import batches_of, bumpy_grid, bumpy_sphere, drawn_positions, in_two, open_edges, textured
+from gibson_sim.render.lod.lod_selection import DetailLimits
+from support.surfaces import bumpy_grid, bumpy_sphere, drawn_positions, geometry_of, in_two, open_edges, textured
 
 SIZE = 256
 needs_simplifier = pytest.mark.skipif(module.simplifier() is None, reason="meshoptimizer is not installed")
@@ -41,27 +41,27 @@ MESHES = {
 
 
 @lru_cache(maxsize=4)
-def _batches(name: str) -> Batches:
-    return batches_of(Mesh((bumpy_grid(material=textured("one")),)) if name == "grid" else MESHES[name]())
+def _geometry(name: str) -> SceneGeometry:
+    return geometry_of(Mesh((bumpy_grid(material=textured("one")),)) if name == "grid" else MESHES[name]())
 
 
-def _choices(batches: Batches, seed: int = 0) -> Iterator[NDArray[np.int64]]:
-    """Chunks for many eyes and errors, from everything at its finest to everything at its coarsest."""
-    visibility, rng = Visibility(batches), np.random.default_rng(seed)
+def _choices(geometry: SceneGeometry, seed: int = 0) -> Iterator[NDArray[np.int64]]:
+    """Yields selected clusters for many eyes and errors, from all at the finest to all at the coarsest level."""
+    visibility, rng = Visibility(geometry), np.random.default_rng(seed)
     for _ in range(40):
         eye = rng.normal(size=(1, 3)) * rng.uniform(0.3, 6.0)
-        yield visibility.choose(eye, Detail(float(10 ** rng.uniform(1.0, 3.5)), 0.5, 0.05))
+        yield visibility.select(eye, DetailLimits(float(10 ** rng.uniform(1.0, 3.5)), 0.5, 0.05))
     for error in np.geomspace(1e-6, 1.0, 12):
-        yield visibility.choose_for(float(error))
+        yield visibility.select_for_error(float(error))
 
 
-def _standing_for(batches: Batches) -> NDArray[np.float64]:
-    """Returns for each chunk (row) which part of each finest chunk (column) it stands for; what a group made shares its members."""
-    group, following = batches.chunk_group, batches.chunk_next_group
+def _standing_for(geometry: SceneGeometry) -> NDArray[np.float64]:
+    """Returns for each cluster (row) which part of each finest cluster (column) it represents; the clusters that a group made share its members."""
+    group, following = geometry.cluster_group, geometry.cluster_next_group
     finest = np.flatnonzero(group < 0)
     parts = np.zeros((len(group), len(finest)))
     parts[finest, np.arange(len(finest))] = 1.0
-    for number in range(len(batches.group_error)):  # a group is made after those that its members come from
+    for number in range(len(geometry.group_error)):  # a group has a greater number than those that its members come from
         made = np.flatnonzero(group == number)
         parts[made] = parts[following == number].sum(axis=0) / max(len(made), 1)
     return parts
@@ -83,21 +83,21 @@ def test_no_cluster_is_empty_or_larger_than_asked_for() -> None:
 
 
 @pytest.mark.parametrize("rings", [6, 12, 17, 24, 33])
-def test_chunks_of_a_scene_are_those_clusters(rings: int) -> None:
+def test_clusters_of_a_scene_are_those_clusters(rings: int) -> None:
     part = bumpy_sphere(rings)
     built = _built(part)
     assert (np.diff(built.level) >= 0).all()
-    batches = batches_of(Mesh((part,)))
-    every = np.arange(len(batches.chunk_first))
-    finest = drawn_positions(batches, every[batches.chunk_group < 0])
+    geometry = geometry_of(Mesh((part,)))
+    every = np.arange(len(geometry.cluster_first))
+    finest = drawn_positions(geometry, every[geometry.cluster_group < 0])
     expected = part.vertices[part.triangles]
     np.testing.assert_array_equal(*(t[np.lexsort(t.reshape(-1, 9).T)] for t in (finest, expected)))
     corners = {tuple(vertex) for vertex in part.vertices.tolist()}
-    for chunk in every:
-        positions = drawn_positions(batches, every[chunk : chunk + 1]).reshape(-1, 3)
+    for cluster in every:
+        positions = drawn_positions(geometry, every[cluster : cluster + 1]).reshape(-1, 3)
         assert {tuple(p) for p in positions.tolist()} <= corners
         low, high = positions.min(axis=0).astype(np.float64), positions.max(axis=0).astype(np.float64)
-        np.testing.assert_allclose(batches.chunk_box[chunk], [*(low + high) / 2, *(high - low) / 2], atol=1e-12)
+        np.testing.assert_allclose(geometry.cluster_box[cluster], [*(low + high) / 2, *(high - low) / 2], atol=1e-12)
 
 
 @needs_simplifier
@@ -184,13 +184,13 @@ def test_levels_are_as_near_to_the_surface_as_their_errors_say() -> None:
         made = np.concatenate([part.vertices[built.triangles[s:e]] for s, e in _spans(built, built.group == group)])
         away = np.concatenate([_away(part.vertices, triangle.astype(np.float64)) for triangle in made])
         assert len(away) > 40
-        # An error of quadrics is a mean over the surface around a vertex: single points may be a few times farther away.
+        # A quadric error is a mean over the surface around a vertex: single points may be a few times farther away.
         assert np.sqrt((away**2).mean()) <= built.group_error[group] + 1e-6
         assert away.max() <= 8.0 * built.group_error[group] + 1e-6
 
 
 def _away(points: NDArray[np.float32], triangle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns how far, metres, the points above and below a triangle are from its plane."""
+    """Returns the distances, metres, of the points above and below a triangle from its plane."""
     low, high = triangle[:, :2].min(axis=0), triangle[:, :2].max(axis=0)
     a, u, v = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
     area = u[0] * v[1] - u[1] * v[0]
@@ -206,31 +206,31 @@ def _away(points: NDArray[np.float32], triangle: NDArray[np.float64]) -> NDArray
 
 @needs_simplifier
 @pytest.mark.parametrize("name", [*MESHES, "grid"])
-def test_what_is_chosen_stands_for_every_triangle_exactly_once(name: str) -> None:
-    batches = _batches(name)
-    parts = _standing_for(batches)
+def test_selected_clusters_represent_every_triangle_exactly_once(name: str) -> None:
+    geometry = _geometry(name)
+    parts = _standing_for(geometry)
     drawn = set()
-    for chosen in _choices(batches):
+    for chosen in _choices(geometry):
         np.testing.assert_allclose(parts[chosen].sum(axis=0), 1.0, atol=1e-9)
-        drawn.add(int(batches.chunk_count[chosen].sum()) // 3)
+        drawn.add(int(geometry.cluster_count[chosen].sum()) // 3)
     assert len(drawn) > 8
-    assert max(drawn) == batches.triangles
-    assert min(drawn) < batches.triangles / 8
+    assert max(drawn) == geometry.triangles
+    assert min(drawn) < geometry.triangles / 8
 
 
 @needs_simplifier
 @pytest.mark.parametrize("name", MESHES)
 def test_a_closed_surface_stays_closed_at_any_detail(name: str) -> None:
-    batches = _batches(name)
-    for chosen in _choices(batches):
-        assert len(open_edges(drawn_positions(batches, chosen))) == 0
+    geometry = _geometry(name)
+    for chosen in _choices(geometry):
+        assert len(open_edges(drawn_positions(geometry, chosen))) == 0
 
 
 @needs_simplifier
 def test_an_open_surface_is_open_along_its_border_only() -> None:
-    batches = _batches("grid")
-    for chosen in _choices(batches):
-        edges = open_edges(drawn_positions(batches, chosen))
+    geometry = _geometry("grid")
+    for chosen in _choices(geometry):
+        edges = open_edges(drawn_positions(geometry, chosen))
         # The square reaches from -2 to 2: both ends of an open edge are on the same side of it.
         assert (np.isclose(np.abs(edges[:, :, :2]), 2.0, atol=1e-6).all(axis=1)).any(axis=1).all()
         along = np.abs(edges[:, 1, :2] - edges[:, 0, :2]).sum()
@@ -251,7 +251,7 @@ def test_fixed_vertices_stay_at_every_level() -> None:
     with_fixed, without = _built(part, fixed), _built(part)
     coarsest = np.concatenate([with_fixed.triangles[s:e] for s, e in _spans(with_fixed, with_fixed.next_group < 0)])
     for level in range(int(with_fixed.level.max()) + 1):
-        # Clusters that nothing replaces stand for their place at all coarser levels too.
+        # Clusters that are not replaced represent their triangles at all coarser levels too.
         there = (with_fixed.level == level) | ((with_fixed.level < level) & (with_fixed.next_group < 0))
         assert np.isin(
             np.flatnonzero(fixed), np.concatenate([with_fixed.triangles[s:e] for s, e in _spans(with_fixed, there)])
@@ -269,7 +269,7 @@ def _spans(built: Clusters, which: NDArray[np.bool_]) -> list[tuple[int, int]]:
 @needs_simplifier
 def test_a_flat_surface_with_a_straight_texture_loses_nothing() -> None:
     built = _built(bumpy_grid(80, height=0.0))
-    # Squares of distances are summed in 32 bits: of 4 m about 1 mm is lost in rounding.
+    # Squares of distances are summed in 32 bits: about 1 mm of 4 m is lost by rounding.
     assert built.group_error.max() < 2e-3
     assert (built.ends - built.starts)[built.next_group < 0].sum() < 200
 
@@ -280,22 +280,22 @@ def test_a_bent_texture_on_a_flat_surface_counts_as_an_error() -> None:
     x, y, _ = flat.vertices.T
     bent = np.stack([x / 4 + 0.5 + 0.05 * np.sin(6 * y) * np.sin(6 * x), y / 4 + 0.5], axis=1).astype(np.float32)
     built = _built(MeshPart(flat.vertices, flat.normals, bent, flat.triangles))
-    # The texture is 4 m wide, so 0.05 of it is 20 cm: coarse triangles slide it by centimetres, which count SLIDE_WEIGHT times.
+    # The texture is 4 m wide, so 0.05 of it is 20 cm: coarse triangles slide it by centimetres, which are weighted by SLIDE_WEIGHT.
     assert built.group_error.max() > 0.005
 
 
 def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "simplifier", lambda: None)
-    batches = batches_of(Mesh((bumpy_grid(40),)))
-    assert (batches.chunk_group == -1).all()
-    assert (batches.chunk_next_group == -1).all()
-    for chosen in _choices(batches):
-        assert batches.chunk_count[chosen].sum() == 3 * 2 * 40**2
+    geometry = geometry_of(Mesh((bumpy_grid(40),)))
+    assert (geometry.cluster_group == -1).all()
+    assert (geometry.cluster_next_group == -1).all()
+    for chosen in _choices(geometry):
+        assert geometry.cluster_count[chosen].sum() == 3 * 2 * 40**2
 
 
 def test_a_large_scene_without_a_simplifier_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gibson_sim.render.batching.joining.simplifier", lambda: None)
-    (warning,) = batches_of(Mesh((bumpy_grid(40),))).warnings
+    monkeypatch.setattr("gibson_sim.render.batching.assembly.simplifier", lambda: None)
+    (warning,) = geometry_of(Mesh((bumpy_grid(40),))).warnings
     assert "3200 triangles" in warning
     assert "pip install meshoptimizer" in warning
 

@@ -1,4 +1,4 @@
-"""Compiled loops give what NumPy gives, to the bit."""
+"""Compiled loops equal NumPy to the bit."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.compiling import CAN_COMPILE
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_quat
-from gibson_sim.render.batching.batches import Batches
-from gibson_sim.render.batching.building import build_batches
-from gibson_sim.render.culling.draw_plan import KINDS, VIEW, Picture, Plan, Planner
+from gibson_sim.render.batching.building import build_geometry
+from gibson_sim.render.batching.scene_geometry import SceneGeometry
+from gibson_sim.render.culling.draw_plan import DEPTH_KINDS, VIEW, DrawPlan, DrawPlanner, PinholePicture
 from gibson_sim.render.culling.visibility import Visibility, link_frames, world_from_links
-from gibson_sim.render.readback.frames import depth_of, normals_of, positions_of, turned
+from gibson_sim.render.readback.frames import depth_of, normals_of, positions_of, rotated
 from gibson_sim.types import Pose, Rgba
 from support.surfaces import bumpy_sphere, detail_from
 
@@ -35,8 +35,8 @@ def _rotation(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray(matrix_from_quat(quat / np.linalg.norm(quat)))
 
 
-def _batches(rng: np.random.Generator, links: tuple[str, ...]) -> Batches:
-    """Boxes and balls, some of glass, some on links, in several levels of detail."""
+def _geometry(rng: np.random.Generator, links: tuple[str, ...]) -> SceneGeometry:
+    """Returns boxes and balls, some of glass, some on links, in several levels of detail."""
     shapes = (Shape("box", (0.8, 0.6, 1.5)), Shape("sphere", (0.4, 0.4, 0.4)))
     ball = Mesh((bumpy_sphere(40, 0.4),))
     visuals = tuple(
@@ -46,13 +46,13 @@ def _batches(rng: np.random.Generator, links: tuple[str, ...]) -> Batches:
         for k in range(40)
     )
     with detail_from(1):
-        batches = build_batches(visuals, links, lambda shape: ball if shape.kind == "sphere" else primitive_mesh(shape))
-    assert len(batches.group_error) > 10, "balls have coarser levels"
-    return batches
+        geometry = build_geometry(visuals, links, lambda shape: ball if shape.kind == "sphere" else primitive_mesh(shape))
+    assert len(geometry.group_error) > 10, "balls have coarser levels"
+    return geometry
 
 
-def _plans(planner: Planner, rng: np.random.Generator, links: int) -> list[tuple[Plan, Plan]]:
-    """Returns some plans, and what is left of each before a depth image."""
+def _plans(planner: DrawPlanner, rng: np.random.Generator, links: int) -> list[tuple[DrawPlan, DrawPlan]]:
+    """Returns some plans, each with what remains of it after occlusion culling."""
     found = []
     for _ in range(6):
         T_world_links = np.stack([np.eye(4)] * (links + 1))
@@ -60,34 +60,40 @@ def _plans(planner: Planner, rng: np.random.Generator, links: int) -> list[tuple
             T[:3, :3], T[:3, 3] = _rotation(rng), rng.uniform(-2, 2, 3)
         camera = np.eye(4)
         camera[:3, :3], camera[:3, 3] = _rotation(rng) @ R_LINK_OPTICAL, rng.uniform(-3, 3, 3)
-        plan = planner.plan(Picture(camera, K, 64, 48, 0.05), T_world_links, np.zeros(1, dtype=VIEW)[0])
+        plan = planner.plan(PinholePicture(camera, K, 64, 48, 0.05), T_world_links, np.zeros(1, dtype=VIEW)[0])
         depth = np.zeros((48, 64), dtype=np.float32)
         depth[rng.integers(0, 20) :, : rng.integers(10, 64)] = 0.05 / rng.uniform(0.5, 4.0)
-        found.append((plan, planner.occlusion_queries([plan])[0].unhidden(depth)))
+        found.append((plan, planner.occlusion_queries([plan])[0].visible(depth)))
     return found
 
 
 @pytest.mark.parametrize("links", [(), ("a", "b", "c")], ids=["standing", "moving"])
 @pytest.mark.parametrize(("detail_px", "cull"), [(0.0, True), (2.0, True), (0.0, False)])
 def test_plans_are_the_same(links: tuple[str, ...], detail_px: float, cull: bool) -> None:
-    batches = _batches(np.random.default_rng(3), links)
+    geometry = _geometry(np.random.default_rng(3), links)
     pairs = [
-        _plans(Planner(batches, Visibility(batches), detail_px, cull=cull, loops=loops), np.random.default_rng(4), len(links))
+        _plans(
+            DrawPlanner(geometry, Visibility(geometry), detail_px, cull=cull, loops=loops), np.random.default_rng(4), len(links)
+        )
         for loops in (False, True)
     ]
     drawn, left = 0, 0
     for numpy, loops in zip(*pairs, strict=True):
         for ours, theirs in zip(numpy, loops, strict=True):
-            for name in ("chunks", "draws", "batch", "near"):
+            for name in ("clusters", "draws", "batch", "near"):
                 np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-            assert (ours.solid, ours.triangles, ours.fronts) == (theirs.solid, theirs.triangles, theirs.fronts)
+            assert (ours.opaque, ours.triangles, ours.cull_back_faces) == (
+                theirs.opaque,
+                theirs.triangles,
+                theirs.cull_back_faces,
+            )
             assert ours.T_camera_links.tobytes() == theirs.T_camera_links.tobytes()
         drawn += int(numpy[0].draws[:, 0].sum())
         left += int(numpy[1].draws[:, 0].sum())
     assert 0 < left < drawn, "something must be drawn, and something hidden"
-    finest = batches.chunk_group < 0
-    coarse = [bool((~finest[plan.chunks]).any()) for plan, _ in pairs[1]]
-    assert any(coarse) == (detail_px > 0.0), "coarser chunks are drawn where they may be, and there alone"
+    finest = geometry.cluster_group < 0
+    coarse = [bool((~finest[plan.clusters]).any()) for plan, _ in pairs[1]]
+    assert any(coarse) == (detail_px > 0.0), "coarser clusters are drawn where they may be, and there alone"
 
 
 def test_frames_of_links_are_the_same() -> None:
@@ -106,21 +112,21 @@ def test_frames_of_links_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("loops", [False, True], ids=["NumPy", "loops"])
-def test_draws_that_fill_the_depth_stand_by_kind_and_in_their_order(loops: bool) -> None:
-    batches = _batches(np.random.default_rng(3), ("a", "b", "c"))
-    planner = Planner(batches, Visibility(batches), 0.0, cull=True, loops=loops)
+def test_depth_draws_are_sorted_by_kind_in_their_order(loops: bool) -> None:
+    geometry = _geometry(np.random.default_rng(3), ("a", "b", "c"))
+    planner = DrawPlanner(geometry, Visibility(geometry), 0.0, cull=True, loops=loops)
     table = planner.table.copy()
-    table[::3, 0] = 0  # of these chunks nothing fills the depth
-    chunks = np.random.default_rng(1).permutation(len(table))
-    draws, counts = planner.by_kind(chunks, table)
-    batch_of = np.repeat(np.arange(len(batches.batches)), [b.end_chunk - b.first_chunk for b in batches.batches])
+    table[::3, 0] = 0  # these clusters are not in the depth pass
+    clusters = np.random.default_rng(1).permutation(len(table))
+    draws, counts = planner.depth_draws(clusters, table)
+    batch_of = np.repeat(np.arange(len(geometry.batches)), [b.end_cluster - b.first_cluster for b in geometry.batches])
     expected = [
         [
-            table[chunk].tolist()
-            for chunk in chunks.tolist()
-            if table[chunk, 0] and KINDS[kind] == (batches.batches[batch_of[chunk]].moving, batches.batches[batch_of[chunk]].closed)
+            table[cluster].tolist()
+            for cluster in clusters.tolist()
+            if table[cluster, 0] and DEPTH_KINDS[kind] == (geometry.batches[batch_of[cluster]].moving, geometry.batches[batch_of[cluster]].closed)
         ]
-        for kind in range(len(KINDS))
+        for kind in range(len(DEPTH_KINDS))
     ]  # fmt: skip
     assert counts == [len(rows) for rows in expected]
     assert sum(count > 0 for count in counts) > 2
@@ -156,5 +162,5 @@ def test_normals_are_the_same_in_both_frames_and_in_a_part_of_a_larger_image() -
         normals = [normals_of(part, loops=loops) for loops in (False, True)]
         assert normals[0].tobytes() == normals[1].tobytes()
         R = _rotation(rng).astype(np.float32)
-        ours, theirs = (turned(R, normals[0], loops=loops) for loops in (False, True))
+        ours, theirs = (rotated(R, normals[0], loops=loops) for loops in (False, True))
         assert ours.tobytes() == theirs.tobytes()

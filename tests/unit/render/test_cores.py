@@ -1,4 +1,4 @@
-"""Threads of a software renderer get a core each, but only where they are as many as the cores."""
+"""Threads of a software renderer are pinned to a core each, but only if there are at least as many as cores."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     return found
 
 
-def test_each_thread_gets_one_of_the_cores_that_may_be_used_and_others_stay(machine: Machine) -> None:
+def test_each_thread_is_pinned_to_a_usable_core_and_other_threads_are_not(machine: Machine) -> None:
     assert cores.spread_threads() == {101: 4, 102: 6}
     assert machine.moved == {101: {4}, 102: {6}}
 
 
-def test_those_of_a_second_renderer_stand_beside_those_of_the_first(machine: Machine) -> None:
+def test_threads_of_a_second_renderer_share_the_cores_of_the_first(machine: Machine) -> None:
     machine.add(110, "llvmpipe-0")
     machine.add(111, "llvmpipe-1")
     assert cores.spread_threads() == {101: 4, 102: 6, 110: 4, 111: 6}
@@ -59,7 +59,7 @@ def test_they_are_left_alone_where_there_is_one_core_or_there_are_fewer_threads_
 
 def test_a_thread_that_ends_meanwhile_does_not_keep_the_others_from_their_cores(machine: Machine) -> None:
     machine.gone = {101}
-    (machine.folder / "120").mkdir()  # ended between the listing and the look at its name
+    (machine.folder / "120").mkdir()  # ended between the listing and the read of its name
     cores.spread_threads()
     assert machine.moved == {102: {6}}
 

@@ -1,4 +1,4 @@
-"""A device is chosen by its number or by its UUID; what is meant by neither is an error that lists what there is."""
+"""A device is selected by its number or by its UUID; anything else is an error that lists the devices."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_sixteen_bytes_are_written_as_nvidia_smi_does() -> None:
     ("wanted", "number"),
     [
         ("2", 2),
-        ("17", 17),  # whether it exists is said where it is opened
+        ("17", 17),  # opening it reports whether it exists
         (UUIDS[0], 0),
         ("GPU-" + UUIDS[0], 0),
         (UUIDS[0].upper(), 0),
@@ -41,7 +41,7 @@ def test_a_number_a_uuid_and_its_beginning_choose_a_device(wanted: str, number: 
         ("-1", "neither"),
     ],
 )
-def test_what_means_no_single_device_is_an_error_that_lists_them(wanted: str, problem: str) -> None:
+def test_no_match_and_several_matches_are_errors_that_list_the_devices(wanted: str, problem: str) -> None:
     with pytest.raises(GraphicsUnavailableError) as caught:
         device_number(wanted, UUIDS)
     assert problem in str(caught.value)

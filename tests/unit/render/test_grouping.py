@@ -1,4 +1,4 @@
-"""What is worked out once of cameras: which of them share a target, and what else never changes."""
+"""Cached results for cameras: which of them share a target, and others."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import gc
 import pytest
 
 from gibson_sim.render.draw import grouping
-from gibson_sim.render.draw.grouping import Grouping, Remembered
+from gibson_sim.render.draw.grouping import CameraGrouping, IdentityCache
 from gibson_sim.types import CameraSpec, Output
 
 
@@ -20,36 +20,36 @@ def test_cameras_share_a_target_where_the_same_is_drawn_for_them() -> None:
         _camera("a", "rgb"), _camera("b", "rgb", "depth"), _camera("c", "depth"), _camera("d", "semantic"),
         _camera("e", "rgb", samples=4), _camera("f", "rgb", link=""),
     ]  # fmt: skip
-    groups = Grouping(4096).of(cameras)
+    groups = CameraGrouping(4096).of(cameras)
     assert [group.numbers for group in groups] == [(0, 1), (2,), (3,), (4,), (5,)]
     assert [group.features for group in groups] == [(), (), ("LABELS",), (), ()]
     assert (groups[0].width, groups[0].height, groups[0].places) == (128, 48, ((0, 0), (64, 0)))
 
 
 def test_what_does_not_fit_into_one_target_gets_several() -> None:
-    groups = Grouping(100).of([_camera(name, "rgb", width=80) for name in "abc"])
+    groups = CameraGrouping(100).of([_camera(name, "rgb", width=80) for name in "abc"])
     assert sorted(k for group in groups for k in group.numbers) == [0, 1, 2]
     assert all(group.width <= 100 and group.height <= 100 for group in groups)
 
 
 def test_the_same_cameras_are_grouped_once_and_others_anew() -> None:
-    grouping = Grouping(4096)
+    grouping = CameraGrouping(4096)
     one, other = _camera("a", "rgb"), _camera("b", "depth")
     assert grouping.of([one, other]) is grouping.of((one, other))
     assert [group.numbers for group in grouping.of([other])] == [(0,)]
     assert [group.features for group in grouping.of([_camera("a", "semantic")])] == [("LABELS",)]
 
 
-def test_an_answer_is_never_that_of_a_thing_that_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grouping, "_MOST", 8)
+def test_a_result_is_never_that_of_a_freed_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grouping, "_MAX_ENTRIES", 8)
     asked = []
 
     def width(camera: CameraSpec) -> int:
         asked.append(camera.name)
         return camera.width
 
-    remembered = Remembered(width)
-    for k in range(1, 50):  # cameras come and go, and Python gives their places in memory to others
+    remembered = IdentityCache(width)
+    for k in range(1, 50):  # cameras are freed, and Python reuses their addresses
         assert remembered(_camera("gone", "rgb", width=k)) == k
         gc.collect(0)
     stays = _camera("stays", "rgb", width=7)

@@ -1,4 +1,4 @@
-"""What is called hidden cannot be seen, whatever the depth image, the box and the pose."""
+"""Boxes that are called hidden cannot be seen, whatever the depth image, the box and the pose."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.render.culling.occlusion import DepthPyramid, Outlines, pixels_from_links
-from gibson_sim.render.culling.occlusion_culling import SQUARE, PieceTable, without_hidden
+from gibson_sim.render.culling.occlusion import DepthPyramid, ScreenBounds, pixels_from_links
+from gibson_sim.render.culling.occlusion_culling import TILE_PX, SubclusterTable, cull_hidden
 
 NEAR = 0.05
 K = np.array([[40.0, 1.5, 24.2], [0.0, 43.0, 15.7], [0.0, 0.0, 1.0]])
-"""Of an image of 50 x 33 pixels."""
+"""K of an image of 50 x 33 pixels."""
 WIDTH, HEIGHT = 50, 33
 BOTH = pytest.mark.parametrize("loops", [False, True], ids=["NumPy", "loops"])
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
@@ -35,33 +35,33 @@ def test_the_bound_of_a_rectangle_is_below_all_its_values_and_is_one_of_those_ar
         x0, x1 = np.sort(rng.integers(0, width, 2)).tolist()
         y0, y1 = np.sort(rng.integers(0, height, 2)).tolist()
         bound = float(pyramid.least(*_whole(x0, y0, x1, y1))[0])
-        # At most two squares a side, each at most twice as wide as the smallest squares that the rectangle touches: no farther than this.
-        reach = 2 * max(x1 - x0, y1 - y0) + 2 * SQUARE
+        # At most two tiles a side, each at most twice as wide as the smallest tiles that the rectangle touches: no farther than this.
+        reach = 2 * max(x1 - x0, y1 - y0) + 2 * TILE_PX
         around = depth[max(y0 - reach, 0) : y1 + reach + 1, max(x0 - reach, 0) : x1 + reach + 1]
         assert around.min() <= bound <= depth[y0 : y1 + 1, x0 : x1 + 1].min()
 
 
-def test_the_bound_of_a_single_pixel_is_the_least_of_its_square() -> None:
+def test_the_bound_of_a_single_pixel_is_the_least_of_its_tile() -> None:
     depth = np.random.default_rng(1).random((7, 5)).astype(np.float32)
     y, x = (g.ravel() for g in np.mgrid[:7, :5])
-    rows, columns = SQUARE * (y // SQUARE), SQUARE * (x // SQUARE)
-    squares = [depth[row : row + SQUARE, column : column + SQUARE].min() for row, column in zip(rows, columns, strict=True)]
+    rows, columns = TILE_PX * (y // TILE_PX), TILE_PX * (x // TILE_PX)
+    squares = [depth[row : row + TILE_PX, column : column + TILE_PX].min() for row, column in zip(rows, columns, strict=True)]
     np.testing.assert_array_equal(DepthPyramid(depth).least(x, y, x, y), squares)
 
 
 def _hidden(
     loops: bool, depth: NDArray[np.float32], boxes: NDArray[np.float64], *T_camera_box: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Returns which boxes are hidden, as NumPy says or the loops; they have one pose, or each its own."""
+    """Returns which boxes are hidden, by NumPy or by compiled loops; they have one pose, or one each."""
     T, n = np.stack(T_camera_box), len(boxes)
     if not loops:
         pixels = np.broadcast_to(pixels_from_links(T, K), (n, 3, 4))
-        return Outlines(boxes, pixels, (WIDTH, HEIGHT), NEAR).hidden(DepthPyramid(depth))
+        return ScreenBounds(boxes, pixels, (WIDTH, HEIGHT), NEAR).hidden(DepthPyramid(depth))
     every, link = np.arange(n), np.arange(n) if len(T) == n else np.zeros(n, dtype=np.int64)
-    # Each box is a chunk of one piece, and none goes on where the one before ends.
+    # Each box is a cluster of one subcluster, and no index range continues the one before.
     draws, span = np.zeros((n, 5), dtype=np.uint32), np.stack([np.full(n, 3), 100 * every], axis=1).astype(np.uint32)
-    pieces = PieceTable(every, np.ones(n, dtype=np.int64), boxes, span)
-    seen, *_ = without_hidden(depth, every, np.zeros(n, dtype=np.int64), draws, n, pieces, link, T, K, NEAR)
+    subclusters = SubclusterTable(every, np.ones(n, dtype=np.int64), boxes, span)
+    seen, *_ = cull_hidden(depth, every, np.zeros(n, dtype=np.int64), draws, n, subclusters, link, T, K, NEAR)
     covered = np.ones(n, dtype=bool)
     covered[seen] = False
     return covered
@@ -76,7 +76,7 @@ def _pose(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _blocks(rng: np.random.Generator) -> NDArray[np.float32]:
-    """A depth image of rectangles at several depths, with nothing in places."""
+    """Returns a depth image of rectangles at several depths, with gaps."""
     depth = np.full((HEIGHT, WIDTH), NEAR / rng.uniform(1.0, 6.0), dtype=np.float32)
     for _ in range(rng.integers(0, 4)):
         x, y = rng.integers(0, WIDTH), rng.integers(0, HEIGHT)
@@ -85,7 +85,7 @@ def _blocks(rng: np.random.Generator) -> NDArray[np.float32]:
 
 
 def _seen(depth: NDArray[np.float32], box: NDArray[np.float64], T: NDArray[np.float64]) -> bool:
-    """Whether any ray through a pixel's middle meets the box nearer than the depth there."""
+    """Returns whether any ray through a pixel's centre hits the box in front of the depth there."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     rays = np.stack([u, v, np.ones(u.shape)], axis=-1) @ np.linalg.inv(K).T
     way, eye = rays @ T[:3, :3], -T[:3, :3].T @ T[:3, 3]  # in the frame of the box
@@ -109,7 +109,7 @@ def test_a_box_that_a_pixel_would_show_is_never_called_hidden(loops: bool, seed:
 
 @BOTH
 def test_most_of_what_cannot_be_seen_is_found(loops: bool) -> None:
-    # Else "never hidden" would pass the test above.
+    # Otherwise "never hidden" would pass the test above.
     rng = np.random.default_rng(5)
     found, unseen = 0, 0
     for _ in range(20):
@@ -130,7 +130,7 @@ def test_most_of_what_cannot_be_seen_is_found(loops: bool) -> None:
         ((0.0, 0.0, 3.0), True),  # 2.9 m away, behind the wall
         ((0.0, 0.0, 2.05), False),  # it sticks out of the wall
         ((0.0, 0.0, 1.0), False),  # before it
-        ((0.0, 0.0, -1.0), False),  # behind the camera: the frustum's business
+        ((0.0, 0.0, -1.0), False),  # behind the camera: left to frustum culling
         ((0.0, 0.0, 0.1), False),  # around the near plane
         ((60.0, 0.0, 3.0), True),  # beside the image
     ],

@@ -13,9 +13,9 @@ from gibson_sim.robots.drives import PlanarVelocity
 from gibson_sim.robots.drives.ackermann import (
     AckermannDrive,
     curvature_from_steering,
+    feasible_motion,
     rear_speeds,
     steering_angles,
-    wanted_motion,
 )
 
 CAR = AckermannSpec(
@@ -23,11 +23,11 @@ CAR = AckermannSpec(
     wheel_radius=0.1, wheelbase=0.5, wheel_separation=0.4, steering_separation=0.4,
     max_steering=math.atan(0.625), max_linear=2.0, max_angular=1.5, max_linear_acceleration=1e6, max_steering_rate=1e6,
 )  # fmt: skip
-"""The inner wheel at its limit is 0.5 m behind and 0.8 m beside the centre, the rear axle's middle 1 m: curvature 1."""
+"""The inner wheel at its limit is 0.5 m behind and 0.8 m beside the centre of the turn, the centre of the rear axle 1 m: curvature 1."""
 
 
 def test_both_front_axles_point_at_the_centre_of_the_turn() -> None:
-    # 1 m to the left of the rear axle's middle: 0.8 m from the left wheel, 1.2 m from the right one.
+    # 1 m to the left of the centre of the rear axle: 0.8 m from the left wheel, 1.2 m from the right one.
     assert steering_angles(1.0, CAR) == pytest.approx((math.atan(0.5 / 0.8), math.atan(0.5 / 1.2)))
 
 
@@ -46,16 +46,16 @@ def test_outer_rear_wheel_turns_faster() -> None:
 
 
 def test_yaw_rate_over_speed_is_the_curvature() -> None:
-    assert wanted_motion(PlanarVelocity(1.0, 0.0, 0.5), CAR) == pytest.approx((1.0, 0.5))
+    assert feasible_motion(PlanarVelocity(1.0, 0.0, 0.5), CAR) == pytest.approx((1.0, 0.5))
 
 
 def test_in_reverse_the_same_yaw_rate_steers_the_other_way() -> None:
-    assert wanted_motion(PlanarVelocity(-1.0, 0.0, 0.5), CAR) == pytest.approx((-1.0, -0.5))
+    assert feasible_motion(PlanarVelocity(-1.0, 0.0, 0.5), CAR) == pytest.approx((-1.0, -0.5))
 
 
 def test_turn_is_never_tighter_than_the_inner_wheel_can_steer() -> None:
     assert CAR.max_curvature == pytest.approx(1.0)
-    assert wanted_motion(PlanarVelocity(0.5, 0.0, -3.0), CAR) == pytest.approx((0.5, -1.0))
+    assert feasible_motion(PlanarVelocity(0.5, 0.0, -3.0), CAR) == pytest.approx((0.5, -1.0))
 
 
 def test_turning_radius_may_be_limited_further() -> None:
@@ -65,16 +65,16 @@ def test_turning_radius_may_be_limited_further() -> None:
 
 def test_speed_is_cut_before_the_path() -> None:
     # At curvature 1 the yaw rate of 1.5 rad/s is reached at 1.5 m/s.
-    assert wanted_motion(PlanarVelocity(2.0, 0.0, 2.0), CAR) == pytest.approx((1.5, 1.0))
-    assert wanted_motion(PlanarVelocity(-9.0, 0.0, 0.0), CAR) == pytest.approx((-2.0, 0.0))
+    assert feasible_motion(PlanarVelocity(2.0, 0.0, 2.0), CAR) == pytest.approx((1.5, 1.0))
+    assert feasible_motion(PlanarVelocity(-9.0, 0.0, 0.0), CAR) == pytest.approx((-2.0, 0.0))
 
 
 def test_yaw_rate_without_speed_steers_to_the_end_and_stays() -> None:
-    assert wanted_motion(PlanarVelocity(0.0, 0.0, -0.1), CAR) == pytest.approx((0.0, -1.0))
+    assert feasible_motion(PlanarVelocity(0.0, 0.0, -0.1), CAR) == pytest.approx((0.0, -1.0))
 
 
 def test_tiny_speed_steers_to_the_end() -> None:
-    assert wanted_motion(PlanarVelocity(5e-324, 0.0, 1.0), CAR) == (5e-324, pytest.approx(1.0))
+    assert feasible_motion(PlanarVelocity(5e-324, 0.0, 1.0), CAR) == (5e-324, pytest.approx(1.0))
 
 
 def test_stopping_keeps_the_wheels_as_steered() -> None:

@@ -1,4 +1,4 @@
-"""Chains of joints in which some follow others, and limits that followers set."""
+"""Chains with mimic joints, and the limits that mimic joints set."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def model(follower_limits: tuple[float, float] = (-9.0, 9.0), multiplier: float 
 
 
 def place(lead: float) -> tuple[float, float]:
-    """Where the tip is, by hand."""
+    """Returns the position of the tip, by hand."""
     second = lead + 2.0 * lead + 0.1
     return math.cos(lead) + 0.5 * math.cos(second), math.sin(lead) + 0.5 * math.sin(second)
 

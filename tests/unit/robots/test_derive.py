@@ -1,4 +1,4 @@
-"""A robot that is a URDF alone: what is guessed about it, and what is said where nothing can be."""
+"""Robots with only a URDF: what is guessed, and the errors if nothing can be."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_a_root_above_the_floor_gets_a_footprint_on_it(tmp_path: Path) -> None:
     robot = load_robot(written(tmp_path, pair(0.1, z=-0.02)))
     assert robot.base_link == "base_footprint"
     assert dict((child, pose.position[2]) for _, child, pose in robot.fixed_transforms)["base_link"] == pytest.approx(0.1)
-    # Meshes are found from where the file is kept.
+    # Meshes are found from the folder of the cached file.
     assert load_robot(written(tmp_path, pair(0.1, shape="mesh"))).base_link == "base_footprint"
 
 

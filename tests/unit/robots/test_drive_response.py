@@ -27,12 +27,12 @@ FORWARD = PlanarVelocity(0.5)
 
 def test_delay_passes_commands_on_after_its_time() -> None:
     delay = CommandDelay(0.03)
-    out = [delay.pass_on(PlanarVelocity(float(i)), DT).linear for i in range(1, 7)]
+    out = [delay.delayed(PlanarVelocity(float(i)), DT).linear for i in range(1, 7)]
     assert out == [0.0, 0.0, 0.0, 1.0, 2.0, 3.0]
 
 
 def test_no_delay_passes_commands_on_at_once() -> None:
-    assert CommandDelay(0.0).pass_on(FORWARD, DT) is FORWARD
+    assert CommandDelay(0.0).delayed(FORWARD, DT) is FORWARD
 
 
 @pytest.mark.parametrize("spec", [DRIVE, SKID, CAR, OMNI])
@@ -47,7 +47,7 @@ def test_delayed_drive_does_the_same_later(spec: DifferentialSpec | AckermannSpe
 def test_wheels_that_push_the_base_turn_less_by_the_slip() -> None:
     drive = make_drive(replace(DRIVE, slip=0.1, turn_slip=0.2, max_linear_acceleration=1e3, max_angular_acceleration=1e3))
     assert drive.targets(PlanarVelocity(0.5), DT).speeds == pytest.approx((9.0, 9.0))
-    # 1 rad/s at 0.2 m is 4 rad/s of the wheels; four fifths of it.
+    # 1 rad/s at 0.2 m is 4 rad/s of the wheels; four fifths remain.
     assert drive.targets(PlanarVelocity(0.0, 0.0, 1.0), DT).speeds == pytest.approx((-3.2, 3.2))
 
 

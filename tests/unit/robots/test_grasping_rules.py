@@ -1,4 +1,4 @@
-"""When a gripper takes hold, of what, and when it lets go; what a collision is."""
+"""When a gripper grasps, what, and when it releases; what a collision is."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from gibson_sim.description.urdf import UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import ConfigError
 from gibson_sim.robots.collision_count import CollisionCount, CollisionCounter
 from gibson_sim.robots.joints.commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, JointVelocities
-from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, best_candidate, gripper_move, hinge_of, reason_to_let_go
+from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, best_candidate, gripper_move, hinge_of, release_reason
 from gibson_sim.robots.spec import GripperSpec
 from gibson_sim.types import Pose
 
 CLAW = GripperSpec(("claw",), open=0.0, closed=0.8, max_effort=10.0)
-"""It closes by turning up."""
+"""A gripper that closes towards larger positions."""
 AT = {"lift": 0.1, "claw": 0.4}
 S = 1_000_000_000
 
@@ -72,11 +72,11 @@ def test_hinge_of_a_lever_on_a_door_is_that_of_the_door() -> None:
 
 def test_reasons_to_let_go() -> None:
     rules = GraspSettings(release_force=100.0, release_angle=math.radians(60.0))
-    assert reason_to_let_go(rules, 100.0, math.radians(-59.9)) == ""
-    assert reason_to_let_go(rules, 100.1, None) == "let go: 100 N is more than the set force, 100 N"
-    assert reason_to_let_go(rules, 0.0, math.radians(-61.0)).startswith("let go: the door is 61.0 degrees open")
+    assert release_reason(rules, 100.0, math.radians(-59.9)) == ""
+    assert release_reason(rules, 100.1, None) == "let go: 100 N is more than the set force, 100 N"
+    assert release_reason(rules, 0.0, math.radians(-61.0)).startswith("let go: the door is 61.0 degrees open")
     never = GraspSettings(release_force=0.0, release_angle=0.0)
-    assert reason_to_let_go(never, 1e6, 3.0) == ""
+    assert release_reason(never, 1e6, 3.0) == ""
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What motors do to obey joint commands. The joints here obey exactly, so that a joint is where its motor's speeds bring it."""
+"""Motor targets under joint commands. The joints here are ideal: each moves exactly at its motor's speed."""
 
 from __future__ import annotations
 

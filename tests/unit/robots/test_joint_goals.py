@@ -1,4 +1,4 @@
-"""When a trajectory or a gripper is there, and when it has failed."""
+"""When a trajectory or a gripper reaches its goal, and when it fails."""
 
 from __future__ import annotations
 

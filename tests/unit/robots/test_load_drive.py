@@ -1,4 +1,4 @@
-"""The drive section of robot.yaml, on a cart with six joints: wheels of 0.05 m at the corners, two kingpins in front."""
+"""The drive section of robot.yaml, on a cart with six joints: wheels of 0.05 m at the corners, two steering joints in front."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def test_an_arm_with_its_gripper_is_read(load: Load) -> None:
 def test_a_robot_starts_at_home_and_its_other_joints_where_they_rest(load: Load) -> None:
     robot = load("named_poses: {up: {shoulder: 1.5, roll: 0}, down: {shoulder: -1, finger: 0.02}}\nhome: up\n")
     assert robot.named_pose("down") == NamedPose("down", (("shoulder", -1.0), ("finger", 0.02)))
-    # The lift cannot be at 0; the roll is named, so it is held although it is there anyway; the second finger is where the first is.
+    # The lift cannot be at 0; the roll is named, so it is listed although it is at 0; the second finger mimics the first.
     assert dict(robot.joints) == {"lift": 0.1, "shoulder": 1.5, "roll": 0.0}
     assert dict(load("named_poses: {a: {finger: 0.02}}\nhome: a\n").joints) == {"lift": 0.1, "finger": 0.02, "other": 0.02}
     assert dict(load("").joints) == {"lift": 0.1}

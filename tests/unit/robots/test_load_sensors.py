@@ -167,7 +167,7 @@ def test_impossible_value_of_the_base_is_refused(kind: type, values: dict[str, A
 
 
 def noises(spec: Any) -> dict[str, float]:
-    """Returns the settings of errors that can be off, by name."""
+    """Returns the settings of optional errors, by name."""
     off = ("noise", "scale", "resolution", "dropout", "bias", "walk", "ticks", "alpha")
     return {f.name: getattr(spec, f.name) for f in fields(spec) if any(word in f.name for word in off)}
 

@@ -36,7 +36,7 @@ def moved(errors: OdometryErrors, forward: float, turn: float, steps: int = 1000
 
 
 def bounds(runs: int, share: float = 0.99) -> tuple[float, float]:
-    """Returns between which two numbers the mean of ``runs`` NEES of three dimensions lies with a probability of ``share``."""
+    """Returns the interval of the mean of ``runs`` three-dimensional NEES with a probability of ``share``."""
     low, high = chi2.ppf([(1 - share) / 2, (1 + share) / 2], 3 * runs) / runs
     return float(low), float(high)
 
@@ -58,7 +58,7 @@ def test_wrong_separation_grows_with_the_turn_and_turns_back_with_it() -> None:
 
 
 def test_covariance_lies_along_the_axes_of_the_odom_frame() -> None:
-    # A quarter to the left, then 4 m: an error of the yaw is one of x, an error of the way one of y.
+    # 90 degrees to the left, then 4 m: an error of the yaw is one of x, an error of the distance one of y.
     errors = OdometryErrors(WheelOdometrySpec(alpha1=1e-2))
     moved(errors, 0.0, math.pi / 2)
     got = moved(errors, 4.0, 0.0)
@@ -115,7 +115,7 @@ def test_after_a_reset_the_pose_is_known_again() -> None:
 
 
 def test_it_is_consistent_over_many_robots(real: tuple[DifferentialSpec, WheelOdometrySpec]) -> None:
-    """At five moments of 34 s, the mean NEES of 50 robots of one make, each with its own dimensions and slip, is what it must be."""
+    """At five times within 34 s, the mean NEES of 50 robots of one make, each with its own dimensions and slip, is within its bounds."""
     drive, believed = real
     rng = np.random.default_rng(7)
     moments = 5

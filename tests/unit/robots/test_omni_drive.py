@@ -16,7 +16,7 @@ Q = math.radians(45.0)
 
 
 def spec(wheels: Sequence[OmniWheel], **changes: float) -> OmniSpec:
-    """Returns a drive that follows at once, but for ``changes``."""
+    """Returns a drive without acceleration limits, but for ``changes``."""
     limits = {
         "max_linear": 1.0, "max_lateral": 1.0, "max_angular": 5.0,
         "max_linear_acceleration": 1e6, "max_lateral_acceleration": 1e6, "max_angular_acceleration": 1e6,

@@ -1,4 +1,4 @@
-"""From the velocity of a tool to those of joints."""
+"""From the velocity of a tool to joint velocities."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.robots.joints.servo import F64, ServoSettings, ToolTwist, limite
 SETTINGS = ServoSettings()
 NO_LIMIT = np.full(3, np.inf)
 SLIDES: F64 = np.zeros((6, 3))
-"""Three sliding joints: along x, along y, and along x again."""
+"""Three prismatic joints: along x, along y, and along x again."""
 SLIDES[0, 0] = SLIDES[1, 1] = SLIDES[0, 2] = 1.0
 
 

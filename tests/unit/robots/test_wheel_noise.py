@@ -14,7 +14,7 @@ TICK = 2 * math.pi / 4096
 
 
 def slipped(spec: WheelOdometrySpec, forward: float, turn: float, steps: int, runs: int = 300) -> np.ndarray:
-    """Returns (runs, 3): the sums of a motion that is made in equal steps, by robots of different seeds."""
+    """Returns (runs, 3): the sums of a motion in equal steps, for different seeds."""
     out = np.zeros((runs, 3))
     for seed in range(runs):
         noise = OdometryNoise(spec, "r", seed)

@@ -27,7 +27,7 @@ KIND = SimpleNamespace(Result=SimpleNamespace, Feedback=SimpleNamespace)
 
 
 class Goal:
-    """Stands for rclpy's handle of a goal: it is executed when it is over."""
+    """Replaces rclpy's goal handle: a goal executes when it is over."""
 
     def __init__(self, request: Any) -> None:
         self.request, self.feedback, self.result, self.status = request, [], SimpleNamespace(), ""  # type: ignore[var-annotated]
@@ -128,7 +128,7 @@ def test_new_goal_and_a_reset_end_the_one_before(rig: Rig) -> None:
         "aborted", -1, "another command for these joints came",
     )  # fmt: skip
     rig.ticks(3)
-    rig.arm.give_way("the simulation was reset")
+    rig.arm.preempt("the simulation was reset")
     assert (second.status, second.result.error_string) == ("aborted", "the simulation was reset")
 
 

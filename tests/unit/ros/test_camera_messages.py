@@ -1,4 +1,4 @@
-"""What must be drawn for the messages that somebody wants."""
+"""The outputs that are drawn for the requested messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_what_is_drawn_are_the_outputs_that_the_messages_are_made_of(wanted: set
 
 
 @pytest.mark.parametrize("wanted", [set(), {"rgb_info"}])
-def test_nothing_is_drawn_for_nobody_nor_for_a_calibration(wanted: set[str]) -> None:
+def test_nothing_is_drawn_for_no_message_nor_for_a_calibration(wanted: set[str]) -> None:
     assert CameraMessages(CAMERA, RenderConfig()).to_draw(frozenset(wanted)) is None
 
 

@@ -1,4 +1,4 @@
-"""Messages from values and back."""
+"""Conversions of values to messages and back."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_scene_round_trip_keeps_everything() -> None:
     assert c.scene_from_msg(c.scene_to_msg(_scene(), 5)) == _scene()
 
 
-def test_scene_with_an_index_that_points_nowhere_is_refused() -> None:
+def test_scene_with_an_index_out_of_range_is_refused() -> None:
     msg = c.scene_to_msg(_scene(), 5)
     msg.visuals[0].link = 9
     with pytest.raises(SceneError, match="link 9 is out of range, there are 2"):
@@ -153,7 +153,7 @@ def test_camera_info_of_the_right_camera_of_a_pair_holds_the_baseline() -> None:
     assert c.camera_info_to_msg(_calibrated(stereo_baseline=0.06), 0).p[3] == pytest.approx(-18.6)
 
 
-def test_camera_info_of_an_equirectangular_camera_is_no_calibration_of_a_pinhole() -> None:
+def test_camera_info_of_an_equirectangular_camera_is_not_a_pinhole_calibration() -> None:
     info = c.camera_info_to_msg(CameraSpec("cam", "l", width=640, height=320, projection="equirectangular"), 0)
     assert (info.width, info.height, info.distortion_model, list(info.d)) == (640, 320, "equirectangular", [])
     assert not np.any([*info.k, *info.r, *info.p])

@@ -1,4 +1,4 @@
-"""Answers that come later."""
+"""Deferred responses."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ pytestmark = pytest.mark.ros
 
 def test_answer_is_sent_once_whichever_comes_first() -> None:
     for answer_first in (True, False):
-        later, sent = DeferredResponse(), []
+        deferred, sent = DeferredResponse(), []
         if answer_first:
-            later.answer("yes")
-            later.send_with(sent.append)
+            deferred.send("yes")
+            deferred.bind(sent.append)
         else:
-            later.send_with(sent.append)
+            deferred.bind(sent.append)
             assert sent == []
-            later.answer("yes")
+            deferred.send("yes")
         assert sent == ["yes"]

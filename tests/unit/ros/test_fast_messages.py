@@ -1,4 +1,4 @@
-"""Hand-packed messages against the same messages made and serialised by rclpy: bit for bit, but for padding."""
+"""Hand-packed messages against the same messages serialised by rclpy: bit for bit, except padding."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ HALF = 0.5**0.5
 
 
 def _same(message: object, data: bytes) -> None:
-    """Checks every byte that a reader looks at.
+    """Compares all bytes except padding.
 
     Between fields, and behind the last one where an array is empty, rclpy leaves whatever was in memory. We leave zeros, and nothing.
     """

@@ -1,4 +1,4 @@
-"""Simulation time against wall time, without either."""
+"""Ticks that are due by wall time, with given times."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_double_speed_makes_twice_as_many() -> None:
     assert [pacer.due(t * MS) for t in (0, 10, 20)] == [0, 2, 2]
 
 
-def test_stall_is_given_up_beyond_the_allowed_lag() -> None:
+def test_lag_beyond_the_limit_is_dropped() -> None:
     pacer = Pacer(tick_hz=100, rate=1.0, max_lag_ns=50 * MS)
     assert pacer.due(0) == 0
     assert pacer.due(1000 * MS) == 5
@@ -37,7 +37,7 @@ def test_as_fast_as_possible_always_has_one_due() -> None:
     assert [pacer.due(0), pacer.due(0), pacer.due(5)] == [1, 1, 1]
 
 
-def test_other_rate_counts_from_where_it_was_set() -> None:
+def test_new_rate_counts_from_when_it_was_set() -> None:
     pacer = Pacer(tick_hz=100, rate=1.0)
     assert [pacer.due(t * MS) for t in (0, 100)] == [0, 10]
     pacer.set_rate(0.5)

@@ -1,4 +1,4 @@
-"""What a render node counts, by hand: a camera of 10 Hz."""
+"""Statistics of a render node, computed by hand: a camera of 10 Hz."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TENTH_NS = 100_000_000
 
 
 def _draw(stats: RenderStats, tick: int) -> None:
-    stats.count_due(CAMERA, tick * TENTH_NS, wanted=True)
+    stats.count_due(CAMERA, tick * TENTH_NS, subscribed=True)
     stats.add(0, 2_000_000, 5_000_000, [Frame(CAMERA, tick * TENTH_NS, np.eye(4))], ["eye/rgb"])
 
 
@@ -24,10 +24,10 @@ def test_images_that_were_due_in_between_are_skipped() -> None:
     assert stats.skipped == 2
 
 
-def test_images_in_a_time_when_nobody_listened_are_not_skipped() -> None:
+def test_images_without_subscribers_are_not_skipped() -> None:
     stats = RenderStats()
     _draw(stats, 1)
-    stats.count_due(CAMERA, 2 * TENTH_NS, wanted=False)
+    stats.count_due(CAMERA, 2 * TENTH_NS, subscribed=False)
     _draw(stats, 40)
     assert stats.skipped == 0
 

@@ -15,7 +15,7 @@ from simulation_interfaces import msg, srv  # noqa: E402
 
 from gibson_sim.ros.services import simulation_conversions as convert  # noqa: E402
 from gibson_sim.scenes.spawning import Spawnable  # noqa: E402
-from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap  # noqa: E402
+from gibson_sim.standard.bounds import Bounds, BoundsType, OverlapTest  # noqa: E402
 from gibson_sim.standard.codes import SimulationError  # noqa: E402
 from gibson_sim.standard.requests import LoadRequest  # noqa: E402
 
@@ -77,7 +77,7 @@ def test_too_many_points_are_refused_without_reading_them_all() -> None:
     bounds = convert.bounds_from_msg(message)
     assert len(bounds.points) < 300
     with pytest.raises(SimulationError):
-        Overlap(bounds)
+        OverlapTest(bounds)
 
 
 def test_bounds_survive_the_way_to_a_message_and_back() -> None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gibson_sim.ros.nodes.top_view import Status, TopicRate, View, render
+from gibson_sim.ros.nodes.top_view import Overview, Status, TopicRate, render
 
 PHYSICS = Status("gibson_sim: physics", 0, "on time", (("real_time_factor", "0.998"), ("late_ticks", "3")), 0.4)
 RENDER = Status("gibson_sim: render", 1, "skips images", (("draw_ms", "8.20"),), 0.1)
-VIEW = View(7, 12_340_000_000, 2.0, 1.5, 3, (RENDER, PHYSICS))
+OVERVIEW = Overview(7, 12_340_000_000, 2.0, 1.5, 3, (RENDER, PHYSICS))
 
 
 def test_head_has_time_and_the_factor_measured_by_the_clock() -> None:
-    assert render(VIEW).splitlines()[0] == "ROS domain 7: simulation time 12.34 s, real-time factor 0.750, 3 nodes"
+    assert render(OVERVIEW).splitlines()[0] == "ROS domain 7: simulation time 12.34 s, real-time factor 0.750, 3 nodes"
 
 
 def test_statuses_stand_by_name_with_level_message_and_all_values() -> None:
-    lines = render(VIEW).splitlines()
+    lines = render(OVERVIEW).splitlines()
     assert lines[2:7] == [
         "gibson_sim: physics  OK  on time",
         "  real_time_factor 0.998   late_ticks 3",
@@ -27,27 +27,27 @@ def test_statuses_stand_by_name_with_level_message_and_all_values() -> None:
 
 
 def test_values_go_below_each_other_where_the_terminal_is_narrow() -> None:
-    lines = render(replace(VIEW, statuses=(PHYSICS,)), width=40).splitlines()
+    lines = render(replace(OVERVIEW, statuses=(PHYSICS,)), width=40).splitlines()
     assert lines[3:] == ["  real_time_factor 0.998", "  late_ticks 3"]
 
 
 def test_status_that_is_not_repeated_is_stale_whatever_it_said() -> None:
-    text = render(replace(VIEW, statuses=(replace(PHYSICS, age_s=9.0),)))
+    text = render(replace(OVERVIEW, statuses=(replace(PHYSICS, age_s=9.0),)))
     assert "gibson_sim: physics  STALE  no report for 9 s" in text.splitlines()
 
 
-def test_colours_follow_the_level_and_are_left_out_unless_asked_for() -> None:
-    assert "\x1b[33mWARN\x1b[0m" in render(VIEW, color=True)
-    assert "\x1b[32mOK\x1b[0m" in render(VIEW, color=True)
-    assert "\x1b" not in render(VIEW)
+def test_colours_follow_the_level_and_are_off_by_default() -> None:
+    assert "\x1b[33mWARN\x1b[0m" in render(OVERVIEW, color=True)
+    assert "\x1b[32mOK\x1b[0m" in render(OVERVIEW, color=True)
+    assert "\x1b" not in render(OVERVIEW)
 
 
-def test_rates_of_topics_are_told_in_wall_time_and_in_simulation_time() -> None:
+def test_rates_of_topics_are_shown_in_wall_time_and_in_simulation_time() -> None:
     topics = (
         TopicRate("/odom", "nav_msgs/msg/Odometry", 90, 64_000, 2),
         TopicRate("/clock", "rosgraph_msgs/msg/Clock", 150, 1_800, 0),
     )
-    lines = render(replace(VIEW, topics=topics)).splitlines()
+    lines = render(replace(OVERVIEW, topics=topics)).splitlines()
     assert lines[-3:] == [
         "topic   per s  per sim s  kB/s  subscribers  type",
         "/clock   75.0      100.0   0.9            0  rosgraph_msgs/msg/Clock",
@@ -56,11 +56,11 @@ def test_rates_of_topics_are_told_in_wall_time_and_in_simulation_time() -> None:
 
 
 def test_no_rate_in_simulation_time_while_it_stands_still() -> None:
-    line = render(replace(VIEW, sim_s=0.0, topics=(TopicRate("/a", "b/msg/C", 4, 0, 0),))).splitlines()[-1]
+    line = render(replace(OVERVIEW, sim_s=0.0, topics=(TopicRate("/a", "b/msg/C", 4, 0, 0),))).splitlines()[-1]
     assert line.split() == ["/a", "2.0", "-", "0.0", "0", "b/msg/C"]
 
 
 def test_without_a_clock_and_without_reports_it_says_so() -> None:
-    text = render(View(7, None, 1.0, 0.0, 1))
-    assert "nothing came on it" in text
+    text = render(Overview(7, None, 1.0, 0.0, 1))
+    assert "no messages" in text
     assert "no node has reported" in text

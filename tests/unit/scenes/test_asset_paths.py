@@ -1,4 +1,4 @@
-"""Files of a scene that another machine has loaded."""
+"""Files of a scene that was loaded on another machine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _scene(*meshes: str, content_hash: str = "", appearance: Appearance | None =
 
 @pytest.fixture
 def share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of ``$GIBSON_SIM_PATH`` with the scene ``shop``: one mesh."""
+    """A folder of ``$GIBSON_SIM_PATH`` with the scene ``shop``, which has one mesh."""
     folder = tmp_path / "share"
     write_square_obj(folder / "scenes" / "shop" / "meshes", "none.png")
     (folder / "scenes" / "shop" / "scene.yaml").write_text("name: shop\nobjects:\n  - {name: a, mesh: meshes/square.obj}\n")

@@ -1,4 +1,4 @@
-"""The collision mesh of a scan: true planes for its floors, few triangles for the rest, close to the scan; and the cache of it."""
+"""Simplified collision geometry of a scan: exact planes for its floors, few triangles for the rest, close to the scan; and its cache."""
 
 from __future__ import annotations
 

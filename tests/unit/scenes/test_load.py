@@ -1,4 +1,4 @@
-"""Which file describes a scene, and when two scenes count as equal."""
+"""The file that describes a scene, and the hash by which two scenes are equal."""
 
 from __future__ import annotations
 

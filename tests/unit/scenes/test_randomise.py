@@ -1,4 +1,4 @@
-"""Rules of randomisation, what they draw, and what appearances do to materials."""
+"""Rules of randomisation, the values that they draw, and the effect of appearances on materials."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_randomised_scene_has_another_hash() -> None:
 def test_light_follows_its_rules() -> None:
     light = randomise(_scene(), 3, EVERYTHING).light
     x, y, z = light.sun_direction
-    # It stands at an azimuth of 0 to 1 rad, so its light travels towards -x; and 0.5 to 1 rad high.
+    # The sun is at an azimuth of 0 to 1 rad, so its light travels towards -x, and at an elevation of 0.5 to 1 rad.
     assert 0.0 <= math.atan2(-y, -x) <= 1.0
     assert 0.5 <= math.asin(-z) <= 1.0
     assert 0.1 <= light.sun <= 0.2 and 0.3 <= light.ambient <= 0.4

@@ -1,4 +1,4 @@
-"""Worlds that other people made load with the right size, axes, looks and warnings."""
+"""Third-party worlds load with the right size, axes, materials and warnings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 
 TURTLEBOT_HEIGHT = 0.19
-"""Metres; the robot that recorded the SLAM map of the house."""
+"""Size of the robot that recorded the SLAM map of the house, metres."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def living_room(data_dir: Path) -> SceneSpec:
 
 
 def _bounds(scene: SceneSpec) -> NDArray[np.float64]:
-    """Returns the smallest and largest corner of everything that is drawn, (2, 3), metres."""
+    """Returns the lowest and highest corner of all visuals, (2, 3), metres."""
     loader = MeshLoader(scene_roots(scene), textures=False)
     points = np.concatenate(
         [transform_points(matrix_from_pose(v.pose), loader.shape(v.shape).merged()[0]) for v in scene.visuals]
@@ -78,12 +78,12 @@ def house_map(house: SceneSpec) -> FloorMap:
 
 @pytest.fixture(scope="module")
 def slam_free(data_dir: Path) -> NDArray[np.float64]:
-    """World x, y, (N, 2), of the cells that the SLAM map of the house knows as free; its frame is that of the world file."""
+    """World x, y, (N, 2), of the free cells in the SLAM map of the house, whose frame is that of the world file."""
     folder = data_dir / "aws_small_house" / "maps" / "turtlebot3_waffle_pi"
     meta = yaml.safe_load((folder / "map.yaml").read_text())
     image = cv2.imread(str(folder / meta["image"]), cv2.IMREAD_GRAYSCALE)
     assert image is not None
-    # Row 0 of the picture is the highest y.
+    # Row 0 of the image is at the highest y.
     free = (255 - image[::-1].astype(float)) / 255 < meta["free_thresh"]
     return (np.argwhere(free)[:, ::-1] + 0.5) * meta["resolution"] + np.array(meta["origin"][:2])
 
@@ -119,7 +119,7 @@ def test_living_room_has_7_models_and_its_size(living_room: SceneSpec) -> None:
     }  # fmt: skip
     low, high = _bounds(living_room)
     np.testing.assert_allclose(high - low, [6.05, 6.19, 3.22], atol=0.05)
-    # The data came without the normal map of the table.
+    # The data lack the normal map of the table.
     assert [w for w in living_room.warnings if "texture wood_table_worn_nor_gl_1k.png is missing" not in w] == []
     assert living_room.floor_z == pytest.approx(0.0, abs=0.02)
 

@@ -1,4 +1,4 @@
-"""The list ``bodies`` of a scene.yaml: what moves."""
+"""The list ``bodies`` of a scene.yaml: its movable things."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_scale_makes_a_body_larger_at_the_same_density() -> None:
         ("{model: /etc/passwd.urdf}", ["below the scene's folder"]),
         ("{model: file:///x.urdf}", ["below the scene's folder"]),
         ("{model: gibson_bot}", ["is a robot", "--robot"]),
-        ("{model: no_such_thing}", ["no_such_thing", "neither a file nor the name"]),
+        ("{model: no_such_thing}", ["no_such_thing", "neither a file nor a built-in model"]),
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_is_allowed(tmp_path: Path, body: str, words: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""What a finished scene carries: maps and free poses, made anew, read, and as they are shipped."""
+"""Maps and free poses of a finished scene: written, read, and as shipped."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_maps_and_poses_are_written_into_the_folder_and_fit_the_scene(furnished:
     assert free_distances(scene, poses, USUAL_ROBOT.height).min() >= USUAL_ROBOT.radius + SPARE - 0.001
     assert {pose.room for pose in poses} == {"west", "east"}
     assert list(out_of_date(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
-    # Nobody stands in the wardrobe, whose bottom is level and at the height of the floor, nor in the crate.
+    # No pose is in the wardrobe, whose bottom is level and at the height of the floor, nor in the crate.
     picture = cv2.imread(str(furnished / "floor_trav_0.png"), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     middle = picture.shape[0] // 2

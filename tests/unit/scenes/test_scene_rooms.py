@@ -1,4 +1,4 @@
-"""Rooms that a scene names: where they are, and what is wrong in a file."""
+"""Rooms that a scene names: their outlines, and errors in the file."""
 
 from __future__ import annotations
 

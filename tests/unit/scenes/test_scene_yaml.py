@@ -1,4 +1,4 @@
-"""scene.yaml: objects, poses, starts, and what is wrong in a file."""
+"""scene.yaml: objects, poses, start poses, and errors in the file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_pose_of_a_primitive_is_in_metres_and_degrees(tmp_path: Path) -> None:
     (visual,) = scene.visuals
     assert (visual.name, visual.shape.kind, visual.shape.size) == ("b", "box", (2, 4, 6))
     corners, _ = collision_triangles(scene)
-    # Turned by 90 degrees its 4 m lie along x and its 2 m along y.
+    # Rotated by 90 degrees, its 4 m lie along x and its 2 m along y.
     np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[-1, 1, 0], [3, 3, 6]], atol=1e-6)
 
 
@@ -193,7 +193,7 @@ def test_all_of_the_light_is_taken_over(tmp_path: Path) -> None:
     assert (light.environment, light.environment_strength) == (str(tmp_path / "sky.png"), 0.5)
     assert light.environment_yaw == pytest.approx(math.pi / 2)
     assert not light.environment_visible
-    # The surroundings are the light from everywhere.
+    # The environment is the ambient light.
     assert light.ambient == 0.0
 
 

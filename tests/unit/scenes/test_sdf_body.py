@@ -82,7 +82,7 @@ TURNED = f'<link name="a"/><link name="b"><pose>1 0 0 0 0 {QUARTER}</pose></link
 
 
 def test_axis_is_in_the_frame_of_the_joint(tmp_path: Path) -> None:
-    # The joint is turned by a quarter in b: its x is y of b.
+    # The joint is rotated by 90 degrees in b: its x is y of b.
     inside = f"<pose>0 0 0 0 0 {QUARTER}</pose>" + _axis("1 0 0")
     got = _read(tmp_path, TURNED + _joint("prismatic", inside)).model.joint("j")
     assert got.axis == pytest.approx((0.0, 1.0, 0.0))
@@ -98,7 +98,7 @@ def test_axis_is_in_the_frame_of_the_joint(tmp_path: Path) -> None:
     ],
 )
 def test_axis_in_the_frame_of_the_model(tmp_path: Path, axis: str, version: str) -> None:
-    # x of the model is -y of b, which is turned to the left by a quarter.
+    # x of the model is -y of b, which is rotated by 90 degrees to the left.
     got = _read(tmp_path, TURNED + _joint("prismatic", axis), version).model.joint("j")
     assert got.axis == pytest.approx((0.0, -1.0, 0.0))
 
@@ -111,7 +111,7 @@ def test_hinge_beside_the_origin_of_a_door_keeps_the_frame_of_the_door(tmp_path:
     assert model.transforms()["j_axis"][:3, 3] == pytest.approx([1.0, -0.4, 0.0])
     assert model.transforms()["b"][:3, 3] == pytest.approx([1.0, 0.0, 0.0])
     assert (model.joint("j").child, model.joint("j_offset").kind) == ("j_axis", "fixed")
-    # In physics both are one piece that turns about the hinge.
+    # In physics both are one rigid body that turns about the hinge.
     groups, _ = rigid_groups(model)
     assert list(groups[1].members) == ["j_axis", "b"]
 

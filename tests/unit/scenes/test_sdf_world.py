@@ -1,4 +1,4 @@
-"""SDF worlds: includes, poses, look-up of models, what is left out with a warning."""
+"""SDF worlds: includes, poses, search of models, and warnings about everything left out."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_nested_includes_compose_their_poses(tmp_path: Path) -> None:
     _model(tmp_path, "outer", f"<include><uri>model://inner</uri><pose>2 0 0 0 0 {HALF_TURN}</pose></include>")
     scene = _load(tmp_path, f"<include><uri>model://outer</uri><name>o</name><pose>10 20 0 0 0 {HALF_TURN}</pose></include>")
     (visual,) = scene.visuals
-    # In inner (1, 0); turned and moved in outer (2, 1); turned again (-1, 2) and moved: (9, 22), facing backwards.
+    # In inner (1, 0); rotated and moved in outer (2, 1); rotated again (-1, 2) and moved: (9, 22), facing backwards.
     np.testing.assert_allclose(
         matrix_from_pose(visual.pose), [[-1, 0, 0, 9], [0, -1, 0, 22], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-9
     )
@@ -54,7 +54,7 @@ def test_model_of_the_world_uses_its_own_pose_and_that_of_the_visual(tmp_path: P
         f'<model name="m"><pose>0 0 5 0 0 {HALF_TURN}</pose><link name="l"><pose>1 0 0 0 0 0</pose>'
         f'<visual name="v"><pose>0 1 0 0 0 0</pose>{BOX}</visual></link></model>',
     )
-    # (1, 1) in the model, turned by 90 degrees: (-1, 1).
+    # (1, 1) in the model, rotated by 90 degrees: (-1, 1).
     np.testing.assert_allclose(matrix_from_pose(scene.visuals[0].pose)[:3, 3], [-1, 1, 5], atol=1e-9)
 
 
@@ -129,7 +129,7 @@ def test_unreadable_pose_is_zero_with_a_warning(tmp_path: Path, pose: str) -> No
 
 
 def test_model_that_includes_itself_is_left_out_there_with_a_warning(tmp_path: Path) -> None:
-    # Twice: followed to any depth, this would double with each level.
+    # Included twice: without a limit of depth, the number would double with each level.
     _model(tmp_path, "loop", _box_link() + "<include><uri>model://loop</uri></include>" * 2)
     scene = _load(tmp_path, "<include><uri>model://loop</uri></include>")
     assert [v.name for v in scene.visuals] == ["loop"]
@@ -169,7 +169,7 @@ def test_the_sun_and_the_background_are_read(tmp_path: Path) -> None:
     assert light.sun == pytest.approx(0.7 / 3.0)
     assert light.sun_color == (1.0, 0.5, 0.5)
     assert light.background == (0.1, 0.2, 0.3)
-    # Lamps count as light from everywhere, unless they are asked for.
+    # Lamps count as ambient light, unless they are requested.
     assert (light.points, light.ambient) == ((), 0.5)
 
 

@@ -1,4 +1,4 @@
-"""What can be spawned, and what is said of what cannot."""
+"""Resources that can be spawned, and the errors for those that cannot."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_thing_of_too_many_triangles_is_refused_with_what_to_do(tmp_path: Path, 
     assert error.code is CODES.UNSUPPORTED_ASSETS
     assert "has 2 triangles in its collision shapes, at most 1 may be spawned while a simulation runs; simplify" in error.public
     monkeypatch.setattr(spawning, "MAX_TRIANGLES", 1)
-    assert "has 2 triangles to draw, at most 1" in _error(moves).public
+    assert "has 2 triangles in its visuals, at most 1" in _error(moves).public
 
 
 def test_robot_of_ours_comes_by_name_with_cameras_and_drive() -> None:
@@ -190,7 +190,7 @@ def test_what_cannot_be_read_has_no_name(uri: str) -> None:
     assert spawn_name(uri, "") == ""
 
 
-# What is not there, or may not be read
+# Missing and unreadable files
 
 
 @pytest.mark.parametrize(
@@ -465,7 +465,7 @@ def test_missing_urdf_of_a_robot_is_a_missing_asset(tmp_path: Path) -> None:
 
 
 def test_relative_mesh_of_a_text_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Nothing lies beside a string, not even what lies in the current folder.
+    # No file lies beside a string, not even those of the current folder.
     write_square_obj(tmp_path, "t.png")
     monkeypatch.chdir(tmp_path)
     visual = "<visual><geometry><mesh filename='square.obj'/></geometry></visual>"
@@ -506,7 +506,7 @@ def test_broken_mesh_as_the_resource_itself_is_a_parse_error(tmp_path: Path) -> 
     assert _error(str(path)).code is CODES.RESOURCE_PARSE_ERROR
 
 
-# What there is
+# Lists
 
 
 def test_formats_are_what_the_standard_calls_them() -> None:

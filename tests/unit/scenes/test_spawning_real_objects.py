@@ -1,4 +1,4 @@
-"""Objects, furniture and robots that other people made can be spawned, with their masses and joints."""
+"""Third-party objects, furniture and robots can be spawned, with their masses and joints."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_turtlebot_sdf_has_its_mass_and_wheels(data_dir: Path, monkeypatch: pyte
     folder = data_dir / "nav2_minimal_tb3_tb4"
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(folder))
     text = (folder / "nav2_minimal_tb3_sim" / "urdf" / "gz_waffle.sdf.xacro").read_text()
-    # What xacro does to this file: the argument goes, and its value is empty.
+    # The effect of xacro on this file: the argument is removed, and its value is empty.
     text = re.sub(r"<xacro:arg[^>]*/>", "", text).replace("$(arg namespace)", "")
     body = _body("", text)
     masses = [link.inertial.mass for link in body.model.links if link.inertial is not None]
@@ -128,7 +128,7 @@ def test_turtlebot_sdf_has_its_mass_and_wheels(data_dir: Path, monkeypatch: pyte
     np.testing.assert_allclose(at[:3, 3], [0.0, 0.144, 0.023], atol=1e-9)
     joint = body.model.joint("wheel_left_joint")
     assert joint.kind == "continuous"
-    # Its axis, z turned by -1.57 about x, is y of the robot.
+    # Its axis, z rotated by -1.57 about x, is y of the robot.
     np.testing.assert_allclose(at[:3, :3] @ joint.axis, [0.0, 1.0, 0.0], atol=1e-3)
     assert any("'ball'" in warning for warning in body.model.warnings)
 

@@ -25,7 +25,7 @@ def _scene(*cameras: CameraSpec, links: tuple[str, ...] = LINKS) -> DrawnScene:
 
 
 def _state(stamp_ns: int = 0, **poses: Pose) -> SceneState:
-    """Returns a state in which the bodies' first links are where they are put."""
+    """Returns a state with the first links of bodies at given poses."""
     rows = [poses.get(link.partition("/")[0], Pose()) for link in LINKS]
     positions, quats = np.array([p.position for p in rows]), np.array([p.quat_xyzw for p in rows])
     return SceneState(stamp_ns, 0, 1, LINKS, positions, quats, np.zeros((len(rows), 6)))
@@ -59,7 +59,7 @@ def test_a_follower_of_a_robot_that_tips_stays_level() -> None:
 
 def test_a_follower_leaves_out_what_is_between_but_nothing_of_the_floor() -> None:
     view = Follow()
-    _, near = view.settled(CAMERA, lambda: FLOOR)
+    _, near = view.resolve(CAMERA, lambda: FLOOR)
     pose = view.camera_pose(Pose(), 0)
     lowest = np.linalg.inv(CAMERA.intrinsics()) @ (199.5, 299.0, 1.0)
     down = matrix_from_pose(pose)[:3, :3] @ lowest
@@ -78,7 +78,7 @@ def test_an_orbit_takes_its_period_and_repeats_to_the_bit() -> None:
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 30.0])
 def test_a_view_from_the_top_shows_the_whole_floor_and_cuts_it_open(yaw_deg: float) -> None:
-    path, near = Top(yaw=math.radians(yaw_deg)).settled(CAMERA, lambda: FLOOR)
+    path, near = Top(yaw=math.radians(yaw_deg)).resolve(CAMERA, lambda: FLOOR)
     pose = path.camera_pose(Pose(), 0)
     assert pose.position[2] - near == pytest.approx(FLOOR.z + 2.1)
     corners = [_pixel(CAMERA, pose, (x, y, FLOOR.z + 2.1)) for x in (-1.0, 5.0) for y in (0.0, 3.0)]
@@ -87,12 +87,12 @@ def test_a_view_from_the_top_shows_the_whole_floor_and_cuts_it_open(yaw_deg: flo
 
 
 def test_up_in_a_view_from_the_top_is_the_worlds_y() -> None:
-    pose = Top().settled(CAMERA, lambda: FLOOR)[0].camera_pose(Pose(), 0)
+    pose = Top().resolve(CAMERA, lambda: FLOOR)[0].camera_pose(Pose(), 0)
     assert _pixel(CAMERA, pose, (2.0, 2.5, 0.5))[1] < 149.5 < _pixel(CAMERA, pose, (4.0, 1.5, 0.5))[0]
 
 
 def test_a_view_from_above_a_robot_goes_with_it_and_shows_its_span() -> None:
-    path, _ = Top(target="robot", span=4.0, cut=1.0).settled(CAMERA, lambda: FLOOR)
+    path, _ = Top(target="robot", span=4.0, cut=1.0).resolve(CAMERA, lambda: FLOOR)
     pose = path.camera_pose(pose_from_xyz_rpy((1.0, 2.0, 0.0), (0.0, 0.0, 1.0)), 0)
     assert _pixel(CAMERA, pose, (-1.0, 2.0, 1.0)) == pytest.approx((-0.5, 149.5))
 
@@ -157,7 +157,7 @@ def test_a_file_says_all_of_a_view(tmp_path: Path) -> None:
     assert (behind.camera.width, behind.camera.height, behind.camera.rate_hz) == (64, 240, 5.0)
     assert (behind.camera.near, behind.own_near, behind.camera.outputs) == (0.2, True, ("depth",))
     assert around.motion == Orbit("", center=(1.0, 2.0, 0.0)) and around.camera.outputs == ("rgb",)
-    pose = still.motion.settled(still.camera, lambda: FLOOR)[0].camera_pose(Pose(), 0)
+    pose = still.motion.resolve(still.camera, lambda: FLOOR)[0].camera_pose(Pose(), 0)
     assert pose.position == (1.0, 2.0, 3.0) and matrix_from_pose(pose)[:3, 2] == pytest.approx((1.0, 0.0, 0.0))
     assert plan.motion == Top() and plan.camera.fov_y == pytest.approx(math.radians(30.0))
 
@@ -193,7 +193,7 @@ def test_a_file_may_hold_cameras_on_links_and_views(tmp_path: Path) -> None:
 def test_a_fisheye_does_not_look_down_on_a_floor() -> None:
     camera = CameraSpec("eye", "eye", projection="fisheye")
     with pytest.raises(ConfigError, match="a view from the top is pinhole, its projection is fisheye"):
-        Top().settled(camera, lambda: FLOOR)
+        Top().resolve(camera, lambda: FLOOR)
 
 
 @pytest.mark.parametrize("size", ["640", "640x", "0x480", "640x480x3", "axb"])

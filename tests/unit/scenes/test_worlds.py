@@ -1,4 +1,4 @@
-"""Which worlds there are, and what is said of one that cannot be loaded."""
+"""Lists of worlds, and the errors for worlds that cannot be loaded."""
 
 from __future__ import annotations
 

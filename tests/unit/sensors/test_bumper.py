@@ -1,4 +1,4 @@
-"""Bumpers from contacts."""
+"""Bumper readings from contacts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The noise of a depth camera against its formulas."""
+"""The noise of a depth camera, compared with its formulas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth moved from one camera to another, by hand: pinholes of focal length 10 px whose middle is (10, 10)."""
+"""Registered depth, computed by hand: pinholes of focal length 10 px with the centre at (10, 10)."""
 
 from __future__ import annotations
 

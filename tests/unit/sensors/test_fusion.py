@@ -1,4 +1,4 @@
-"""What the published covariances are for: a filter that believes them is better than wheels and gyroscope alone."""
+"""The published covariances are useful: a filter that uses them is better than wheels or gyroscope alone."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def real(root: Path) -> Parts:
 
 
 def drive(parts: Parts, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns errors after 34 s: of the yaw (rad) and of the position (m), of wheels alone, gyroscope alone and of both in a filter.
+    """Returns the errors of yaw (rad) and position (m) after 34 s, with wheels alone, gyroscope alone, and both in a filter.
 
-    The position of "gyroscope alone" is that of the speed of the wheels along its yaw.
+    The position of "gyroscope alone" integrates the speed of the wheels along its yaw.
     """
     rng = np.random.default_rng(seed)
     robot = PureRobot(parts.drive, another_of_this_make(parts.wheels, rng), parts.wheels, seed)
@@ -73,5 +73,5 @@ def test_filter_of_wheels_and_gyroscope_is_clearly_better_than_either(real: Part
     assert both < 0.6 * min(wheels, gyroscope), np.degrees(turned)
     wheels, gyroscope, both = away.tolist()
     assert both < min(0.5 * wheels, gyroscope), away
-    # Wheels are as bad as wheels are, so that this shows something.
+    # The wheels must have realistic errors, or the comparison shows nothing.
     assert math.degrees(turned[0]) > 3.0

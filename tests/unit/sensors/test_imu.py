@@ -26,7 +26,7 @@ def state(
 
 
 def samples(spec: ImuSpec, count: int, seed: int = 0) -> np.ndarray:
-    """Returns (count, 6): what it measures at rest, without gravity."""
+    """Returns (count, 6) measurements at rest, without gravity."""
     imu = Imu(spec, ZERO, seed)
     readings = [imu.measure(state((i + 1) / spec.rate_hz)) for i in range(count)]
     return np.array([[*r.angular_velocity, *r.linear_acceleration] for r in readings])
@@ -163,7 +163,7 @@ def test_reported_variance_holds_the_bias_and_how_far_it_walked() -> None:
 
 
 def test_variance_is_that_of_the_samples_that_are_really_taken() -> None:
-    # 1000 Hz asked for, 240 steps a second there are.
+    # 1000 Hz requested, at 240 steps a second.
     imu = Imu(ImuSpec("r/imu", rate_hz=1000.0, gyro_noise=0.01), GRAVITY)
     imu.measure(state(1.0))
     assert imu.measure(state(1.0 + 1.0 / 240)).angular_variance == pytest.approx(0.01**2 * 240, rel=1e-3)
@@ -183,7 +183,7 @@ def test_bias_walks_as_the_root_of_the_time() -> None:
     assert walked[:, 3:].std() == pytest.approx(0.06, rel=0.12)
 
 
-def test_steps_of_the_bias_have_nothing_to_do_with_the_noise_of_their_sample() -> None:
+def test_steps_of_the_bias_are_independent_of_the_noise_of_their_sample() -> None:
     # At 1 Hz a step of the bias and the noise are equally large: the variance of a difference is that of two noises and one step.
     got = np.diff(samples(ImuSpec("r/imu", rate_hz=1.0, accel_noise=1.0, accel_bias_walk=1.0), 6000)[:, 3:], axis=0)
     assert got.var() == pytest.approx(3.0, rel=0.05)

@@ -1,4 +1,4 @@
-"""How a rendered lidar covers its rays with views and looks them up; the pictures here are computed from formulas."""
+"""How a rendered lidar covers its rays with views and looks them up; the pictures are computed from formulas."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def state(position: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> Scen
 
 
 def expected_ranges(lidar: RenderedLidar, trace: Trace) -> NDArray[np.float64]:
-    """Returns what the formula says, for a lidar at the origin, without limits of range."""
+    """Returns the distances by the formula, for a lidar at the origin, without limits of range."""
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = trace(np.zeros(3), lidar.directions)
     return distance.reshape(len(lidar.pattern.elevations), lidar.pattern.azimuth_steps)
@@ -118,7 +118,7 @@ def test_walls_floor_and_ceiling_of_a_room_are_where_the_formula_says(pattern: L
     lidar = RenderedLidar("robot/lidar", pattern)
     got = lidar.measure(state(), Formula(ROOM)).ranges
     error = np.abs(got - expected_ranges(lidar, ROOM))
-    # Beside the edges of the room the nearest pixel may show the other wall; even there it is off by less than a pixel's worth.
+    # Beside the edges of the room the nearest pixel may show the other wall; even there the error is less than that of a pixel.
     assert np.mean(error < 2e-4) > 0.97
     assert error.max() < 0.1
 
@@ -189,7 +189,7 @@ def test_lidar_turns_and_tilts_with_its_link() -> None:
 
 
 @pytest.mark.parametrize(("see_own_body", "moved"), [(False, True), (True, False)])
-def test_own_body_is_taken_away_while_it_measures(see_own_body: bool, moved: bool) -> None:
+def test_own_body_is_moved_away_while_it_measures(see_own_body: bool, moved: bool) -> None:
     renderer = Formula(ROOM)
     RenderedLidar("robot/lidar", SIXTEEN, see_own_body=see_own_body).measure(state(), renderer)
     drawn = renderer.calls[0][0]

@@ -1,4 +1,4 @@
-"""The robot in ``config/robots`` whose cameras have the flaws of real ones."""
+"""The robot in ``config/robots`` whose cameras have realistic errors."""
 
 from __future__ import annotations
 
@@ -27,5 +27,5 @@ def test_its_other_cameras_have_effects_and_noise(cameras: dict[str, CameraSpec]
     assert cameras["color"].effects != ImageEffects()
     assert cameras["color"].effects.readout_s == 0.02
     assert cameras["depth_camera"].depth_noise != DepthNoise()
-    # As published: 0.001425 z^2 is 3.6 cm at 5 m.
+    # The published coefficient: 0.001425 z^2 is 3.6 cm at 5 m.
     assert cameras["depth_camera"].depth_noise.quadratic * 5.0**2 == pytest.approx(0.0356, abs=1e-4)

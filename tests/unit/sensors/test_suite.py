@@ -1,4 +1,4 @@
-"""What is due at a step, and what a suite of sensors makes of it."""
+"""Readings that are due at a step, and those of a whole suite of sensors."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ ALL = SensorSpecs(
 
 
 class FakeWorld:
-    """A robot at rest, 2 m from everything, pushed from the front; counts what it is asked for."""
+    """A robot at rest, 2 m from everything, pushed from the front; counts its calls."""
 
     def __init__(self) -> None:
-        self.step, self.asked, self.broken = 0, 0, False
+        self.step, self.calls, self.broken = 0, 0, False
 
     def state_of(self, name: str) -> SceneState:
         assert name == "r"
-        self.asked += 1
+        self.calls += 1
         if self.broken:
             raise PhysicsError("the world is closed")
         return SceneState(
@@ -44,15 +44,15 @@ class FakeWorld:
         )
 
     def cast_rays(self, origins: np.ndarray, directions: np.ndarray, range_max: float, ignore: str | None = None) -> np.ndarray:
-        self.asked += 1
+        self.calls += 1
         return np.full(len(origins), 2.0)
 
     def contacts(self, name: str) -> tuple[Contact, ...]:
-        self.asked += 1
+        self.calls += 1
         return (Contact("r", "base", "wall", "", (0.2, 0.0, 0.1), (-1.0, 0.0, 0.0), 3.0),)
 
     def joint_states(self, robot: str) -> JointStates:
-        self.asked += 1
+        self.calls += 1
         return JointStates((), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
@@ -66,7 +66,7 @@ def robot(root: Path) -> RobotSpec:
 
 
 def run(suite: SensorSuite, world: FakeWorld, first: int, last: int) -> dict[int, Measurements]:
-    """Returns the measurements of these steps, those included, where there are any."""
+    """Returns the measurements of these steps, both ends included, that are not empty."""
     found = {}
     for step in range(first, last + 1):
         world.step = step
@@ -121,10 +121,10 @@ def test_battery_loses_the_same_in_every_second(robot: RobotSpec) -> None:
     assert [got.batteries[0].percentage for got in found.values() if got.batteries] == pytest.approx([0.999, 0.998, 0.997])
 
 
-def test_world_is_not_asked_when_nothing_is_due(robot: RobotSpec) -> None:
+def test_world_is_not_called_when_nothing_is_due(robot: RobotSpec) -> None:
     world = FakeWorld()
     run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), world, 0, 2)
-    assert world.asked == 0
+    assert world.calls == 0
 
 
 def test_robot_without_sensors_measures_nothing(robot: RobotSpec) -> None:
@@ -150,14 +150,14 @@ def test_same_seed_gives_the_same_bits_whatever_else_is_measured(robot: RobotSpe
     assert numbers({step: one[step] for step in common}) == numbers(other)
 
 
-def test_lidars_that_nobody_wants_are_left_out_and_later_ones_are_the_same(robot: RobotSpec) -> None:
+def test_lidars_that_are_not_requested_are_skipped_and_later_scans_are_the_same(robot: RobotSpec) -> None:
     all_of_it = run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), FakeWorld(), 1, 96)
     suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), FakeWorld()
     found = {}
     for step in range(1, 97):
         world.step = step
-        wanted = ["scan"] if step > 48 else []
-        found[step] = suite.measure(world, step, stamp(step), wanted.__contains__)
+        requested = ["scan"] if step > 48 else []
+        found[step] = suite.measure(world, step, stamp(step), requested.__contains__)
     assert not any(got.scans or got.clouds for step, got in found.items() if step <= 48)
     assert [[scan.name for scan in found[step].scans] for step in (72, 96)] == [["scan"], ["scan"]]
     for step in (72, 96):
@@ -167,7 +167,7 @@ def test_lidars_that_nobody_wants_are_left_out_and_later_ones_are_the_same(robot
 
 
 class SpeedingWorld(FakeWorld):
-    """The robot becomes faster and faster, and turns."""
+    """A world whose robot accelerates and turns."""
 
     def state_of(self, name: str) -> SceneState:
         t = self.step / STEP_HZ
@@ -175,15 +175,15 @@ class SpeedingWorld(FakeWorld):
         return replace(super().state_of(name), quats_xyzw=np.array([quat]), twists=np.array([twist]))
 
 
-def test_an_imu_that_nobody_wants_rests_and_from_its_second_sample_on_it_is_as_if_it_had_not(robot: RobotSpec) -> None:
+def test_an_imu_that_is_not_requested_is_skipped_and_from_its_second_sample_on_measures_the_same(robot: RobotSpec) -> None:
     all_of_it = run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld(), 1, 96)
     suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld()
-    wanted: list[str] = []
+    requested: list[str] = []
     found = {}
     for step in range(1, 97):
         world.step = step
-        wanted[:] = ["imu"] if 48 < step <= 72 or step > 80 else []
-        found[step] = suite.measure(world, step, stamp(step), wanted.__contains__)
+        requested[:] = ["imu"] if 48 < step <= 72 or step > 80 else []
+        found[step] = suite.measure(world, step, stamp(step), requested.__contains__)
     due = [step for step in range(1, 97) if step in all_of_it and all_of_it[step].imus]
     first = [next(step for step in due if step > begin) for begin in (48, 80)]
     measured = [step for step in due if (48 < step <= 72 or step > 80) and step not in first]
@@ -193,7 +193,7 @@ def test_an_imu_that_nobody_wants_rests_and_from_its_second_sample_on_it_is_as_i
     assert not any(suite.misses.values())
 
 
-def test_an_imu_that_is_wanted_from_the_start_gives_its_first_sample(robot: RobotSpec) -> None:
+def test_an_imu_that_is_requested_from_the_start_gives_its_first_sample(robot: RobotSpec) -> None:
     suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld()
     found = {}
     for step in range(1, 25):
@@ -203,15 +203,15 @@ def test_an_imu_that_is_wanted_from_the_start_gives_its_first_sample(robot: Robo
     assert [step for step, got in found.items() if got.imus] == [step for step, got in always.items() if got.imus]
 
 
-def test_an_imu_whose_biases_walk_never_rests(robot: RobotSpec) -> None:
+def test_an_imu_with_random_walk_is_never_skipped(robot: RobotSpec) -> None:
     walking = replace(robot, sensors=replace(ALL, imus=(replace(ALL.imus[0], accel_bias_walk=0.01),)))
     suite, world = SensorSuite(walking, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld()
-    asked = []
+    measured = []
     for step in range(1, 97):
         world.step = step
         if suite.measure(world, step, stamp(step), lambda name: False).imus:
-            asked.append(step)
-    assert asked == [step for step in range(1, 97) if is_due(step, walking.sensors.imus[0].rate_hz, STEP_HZ)]
+            measured.append(step)
+    assert measured == [step for step in range(1, 97) if is_due(step, walking.sensors.imus[0].rate_hz, STEP_HZ)]
 
 
 def test_other_seed_gives_other_errors(robot: RobotSpec) -> None:
@@ -249,7 +249,7 @@ def test_steps_that_are_left_out_are_counted_as_missed(robot: RobotSpec) -> None
     assert len(found[96].scans) == 2
 
 
-def test_sensor_that_fails_is_counted_and_told_once_and_the_others_go_on(
+def test_sensor_that_fails_is_counted_and_reported_once_and_the_others_go_on(
     robot: RobotSpec, caplog: pytest.LogCaptureFixture
 ) -> None:
     suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), FakeWorld()
@@ -262,7 +262,7 @@ def test_sensor_that_fails_is_counted_and_told_once_and_the_others_go_on(
     assert len([record for record in caplog.records if "'imu' of robot 'r'" in record.message]) == 1
 
 
-def test_battery_that_runs_low_and_empty_is_told_once_each(robot: RobotSpec, caplog: pytest.LogCaptureFixture) -> None:
+def test_battery_that_runs_low_and_empty_is_reported_once_each(robot: RobotSpec, caplog: pytest.LogCaptureFixture) -> None:
     small = BatterySpec(capacity_ah=0.001, voltage_full=10.0, voltage_empty=10.0, idle_w=10.0)  # 36 J: 3.6 s
     suite = SensorSuite(replace(robot, sensors=SensorSpecs(battery=small)), STEP_HZ, PUBLISH_HZ, GRAVITY)
     with caplog.at_level(logging.WARNING):

@@ -1,4 +1,4 @@
-"""Volumes, and which boxes reach into them. The box of these tests goes from (0, 0, 0) to (2, 1, 1)."""
+"""Volumes, and which boxes overlap them. The box of these tests goes from (0, 0, 0) to (2, 1, 1)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap, box_bounds
+from gibson_sim.standard.bounds import Bounds, BoundsType, OverlapTest, box_bounds
 from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.types import Vec3
 
@@ -16,11 +16,11 @@ LOW, HIGH = (0.0, 0.0, 0.0), (2.0, 1.0, 1.0)
 
 
 def overlaps(kind: BoundsType, *points: Vec3) -> bool:
-    return Overlap(Bounds(kind, points)).with_box(LOW, HIGH)
+    return OverlapTest(Bounds(kind, points)).overlaps_box(LOW, HIGH)
 
 
 def test_empty_bounds_are_everywhere() -> None:
-    assert Overlap(Bounds(BoundsType.EMPTY)).anywhere
+    assert OverlapTest(Bounds(BoundsType.EMPTY)).always_true
     assert overlaps(BoundsType.EMPTY)
 
 
@@ -92,7 +92,7 @@ def test_hulls_agree_with_a_linear_programme() -> None:
             A_eq=np.ones((1, len(points))),
             b_eq=[1.0],
         )
-        assert Overlap(bounds).with_box(LOW, HIGH) is (meets.status == 0)
+        assert OverlapTest(bounds).overlaps_box(LOW, HIGH) is (meets.status == 0)
 
 
 def test_box_bounds_have_the_upper_corner_first() -> None:
@@ -114,5 +114,5 @@ def test_box_bounds_have_the_upper_corner_first() -> None:
 )
 def test_impossible_bounds_are_refused(bounds: Bounds, code: Result) -> None:
     with pytest.raises(SimulationError) as error:
-        Overlap(bounds)
+        OverlapTest(bounds)
     assert error.value.code is code

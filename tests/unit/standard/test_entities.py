@@ -1,4 +1,4 @@
-"""Names, namespaces and what is said of entities."""
+"""Names, namespaces and info of entities."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gibson_sim.standard.entities import (
     check_info,
     check_namespace,
     choose_name,
-    first_info,
+    initial_info,
     is_name,
     usable_name,
 )
@@ -29,7 +29,7 @@ from support.yard import box
         ("", "taken", True, "taken_3"),
     ],
 )
-def test_name_is_the_wanted_one_or_the_files_or_made_up(wanted: str, in_file: str, renaming: bool, name: str) -> None:
+def test_name_is_the_requested_one_or_the_files_or_made_up(wanted: str, in_file: str, renaming: bool, name: str) -> None:
     assert choose_name(wanted, in_file, renaming, {"taken", "taken_2"}) == name
 
 
@@ -54,7 +54,7 @@ def test_name_that_cannot_be_given_is_refused(wanted: str, in_file: str, renamin
     assert error.value.code is code
 
 
-def test_made_up_names_are_names_however_long_the_wish() -> None:
+def test_made_up_names_are_valid_however_long_the_request() -> None:
     longest = "x" * 255
     assert is_name(longest)
     assert is_name(choose_name(longest, "", True, {longest}))
@@ -77,10 +77,10 @@ def test_namespaces_that_ros_refuses_are_refused(namespace: str) -> None:
 
 
 def test_category_is_what_a_body_can_do_and_its_class() -> None:
-    assert first_info(box("a", 0.0)).category is Category.DYNAMIC_OBJECT
-    assert first_info(box("a", 0.0, static=True)).category is Category.STATIC_OBJECT
-    assert first_info(box("a", 0.0, semantic_class="Person")) == EntityInfo(Category.HUMAN, "Person", ("Person",))
-    assert first_info(box("a", 0.0, semantic_class="")).tags == ()
+    assert initial_info(box("a", 0.0)).category is Category.DYNAMIC_OBJECT
+    assert initial_info(box("a", 0.0, static=True)).category is Category.STATIC_OBJECT
+    assert initial_info(box("a", 0.0, semantic_class="Person")) == EntityInfo(Category.HUMAN, "Person", ("Person",))
+    assert initial_info(box("a", 0.0, semantic_class="")).tags == ()
 
 
 @pytest.mark.parametrize(

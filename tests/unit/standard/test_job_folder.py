@@ -1,4 +1,4 @@
-"""Who removes the folder of a job."""
+"""Which process removes the folder of a job."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Entities of a world: looking, moving, spawning, deleting. The yard: crate at x = 1 m, wall (static) at 3 m, anna at 5 m."""
+"""Entities of a world: reading, moving, spawning, deleting. The yard: crate at x = 1 m, wall (static) at 3 m, anna at 5 m."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def code_of(error: pytest.ExceptionInfo[SimulationError]) -> object:
     ],
 )
 def test_entity_must_pass_every_filter(people: Population, filters: EntityFilters, names: list[str]) -> None:
-    assert [entity.name for entity in people.matching(filters)] == names
+    assert [entity.name for entity in people.select(filters)] == names
 
 
 @pytest.mark.parametrize("filters", [EntityFilters("("), EntityFilters(tags=TagsFilter((), 2))])
 def test_impossible_filter_is_refused(people: Population, filters: EntityFilters) -> None:
     with pytest.raises(SimulationError) as error:
-        people.matching(filters)
+        people.select(filters)
     assert code_of(error) is Result.OPERATION_FAILED
 
 
@@ -77,10 +77,10 @@ def test_info_is_what_was_set(people: Population) -> None:
     info = EntityInfo(Category.OBJECT, "for the move", ("wood", "empty"))
     people.set_info("crate", info)
     assert people.entity("crate").info == info
-    assert [e.name for e in people.matching(EntityFilters(tags=TagsFilter(("wood", "empty"), 1)))] == ["crate"]
+    assert [e.name for e in people.select(EntityFilters(tags=TagsFilter(("wood", "empty"), 1)))] == ["crate"]
 
 
-def test_moved_entity_is_where_it_was_put_and_moves_as_told(people: Population) -> None:
+def test_moved_entity_has_the_pose_and_velocity_that_were_set(people: Population) -> None:
     people.set_state("crate", StateChange("", (4.0, 5.0, 6.0), QUARTER, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)))
     state = people.state("crate")
     assert state.pose.position == pytest.approx((4.0, 5.0, 6.0))
@@ -106,7 +106,7 @@ def test_state_in_the_frame_of_another_entity(people: Population) -> None:
     assert state.angular == pytest.approx((-1.0, 0.0, 0.0), abs=1e-12)
 
 
-def test_entity_at_rest_in_a_frame_that_turns_is_taken_along(people: Population) -> None:
+def test_entity_at_rest_in_a_turning_frame_moves_with_it(people: Population) -> None:
     people.set_state("anna", StateChange("", (0.0, 0.0, 5.0), linear=(0.5, 0.0, 0.0), angular=(0.0, 0.0, 2.0)))
     people.set_state("crate", StateChange("anna", (3.0, 0.0, 0.0)))
     state = people.state("crate")
@@ -222,7 +222,7 @@ def test_what_cannot_be_spawned_is_refused_and_leaves_nothing(
     assert people.names == ("crate", "wall", "anna")
 
 
-def test_unsupported_asset_is_told_from_a_missing_one(people: Population, tmp_path: Path) -> None:
+def test_unsupported_asset_is_distinguished_from_a_missing_one(people: Population, tmp_path: Path) -> None:
     (tmp_path / "ball.fbx").write_bytes(b"not for us")
     (tmp_path / "ball.urdf").write_text(BALL.replace('<sphere radius="0.1"/>', '<mesh filename="ball.fbx"/>'))
     with pytest.raises(SimulationError) as error:
@@ -275,7 +275,7 @@ def test_deleted_entity_is_gone(people: Population) -> None:
 
 def _spawn_ahead(people: Population, *requests: SpawnRequest) -> list[str]:
     """Spawns what was read in advance, as the services do; fails if anything is read once more."""
-    ahead = people.reading(requests)()
+    ahead = people.file_reader(requests)()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gibson_sim.scenes.spawning.load_spawnable", lambda *_, **__: pytest.fail("it was read again"))
         patch.setattr("gibson_sim.scenes.spawning.spawn_name", lambda *_: pytest.fail("it was read again"))
@@ -292,7 +292,7 @@ def test_what_was_read_ahead_is_not_read_again(people: Population) -> None:
 
 def test_what_changed_since_it_was_read_counts(people: Population) -> None:
     request = SpawnRequest(text=BALL, frame_id="crate", position=(0.0, 0.0, 3.0), name="ball", allow_renaming=True)
-    (ahead,) = people.reading([request])()
+    (ahead,) = people.file_reader([request])()
     people.set_state("crate", StateChange(position=(9.0, 0.0, 0.0)))
     people.spawn(SpawnRequest(name="ball", text=BALL, position=(0.0, 5.0, 2.0)))
     name = people.spawn(request, ahead)
@@ -300,9 +300,9 @@ def test_what_changed_since_it_was_read_counts(people: Population) -> None:
     assert people.state(name).pose.position[0] == pytest.approx(9.0)
 
 
-def test_mistake_in_what_was_read_ahead_is_said_when_its_turn_comes(people: Population) -> None:
+def test_error_in_what_was_read_ahead_is_raised_in_its_turn(people: Population) -> None:
     request = SpawnRequest(name="x", text="<robot name='x'><link/></robot>")
-    (ahead,) = people.reading([request])()
+    (ahead,) = people.file_reader([request])()
     with pytest.raises(SimulationError) as late:
         people.spawn(request, ahead)
     with pytest.raises(SimulationError) as at_once:

@@ -1,4 +1,4 @@
-"""Patterns that choose entities by name."""
+"""POSIX regular expressions that filter entities by name."""
 
 from __future__ import annotations
 

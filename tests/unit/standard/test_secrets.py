@@ -1,4 +1,4 @@
-"""What stands in a file that a client names never comes back in a reply, whatever is wrong with it; the log has it."""
+"""The contents of a file that a client names never appear in a response, whatever is wrong with it; the log has them."""
 
 from __future__ import annotations
 

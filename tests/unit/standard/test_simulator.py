@@ -12,7 +12,7 @@ from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.scenes import spawnables, worlds
-from gibson_sim.scenes.worlds import World, WorldError, WorldFailure
+from gibson_sim.scenes.worlds import WorldEntry, WorldError, WorldFailure
 from gibson_sim.standard import catalogue
 from gibson_sim.standard.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, WorldsCode
 from gibson_sim.standard.entities import Category, EntityInfo
@@ -144,7 +144,7 @@ def test_reset_of_the_state_puts_what_was_spawned_to_where_it_was_spawned(make: 
     assert simulator.population.state("ball").pose.position == pytest.approx((0.0, 5.0, 1.0))
 
 
-def test_reset_of_everything_brings_back_the_deleted_in_their_order_and_forgets_what_was_said(make: Make) -> None:
+def test_reset_of_everything_brings_back_the_deleted_in_their_order_and_forgets_set_info(make: Make) -> None:
     simulator = make()
     simulator.population.delete("crate")
     simulator.population.set_info("anna", EntityInfo(Category.OBJECT, "a doll"))
@@ -336,7 +336,7 @@ def test_nothing_else_happens_while_a_world_is_read(make: Make, tmp_path: Path) 
     assert simulator.state is STOPPED
 
 
-def test_world_that_was_read_after_the_end_was_asked_for_is_not_entered(make: Make, tmp_path: Path) -> None:
+def test_world_that_was_read_after_a_request_to_quit_is_not_entered(make: Make, tmp_path: Path) -> None:
     simulator = make()
     request = LoadRequest(str(write_room(tmp_path)))
     simulator.begin_load(request)
@@ -376,11 +376,11 @@ def test_source_that_is_not_there_is_an_error_unless_it_is_to_go_on() -> None:
 
 
 def test_default_sources_that_fail_have_a_code_of_their_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def gone() -> tuple[World, ...]:
+    def gone() -> tuple[WorldEntry, ...]:
         raise WorldError(WorldFailure.NO_RESOURCE, "the disk is gone")
 
-    def find(sources: tuple[str, ...], **_: object) -> tuple[World, ...]:
-        return (World("there", sources[0]),)
+    def find(sources: tuple[str, ...], **_: object) -> tuple[WorldEntry, ...]:
+        return (WorldEntry("there", sources[0]),)
 
     monkeypatch.setattr(catalogue, "own_worlds", gone)
     monkeypatch.setattr(catalogue, "worlds_below", find)
@@ -390,8 +390,8 @@ def test_default_sources_that_fail_have_a_code_of_their_own(monkeypatch: pytest.
     assert len(catalogue.available_worlds(("x",), TagsFilter(), continue_on_error=True)) == 1
 
 
-def test_world_is_described_without_a_look_at_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Time stands still meanwhile: reading every installed scene took most of a second."""
+def test_world_is_described_without_reading_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Reading all installed scenes would stop time for most of a second."""
     described = []
     world = worlds._world
     monkeypatch.setattr(worlds, "_world", lambda *args: described.append(args) or world(*args))

@@ -1,4 +1,4 @@
-"""Steps that clients ask for, and how their requests end."""
+"""Steps that clients request, and how the requests end."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.standard.stepping import MOST_REQUESTS, StepQueue, StepRequest
 
 
-def test_requests_are_served_in_the_order_of_asking() -> None:
+def test_requests_are_served_in_the_order_of_arrival() -> None:
     ended: list[str] = []
     queue = StepQueue()
     queue.add(StepRequest(2, on_end=lambda _: ended.append("first")))
     queue.add(StepRequest(1, on_end=lambda _: ended.append("second")))
-    assert queue.wanted == 3
+    assert queue.remaining == 3
     queue.count_step()
     assert ended == []
     queue.count_step()
     assert ended == ["first"]
     queue.count_step()
     assert ended == ["first", "second"]
-    assert queue.wanted == 0
+    assert queue.remaining == 0
 
 
-def test_progress_is_told_after_each_step() -> None:
+def test_progress_is_reported_after_each_step() -> None:
     seen: list[tuple[int, int]] = []
     queue = StepQueue()
     queue.add(StepRequest(3, lambda r: seen.append((r.completed, r.remaining))))
@@ -35,7 +35,7 @@ def test_progress_is_told_after_each_step() -> None:
 def test_request_of_no_steps_ends_at_once_without_a_failure() -> None:
     queue, request = StepQueue(), StepRequest(0)
     queue.add(request)
-    assert (request.ended, request.failure, queue.wanted) == (True, "", 0)
+    assert (request.ended, request.failure, queue.remaining) == (True, "", 0)
 
 
 def test_cancelled_request_says_how_far_it_came_and_the_next_goes_on() -> None:
@@ -68,5 +68,5 @@ def test_too_many_requests_are_refused() -> None:
         queue.add(StepRequest(1))
     assert error.value.code is Result.OPERATION_FAILED
     assert queue.clear("reset")
-    assert queue.wanted == 0
+    assert queue.remaining == 0
     assert not queue.clear("reset")

@@ -1,4 +1,4 @@
-"""Whatever a client names as a place to look in, it gets an answer, soon, and a mistake of its own is called one."""
+"""Any source that a client names gets an answer soon; an invalid one is reported as the client's error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Episodes of tasks: where they come from, and what is said of them."""
+"""Episodes of tasks, their metrics and their observations."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.robots.load import load_robot
 from gibson_sim.tasks.controls import Controls
-from gibson_sim.tasks.episode import Episode, Goal, Item, View, item_root, view_of
+from gibson_sim.tasks.episode import Episode, Goal, Item, Observation, item_root, observation_of
 from gibson_sim.tasks.ground import Ground, footprint, ground_of
 from gibson_sim.tasks.kinds.open_door import JAMBS, WALL_X
 from gibson_sim.tasks.metrics import Meter, episode_values, summary, touched_by, wilson
-from gibson_sim.tasks.observing import CLASSES, FARTHEST, SCAN_RANGE, Layout, full_state, own_state
+from gibson_sim.tasks.observing import CLASSES, FARTHEST, SCAN_RANGE, ObservationLayout, full_state, own_state
 from gibson_sim.tasks.registry import TASKS, check_baseline, task_of
 from gibson_sim.tasks.scripts.arm import drive
 from gibson_sim.tasks.scripts.driving import Driver
@@ -31,11 +31,13 @@ def arena() -> Ground:
     return ground_of("arena", "gibson_bot")
 
 
-def _view(episode: Episode | None = None, time: float = 0.0, xyyaw: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> View:
-    """Items where they begin, the base where it is told to be."""
+def _observation(
+    episode: Episode | None = None, time: float = 0.0, xyyaw: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Observation:
+    """Items at their initial poses, the base at ``xyyaw``."""
     links = {item_root(item): item.pose for item in (episode.items if episode else ())}
     links[BASE] = pose_from_xyz_rpy((xyyaw[0], xyyaw[1], 0.0), (0.0, 0.0, xyyaw[2]))
-    return View(time, links, BASE)
+    return Observation(time, links, BASE)
 
 
 @pytest.mark.parametrize("name", BASE_TASKS)
@@ -51,9 +53,9 @@ def test_no_episode_begins_at_its_goal_nor_with_the_robot_in_something(arena: Gr
     for seed in range(2):
         episode = task.generate(seed, arena)
         x, y, _ = episode.start.position
-        view = replace(_view(episode), links={**_view(episode).links, BASE: episode.start})
-        assert not task.succeeded(episode, view, arena)
-        assert task.remaining(episode, view, arena) > episode.goal.radius
+        obs = replace(_observation(episode), links={**_observation(episode).links, BASE: episode.start})
+        assert not task.succeeded(episode, obs, arena)
+        assert task.remaining(episode, obs, arena) > episode.goal.radius
         assert arena.floor.clearance((x, y)) >= arena.robot.radius
         assert 0.0 < episode.shortest < 20.0
 
@@ -71,14 +73,14 @@ def test_who_does_not_push_stands_before_the_boxes(arena: Ground) -> None:
     task = task_of("push-through")
     episode = task.generate(0, arena)
     careful = task.policy("careful", episode, arena)
-    view = replace(_view(episode), links={**_view(episode).links, BASE: episode.start})
-    action = careful.act(view)
+    obs = replace(_observation(episode), links={**_observation(episode).links, BASE: episode.start})
+    action = careful.act(obs)
     assert (action.linear, action.angular) == (0.0, 0.0)
     assert isinstance(careful, Driver) and careful.blocked
     # A script that does not wait for a way gives up there.
     with pytest.raises(StopIteration):
-        next(drive(view, careful, waits=False))
-    assert next(drive(view, careful)).linear == 0.0
+        next(drive(obs, careful, waits=False))
+    assert next(drive(obs, careful)).linear == 0.0
 
 
 def test_what_is_searched_is_hidden_at_first_and_its_place_is_not_told(arena: Ground) -> None:
@@ -95,9 +97,9 @@ def test_a_thing_is_found_within_a_metre_and_in_view_alone(arena: Ground) -> Non
     item = Item("thing_1", "ball", Pose((2.0, 2.2, 0.0)))
     episode = Episode("object-search", 0, Pose(), (item,), Goal("", None, 1.0, "thing_1", "ball"), 1.0, 60.0)
     task = task_of("object-search")
-    assert task.succeeded(episode, _view(episode, xyyaw=(1.1, 2.2, 0.0)), arena)
-    assert not task.succeeded(episode, _view(episode, xyyaw=(0.9, 2.2, 0.0)), arena)
-    assert not task.succeeded(episode, _view(episode, xyyaw=(1.1, 2.2, math.pi)), arena)
+    assert task.succeeded(episode, _observation(episode, xyyaw=(1.1, 2.2, 0.0)), arena)
+    assert not task.succeeded(episode, _observation(episode, xyyaw=(0.9, 2.2, 0.0)), arena)
+    assert not task.succeeded(episode, _observation(episode, xyyaw=(1.1, 2.2, math.pi)), arena)
 
 
 def test_walls_hide_things(arena: Ground) -> None:
@@ -123,13 +125,13 @@ def test_an_item_is_an_outline_that_ways_lead_round(arena: Ground) -> None:
 def test_metrics_of_a_made_up_drive() -> None:
     item = Item("box_1", "box_small", Pose((3.0, 0.0, 0.0)))
     episode = Episode("t", 0, Pose(), (item,), Goal("", (2.0, 0.0, 0.0), 0.1), 2.0, 60.0)
-    meter = Meter(episode, _view(episode))
-    meter.note(_view(episode, 1.0, (1.0, 0.0, 0.0)), ())
-    meter.note(_view(episode, 2.0, (1.0, 1.0, 0.0)), ("wall",))
-    meter.note(_view(episode, 3.0, (1.0, 1.0, 0.0)), ("wall",))  # still the same collision
-    end = _view(episode, 4.0, (2.0, 1.0, 0.0))
+    meter = Meter(episode, _observation(episode))
+    meter.update(_observation(episode, 1.0, (1.0, 0.0, 0.0)), ())
+    meter.update(_observation(episode, 2.0, (1.0, 1.0, 0.0)), ("wall",))
+    meter.update(_observation(episode, 3.0, (1.0, 1.0, 0.0)), ("wall",))  # still the same collision
+    end = _observation(episode, 4.0, (2.0, 1.0, 0.0))
     end = replace(end, links={**end.links, item_root(item): Pose((3.3, 0.4, 0.0))})
-    meter.note(end, ("wall", "sofa"))
+    meter.update(end, ("wall", "sofa"))
     found = meter.metrics(end, success=True, goal_distance=0.5)
     assert (found.path_length, found.spl, found.collisions) == (pytest.approx(3.0), pytest.approx(2.0 / 3.0), 2)
     assert (found.pushed, found.pushed_distance, found.time) == (1, pytest.approx(0.5), 4.0)
@@ -156,22 +158,22 @@ def test_velocities_of_a_view_are_those_of_the_base() -> None:
     quat = pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)).quat_xyzw
     twist = np.array([[0.0, 0.4, 0.0, 0.0, 0.0, 0.7]])
     state = SceneState(3_000_000_000, 720, 1, (BASE,), np.array([[1.0, 2.0, 0.0]]), np.array([quat]), twist)
-    view = view_of(state, "robot", "base_footprint", 1_000_000_000)
-    assert (view.time, view.linear, view.angular) == (2.0, pytest.approx(0.4), pytest.approx(0.7))
-    assert view.in_base((1.0, 5.0)) == pytest.approx((3.0, 0.0))
-    assert view.in_base((0.0, 2.0)) == pytest.approx((0.0, 1.0))
+    obs = observation_of(state, "robot", "base_footprint", 1_000_000_000)
+    assert (obs.time, obs.linear, obs.angular) == (2.0, pytest.approx(0.4), pytest.approx(0.7))
+    assert obs.in_base((1.0, 5.0)) == pytest.approx((3.0, 0.0))
+    assert obs.in_base((0.0, 2.0)) == pytest.approx((0.0, 1.0))
 
 
 def test_observations_stay_within_their_bounds_and_have_the_goal_first() -> None:
     item = Item("a", "ball", Pose((1.0, 2.0, 0.1)))
     episode = Episode("t", 0, Pose(), (item,), Goal("", (100.0, -3.0, 0.0), 0.1, "a", "ball"), 2.0, 60.0)
-    layout = Layout((), (), ())
-    view = _view(episode)
-    state = full_state(layout, episode, view, ("ball",), lambda origins, directions, longest: np.full(len(origins), np.inf))
+    layout = ObservationLayout((), (), ())
+    obs = _observation(episode)
+    state = full_state(layout, episode, obs, ("ball",), lambda origins, directions, longest: np.full(len(origins), np.inf))
     low, high = layout.state()
     assert state.shape == low.shape and (state >= low).all() and (state <= high).all()
     assert state[:2].tolist() == [FARTHEST, -3.0]
-    own = own_state(layout, episode, view)
+    own = own_state(layout, episode, obs)
     assert own[5 + CLASSES.index("ball")] == 1.0 and own[5:].sum() == 1.0
     assert set(state[len(own) : len(own) + 32].tolist()) == {SCAN_RANGE}
     assert state[len(own) + 32 :][:5].tolist() == pytest.approx([1.0, 1.0, 2.0, 0.1, CLASSES.index("ball") + 1.0])
@@ -179,10 +181,10 @@ def test_observations_stay_within_their_bounds_and_have_the_goal_first() -> None
 
 def test_actions_are_parts_of_the_fastest(arena: Ground) -> None:
     controls = Controls(arena.robot, 0.1)
-    action = controls.action([0.5, -3.0], _view())
+    action = controls.action([0.5, -3.0], _observation())
     assert (action.linear, action.angular) == (0.25, -2.0)
     with pytest.raises(Exception, match="finite numbers"):
-        controls.action([math.nan, 0.0], _view())
+        controls.action([math.nan, 0.0], _observation())
 
 
 def test_names_that_do_not_exist_are_answered_with_those_that_do() -> None:
@@ -219,11 +221,11 @@ def test_an_arm_is_told_where_to_be_next_and_the_hand_to_close() -> None:
     controls = Controls(load_robot("arm_bot"), 0.1)
     assert controls.size == 2 + 7 + 1
     lower, upper = controls.layout.lower[1], controls.layout.upper[1]
-    view = View(0.0, {BASE: Pose()}, BASE, joints=dict.fromkeys(controls.layout.joints, upper - 0.15))
-    controls.begin(view)
+    obs = Observation(0.0, {BASE: Pose()}, BASE, joints=dict.fromkeys(controls.layout.joints, upper - 0.15))
+    controls.begin(obs)
     action = [0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    first, second = controls.action(action, view), controls.action(action, view)
+    first, second = controls.action(action, obs), controls.action(action, obs)
     pan, lift = controls.layout.joints[:2]
     assert first.joints[pan] == pytest.approx(upper - 0.15 - 0.1) and first.joints[lift] == pytest.approx(upper - 0.05)
     assert second.joints[lift] == upper > lower
-    assert first.grasp is True and controls.action([0.0] * 10, view).grasp is False
+    assert first.grasp is True and controls.action([0.0] * 10, obs).grasp is False

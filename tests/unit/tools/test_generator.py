@@ -1,4 +1,4 @@
-"""The scenes that come with the package are what the generator makes."""
+"""The shipped generated scenes are those that the generator makes."""
 
 from __future__ import annotations
 

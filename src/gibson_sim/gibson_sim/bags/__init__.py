@@ -1,4 +1,4 @@
-"""Bags: recording to rosbag2 folders, mending, reading, checking and picturing them.
+"""Bags: writes, repairs, reads, checks, compares and exports rosbag2 folders.
 
-Knows CDR bytes and message definitions, but neither rclpy nor any message package: what subscribes lives in ``gibson_sim.ros``.
+Knows CDR bytes and message definitions, but neither rclpy nor any message package: the nodes that subscribe are in ``gibson_sim.ros``.
 """

@@ -1,4 +1,4 @@
-"""Checks a bag: do the stamps agree, is anything missing, how far are the wheels from the truth."""
+"""Checks a bag: agreement of stamps, missing messages, and wheel odometry against ground truth."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ ONE_SOURCE = (
     "gibson_msgs/msg/SceneState",
     CLOCK,
 )
-"""Types whose topics have one publisher, so that their stamps must rise. Others (/rosout, /diagnostics) mix several."""
+"""Types whose topics have one publisher, so that their stamps must increase. Others (/rosout, /diagnostics) mix several."""
 
 Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class TopicReport:
-    """What the stamps of one topic say; all zero where its messages have none."""
+    """Timing of one topic by its stamps; all zero if its messages have none."""
 
     info: TopicInfo
     first_ns: int = 0
@@ -45,25 +45,25 @@ class TopicReport:
     rate_hz: float = 0.0
     """Messages a second of simulation time, from the nominal period."""
     missing: int = 0
-    """Messages that the nominal period asks for and that are not there."""
+    """Messages missing by the nominal period."""
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryReport:
-    """Wheel odometry against ground truth, between the first and the last stamp that both have."""
+    """Wheel odometry against ground truth, between the first and the last common stamp."""
 
     distance_m: float
     """Length of the true path."""
     odometry_distance_m: float
-    """Length of the path that the wheels tell."""
+    """Length of the path by wheel odometry."""
     end_error_m: float
-    """Distance between the end that the wheels tell and the true one, both seen from the start."""
+    """Distance between the final positions by odometry and in truth, each relative to its start."""
     end_error_deg: float
-    """Difference of heading, degrees, without sign."""
+    """Absolute difference of the final headings, degrees."""
 
     @property
     def end_error_percent(self) -> float:
-        """Error at the end in per cent of the distance; 0 if the robot stood still."""
+        """Final position error, % of the path length; 0 if the robot stood still."""
         return 100.0 * self.end_error_m / self.distance_m if self.distance_m > 1e-6 else 0.0
 
 
@@ -74,15 +74,15 @@ class BagReport:
     folder: Path
     topics: tuple[TopicReport, ...]
     problems: tuple[str, ...]
-    """What is wrong; empty = the stamps agree."""
+    """Errors; empty = the stamps agree."""
     notes: tuple[str, ...]
-    """What is worth knowing, but not wrong."""
+    """Findings that are not errors."""
     odometry: OdometryReport | None
-    """None without both odometry topics."""
+    """None if one of the odometry topics is missing."""
 
     @property
     def ok(self) -> bool:
-        """True if the stamps agree."""
+        """Whether the stamps agree."""
         return not self.problems
 
     def text(self) -> str:
@@ -126,11 +126,11 @@ def _row(topic: TopicReport) -> tuple[str, ...]:
 
 @dataclass(slots=True)
 class _Collected:
-    """What one pass over the bag brings."""
+    """Data collected in one pass over the bag."""
 
     stamps: dict[str, Stamps] = field(default_factory=dict)
     tf_stamps: dict[str, list[int]] = field(default_factory=dict)
-    """By topic and child frame: a topic has several senders."""
+    """By topic and child frame, since a topic has several publishers."""
     poses: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     """x, y, yaw (N, 3) of odometry topics, in their own frame."""
 
@@ -138,11 +138,11 @@ class _Collected:
 def check_bag(folder: str | Path) -> BagReport:
     """Reads a whole bag and checks it.
 
-    An image must carry the stamp of an odometry message and of its camera_info, and stamps must rise, strictly. Images from
-    before the first or after the last odometry message (recording began or ended in between) count as notes.
+    An image must carry the stamp of an odometry message and of its camera_info, and stamps must strictly increase. Images
+    before the first or after the last odometry message (recording began or ended between them) are notes.
 
     Raises:
-        RecordError: it cannot be read.
+        RecordError: the bag cannot be read.
     """
     with BagReader(folder) as bag:
         infos = bag.topics()
@@ -206,7 +206,7 @@ def _order_problems(infos: dict[str, TopicInfo], data: _Collected) -> list[str]:
 
 
 def _partners(topic: str, infos: dict[str, TopicInfo]) -> list[str]:
-    """Returns the topics whose stamps an image must share, as far as the bag has them."""
+    """Returns the topics of the bag whose stamps an image must share."""
     candidates = [_odometry_topic(topic, infos), topic.rpartition("/")[0] + "/camera_info"]
     return [c for c in candidates if c in infos and infos[c].count]
 
@@ -243,7 +243,7 @@ def _topic_report(info: TopicInfo, stamps: Stamps | None) -> TopicReport:
     period = nominal_period_ns(stamps)
     if not period or info.latched or info.type_name == CLOCK:  # the clock also comes with whatever else is published
         return TopicReport(info, first, last)
-    # A step counts as what it is nearest to: 2 periods = 1 missing.
+    # A step is rounded to whole periods: 2 periods = 1 missing.
     missing = np.maximum(np.rint(np.diff(stamps) / period).astype(np.int64) - 1, 0).sum()
     return TopicReport(info, first, last, NS_PER_S / period, int(missing))
 

@@ -1,7 +1,7 @@
-"""Message definitions as a bag embeds them: the text of a type, the texts of all types nested in it, and its RIHS01 hash.
+"""Message definitions as a bag embeds them: the text of a type, the texts of all nested types, and its RIHS01 hash.
 
-A definition is looked for in what the caller gives, in the ROS installations, in the source tree, and last in the Jazzy types
-that `rosbags` carries. Must not import rclpy or a message package.
+A definition is searched for in those that the caller gives, in the ROS installations, in the source tree, and last in the Jazzy types
+of `rosbags`. Must not import rclpy or a message package.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _TYPE_NAME = re.compile(r"([a-zA-Z][a-zA-Z0-9_]*)/(?:msg/)?([a-zA-Z][a-zA-Z0-9_]
 
 
 def canonical_type(name: str) -> str:
-    """Returns ``package/msg/Type`` of ``package/msg/Type`` or ``package/Type``.
+    """Returns ``package/msg/Type`` for ``package/msg/Type`` or ``package/Type``.
 
     Raises:
-        RecordError: it is not the name of a message type (services and actions cannot be recorded).
+        RecordError: the name is not that of a message type (services and actions cannot be recorded).
     """
     match = _TYPE_NAME.fullmatch(name)
     if not match:
@@ -40,14 +40,13 @@ def canonical_type(name: str) -> str:
 
 
 class MessageDefinitions:
-    """Finds definitions of message types and keeps what it found."""
+    """Finds and caches definitions of message types.
+
+    Args:
+        given: text of the ``.msg`` file by type name; takes precedence over installed definitions.
+    """
 
     def __init__(self, given: Mapping[str, str] | None = None) -> None:
-        """Takes the caller's own definitions.
-
-        Args:
-            given: text of the ``.msg`` file by type name; wins over everything installed.
-        """
         self._texts = {canonical_type(name): text for name, text in (given or {}).items()}
         self._full: dict[str, tuple[str, str]] = {}
 
@@ -55,7 +54,7 @@ class MessageDefinitions:
         """Returns the definition followed by those of all nested types, as rosbag2 writes it (encoding ``ros2msg``).
 
         Raises:
-            RecordError: the definition, or that of a nested type, is not found or not understood.
+            RecordError: the definition, or that of a nested type, is not found or cannot be parsed.
         """
         return self._resolve(canonical_type(type_name))[0]
 
@@ -63,7 +62,7 @@ class MessageDefinitions:
         """Returns the hash of the type, ``RIHS01_<64 hex digits>``.
 
         Raises:
-            RecordError: the definition, or that of a nested type, is not found or not understood.
+            RecordError: the definition, or that of a nested type, is not found or cannot be parsed.
         """
         return self._resolve(canonical_type(type_name))[1]
 
@@ -101,7 +100,7 @@ class MessageDefinitions:
 
 
 def _nested_types(name: str, text: str) -> list[str]:
-    """Returns the message types of the fields, in their order, without repetition."""
+    """Returns the message types of the fields in order, without repetition."""
     try:
         fields = get_types_from_msg(text, name)[name][1]
     except (TypesysError, KeyError) as error:
@@ -110,7 +109,7 @@ def _nested_types(name: str, text: str) -> list[str]:
 
 
 def _message_types(desc: Any) -> str:
-    """Returns the message type of a field, also of an array's elements; empty for primitive types."""
+    """Returns the message type of a field or of an array's elements; empty for primitive types."""
     kind, rest = desc
     if kind.name in ("ARRAY", "SEQUENCE"):
         return _message_types(rest[0])
@@ -118,7 +117,7 @@ def _message_types(desc: Any) -> str:
 
 
 def _hash(name: str, full_text: str) -> str:
-    """Returns the hash of a type from its whole definition."""
+    """Returns the hash of a type from its full definition."""
     store = get_typestore(Stores.EMPTY)
     try:
         store.register(get_types_from_msg(full_text, name))
@@ -128,7 +127,7 @@ def _hash(name: str, full_text: str) -> str:
 
 
 def _prefixes() -> tuple[Path, ...]:
-    """Returns the roots of the ROS installations, the first one wins."""
+    """Returns the roots of the ROS installations in order of precedence."""
     entries = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     return tuple(dict.fromkeys(Path(entry) for entry in entries if entry))
 

@@ -1,4 +1,4 @@
-"""Whether two runs are the same, by the digests of their ticks; and where they part, if not. Pure."""
+"""Compares two runs by the digests of their ticks and finds the first difference. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STATE_TOPIC, _FLOW_TOPIC = "scene_state", "/flow/image_raw"
 
 @dataclass(frozen=True, slots=True)
 class TickDigests:
-    """What one node published at a tick."""
+    """Digests of what one node published at a tick."""
 
     stamp_ns: int
     topics: tuple[str, ...]
@@ -25,7 +25,7 @@ class TickDigests:
 
     @property
     def is_physics(self) -> bool:
-        """Whether they are of the physics node, else they are of images."""
+        """Whether they come from the physics node; otherwise they are of images."""
         return any(topic.rpartition("/")[2] == _STATE_TOPIC for topic in self.topics)
 
     def values(self) -> dict[str, int]:
@@ -35,7 +35,7 @@ class TickDigests:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A tick at which two runs are not the same."""
+    """A tick at which two runs differ."""
 
     epoch: int
     step: int
@@ -45,22 +45,22 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What came of a comparison."""
+    """Result of a comparison."""
 
     ticks: int = 0
-    """Ticks of physics that were compared."""
+    """Compared ticks of physics."""
     missing_ticks: int = 0
     """Ticks of physics that only the first run has."""
     unknown_ticks: int = 0
-    """Ticks of physics up to the last one of the first run that only the second run has."""
+    """Ticks of physics that only the second run has, up to the last one of the first run."""
     images: int = 0
-    """Ticks with images that were compared."""
+    """Compared ticks with images."""
     missing_images: int = 0
-    """Images, by tick and topic, that only the first run has: they are not compared."""
+    """Images, by tick and topic, that only the first run has; they are not compared."""
     unknown_images: int = 0
     """Images that only the second run has."""
     without_images: bool = False
-    """Whether the second run draws nothing, so that physics alone is compared."""
+    """Whether the second run draws nothing, so that only physics is compared."""
     first: Difference | None = None
     differing: Mapping[str, int] = field(default_factory=dict)
     """Topic -> ticks at which it differs."""
@@ -69,12 +69,12 @@ class Verification:
 
     @property
     def is_equal(self) -> bool:
-        """Whether all of the first run is repeated to the bit, as far as it can be compared."""
+        """Whether the second run repeats the first to the bit, as far as they can be compared."""
         nothing_drawn = bool(self.missing_images) and not self.images and not self.without_images
         return self.ticks > 0 and not self.missing_ticks and not self.differing and not nothing_drawn
 
     def lines(self) -> list[str]:
-        """Returns what came of it in words."""
+        """Returns the result as lines of text."""
         images = "" if self.without_images else f" and {self.images} ticks with images"
         lines = [f"compared {self.ticks} ticks of physics{images}, {len(self.compared)} topics"]
         if self.missing_ticks:
@@ -94,12 +94,12 @@ class Verification:
         return lines
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as numbers and texts."""
+        """Returns the result as values for JSON."""
         return {**asdict(self), "is_equal": self.is_equal}
 
 
 def verification_from_json(values: Mapping[str, Any]) -> Verification:
-    """Returns what ``Verification.to_json`` was made of."""
+    """Inverts ``Verification.to_json``."""
     given = {key: value for key, value in values.items() if key != "is_equal"}
     if given["first"] is not None:
         given["first"] = Difference(**{**given["first"], "topics": tuple(given["first"]["topics"])})
@@ -107,14 +107,17 @@ def verification_from_json(values: Mapping[str, Any]) -> Verification:
 
 
 class DigestComparison:
-    """Compares a run with a recorded one while it goes on.
+    """Compares a run in progress with a recorded one.
 
-    Every tick of physics counts, with every topic. Of images those count that both runs have: which of them are drawn depends on who
-    listens and on how fast the machine is. Optical flow counts where the image before was of the same tick in both runs.
+    Every tick of physics counts, with every topic. Only images that both runs have count: which ones are drawn depends on subscribers
+    and on the speed of the machine. Optical flow counts only if the previous image was of the same tick in both runs.
+
+    Args:
+        expected: digests of the recorded run.
+        images: whether to compare images.
     """
 
     def __init__(self, expected: Mapping[Tick, Sequence[TickDigests]], *, images: bool = True) -> None:
-        """Takes the digests of the recorded run; without ``images`` those of images are left out."""
         self._physics: dict[Tick, TickDigests] = {}
         self._images: dict[Tick, dict[str, int]] = defaultdict(dict)
         self._has_images = images
@@ -125,7 +128,7 @@ class DigestComparison:
                 elif images:
                     self._images[tick].update(item.values())
         self.last = max(self._physics, default=None)
-        """The last tick of physics; None = there is none."""
+        """Last tick of physics; None = there is none."""
         self._before = _previous_ticks(self._images)
         self._latest: dict[str, Tick] = {}
         self._seen_physics: set[Tick] = set()
@@ -138,17 +141,17 @@ class DigestComparison:
 
     @property
     def image_topics(self) -> tuple[str, ...]:
-        """Topics of the images that are compared."""
+        """Topics of the compared images."""
         return tuple(sorted({topic for found in self._images.values() for topic in found}))
 
     def is_complete(self, tick: Tick) -> bool:
-        """Returns whether all that is expected of a tick has come."""
+        """Returns whether all expected digests of a tick have arrived."""
         images = self._images.get(tick, {})
         physics = tick not in self._physics or tick in self._seen_physics
         return physics and all((tick, topic) in self._seen_images for topic in images)
 
     def add(self, tick: Tick, found: TickDigests) -> None:
-        """Compares what one node published at a tick; ticks behind the last one of the recorded run do not count."""
+        """Compares the digests of one node at a tick; ticks after the last one of the recorded run do not count."""
         if self.last is None or tick > self.last:
             return
         if found.is_physics:
@@ -180,7 +183,7 @@ class DigestComparison:
         self._compare(tick, found.stamp_ns, pairs)
 
     def _compare(self, tick: Tick, stamp_ns: int, pairs: Iterable[tuple[str, int | None, int | None]]) -> None:
-        """Counts; keeps the earliest tick with a difference, and all topics that differ at it."""
+        """Counts differences; keeps the earliest tick with one, and all topics that differ at it."""
         differing = []
         for topic, before, now in pairs:
             self._compared[topic] += 1
@@ -196,7 +199,7 @@ class DigestComparison:
             self._first = Difference(*tick, stamp_ns, tuple(sorted({*first.topics, *differing})))
 
     def result(self) -> Verification:
-        """Returns what came of it so far."""
+        """Returns the result so far."""
         images = sum(len(found) for found in self._images.values())
         return Verification(
             ticks=len(self._seen_physics),
@@ -213,7 +216,7 @@ class DigestComparison:
 
 
 def _previous_ticks(images: Mapping[Tick, Mapping[str, int]]) -> dict[tuple[Tick, str], Tick]:
-    """Returns, of each image of optical flow, the tick of the one before."""
+    """Returns the tick of the previous image for each image of optical flow."""
     latest: dict[str, Tick] = {}
     found: dict[tuple[Tick, str], Tick] = {}
     for tick in sorted(images):

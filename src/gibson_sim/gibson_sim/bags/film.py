@@ -1,4 +1,4 @@
-"""Figures and films from a bag: images of several cameras above each other, through time."""
+"""Film strips and videos from a bag: images of several cameras, stacked vertically, over time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from gibson_sim.picture_files import SUFFIXES, write_picture
 from gibson_sim.types import NS_PER_S
 
 _GAP_PX = 4
+"""White space between the images of a strip, pixels."""
 _VIEWS = "/view_"
+"""Prefix of the topics of views."""
 
 
 def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
@@ -25,10 +27,10 @@ def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
 
     Args:
         reader: the bag.
-        wanted: topics, or names of cameras, which stand for their colours; none = all colours, those of views last.
+        wanted: topics, or names of cameras, which stand for their colour images; none = all colour images, those of views last.
 
     Raises:
-        RecordError: there is no such topic.
+        RecordError: a topic does not exist.
     """
     infos = reader.topics()
     if wanted:
@@ -55,16 +57,16 @@ def write_film_strip(
     begin: float = 0.0,
     end: float = 0.0,
 ) -> Path:
-    """Writes a figure: a row a topic, a column a moment, evenly from the first to the last, with the time below.
+    """Writes a film strip: one row a topic, one column a moment, evenly spaced from the first to the last, with the time below.
 
     Args:
         bag: folder of the bag.
-        path: PNG or JPEG file to write; its folder is made where it is missing.
+        path: PNG or JPEG file to write; its folder is created if it does not exist.
         topics: as ``film_topics`` takes them.
-        columns: how many moments; fewer if the bag has fewer at which every topic has an image.
+        columns: number of moments; fewer if the bag has fewer at which every topic has an image.
         width: of one image, pixels.
-        begin: leave out what is earlier, seconds after the begin of the bag.
-        end: leave out what is later, seconds after the begin of the bag; 0 = nothing.
+        begin: first moment, seconds after the start of the bag.
+        end: last moment, seconds after the start of the bag; 0 = the end of the bag.
 
     Returns:
         The path.
@@ -102,16 +104,16 @@ def write_film(
     fps: float | None = None,
     speed: float = 1.0,
 ) -> Path:
-    """Writes an H.264 video (MP4) of topics above each other, at the moments at which all have an image, timed by their stamps.
+    """Writes an H.264 video (MP4) of stacked topics, at the moments at which all have an image, timed by their stamps.
 
     Args:
         bag: folder of the bag.
-        path: file to write; its folder is made where it is missing.
+        path: file to write; its folder is created if it does not exist.
         topics: as ``film_topics`` takes them.
         width: of the video, pixels.
-        begin: leave out what is earlier, seconds after the begin of the bag.
-        end: leave out what is later, seconds after the begin of the bag; 0 = nothing.
-        fps: frames a second; None = as the stamps have it, 60 at most.
+        begin: first moment, seconds after the start of the bag.
+        end: last moment, seconds after the start of the bag; 0 = the end of the bag.
+        fps: frames a second; None = by the stamps, 60 at most.
         speed: seconds of simulation shown in a second of video.
 
     Returns:
@@ -119,7 +121,7 @@ def write_film(
 
     Raises:
         RecordError: the bag lacks the images.
-        WriteError: the video cannot be written; nothing is left of it.
+        WriteError: the video cannot be written; no partial file remains.
     """
     _check(1, width)
     if not speed > 0.0 or (fps is not None and not fps > 0.0):
@@ -145,7 +147,7 @@ def _check(columns: int, width: int) -> None:
 
 
 def _shown(reader: BagReader, panels: Panels, begin: float, end: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Returns the indices of the frames to choose from."""
+    """Returns the indices of the frames between ``begin`` and ``end`` at which every topic has an image."""
     shown = panels.complete(begin, end)
     if not len(shown):
         span = f"between {begin:g} s and {f'{end:g} s' if end else 'the end'}"
@@ -156,7 +158,7 @@ def _shown(reader: BagReader, panels: Panels, begin: float, end: float) -> np.nd
 
 
 def _stacked(images: Mapping[str, Bgr], topics: Sequence[str], width: int, gap: int) -> Bgr:
-    """Returns images above each other, each as wide as the others, its proportions kept."""
+    """Returns the images stacked vertically, scaled to the same width with their aspect ratios."""
     parts = []
     for topic in topics:
         image = images[topic]
@@ -168,7 +170,7 @@ def _stacked(images: Mapping[str, Bgr], topics: Sequence[str], width: int, gap: 
 
 
 def _time(width: int, stamp_ns: int) -> Bgr:
-    """Returns the line below a column, black on white."""
+    """Returns the caption of a column, black on white."""
     scale = max(width / 640.0, 0.4)
     line = np.full((round(40 * scale), width, 3), 255, dtype=np.uint8)
     text = f"{stamp_ns / NS_PER_S:.1f} s"

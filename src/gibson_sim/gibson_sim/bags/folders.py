@@ -1,4 +1,4 @@
-"""Folders of bags, without reading what is in them: quick, and without the libraries that read bags."""
+"""Quick checks of bag folders and of the disk, without the libraries that read bags."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from pathlib import Path
 
 from gibson_sim.errors import RecordError
 
+MIB = 1024 * 1024
+EMERGENCY_BYTES = 8 * MIB
+"""Size of the file that is deleted when the disk is full: room for messages in memory, the index and the metadata."""
 _FILES = (".mcap", ".db3")
 
 
+class DiskFullError(RecordError):
+    """The disk is full, or nearly so. The bag was closed and holds everything up to here."""
+
+
 def check_bag(folder: str | Path) -> None:
-    """Checks that a folder may be a bag.
+    """Checks that a folder exists and has storage files.
 
     Raises:
-        RecordError: it is not there, or holds no file of a bag.
+        RecordError: the folder does not exist, or has no mcap or db3 file.
     """
     path = Path(folder)
     if not path.is_dir():
@@ -23,25 +30,16 @@ def check_bag(folder: str | Path) -> None:
         raise RecordError(f"{path} holds no mcap or db3 file, must be the folder of one bag; give the folder that was recorded")
 
 
-MIB = 1024 * 1024
-EMERGENCY_BYTES = 8 * MIB
-"""Size of the file that is given up when the disk is full: room for what is in hand, the index and the metadata."""
-
-
-class DiskFullError(RecordError):
-    """The disk is full, or nearly so. The bag was closed and holds everything up to here."""
-
-
 def check_room(folder: Path, reserve_bytes: int) -> None:
-    """Checks that a bag can be begun.
+    """Checks that the disk has room for a new bag.
 
     Args:
         folder: of the bag; it need not exist.
-        reserve_bytes: recording ends when the disk has less than this left.
+        reserve_bytes: free space below which recording ends.
 
     Raises:
-        DiskFullError: the disk has less left already.
-        OSError: nobody can say.
+        DiskFullError: the disk has less free space already.
+        OSError: the free space is unknown.
     """
     there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
     free, needed = shutil.disk_usage(there).free, reserve_bytes + EMERGENCY_BYTES

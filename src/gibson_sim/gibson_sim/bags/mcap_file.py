@@ -1,6 +1,6 @@
-"""Mcap files: writes one chunk by chunk without copying large messages, and writes the end of one. Records: https://mcap.dev/spec.
+"""Writes mcap files chunk by chunk, without copying large messages, and the summary at their end. Records: https://mcap.dev/spec.
 
-Large messages, images above all, stand in chunks of their own: who wants the rest of a bag need not read gigabytes of pictures for it.
+Large messages, images above all, have chunks of their own: a reader of the other topics need not read gigabytes of images.
 """
 
 from __future__ import annotations
@@ -23,53 +23,6 @@ from mcap.writer import MCAP0_MAGIC
 from gibson_sim.bags.metadata import TopicRecord, dump_information, dump_qos
 from gibson_sim.writing import FULL
 
-
-class Sink:
-    """An unbuffered file that, when the disk is full, gives up the emergency file and goes on."""
-
-    def __init__(self, path: Path, emergency: Path) -> None:
-        """Makes the file.
-
-        Raises:
-            OSError: it is there already, or cannot be made.
-        """
-        self._emergency = emergency
-        self._file: BinaryIO | None = path.open("xb", buffering=0)
-        self.position = 0
-        """Bytes written."""
-        self.full = False
-        """True once the disk was full: what is written since lives on the emergency space."""
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Writes all of ``data``.
-
-        Raises:
-            OSError: the disk is full, and the emergency space is gone too; or it fails in another way.
-        """
-        view = memoryview(data)
-        while view:
-            try:
-                written = self._open_file().write(view)
-            except OSError as error:
-                if error.errno not in FULL or self.full:
-                    raise
-                self.full = True
-                self._emergency.unlink(missing_ok=True)
-                continue
-            self.position += written
-            view = view[written:]
-
-    def close(self) -> None:
-        """Closes the file; a second time does nothing."""
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
-
-    def _open_file(self) -> BinaryIO:
-        assert self._file is not None, "the file is closed"
-        return self._file
-
-
 Compression = Literal["none", "zstd", "lz4"]
 COMPRESSIONS: tuple[Compression, ...] = ("none", "zstd", "lz4")
 RECORD = struct.Struct("<BQ")
@@ -77,29 +30,197 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence number, log time and publish time of a message."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")
+"""``RECORD`` and ``MESSAGE``."""
 _CHUNK_TIMES = struct.Struct("<QQQI")
+"""First and last log time, uncompressed size and checksum of a chunk."""
 _INDEX_HEAD = struct.Struct("<BQHI")
+"""``RECORD``, channel, and length of the entries in bytes."""
 _INDEX_ENTRY = struct.Struct("<QQ")
+"""Log time of a message, and its offset in the chunk."""
 LARGE_BYTES = 32 * 1024
-"""Smaller messages are gathered in a buffer; larger ones go from their own memory to the disk, in chunks apart."""
+"""Size from which a message is written from its own memory, into chunks of large messages; smaller ones are copied into a buffer."""
 _SPAN_NS = 1_000_000_000
-"""Small messages wait no longer than this, in log time, while large ones are written."""
+"""Longest time that small messages wait in memory while large ones are written, nanoseconds of log time."""
+
+
+class McapFile:
+    """An mcap file that is being written. A written chunk stays readable, whatever happens to this process."""
+
+    def __init__(self, path: Path, emergency: Path, *, chunk_bytes: int, compression: Compression) -> None:
+        """Creates the file.
+
+        Raises:
+            OSError: it cannot be created.
+        """
+        self._path = path
+        self._sink = Sink(path, emergency)
+        self._chunk_bytes, self._compression = chunk_bytes, compression
+        self._section = DataSection()
+        self._small, self._large = _Chunk(), _Chunk()
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        builder = RecordBuilder()
+        builder.write(MCAP0_MAGIC)
+        Header("ros2", "gibson_sim").write(builder)
+        self._sink.write(builder.end())  # type: ignore[no-untyped-call]
+
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self._path
+
+    @property
+    def full(self) -> bool:
+        """Whether the disk was full: later writes use the emergency space."""
+        return self._sink.full
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk and in memory."""
+        return self._sink.position + self._small.size + self._large.size
+
+    def add_topic(self, topic: TopicRecord, definition: str) -> None:
+        """Declares a topic, with the definition of its type and of all nested types. Written at once: either chunk may come next."""
+        builder = RecordBuilder()
+        schema_id = self._schemas.get(topic.type_name)
+        if schema_id is None:
+            schema_id = self._schemas[topic.type_name] = len(self._schemas) + 1
+            schema = Schema(id=schema_id, data=definition.encode(), encoding="ros2msg", name=topic.type_name)
+            schema.write(builder)
+            self._section.schemas[schema_id] = schema
+        extra = {"offered_qos_profiles": dump_qos(topic.qos), "topic_type_hash": topic.type_hash}
+        channel_id = len(self._channels) + 1
+        channel = Channel(id=channel_id, topic=topic.name, message_encoding="cdr", metadata=extra, schema_id=schema_id)
+        channel.write(builder)
+        self._section.channels[channel_id] = channel
+        self._channels[topic.name] = channel_id
+        self._sink.write(builder.end())  # type: ignore[no-untyped-call]
+
+    def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
+        """Adds one message of a declared topic."""
+        chunk = self._large if len(data) >= LARGE_BYTES else self._small
+        chunk.add_message(self._channels[topic], data, log_time_ns, publish_time_ns)
+        if chunk.size > self._chunk_bytes:
+            if chunk is self._large and self._small.messages and log_time_ns - self._small.start_ns > _SPAN_NS:
+                self._write_indexed(self._small)
+            self._write_indexed(chunk)
+
+    def flush(self) -> None:
+        """Writes the unfinished chunks that have messages."""
+        for chunk in (self._small, self._large):
+            if chunk.messages:
+                self._write_indexed(chunk)
+
+    def _write_indexed(self, chunk: _Chunk) -> None:
+        """Writes a chunk and its message indices, and starts the next one in its place."""
+        position = self._sink.position
+        index = self._write_chunk(chunk)
+        end = position + index.chunk_length
+        indices = bytearray()
+        for channel, messages in chunk.messages.items():
+            index.message_index_offsets[channel] = end + len(indices)
+            indices += message_index(channel, messages)
+        index.message_index_length = len(indices)
+        self._sink.write(indices)
+        counts = Counter({channel: len(messages) for channel, messages in chunk.messages.items()})
+        self._section.chunks.append(ChunkEntry(index, counts, self._sink.position))
+        if chunk is self._large:
+            self._large = _Chunk()
+        else:
+            self._small = _Chunk()
+
+    def _write_chunk(self, chunk: _Chunk) -> ChunkIndex:
+        """Writes the chunk record; returns its index, without the message indices that follow."""
+        crc = 0
+        for part in chunk.parts:
+            crc = zlib.crc32(part, crc)
+        parts, size = chunk.parts, chunk.size
+        if self._compression != "none":
+            packed = _compress(b"".join(parts), self._compression)
+            parts, size = [packed], len(packed)
+        name = b"" if self._compression == "none" else self._compression.encode()
+        times = _CHUNK_TIMES.pack(chunk.start_ns, chunk.end_ns, chunk.size, crc)
+        body = times + struct.pack("<I", len(name)) + name + struct.pack("<Q", size)
+        position = self._sink.position
+        self._sink.write(RECORD.pack(Opcode.CHUNK, len(body) + size) + body)
+        for part in parts:
+            self._sink.write(part)
+        return ChunkIndex(
+            chunk_length=self._sink.position - position,
+            chunk_start_offset=position,
+            compression=name.decode(),
+            compressed_size=size,
+            message_end_time=chunk.end_ns,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=chunk.start_ns,
+            uncompressed_size=chunk.size,
+        )
+
+    def finish(self, information: Mapping[str, Any]) -> None:
+        """Writes metadata, summary and footer and closes the file."""
+        self.flush()
+        self._sink.write(end_of_file(self._section, self._sink.position, information))
+        self._sink.close()
+
+    def rescue(self) -> None:
+        """Closes the file as it is."""
+        self._sink.close()
+
+
+class _Chunk:
+    """A chunk that is being filled."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes | bytearray | memoryview] = []
+        self.size = 0
+        self.start_ns = self.end_ns = 0
+        self.messages: dict[int, list[tuple[int, int]]] = {}
+        self._gathered: bytearray | None = None
+
+    def add(self, data: bytes | memoryview) -> None:
+        """Appends bytes of a record."""
+        if len(data) >= LARGE_BYTES:
+            self.parts.append(data)
+            self._gathered = None
+        else:
+            if self._gathered is None:
+                self._gathered = bytearray()
+                self.parts.append(self._gathered)
+            self._gathered += data
+        self.size += len(data)
+
+    def add_message(self, channel: int, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
+        """Appends one message."""
+        if not self.messages:
+            self.start_ns = log_time_ns
+        self.end_ns = log_time_ns
+        self.messages.setdefault(channel, []).append((log_time_ns, self.size))
+        length = MESSAGE.size + len(data)
+        self.add(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, channel, 0, log_time_ns, publish_time_ns))
+        self.add(data)
+
+
+def _compress(data: bytes, compression: Compression) -> bytes:
+    if compression == "zstd":
+        return bytes(zstandard.compress(data))
+    return bytes(lz4.frame.compress(data))
 
 
 @dataclass(slots=True)
 class ChunkEntry:
-    """One whole chunk of a file."""
+    """One complete chunk of a file."""
 
     index: ChunkIndex
     counts: Counter[int]
     """Messages by channel."""
     end: int
-    """Offset in the file behind the chunk and the message indices that follow it."""
+    """Offset in the file after the chunk and its message indices."""
 
 
 @dataclass(slots=True)
 class DataSection:
-    """What stands in the data section of a file."""
+    """Content of the data section of a file."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -117,12 +238,12 @@ class DataSection:
 
 
 def end_of_file(section: DataSection, position: int, information: Mapping[str, Any]) -> bytes:
-    """Returns everything that follows the last chunk and its message indices: metadata, summary and footer.
+    """Returns what follows the last chunk and its message indices: metadata, summary and footer.
 
     Args:
-        section: what stands before.
-        position: offset in the file at which the result will stand.
-        information: of a bag of this file alone.
+        section: the data section before it.
+        position: offset of the result in the file.
+        information: metadata of a bag of this file alone.
     """
     start, end, counts = section.times_and_counts()
     builder = RecordBuilder()
@@ -165,171 +286,58 @@ def end_of_file(section: DataSection, position: int, information: Mapping[str, A
 
 
 def message_index(channel: int, messages: list[tuple[int, int]]) -> bytes:
-    """Returns the record that tells where the messages of a channel lie in a chunk: (log time, offset) of each."""
+    """Returns the index record of one channel in a chunk.
+
+    Args:
+        channel: its id.
+        messages: (log time, offset in the chunk) of each message.
+    """
     length = len(messages) * _INDEX_ENTRY.size
     head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + length, channel, length)
     return head + b"".join([_INDEX_ENTRY.pack(*message) for message in messages])
 
 
-class _Chunk:
-    """A chunk in hand."""
+class Sink:
+    """An unbuffered file that deletes the emergency file and continues when the disk is full."""
 
-    def __init__(self) -> None:
-        self.parts: list[bytes | bytearray | memoryview] = []
-        self.size = 0
-        self.start_ns = self.end_ns = 0
-        self.messages: dict[int, list[tuple[int, int]]] = {}
-        self._gathered: bytearray | None = None
-
-    def add(self, data: bytes | memoryview) -> None:
-        """Appends bytes of a record."""
-        if len(data) >= LARGE_BYTES:
-            self.parts.append(data)
-            self._gathered = None
-        else:
-            if self._gathered is None:
-                self._gathered = bytearray()
-                self.parts.append(self._gathered)
-            self._gathered += data
-        self.size += len(data)
-
-    def add_message(self, channel: int, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
-        """Appends one message."""
-        if not self.messages:
-            self.start_ns = log_time_ns
-        self.end_ns = log_time_ns
-        self.messages.setdefault(channel, []).append((log_time_ns, self.size))
-        length = MESSAGE.size + len(data)
-        self.add(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, channel, 0, log_time_ns, publish_time_ns))
-        self.add(data)
-
-
-class McapFile:
-    """An mcap file that is being written. A chunk that was written stays readable, whatever happens to this process."""
-
-    def __init__(self, path: Path, emergency: Path, *, chunk_bytes: int, compression: Compression) -> None:
-        """Makes the file.
+    def __init__(self, path: Path, emergency: Path) -> None:
+        """Creates the file.
 
         Raises:
-            OSError: it cannot be made.
+            OSError: it exists already or cannot be created.
         """
-        self._path = path
-        self._sink = Sink(path, emergency)
-        self._chunk_bytes, self._compression = chunk_bytes, compression
-        self._section = DataSection()
-        self._small, self._large = _Chunk(), _Chunk()
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        builder = RecordBuilder()
-        builder.write(MCAP0_MAGIC)
-        Header("ros2", "gibson_sim").write(builder)
-        self._sink.write(builder.end())  # type: ignore[no-untyped-call]
+        self._emergency = emergency
+        self._file: BinaryIO | None = path.open("xb", buffering=0)
+        self.position = 0
+        """Bytes written."""
+        self.full = False
+        """Whether the disk was full: later writes use the emergency space."""
 
-    @property
-    def path(self) -> Path:
-        """Where it lies."""
-        return self._path
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Writes all of ``data``.
 
-    @property
-    def full(self) -> bool:
-        """The disk was full: what was written since lives on the emergency space."""
-        return self._sink.full
+        Raises:
+            OSError: the disk is full and the emergency space is used up, or the write fails otherwise.
+        """
+        view = memoryview(data)
+        while view:
+            try:
+                written = self._open_file().write(view)
+            except OSError as error:
+                if error.errno not in FULL or self.full:
+                    raise
+                self.full = True
+                self._emergency.unlink(missing_ok=True)
+                continue
+            self.position += written
+            view = view[written:]
 
-    @property
-    def size(self) -> int:
-        """Bytes on the disk and in hand."""
-        return self._sink.position + self._small.size + self._large.size
+    def close(self) -> None:
+        """Closes the file; a second time does nothing."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
-    def add_topic(self, topic: TopicRecord, definition: str) -> None:
-        """Declares a topic, with the text of its type and of all types nested in it; at once, since either chunk may be the next one."""
-        builder = RecordBuilder()
-        schema_id = self._schemas.get(topic.type_name)
-        if schema_id is None:
-            schema_id = self._schemas[topic.type_name] = len(self._schemas) + 1
-            schema = Schema(id=schema_id, data=definition.encode(), encoding="ros2msg", name=topic.type_name)
-            schema.write(builder)
-            self._section.schemas[schema_id] = schema
-        extra = {"offered_qos_profiles": dump_qos(topic.qos), "topic_type_hash": topic.type_hash}
-        channel_id = len(self._channels) + 1
-        channel = Channel(id=channel_id, topic=topic.name, message_encoding="cdr", metadata=extra, schema_id=schema_id)
-        channel.write(builder)
-        self._section.channels[channel_id] = channel
-        self._channels[topic.name] = channel_id
-        self._sink.write(builder.end())  # type: ignore[no-untyped-call]
-
-    def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
-        """Takes one message of a declared topic."""
-        chunk = self._large if len(data) >= LARGE_BYTES else self._small
-        chunk.add_message(self._channels[topic], data, log_time_ns, publish_time_ns)
-        if chunk.size > self._chunk_bytes:
-            if chunk is self._large and self._small.messages and log_time_ns - self._small.start_ns > _SPAN_NS:
-                self._write_whole(self._small)
-            self._write_whole(chunk)
-
-    def flush(self) -> None:
-        """Writes the chunks in hand, as far as they have messages."""
-        for chunk in (self._small, self._large):
-            if chunk.messages:
-                self._write_whole(chunk)
-
-    def _write_whole(self, chunk: _Chunk) -> None:
-        """Writes a chunk and its message indices, and begins the next one in its place."""
-        position = self._sink.position
-        index = self._write_chunk(chunk)
-        end = position + index.chunk_length
-        indices = bytearray()
-        for channel, messages in chunk.messages.items():
-            index.message_index_offsets[channel] = end + len(indices)
-            indices += message_index(channel, messages)
-        index.message_index_length = len(indices)
-        self._sink.write(indices)
-        counts = Counter({channel: len(messages) for channel, messages in chunk.messages.items()})
-        self._section.chunks.append(ChunkEntry(index, counts, self._sink.position))
-        if chunk is self._large:
-            self._large = _Chunk()
-        else:
-            self._small = _Chunk()
-
-    def _write_chunk(self, chunk: _Chunk) -> ChunkIndex:
-        """Writes the record of the chunk; returns its index, without the message indices that follow."""
-        crc = 0
-        for part in chunk.parts:
-            crc = zlib.crc32(part, crc)
-        parts, size = chunk.parts, chunk.size
-        if self._compression != "none":
-            packed = _compress(b"".join(parts), self._compression)
-            parts, size = [packed], len(packed)
-        name = b"" if self._compression == "none" else self._compression.encode()
-        times = _CHUNK_TIMES.pack(chunk.start_ns, chunk.end_ns, chunk.size, crc)
-        body = times + struct.pack("<I", len(name)) + name + struct.pack("<Q", size)
-        position = self._sink.position
-        self._sink.write(RECORD.pack(Opcode.CHUNK, len(body) + size) + body)
-        for part in parts:
-            self._sink.write(part)
-        return ChunkIndex(
-            chunk_length=self._sink.position - position,
-            chunk_start_offset=position,
-            compression=name.decode(),
-            compressed_size=size,
-            message_end_time=chunk.end_ns,
-            message_index_length=0,
-            message_index_offsets={},
-            message_start_time=chunk.start_ns,
-            uncompressed_size=chunk.size,
-        )
-
-    def finish(self, information: Mapping[str, Any]) -> None:
-        """Writes everything that follows the messages and closes the file."""
-        self.flush()
-        self._sink.write(end_of_file(self._section, self._sink.position, information))
-        self._sink.close()
-
-    def rescue(self) -> None:
-        """Closes the file where it is."""
-        self._sink.close()
-
-
-def _compress(data: bytes, compression: Compression) -> bytes:
-    if compression == "zstd":
-        return bytes(zstandard.compress(data))
-    return bytes(lz4.frame.compress(data))
+    def _open_file(self) -> BinaryIO:
+        assert self._file is not None, "the file is closed"
+        return self._file

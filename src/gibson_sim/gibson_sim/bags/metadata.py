@@ -1,4 +1,4 @@
-"""``metadata.yaml`` of a rosbag2 folder, version 9 (Jazzy), and the quality of service that it holds for every topic."""
+"""Reads and writes ``metadata.yaml`` of a rosbag2 folder, version 9 (Jazzy), with the quality of service of every topic."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ METADATA_FILE = "metadata.yaml"
 VERSION = 9
 ROS_DISTRO = "jazzy"
 FOREVER_NS = 2**63 - 1
-"""What Fast DDS reports for a deadline, lifespan or lease that never ends."""
+"""Duration that Fast DDS reports for an infinite deadline, lifespan or lease, nanoseconds."""
 
 
 class Profile(Protocol):
-    """The attributes of ``rclpy.qos.QoSProfile`` that tell history, depth, reliability and durability."""
+    """Anything with the attributes of ``rclpy.qos.QoSProfile``."""
 
     @property
     def depth(self) -> int:
-        """Messages kept."""
+        """Number of messages kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicQos:
-    """Quality of service of a topic, in the words of rosbag2. With it ``ros2 bag play`` publishes the topic as it was."""
+    """Quality of service of a topic in rosbag2's terms; ``ros2 bag play`` publishes the topic with it."""
 
     history: str = "keep_last"
     depth: int = 10
     reliability: str = "reliable"
     durability: str = "volatile"
-    """``transient_local`` = latched: late joiners get the last message, also in a replay."""
+    """``transient_local`` = latched: late joiners receive the last message, also in a replay."""
     deadline_ns: int = FOREVER_NS
     lifespan_ns: int = FOREVER_NS
     liveliness: str = "automatic"
@@ -50,7 +50,7 @@ class TopicQos:
 
     @classmethod
     def of(cls, profile: TopicQos | Profile | None) -> TopicQos:
-        """Returns it from ``rclpy.qos.QoSProfile``, or from anything with the same attributes; None = the default."""
+        """Converts ``rclpy.qos.QoSProfile``, or any object with its attributes; None = the default."""
         if profile is None:
             return cls()
         if isinstance(profile, cls):
@@ -79,12 +79,12 @@ class TopicQos:
 
 @dataclass(frozen=True, slots=True)
 class TopicRecord:
-    """One topic as the metadata lists it."""
+    """One topic as listed in the metadata."""
 
     name: str
     type_name: str
     qos: Sequence[dict[str, Any]]
-    """Offered profiles, as ``TopicQos.as_dict`` has them."""
+    """Offered profiles, each as ``TopicQos.as_dict`` returns it."""
     type_hash: str
     count: int
 
@@ -96,22 +96,22 @@ def dump_qos(profiles: Sequence[dict[str, Any]]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """One storage file of a bag as the metadata lists it."""
+    """One storage file of a bag as listed in the metadata."""
 
     name: str
     start_ns: int = 0
-    """Time of the first message; 0 if there is none."""
+    """Log time of the first message, nanoseconds; 0 if there is none."""
     end_ns: int = 0
-    """Time of the last message; 0 if there is none."""
+    """Log time of the last message, nanoseconds; 0 if there is none."""
     count: int = 0
 
 
 def bag_information(topics: Sequence[TopicRecord], files: Sequence[FileRecord], storage: str = "mcap") -> dict[str, Any]:
-    """Returns what stands under ``rosbag2_bagfile_information``.
+    """Returns the content of ``rosbag2_bagfile_information``.
 
     Args:
         topics: all topics, also those without a message.
-        files: the storage files in their order.
+        files: the storage files in order.
         storage: ``mcap`` or ``sqlite3``.
     """
     filled = [file for file in files if file.count]
@@ -153,12 +153,12 @@ def bag_information(topics: Sequence[TopicRecord], files: Sequence[FileRecord], 
 
 
 def dump_information(information: dict[str, Any]) -> str:
-    """Returns the text that a storage file itself carries: mcap in its metadata record ``rosbag2``, sqlite3 in its table."""
+    """Returns the metadata embedded in a storage file: in the metadata record ``rosbag2`` of mcap, in a table of sqlite3."""
     return _dump(information)
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Returns what stands under ``rosbag2_bagfile_information``; empty if the file is missing or not understood."""
+    """Returns the content of ``rosbag2_bagfile_information``; empty if the file is missing or cannot be parsed."""
     try:
         content = read_yaml_file(folder / METADATA_FILE)
     except (OSError, TextError):
@@ -168,7 +168,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 
 
 def offered_qos(text: str) -> list[Any]:
-    """Returns the profiles that a storage file keeps of a topic as YAML; empty if the text is not understood."""
+    """Returns the profiles of a topic from their YAML text in a storage file; empty if it cannot be parsed."""
     try:
         content = parse_yaml(text)
     except TextError:
@@ -177,7 +177,7 @@ def offered_qos(text: str) -> list[Any]:
 
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:
-    """Writes ``metadata.yaml``, whole or not at all."""
+    """Writes ``metadata.yaml`` atomically."""
     path = folder / METADATA_FILE
     draft = folder / (METADATA_FILE + ".tmp")
     try:
@@ -188,7 +188,7 @@ def write_metadata(folder: Path, information: dict[str, Any]) -> None:
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """Writes equal objects out each time: yaml-cpp is not asked to follow anchors."""
+    """Writes no anchors and aliases, so that no reader must follow them."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

@@ -1,4 +1,4 @@
-"""A progress bar on the terminal for work on bags."""
+"""A progress bar in the terminal for work on bags."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 Advance = Callable[[float], None]
-"""Told how much of the work is done, 0 to 1."""
+"""Receives the part of the work that is done, 0 to 1."""
 _STEP = 0.001
-"""Less is not shown: to draw the bar takes longer than many a message."""
+"""Smallest progress that redraws the bar: drawing takes longer than many a message."""
 
 
 def no_progress(part: float) -> None:
@@ -20,7 +20,7 @@ def no_progress(part: float) -> None:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Advance]:
-    """Shows a bar on stderr while the block runs, if that is a terminal; yields what it wants to be told."""
+    """Shows a bar on stderr, if that is a terminal, while the block runs; yields the callable that advances it."""
     console = Console(stderr=True)
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:

@@ -1,6 +1,6 @@
 """Reads bags: topics, messages in the order of their log time, stamps, images as arrays.
 
-A thin layer over `rosbags`, which needs no ROS: the types come from the definitions inside the bag. Must not import rclpy.
+A thin layer over `rosbags`, which needs no ROS: message types come from the definitions in the bag. Must not import rclpy.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gibson_sim.quoting import clipped, quoted
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 _LONGEST_REASON = 300
-"""Characters of what a parser says."""
+"""Longest quotation of a parser's error, characters."""
 _ENCODINGS: dict[str, tuple[str, int]] = {
     "rgb8": ("u1", 3),
     "bgr8": ("u1", 3),
@@ -37,7 +37,7 @@ _ENCODINGS: dict[str, tuple[str, int]] = {
     "32FC3": ("f4", 3),
     "16UC1": ("u2", 1),
 }
-"""numpy type and channels of the encodings that can be read."""
+"""NumPy type and number of channels of each supported encoding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +48,11 @@ class TopicInfo:
     type_name: str
     """``<package>/msg/<Type>``."""
     count: int
-    """Messages."""
+    """Number of messages."""
     latched: bool
-    """Late joiners get the last message."""
+    """Whether late joiners receive the last message."""
     stamped: bool
-    """Messages begin with a stamp: ``stamp_ns`` works on their bytes."""
+    """Whether messages begin with a stamp, so that ``stamp_ns`` works on their bytes."""
 
 
 class BagReader:
@@ -62,22 +62,22 @@ class BagReader:
         """Opens a bag.
 
         Raises:
-            RecordError: it is no bag, or one that was cut off.
+            RecordError: the folder is not a bag, or the recording was cut off.
         """
         self.folder = Path(folder)
         check_bag(self.folder)
         self._reader: AnyReader | None = None
         try:
-            # The types of Jazzy are for bags without definitions, as sqlite3 ones were before Jazzy.
+            # Bags without definitions (sqlite3 before Jazzy) are read with the types of Jazzy.
             reader = AnyReader([self.folder], default_typestore=get_typestore(Stores.ROS2_JAZZY))
             reader.open()
-        # What a parser raises is up to the bytes that it is given: damage raises anything, MemoryError too.
+        # Damaged bytes make parsers raise anything, MemoryError included.
         except Exception as error:
             raise RecordError(
                 f"bag {self.folder} cannot be read ({_reason(error)}); if its recording was cut off, "
                 f"run `gibson-sim bag repair {self.folder}`"
             ) from error
-        # rosbags takes what stands in metadata.yaml as it is.
+        # rosbags does not check the types of the values in metadata.yaml.
         kinds = ((c.topic, c.msgtype, c.msgcount) for c in reader.connections)
         if not all(isinstance(topic, str) and isinstance(kind, str) and isinstance(count, int) for topic, kind, count in kinds):
             reader.close()
@@ -106,8 +106,8 @@ class BagReader:
 
         Args:
             topics: only these; None = all.
-            start_ns: first log time wanted, nanoseconds.
-            stop_ns: log time to end before, nanoseconds.
+            start_ns: log time to start at, nanoseconds.
+            stop_ns: log time to stop before, nanoseconds.
 
         Raises:
             RecordError: a topic is not in the bag, or a message cannot be decoded.
@@ -136,7 +136,7 @@ class BagReader:
         """Returns the first message of a topic.
 
         Raises:
-            RecordError: there is none, whatever the index of the bag says, or it cannot be decoded.
+            RecordError: there is none, whatever the index of the bag lists, or it cannot be decoded.
         """
         for _, _, message in self.messages([topic]):
             return message
@@ -158,7 +158,7 @@ class BagReader:
             ) from error
 
     def close(self) -> None:
-        """Closes the bag; a second time does nothing."""
+        """Closes the bag; a second call does nothing."""
         reader, self._reader = self._reader, None
         if reader is not None:
             reader.close()
@@ -171,12 +171,12 @@ class BagReader:
 
     @property
     def connections(self) -> list[Connection]:
-        """What `rosbags` knows of each topic: definition of its type, offered quality of service."""
+        """Connections of `rosbags`, one a topic, with the definition of its type and the offered quality of service."""
         return list(self._open().connections)
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Log times of the first and of the last message, nanoseconds; (0, 0) where there is none."""
+        """Log times of the first and the last message, nanoseconds; (0, 0) if there is none."""
         reader = self._open()
         return (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
 
@@ -201,19 +201,19 @@ class BagReader:
 
 
 def _reason(error: Exception) -> str:
-    """Returns what an error of a parser says, on one line, which may quote the file."""
+    """Returns the text of a parser's error, which may quote the file, clipped to one line."""
     return clipped(str(error), _LONGEST_REASON) or type(error).__name__
 
 
 def image_to_array(msg: Any) -> NDArray[Any]:
-    """Returns the pixels of a ``sensor_msgs/Image``, row 0 on top, as the message has them.
+    """Returns the pixels of a ``sensor_msgs/Image``, row 0 at the top, unconverted.
 
     Args:
-        msg: encoding rgb8, bgr8, rgba8, bgra8, mono8 (uint8), mono16 (uint16), 16UC1 (uint16, millimetres or numbers), 32FC1 (float32,
+        msg: encoding rgb8, bgr8, rgba8, bgra8, mono8 (uint8), mono16 (uint16), 16UC1 (uint16, millimetres or labels), 32FC1 (float32,
             metres), 32FC2 or 32FC3 (float32).
 
     Returns:
-        (height, width, channels), colours in the order of the encoding; (height, width) where there is one channel. A view if possible.
+        (height, width, channels), channels in the order of the encoding; (height, width) for one channel. A view if possible.
 
     Raises:
         RecordError: another encoding, too few bytes, or no pixels.

@@ -1,7 +1,7 @@
-"""A recording: what of the messages that come is written where, and at which time. Knows no ROS: a node hands it bytes.
+"""Recording: decides which messages are written, to which bag, and at which time. Knows no ROS: a node hands it bytes.
 
-The time of a message in the bag is the newest /clock, as `ros2 bag record --use-sim-time` has it. Where that runs backwards (the
-simulation was reset, or started anew), the bag is closed and the recording goes on in another one, ``<bag>_epoch1``.
+The log time of a message is the newest /clock before it, as with `ros2 bag record --use-sim-time`. When /clock runs backwards (the
+simulation was reset or restarted), the bag is closed and the recording continues in another one, ``<bag>_epoch1``.
 """
 
 from __future__ import annotations
@@ -25,174 +25,29 @@ from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.types import NS_PER_S
 
 CLOCK = "/clock"
+TF = "tf2_msgs/msg/TFMessage"
+MOST_WAITING = 1000
+"""Messages, beside latched ones, that may wait for the first /clock."""
+MOST_EPOCHS = 100
+"""Resets of time in one recording, at most: two programs that publish /clock would cause them without end."""
+_MOST_TRANSFORMS = 200
+"""Messages kept of one latched topic of transforms, where each sender adds to what the others sent."""
+
 Message = tuple[str, bytes]
 """Topic and CDR bytes."""
-
-
-class Beginning:
-    """Holds messages back until it is known where the recording begins.
-
-    A new process hears of the others one by one, which takes a second and more. Where time runs freely, all that is heard is recorded. In
-    lockstep nothing is to be missing: where the simulation was there before the recorder, the bag begins with the first /clock after everybody is
-    heard. Latched messages of before are in it, too.
-
-    Args:
-        is_latched: whether a topic is.
-    """
-
-    def __init__(self, is_latched: Callable[[str], bool]) -> None:
-        self._is_latched = is_latched
-        self._held: list[Message] = []
-        self._first_ns: int | None = None
-        self._leaves_out = self._waits_for_clock = False
-        self.is_open = False
-        """Whether it has begun: nothing is held back any more."""
-
-    @property
-    def has_clock(self) -> bool:
-        """Whether /clock came."""
-        return self._first_ns is not None
-
-    @property
-    def is_late(self) -> bool:
-        """Whether time was running already when the first /clock came."""
-        return bool(self._first_ns)
-
-    def open(self) -> None:
-        """Begins with all that was held back."""
-        self.is_open = True
-
-    def leave_out(self) -> None:
-        """Leaves out what came so far, and what comes before ``begin_with_clock``."""
-        self._leaves_out = True
-
-    def begin_with_clock(self) -> None:
-        """Begins with the next /clock."""
-        self._leaves_out = self._waits_for_clock = True
-
-    def let_through(self, messages: Iterable[Message]) -> list[Message]:
-        """Returns what is to be recorded by now, in its order: of these messages, and of those that were held back."""
-        for topic, data in messages:
-            if topic == CLOCK and not self.is_open:
-                self._note_clock(stamp_ns(data))
-            self._held.append((topic, data))
-        if self.is_open:
-            released, self._held = self._held, []
-            return released
-        if self._leaves_out:
-            self._drop()
-        return []
-
-    def _note_clock(self, now_ns: int) -> None:
-        if self._first_ns is None:
-            self._first_ns = now_ns
-        if self._waits_for_clock:
-            self._drop()
-            self.is_open = True
-
-    def _drop(self) -> None:
-        self._held = [message for message in self._held if self._is_latched(message[0])]
-
-
-TF = "tf2_msgs/msg/TFMessage"
-_MOST_TRANSFORMS = 200
-"""Messages kept of one latched topic of transforms, where each sender adds to what the others said."""
-
 Stored = tuple[int, str, bytes]
 """Log time in nanoseconds, topic, CDR bytes."""
-
-
-class LatchedMessages:
-    """What a late joiner would get: the last message of each latched topic, and all of those with transforms."""
-
-    def __init__(self) -> None:
-        self._kept: dict[str, deque[Stored]] = {}
-
-    def add(self, topic: str, type_name: str, stamp_ns: int, data: bytes) -> None:
-        """Takes a message of a latched topic."""
-        kept = self._kept.setdefault(topic, deque(maxlen=_MOST_TRANSFORMS if type_name == TF else 1))
-        again = next((message for message in kept if message[2] == data), None)
-        if again is not None:
-            kept.remove(again)
-        kept.append((stamp_ns, topic, data))
-
-    def restart(self, stamp_ns: int) -> None:
-        """Moves everything to one time, nanoseconds: that at which time began anew."""
-        for topic, kept in self._kept.items():
-            self._kept[topic] = deque(((stamp_ns, name, data) for _, name, data in kept), maxlen=kept.maxlen)
-
-    def messages(self) -> list[Stored]:
-        """Returns what is kept in the order in which it came."""
-        return sorted((message for kept in self._kept.values() for message in kept), key=lambda m: m[0])
-
-
-class SnapshotMemory:
-    """The messages of the last seconds of simulation time, as far as the memory allows."""
-
-    def __init__(self, span_ns: int, most_bytes: int) -> None:
-        """Takes the limits.
-
-        Args:
-            span_ns: messages older than this are forgotten, nanoseconds.
-            most_bytes: of all messages together; the oldest go first.
-        """
-        self._span_ns, self._most_bytes = span_ns, most_bytes
-        self._messages: deque[Stored] = deque()
-        self._bytes = 0
-        self.crowded = False
-        """True once the memory was too small for the seconds."""
-
-    def add(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Takes a message; stamps (nanoseconds) must not run backwards."""
-        self._messages.append((stamp_ns, topic, data))
-        self._bytes += len(data)
-        while self._messages[0][0] < stamp_ns - self._span_ns:
-            self._forget()
-        while self._bytes > self._most_bytes:
-            self.crowded = True
-            self._forget()
-
-    def with_latched(self, latched: LatchedMessages) -> Iterator[Stored]:
-        """Yields what is kept in the order of time, latched messages of before at the time of the first one."""
-        if not self._messages:
-            return iter(())
-        start = self._messages[0][0]
-        first = [(max(start, stamp), topic, data) for stamp, topic, data in latched.messages()]
-        return heapq.merge(first, self._messages, key=lambda message: message[0])
-
-    def clear(self) -> None:
-        """Forgets everything."""
-        self._messages.clear()
-        self._bytes = 0
-
-    def _forget(self) -> None:
-        self._bytes -= len(self._messages.popleft()[2])
-
-
-MOST_WAITING = 1000
-"""Messages that wait for the first clock, beside latched ones."""
-MOST_EPOCHS = 100
-"""So often may time run backwards: where two programs publish /clock, it would do so without end."""
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class _Topic:
-    """A topic that is recorded."""
-
-    type_name: str
-    qos: TopicQos
-    latched: bool
-
-
 class Recording:
-    """Writes messages to bags, at simulation time. A full disk or another error of the bag ends it: see ``error``."""
+    """Writes messages to bags at simulation time. A full disk or another write error ends it: see ``error``."""
 
     def __init__(self, config: RecordConfig) -> None:
-        """Makes the bag, unless snapshots alone are wanted.
+        """Creates the bag, unless only snapshots are requested.
 
         Raises:
-            ConfigError: there is no folder to write to.
+            ConfigError: no output folder is given.
             RecordError: the folder cannot be used.
         """
         if not config.output:
@@ -209,38 +64,38 @@ class Recording:
             self._bag = self._new_bag(self._output)
         self._topics: dict[str, _Topic] = {}
         self._latched = LatchedMessages()
-        self._late: dict[str, bytes] = {}
-        self._waiting: list[tuple[str, bytes]] = []
+        self._latched_while_paused: dict[str, bytes] = {}
+        self._waiting: list[Message] = []
         self._unwritten = 0
         self._now_ns: int | None = None
         self._recorded_ns = self._epochs = 0
         self._messages: Counter[str] = Counter()
         self._bytes: Counter[str] = Counter()
         self.paused = False
-        """Nothing is written, until ``resume``."""
+        """Whether writing is suspended until ``resume``."""
         self.done = False
-        """The duration has passed, or an error ended it."""
+        """Whether the duration has passed or an error has ended the recording."""
         self.error = ""
-        """What ended it early; empty = nothing."""
+        """What ended the recording early; empty = nothing."""
 
     @property
     def keeps_snapshots(self) -> bool:
-        """Whether messages are kept in memory instead of being written."""
+        """Whether messages are kept in memory instead of written to disk."""
         return self._memory is not None
 
     def add_topic(self, topic: str, type_name: str, profile: TopicQos | Profile | None, *, latched: bool = False) -> None:
         """Declares a topic.
 
         Raises:
-            RecordError: its type is unknown or cannot be recorded; the recording goes on without it.
+            RecordError: its type is unknown or cannot be recorded; the recording continues without it.
         """
         record = _Topic(type_name, TopicQos.of(profile), latched)
         if self._bag is not None:
             self._bag.add_topic(topic, record.type_name, record.qos)
         self._topics[topic] = record
 
-    def on_clock(self, data: bytes) -> None:
-        """Takes a message of /clock, which is recorded only if that topic was declared."""
+    def receive_clock(self, data: bytes) -> None:
+        """Advances time by a message of /clock, which is recorded only if that topic was declared."""
         now = stamp_ns(data)
         before, self._now_ns = self._now_ns, now
         if before is None:
@@ -249,39 +104,39 @@ class Recording:
             self._begin_epoch(before, now)
         elif not self.paused:
             self._recorded_ns += now - before
-        if "/clock" in self._topics:
-            self._take("/clock", data, now)
+        if CLOCK in self._topics:
+            self._record(CLOCK, data, now)
         if self._config.duration and self._recorded_ns >= self._config.duration * NS_PER_S:
             self.done = True
 
-    def take(self, topic: str, data: bytes) -> None:
-        """Takes a message of a declared topic, CDR bytes."""
+    def receive(self, topic: str, data: bytes) -> None:
+        """Records a message of a declared topic, CDR bytes."""
         if self._now_ns is not None:
-            self._take(topic, data, self._now_ns)
+            self._record(topic, data, self._now_ns)
         elif self._topics[topic].latched or len(self._waiting) < MOST_WAITING:
-            # The first clock may be handed out after what came behind it.
+            # The middleware may deliver the first /clock after messages that were sent later.
             self._waiting.append((topic, data))
         else:
             self._unwritten += 1
 
     def pause(self) -> None:
-        """Writes nothing more for now. Latched messages that come meanwhile are written when it goes on."""
+        """Suspends writing. Latched messages that arrive meanwhile are written on ``resume``."""
         if not self.paused:
             _log.info("recording is paused")
         self.paused = True
 
     def resume(self) -> None:
-        """Goes on."""
+        """Ends a pause."""
         if not self.paused:
             return
         self.paused = False
         _log.info("recording goes on")
-        late, self._late = self._late, {}
-        for topic, data in late.items():
-            self._put(topic, data, self._now_ns or 0)
+        latched, self._latched_while_paused = self._latched_while_paused, {}
+        for topic, data in latched.items():
+            self._store(topic, data, self._now_ns or 0)
 
     def split(self) -> bool:
-        """Goes on in the next file of the bag; returns False if there is nothing to split."""
+        """Continues in the next file of the bag; returns False if there is nothing to split."""
         if self._bag is None or self.done:
             return False
         try:
@@ -291,7 +146,7 @@ class Recording:
             return False
 
     def flush(self) -> None:
-        """Hands what was written to the system, so that it outlives this process."""
+        """Hands what was written to the kernel, so that it outlives this process."""
         if self._bag is not None and not self.done:
             try:
                 self._bag.flush()
@@ -299,7 +154,7 @@ class Recording:
                 self._fail(error)
 
     def snapshot(self) -> Path | None:
-        """Writes what is in memory to a new bag, and keeps it; returns the bag, or None if there is nothing or no disk for it."""
+        """Writes the messages in memory to a new bag and keeps them; returns the bag, or None if there are none or the write fails."""
         messages = [] if self._memory is None else list(self._memory.with_latched(self._latched))
         if not messages:
             _log.warning("no snapshot is written: %s", "nothing came yet" if self.keeps_snapshots else "snapshot_seconds is 0")
@@ -322,14 +177,14 @@ class Recording:
         """Closes the bag.
 
         Raises:
-            RecordError: its end could not be written.
+            RecordError: the end of the bag cannot be written.
         """
         if self._bag is not None:
             bag, self._bag = self._bag, None
             bag.close()
 
     def summary(self) -> dict[str, Any]:
-        """Returns what was written, by topic."""
+        """Returns the number of messages and bytes by topic, the bags, and what ended the recording."""
         return {
             "bag": self._config.output,
             "bags": [str(folder) for folder in self._bags],
@@ -340,17 +195,18 @@ class Recording:
             "error": self.error,
         }
 
-    def _take(self, topic: str, data: bytes, now_ns: int) -> None:
+    def _record(self, topic: str, data: bytes, now_ns: int) -> None:
+        """Stores one message, or keeps it for the end of a pause if it is latched."""
         record = self._topics[topic]
         if record.latched:
             self._latched.add(topic, record.type_name, now_ns, data)
         if not self.paused:
-            self._put(topic, data, now_ns)
+            self._store(topic, data, now_ns)
         elif record.latched:
-            self._late[topic] = data
+            self._latched_while_paused[topic] = data
 
-    def _put(self, topic: str, data: bytes, now_ns: int) -> None:
-        """Writes or remembers one message; a full disk ends the recording, not the simulation."""
+    def _store(self, topic: str, data: bytes, now_ns: int) -> None:
+        """Writes one message to the bag or to the snapshot memory; a full disk ends the recording, not the simulation."""
         if self.done:
             return
         if self._memory is not None:
@@ -376,13 +232,13 @@ class Recording:
         _log.error("recording ends: %s", error)
 
     def _write_waiting(self, now_ns: int) -> None:
-        """Writes what came before the first clock, at its time."""
+        """Writes the messages that arrived before the first /clock, at its time."""
         waiting, self._waiting = self._waiting, []
         for topic, data in waiting:
-            self._take(topic, data, now_ns)
+            self._record(topic, data, now_ns)
 
     def _begin_epoch(self, before_ns: int, now_ns: int) -> None:
-        """Goes on in a bag of its own after time ran backwards, with the latched messages that still hold."""
+        """Continues in a new bag after time ran backwards, beginning with the latched messages."""
         self._epochs += 1
         self._latched.restart(now_ns)
         times = f"{before_ns / NS_PER_S:.3f} s to {now_ns / NS_PER_S:.3f} s"
@@ -400,13 +256,13 @@ class Recording:
             self._bag = self._new_bag(folder)
             self._declare(self._bag)
             for _, topic, data in self._latched.messages():
-                self._put(topic, data, now_ns)
+                self._store(topic, data, now_ns)
             _log.info("time went back from %s: %s is closed, recording goes on in %s", times, closed, folder)
         except RecordError as error:
             self._fail(error)
 
     def _free_folder(self, what: str) -> Path:
-        """Returns ``<output>_<what><number>`` with the first number that is free."""
+        """Returns ``<output>_<what><number>`` with the first unused number."""
         number = 1
         while (folder := self._output.with_name(f"{self._output.resolve().name}_{what}{number}")).exists():
             number += 1
@@ -431,13 +287,22 @@ class Recording:
             bag.add_topic(topic, record.type_name, record.qos)
 
 
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """A recorded topic."""
+
+    type_name: str
+    qos: TopicQos
+    latched: bool
+
+
 def _write_all(bag: BagWriter, messages: Iterable[Stored]) -> None:
     for stamp, topic, data in messages:
         bag.write(topic, data, stamp, stamp)
 
 
 def report_lines(summary: dict[str, Any]) -> list[str]:
-    """Returns the summary of a recording for a terminal: a line for each topic, and what was lost."""
+    """Returns the summary of a recording for a terminal: one line a topic, and the losses."""
     counts, sizes = summary["messages"], summary["bytes"]
     lost, late = summary.get("lost", {}), summary.get("message_lost", {})
     width = max((len(topic) for topic in counts), default=0)
@@ -455,3 +320,134 @@ def report_lines(summary: dict[str, Any]) -> list[str]:
     if summary["error"]:
         lines.append(f"WARNING: the recording ended early: {summary['error']}")
     return lines
+
+
+class SnapshotMemory:
+    """The messages of the last seconds of simulation time, within a limit of memory.
+
+    Args:
+        span_ns: age beyond which messages are dropped, nanoseconds.
+        most_bytes: limit of all messages together; the oldest are dropped first.
+    """
+
+    def __init__(self, span_ns: int, most_bytes: int) -> None:
+        self._span_ns, self._most_bytes = span_ns, most_bytes
+        self._messages: deque[Stored] = deque()
+        self._bytes = 0
+        self.crowded = False
+        """Whether the memory was ever too small for the span."""
+
+    def add(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Adds a message; stamps (nanoseconds) must not run backwards."""
+        self._messages.append((stamp_ns, topic, data))
+        self._bytes += len(data)
+        while self._messages[0][0] < stamp_ns - self._span_ns:
+            self._drop_oldest()
+        while self._bytes > self._most_bytes:
+            self.crowded = True
+            self._drop_oldest()
+
+    def with_latched(self, latched: LatchedMessages) -> Iterator[Stored]:
+        """Yields the messages in the order of time; earlier latched messages come at the time of the first one."""
+        if not self._messages:
+            return iter(())
+        start = self._messages[0][0]
+        first = [(max(start, stamp), topic, data) for stamp, topic, data in latched.messages()]
+        return heapq.merge(first, self._messages, key=lambda message: message[0])
+
+    def clear(self) -> None:
+        """Drops all messages."""
+        self._messages.clear()
+        self._bytes = 0
+
+    def _drop_oldest(self) -> None:
+        self._bytes -= len(self._messages.popleft()[2])
+
+
+class LatchedMessages:
+    """What a late joiner would receive: the last message of each latched topic, and all messages of transform topics."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, deque[Stored]] = {}
+
+    def add(self, topic: str, type_name: str, stamp_ns: int, data: bytes) -> None:
+        """Adds a message of a latched topic."""
+        kept = self._kept.setdefault(topic, deque(maxlen=_MOST_TRANSFORMS if type_name == TF else 1))
+        again = next((message for message in kept if message[2] == data), None)
+        if again is not None:
+            kept.remove(again)
+        kept.append((stamp_ns, topic, data))
+
+    def restart(self, stamp_ns: int) -> None:
+        """Sets the log time of all messages to that at which time began anew, nanoseconds."""
+        for topic, kept in self._kept.items():
+            self._kept[topic] = deque(((stamp_ns, name, data) for _, name, data in kept), maxlen=kept.maxlen)
+
+    def messages(self) -> list[Stored]:
+        """Returns the messages in the order of their arrival."""
+        return sorted((message for kept in self._kept.values() for message in kept), key=lambda m: m[0])
+
+
+class StartGate:
+    """Holds messages back until it is known where the recording starts.
+
+    DDS discovers publishers one by one, over a second and more. While time runs freely, whatever arrives is recorded. In lockstep nothing may
+    be missing: if the simulation was running before the recorder, the bag starts with the first /clock after all publishers are matched, and
+    with the latched messages of before.
+
+    Args:
+        is_latched: returns whether a topic is latched.
+    """
+
+    def __init__(self, is_latched: Callable[[str], bool]) -> None:
+        self._is_latched = is_latched
+        self._held: list[Message] = []
+        self._first_ns: int | None = None
+        self._discards = self._waits_for_clock = False
+        self.is_open = False
+        """Whether the recording has started: nothing is held back any more."""
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether a /clock has arrived."""
+        return self._first_ns is not None
+
+    @property
+    def is_late(self) -> bool:
+        """Whether time was running already when the first /clock arrived."""
+        return bool(self._first_ns)
+
+    def open(self) -> None:
+        """Starts with all messages that were held back."""
+        self.is_open = True
+
+    def discard(self) -> None:
+        """Discards what has arrived, and what arrives before ``open_at_next_clock``, except latched messages."""
+        self._discards = True
+
+    def open_at_next_clock(self) -> None:
+        """Starts with the next /clock."""
+        self._discards = self._waits_for_clock = True
+
+    def release(self, messages: Iterable[Message]) -> list[Message]:
+        """Adds messages; returns those to record now, held ones first."""
+        for topic, data in messages:
+            if topic == CLOCK and not self.is_open:
+                self._note_clock(stamp_ns(data))
+            self._held.append((topic, data))
+        if self.is_open:
+            released, self._held = self._held, []
+            return released
+        if self._discards:
+            self._discard_held()
+        return []
+
+    def _note_clock(self, now_ns: int) -> None:
+        if self._first_ns is None:
+            self._first_ns = now_ns
+        if self._waits_for_clock:
+            self._discard_held()
+            self.is_open = True
+
+    def _discard_held(self) -> None:
+        self._held = [message for message in self._held if self._is_latched(message[0])]

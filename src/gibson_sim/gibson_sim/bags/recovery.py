@@ -1,8 +1,8 @@
-"""Makes a bag readable whose writer could not finish: after a crash, a power cut or a full disk.
+"""Repairs a bag whose writer could not finish: after a crash, a power cut or a full disk.
 
-An mcap file is read from the start, chunk by chunk. What follows the last whole chunk is cut off, damaged chunks before it are left
-out of the index, and index, statistics and footer are written anew. A database gets what its log holds. Then ``metadata.yaml`` is
-written anew for all files. The records of mcap: https://mcap.dev/spec.
+An mcap file is read from the start, chunk by chunk. What follows the last complete chunk is cut off, damaged chunks before it are left
+out of the index, and index, statistics and footer are rewritten. The log of a database is merged into it. Then ``metadata.yaml`` is
+rewritten for all files. Records of mcap: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from mcap.writer import MCAP0_MAGIC
 
 from gibson_sim.bags.mcap_file import MESSAGE, RECORD, ChunkEntry, DataSection, end_of_file, message_index
 from gibson_sim.bags.metadata import TopicRecord, bag_information, offered_qos, read_metadata, write_metadata
-from gibson_sim.bags.sqlite_file import mend_database
+from gibson_sim.bags.sqlite_file import repair_database
 from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, EmptyFileError, FileContents, Storage
 from gibson_sim.errors import RecordError
 
 _FOOTER_BYTES = RECORD.size + 20 + len(MCAP0_MAGIC)
 _KNOWN = frozenset(int(opcode) for opcode in Opcode)
-# What the parsers raise on bytes that are not what they should be: struct, text and checksums, absurd lengths, lz4, zstd, mcap.
+# What the parsers raise on damaged bytes: struct, text and checksums, absurd lengths, lz4, zstd, mcap.
 _DAMAGE = (struct.error, ValueError, KeyError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError, McapError)
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """What ``repair`` did."""
+    """Result of ``repair``."""
 
     folder: Path
     files: int
-    """Files that can be read now."""
+    """Readable files."""
     messages: int
-    """Messages that can be read now."""
+    """Readable messages."""
     cut_bytes: int
-    """Bytes behind the last whole chunk that were cut off."""
+    """Bytes after the last complete chunk that were cut off."""
     changed: bool = True
 
     def __str__(self) -> str:
@@ -62,24 +62,24 @@ class Repair:
 
 @dataclass(slots=True)
 class _Section(DataSection):
-    """What stands in the data section of a file, as far as it is whole."""
+    """The complete part of the data section of a file."""
 
     start: int = 0
-    """Offset behind what stands before the first chunk."""
+    """Offset of the end of the records before the first chunk."""
     last_messages: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
     """(log time, offset in the chunk) of the messages of the last chunk by channel."""
 
     @property
     def end(self) -> int:
-        """Offset behind the last whole chunk."""
+        """Offset of the end of the last complete chunk."""
         return self.chunks[-1].end if self.chunks else self.start
 
 
 def repair(folder: str | Path) -> Repair:
-    """Makes a bag readable that was cut off. A whole bag is left as it is; doing it twice does no harm.
+    """Makes a bag readable whose recording was cut off. Leaves a complete bag unchanged; idempotent.
 
     Raises:
-        RecordError: there is no bag, or its beginning is not that of a bag of ours.
+        RecordError: there is no bag, or this program did not write it.
     """
     folder = Path(folder)
     storage, paths = _storage_files(folder)
@@ -88,8 +88,8 @@ def repair(folder: str | Path) -> Repair:
         (folder / RESERVE_FILE).unlink(missing_ok=True)
         for path in paths:
             try:
-                # The last file makes room for the metadata as well, where there is none.
-                contents.append(_mend(path, storage, lambda found: _publish(folder, storage, [*contents, found])))
+                # On a full disk, the last file makes room for the metadata as well.
+                contents.append(_repair_file(path, storage, lambda found: _write_metadata(folder, storage, [*contents, found])))
             except EmptyFileError as error:
                 if len(paths) == 1:
                     raise
@@ -97,7 +97,7 @@ def repair(folder: str | Path) -> Repair:
         messages, cut = sum(c.count for c in contents), sum(c.cut_bytes for c in contents)
         listed = _is_listed(folder, contents)
         if not listed:
-            _publish(folder, storage, contents)
+            _write_metadata(folder, storage, contents)
         changed = not listed or any(not c.whole for c in contents)
         return Repair(folder, len(contents), messages, cut, changed)
     except OSError as error:
@@ -107,7 +107,7 @@ def repair(folder: str | Path) -> Repair:
 
 
 def _storage_files(folder: Path) -> tuple[Storage, list[Path]]:
-    """Returns the kind of the storage files of a bag, and the files in their order.
+    """Returns the kind of the storage files of a bag, and the files in order.
 
     Raises:
         RecordError: there are none, or two kinds.
@@ -121,7 +121,7 @@ def _storage_files(folder: Path) -> tuple[Storage, list[Path]]:
 
 
 def _number(path: Path) -> tuple[int, str]:
-    """Returns what sorts ``bag_10`` behind ``bag_9``."""
+    """Returns a sort key that puts ``bag_10`` after ``bag_9``."""
     match = re.search(r"_(\d+)$", path.stem)
     return int(match[1]) if match else 0, path.name
 
@@ -133,8 +133,8 @@ def _is_listed(folder: Path, contents: list[FileContents]) -> bool:
     return listed == ([c.path.name for c in contents], sum(c.count for c in contents))
 
 
-def _publish(folder: Path, storage: Storage, contents: list[FileContents]) -> None:
-    """Writes ``metadata.yaml`` of a bag of these files."""
+def _write_metadata(folder: Path, storage: Storage, contents: list[FileContents]) -> None:
+    """Writes ``metadata.yaml`` for a bag of these files."""
     topics: dict[str, TopicRecord] = {}
     for topic in (topic for c in contents for topic in c.topics):
         before = topics.get(topic.name)
@@ -143,33 +143,33 @@ def _publish(folder: Path, storage: Storage, contents: list[FileContents]) -> No
     write_metadata(folder, bag_information(list(topics.values()), [c.record for c in contents], storage))
 
 
-def _mend(path: Path, storage: Storage, publish: Callable[[FileContents], None]) -> FileContents:
-    """Makes one file readable and returns what is in it."""
+def _repair_file(path: Path, storage: Storage, write_bag_metadata: Callable[[FileContents], None]) -> FileContents:
+    """Makes one file readable and returns its content."""
     if storage == "sqlite3":
-        return mend_database(path)
-    return _contents_if_whole(path) or _rebuild(path, publish)
+        return repair_database(path)
+    return _contents_if_whole(path) or _rebuild(path, write_bag_metadata)
 
 
-def _rebuild(path: Path, publish: Callable[[FileContents], None]) -> FileContents:
-    """Writes the end of an mcap file anew, and has the metadata written.
+def _rebuild(path: Path, write_bag_metadata: Callable[[FileContents], None]) -> FileContents:
+    """Rewrites the end of an mcap file, and the metadata of the bag.
 
-    If the disk has no room even for these, chunks are given up from the end until there is.
+    If the disk has no room even for these, chunks are dropped from the end until it has.
 
     Raises:
-        RecordError: the beginning of the file is not that of a bag.
+        RecordError: the file does not begin like a bag.
         OSError: the file cannot be written.
     """
     size = path.stat().st_size
     with path.open("rb") as source:
         section = _scan(source, size)
     cut = size - section.end
-    # Unbuffered: what could not be written must not be tried again with the next seek.
+    # Unbuffered: a failed write must not be repeated by the next seek.
     with path.open("r+b", buffering=0) as file:
         while True:
             found = _file_contents(path, section, max(cut, 0))
             try:
                 _finish(file, section, found)
-                publish(found)
+                write_bag_metadata(found)
                 return found
             except OSError as error:
                 if not section.chunks:
@@ -195,7 +195,7 @@ def _topic(channel: Channel, schemas: dict[int, Schema], counts: Counter[int]) -
 
 
 def _contents_if_whole(path: Path) -> FileContents | None:
-    """Returns what the summary of a file says if the file ends as it should, else None."""
+    """Returns the content by the summary of a file; None if its end is missing or damaged."""
     try:
         return _contents_by_summary(path)
     except _DAMAGE:
@@ -203,7 +203,7 @@ def _contents_if_whole(path: Path) -> FileContents | None:
 
 
 def _contents_by_summary(path: Path) -> FileContents | None:
-    """Returns the same; raises where the summary is damaged."""
+    """Returns the content by the summary of a file; None if its end is missing, raises if the summary is damaged."""
     size = path.stat().st_size
     if size < _FOOTER_BYTES + len(MCAP0_MAGIC):
         return None
@@ -231,7 +231,7 @@ def _contents_by_summary(path: Path) -> FileContents | None:
 
 
 def _scan(file: BinaryIO, size: int) -> _Section:
-    """Reads the data section up to its end or to the first record that is cut off or damaged."""
+    """Reads the data section up to its end or to the first record that is truncated or damaged."""
     section = _Section()
     file.seek(0)
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
@@ -248,7 +248,7 @@ def _scan(file: BinaryIO, size: int) -> _Section:
             _log.warning("%s is damaged at byte %d", file.name, position)
             break
         try:
-            _take(section, opcode, length, position, file)
+            _add_record(section, opcode, length, position, file)
         except _DAMAGE as error:
             _log.warning("%s: the record at byte %d is damaged (%s): it is left out", file.name, position, error)
         file.seek(position + RECORD.size + length)
@@ -257,7 +257,7 @@ def _scan(file: BinaryIO, size: int) -> _Section:
     return section
 
 
-def _take(section: _Section, opcode: int, length: int, position: int, file: BinaryIO) -> None:
+def _add_record(section: _Section, opcode: int, length: int, position: int, file: BinaryIO) -> None:
     """Adds one record to the section."""
     end = position + RECORD.size + length
     if opcode == Opcode.CHUNK:
@@ -271,7 +271,7 @@ def _take(section: _Section, opcode: int, length: int, position: int, file: Bina
     elif opcode == Opcode.METADATA:
         name = Metadata.read(ReadDataStream(BytesIO(file.read(length)))).name
         section.metadata.append(MetadataIndex(offset=position, length=RECORD.size + length, name=name))
-        # In front of the first chunk it stays; behind the last one it is written anew.
+        # Metadata before the first chunk stays; metadata after the last chunk is rewritten.
         section.start = section.start if section.chunks else end
     elif opcode == Opcode.HEADER:
         Header.read(ReadDataStream(BytesIO(file.read(length))))
@@ -296,7 +296,7 @@ def _add_definition(section: DataSection, opcode: int, payload: bytes) -> None:
 
 
 def _read_chunk(section: _Section, payload: bytes, position: int) -> ChunkEntry:
-    """Reads a whole chunk; raises if it is damaged."""
+    """Reads a complete chunk; raises if it is damaged."""
     chunk = Chunk.read(ReadDataStream(BytesIO(payload)))
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     data = memoryview(stream.read(length))
@@ -335,7 +335,7 @@ def _read_chunk(section: _Section, payload: bytes, position: int) -> ChunkEntry:
 
 
 def _finish(file: FileIO, section: _Section, found: FileContents) -> None:
-    """Cuts the file behind its last whole chunk and writes everything that follows."""
+    """Truncates the file after its last complete chunk and writes what follows."""
     file.seek(section.end)
     file.truncate()
     end = bytearray()
@@ -349,7 +349,7 @@ def _finish(file: FileIO, section: _Section, found: FileContents) -> None:
 
 
 def _missing_indices(chunk: ChunkEntry, messages: dict[int, list[tuple[int, int]]]) -> bytes:
-    """Returns the message indices of the last chunk that had not reached the disk, having entered them in the chunk's index."""
+    """Returns the message indices of the last chunk that had not reached the disk, and adds them to the chunk's index."""
     added = bytearray()
     for channel, entries in messages.items():
         if chunk.index.message_index_offsets.get(channel, chunk.end) >= chunk.end:

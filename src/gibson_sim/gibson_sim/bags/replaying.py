@@ -1,6 +1,6 @@
-"""What of a bag a run is repeated from: settings, inputs with their steps, commands with their times, digests, the end.
+"""Reads from a bag what a replay needs: settings, inputs with their steps, commands with their times, digests, the last tick.
 
-Pure: it knows CDR bytes, not messages. ``gibson_sim.ros.nodes.replay_node`` sends what ``InputSchedule`` hands out.
+Pure: it knows CDR bytes, not messages. ``gibson_sim.ros.nodes.replay_node`` sends the inputs of ``InputSchedule``.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ COMMAND_TYPES: Mapping[str, tuple[str, ...]] = {
 }
 """Last part of a command topic's name -> types of its messages."""
 _APPLIED = {"cmd_vel_applied": "cmd_vel"}
-"""Last part of the name of a topic that repeats commands -> that of the topic which they came on. Where a topic has two types, other
-recorders leave it out."""
+"""Last part of the name of a topic that repeats commands -> that of the original topic, which other recorders leave out if it has two
+types."""
 _SET_STATE, _LOAD_WORLD = "set_simulation_state", "load_world"
 _STOPPED, _PLAYING = 0, 1
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _BEGIN_STEPS = 60
-"""A recording that begins later than so many steps is one of the middle of a run."""
+"""Steps after which a recording that begins counts as one of the middle of a run."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedInput:
-    """Something that changed the run, and the step that was the first to obey it."""
+    """A command or request that changed the run, and the first step at which it took effect."""
 
     epoch: int
     step: int
-    """Since the epoch began, before the step that obeys."""
+    """Steps made in the epoch before the one at which it takes effect."""
     name: str
-    """Topic or service, resolved."""
+    """Resolved name of the topic or service."""
     type_name: str
     """``geometry_msgs/msg/Twist`` or ``simulation_interfaces/srv/SpawnEntity``."""
     data: bytes
@@ -59,10 +59,10 @@ class RecordedInput:
 
 @dataclass(frozen=True, slots=True)
 class RecordedCommand:
-    """A command as it came on its topic."""
+    """A command as received on its topic."""
 
     time_ns: int
-    """Since the first clock of the bag, or its first message."""
+    """Nanoseconds since the first /clock of the bag, or since its first message."""
     name: str
     type_name: str
     data: bytes
@@ -70,10 +70,10 @@ class RecordedCommand:
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """What a bag knows of its run."""
+    """Content of a bag that a replay needs."""
 
     settings: Mapping[str, Mapping[str, Any]]
-    """Kind of node -> its settings; none where the bag has no ``run_info``."""
+    """Kind of node -> its settings; empty if the bag has no ``run_info``."""
     surroundings: Mapping[str, Mapping[str, Any]]
     """Kind of node -> machine, versions, driver, digest of the scene."""
     journal: tuple[RecordedInput, ...] | None
@@ -82,14 +82,14 @@ class RecordedRun:
     digests: Mapping[Tick, Sequence[TickDigests]]
     """Empty = the run was recorded without digests."""
     last_tick: Tick | None
-    """Epoch and step of the last tick, where messages say so."""
+    """Epoch and step of the last tick; None if no message has them."""
     duration_ns: int
-    """From the first clock or message to the last."""
+    """From the first /clock or message to the last, nanoseconds."""
     begins_late: bool
-    """Whether recording began in the middle of the run, so that what came before is unknown."""
+    """Whether recording began in the middle of the run, so that earlier inputs are unknown."""
 
     def inputs(self, step_hz: int) -> tuple[RecordedInput, ...]:
-        """Returns the journal; without one, the commands as inputs at the steps of their times."""
+        """Returns the journal; if there is none, the commands as inputs at the steps of their times."""
         if self.journal is not None:
             return with_starts(self.journal)
         steps = (-(-command.time_ns * step_hz // NS_PER_S) for command in self.commands)
@@ -99,7 +99,7 @@ class RecordedRun:
         """Returns epoch and step of the tick at which the repetition ends.
 
         Raises:
-            RecordError: the bag has nothing from which that is known.
+            RecordError: the bag is shorter than one tick.
         """
         if self.last_tick is not None:
             return self.last_tick
@@ -113,10 +113,10 @@ class RecordedRun:
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """What a look at a bag tells of its run."""
+    """What is known of a run without reading the whole bag."""
 
     settings: Mapping[str, Mapping[str, Any]]
-    """Kind of node -> its settings; none where the bag has no ``run_info``."""
+    """Kind of node -> its settings; empty if the bag has no ``run_info``."""
     has_journal: bool
     has_digests: bool
     has_commands: bool
@@ -124,7 +124,7 @@ class RunFacts:
 
 @dataclass(slots=True)
 class _Found:
-    """What was read so far, from all bags of a run."""
+    """Content read so far from all bags of a run."""
 
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)
     surroundings: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -137,8 +137,8 @@ class _Found:
     duration_ns: int = 0
 
 
-def parts_of(folder: Path) -> list[Path]:
-    """Returns the bags of a recording: the folder, and those in which it went on after each reset of time."""
+def epoch_bags(folder: Path) -> list[Path]:
+    """Returns the bags of a recording: the folder, and those in which it continued after each reset of time."""
     parts = [folder]
     for number in count(1):
         part = folder.with_name(f"{folder.resolve().name}_epoch{number}")
@@ -152,13 +152,13 @@ def read_facts(folder: str | Path) -> RunFacts:
     """Returns what is known of a run without reading the whole bag.
 
     Raises:
-        RecordError: it cannot be read.
+        RecordError: the bag cannot be read.
     """
     found = _Found()
     with BagReader(folder) as bag:
         topics = bag.topics().values()
         for _, _, message in bag.messages([t.name for t in topics if t.type_name == _RUN_INFO]):
-            _take_run_info(message, found)
+            _add_run_info(message, found)
     return RunFacts(
         found.settings,
         has_journal=any(_is_journal(topic.name, topic.type_name) for topic in topics),
@@ -172,7 +172,7 @@ def _is_journal(topic: str, type_name: str) -> bool:
 
 
 def _command_topics(types: Mapping[str, str]) -> dict[str, str]:
-    """Returns the topics of a bag that hold commands, and for each the one on which they are commands.
+    """Returns the topics of a bag that hold commands, and for each the topic on which a robot receives them.
 
     Args:
         types: of the topics that have messages.
@@ -187,17 +187,17 @@ def _command_topics(types: Mapping[str, str]) -> dict[str, str]:
 
 
 def read_run(folder: str | Path, *, digests: bool = True) -> RecordedRun:
-    """Returns what a bag knows of its run.
+    """Returns the content of a bag that a replay needs.
 
     Args:
-        folder: of the bag; those in which the recording went on after a reset of time are found beside it.
+        folder: of the bag; those in which the recording continued after a reset of time are found beside it.
         digests: whether to read digests, which takes the longest.
 
     Raises:
-        RecordError: it cannot be read, or the run's beginning lies in another bag.
+        RecordError: the bag cannot be read, or the run begins in another bag.
     """
     found = _Found()
-    for part in parts_of(Path(folder)):
+    for part in epoch_bags(Path(folder)):
         with BagReader(part) as bag:
             _read_part(bag, found, digests)
     ticks = sorted(found.ticks)
@@ -219,14 +219,14 @@ def read_run(folder: str | Path, *, digests: bool = True) -> RecordedRun:
 
 
 def _read_part(bag: BagReader, found: _Found, digests: bool) -> None:
-    """Adds what one bag knows."""
+    """Adds the content of one bag."""
     topics = bag.topics().values()
     types = {topic.name: topic.type_name for topic in topics if topic.count}
     found.has_journal |= any(_is_journal(topic.name, topic.type_name) for topic in topics)
     of_type = {kind: [name for name, type_name in types.items() if type_name == kind] for kind in set(types.values())}
     for _, _, message in bag.messages(of_type.get(_RUN_INFO, ())):
-        _take_run_info(message, found)
-    before = set(found.journal)  # a part begins with a copy of what is latched
+        _add_run_info(message, found)
+    before = set(found.journal)  # the bag of an epoch begins with a copy of the latched messages
     journal = bag.messages([name for name in of_type.get(_INPUT, ()) if _is_journal(name, _INPUT)])
     inputs = (RecordedInput(m.epoch, m.step, m.name, m.type, bytes(bytearray(m.data))) for _, _, m in journal)
     found.journal += [item for item in inputs if item not in before]
@@ -234,14 +234,14 @@ def _read_part(bag: BagReader, found: _Found, digests: bool) -> None:
         _read_commands(bag, types, of_type.get(_CLOCK, ()), found)
     if digests:
         for _, _, message in bag.messages(of_type.get(_DIGEST, ())):
-            _take_digests(message, found.digests)
-    _take_ticks(bag, of_type, found)
+            _add_digests(message, found.digests)
+    _add_ticks(bag, of_type, found)
     first, last = bag.span_ns
     found.duration_ns += last - _first_clock(bag, of_type.get(_CLOCK, ()), first)
 
 
 def mapping_in(text: str) -> dict[str, Any]:
-    """Returns the mapping that a message carries as YAML; empty if the text is none."""
+    """Returns the mapping in the YAML text of a message; empty if the text is none."""
     try:
         content = parse_yaml(text)
     except TextError:
@@ -249,8 +249,8 @@ def mapping_in(text: str) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _take_run_info(message: Any, found: _Found) -> None:
-    """Adds the settings of a node; of several render nodes, those of the first, with the cameras of all."""
+def _add_run_info(message: Any, found: _Found) -> None:
+    """Adds the settings of a node; for several render nodes, those of the first with the cameras of all."""
     settings, known = mapping_in(message.settings), found.settings.get(message.kind)
     found.surroundings.setdefault(message.kind, mapping_in(message.platform) | {"gibson_sim": message.version})
     if known is None:
@@ -269,19 +269,19 @@ def _read_commands(bag: BagReader, types: Mapping[str, str], clocks: Sequence[st
 
 
 def _first_clock(bag: BagReader, clocks: Sequence[str], otherwise_ns: int) -> int:
-    """Returns the log time of the first clock."""
+    """Returns the log time of the first /clock."""
     return next((time_ns for _, time_ns, _ in bag.raw_messages(clocks)), otherwise_ns)
 
 
-def _take_digests(message: Any, digests: dict[Tick, list[TickDigests]]) -> None:
+def _add_digests(message: Any, digests: dict[Tick, list[TickDigests]]) -> None:
     topics = tuple(intern(topic) for topic in message.topics)
     numbers = array("Q", [int(digest) for digest in message.digests])
     tick = int(message.epoch), int(message.step)
     digests.setdefault(tick, []).append(TickDigests(header_stamp_ns(message.header.stamp), topics, numbers))
 
 
-def _take_ticks(bag: BagReader, of_type: Mapping[str, Sequence[str]], found: _Found) -> None:
-    """Notes the first and the last tick of a bag: by its digests where it has some, else by its states."""
+def _add_ticks(bag: BagReader, of_type: Mapping[str, Sequence[str]], found: _Found) -> None:
+    """Adds the first and the last tick of a bag, by its digests if it has any, else by its states."""
     ticks = found.digests.keys() - set(found.ticks)
     if not (ticks and of_type.get(_DIGEST)) and of_type.get(_STATE):
         messages = bag.messages(of_type[_STATE])
@@ -291,14 +291,14 @@ def _take_ticks(bag: BagReader, of_type: Mapping[str, Sequence[str]], found: _Fo
 
 
 def in_order(inputs: Iterable[RecordedInput]) -> list[RecordedInput]:
-    """Returns inputs in the order of their steps; those of one step as they come, but a reset last, since an epoch ends with it."""
+    """Returns inputs in the order of their steps; those of one step in the given order, but a reset last, since it ends the epoch."""
     return sorted(inputs, key=lambda i: (i.epoch, i.step, i.name.endswith(EPOCH_REQUESTS)))
 
 
 def with_starts(journal: Sequence[RecordedInput]) -> tuple[RecordedInput, ...]:
-    """Returns a journal with a start wherever a run would stand still: after a stop, and in a world that was loaded.
+    """Returns a journal with a start wherever time would stand still: after a stop, and in a newly loaded world.
 
-    Time may have passed by single steps there, which no journal holds. Other starts are left out: they change nothing.
+    Time may have passed there by single steps, which the journal does not hold. Other starts are left out: they change nothing.
     """
     found: list[RecordedInput] = []
     for number, item in enumerate(journal):
@@ -317,10 +317,13 @@ def with_starts(journal: Sequence[RecordedInput]) -> tuple[RecordedInput, ...]:
 
 
 class InputSchedule:
-    """Hands out inputs some steps ahead of time, over resets too."""
+    """Hands out inputs some steps ahead of time, also across resets.
+
+    Args:
+        inputs: in the order of ``in_order``.
+    """
 
     def __init__(self, inputs: Sequence[RecordedInput]) -> None:
-        """Takes inputs in the order of ``in_order``."""
         self._inputs, self._next = inputs, 0
         self._begins = {0: 0}
         """Epoch -> steps of all epochs before it."""
@@ -332,11 +335,11 @@ class InputSchedule:
 
     @property
     def left(self) -> int:
-        """Inputs that were not handed out yet."""
+        """Number of inputs not handed out yet."""
         return len(self._inputs) - self._next
 
-    def take(self, epoch: int, step: int, ahead: int) -> Sequence[RecordedInput]:
-        """Returns the inputs that were not handed out and that fewer than ``ahead`` steps after a step will obey."""
+    def pop_due(self, epoch: int, step: int, ahead: int) -> Sequence[RecordedInput]:
+        """Returns the next inputs that take effect fewer than ``ahead`` steps after a step of an epoch."""
         until, first = self._steps(epoch, step) + ahead, self._next
         while self._next < len(self._inputs):
             item = self._inputs[self._next]
@@ -346,5 +349,5 @@ class InputSchedule:
         return self._inputs[first : self._next]
 
     def _steps(self, epoch: int, step: int) -> int:
-        """Returns how many steps the run has made at a step of an epoch."""
+        """Returns the number of steps of the run up to a step of an epoch."""
         return self._begins.get(epoch, max(self._begins.values())) + step

@@ -1,4 +1,4 @@
-"""What drawing a recorded run again takes from its bag: which topics, which states, and when which camera is due. Pure.
+"""Plans the drawing of a recorded run: the topics to read and to copy, the states to draw, and the cameras due at each. Pure.
 
 ``gibson_sim.ros.nodes.render_bag`` draws and writes.
 """
@@ -25,21 +25,22 @@ _IMAGE_TYPES = (
     "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo", "gibson_msgs/msg/LabelInfo",
     "vision_msgs/msg/LabelInfo", "gibson_msgs/msg/TickDigest",
 )  # fmt: skip
-"""What pictures are, what describes them, and what is computed from them."""
+"""Types of images, of what describes them, and of what is computed from them."""
 _CLOUD_OF_DEPTH = "/depth/points"
-_A_FEW = 20
+_STATES_TIMED = 20
+"""States from which their period is measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneTopics:
-    """Where a bag says what there is to draw."""
+    """Topics of the scene and of its states."""
 
     scene: str
     state: str
 
     @property
     def prefix(self) -> str:
-        """What stands before the names of cameras in topics."""
+        """Prefix of the cameras' names in topics."""
         return self.state.rpartition("/")[0] + "/"
 
 
@@ -47,7 +48,7 @@ def scene_topics(bag: BagReader) -> SceneTopics:
     """Returns the topics of the scene and of its states.
 
     Raises:
-        RecordError: the bag has not both; says what to record.
+        RecordError: the bag lacks one of them; says what to record.
     """
     found: list[str] = []
     for type_name, usual in ((SCENE_TYPE, "/scene"), (STATE_TYPE, "/scene_state")):
@@ -62,12 +63,12 @@ def scene_topics(bag: BagReader) -> SceneTopics:
 
 
 def topics_to_copy(infos: Mapping[str, TopicInfo], copy: str, own: SceneTopics) -> tuple[str, ...]:
-    """Returns the topics that a new bag takes over as they are.
+    """Returns the topics to copy to the new bag unchanged.
 
     Args:
         infos: topics of the bag.
-        copy: ``auto`` = all but images and what is made of them, ``none``, or names separated by commas.
-        own: written anew.
+        copy: ``auto`` = all but images and what is computed from them, ``none``, or names separated by commas.
+        own: topics that are rewritten, not copied.
 
     Raises:
         RecordError: a topic is not in the bag.
@@ -88,17 +89,17 @@ def _is_of_pictures(info: TopicInfo) -> bool:
 
 
 def state_period_ns(bag: BagReader, topic: str) -> int:
-    """Returns the time between states, nanoseconds, as the first ones have it."""
-    stamps = [stamp_ns(data) for _, _, data in islice(bag.raw_messages([topic]), _A_FEW)]
+    """Returns the time between states, nanoseconds, measured at the first ones."""
+    stamps = [stamp_ns(data) for _, _, data in islice(bag.raw_messages([topic]), _STATES_TIMED)]
     return round(nominal_period_ns(np.array(stamps, dtype=np.int64)))
 
 
-class Schedule:
-    """Says at which states which cameras are due.
+class CameraSchedule:
+    """Decides which cameras are due at each state.
 
     Args:
-        period_ns: between the recorded states.
-        interpolate: make states at exactly the times at which cameras are due, where none was recorded.
+        period_ns: time between recorded states, nanoseconds.
+        interpolate: whether to interpolate states at exactly the times at which cameras are due.
     """
 
     def __init__(self, period_ns: int, *, interpolate: bool = False) -> None:
@@ -108,12 +109,12 @@ class Schedule:
     def moments(
         self, state: SceneState, cameras: Sequence[CameraSpec], recorded: Sequence[int] | None = None
     ) -> Iterator[tuple[SceneState, tuple[int, ...]]]:
-        """Yields states and the indices of the cameras that are due at each; the last is ``state``, whether one is due or not.
+        """Yields states with the indices of the cameras due at each; the last is ``state``, whether one is due or not.
 
         Args:
             state: the next recorded one.
             cameras: of its scene.
-            recorded: the cameras that were due at it; None = ask their rates.
+            recorded: indices of the cameras that were due at it; None = by their rates.
         """
         before, self._before = self._before, state
         follows = before is not None and before.links == state.links and before.revision == state.revision
@@ -145,7 +146,7 @@ def _between(
 
 
 def _times(after_ns: int, until_ns: int, rate_hz: float) -> list[int]:
-    """Returns the whole multiples of 1 / rate after one time and until another, nanoseconds, cut off as stamps of ticks are."""
+    """Returns the multiples of 1 / rate in (after, until], nanoseconds, truncated as the stamps of ticks are."""
     ratio = Fraction(rate_hz).limit_denominator(1000) / NS_PER_S
     first, last = math.floor((after_ns + 1) * ratio), math.floor((until_ns + 1) * ratio)
     times = (math.floor(k / ratio) for k in range(first, last + 1))

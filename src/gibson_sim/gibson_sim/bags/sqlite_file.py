@@ -1,4 +1,4 @@
-"""Files of rosbag2's storage ``sqlite3``, schema 4: writes one, in transactions, and reads the summary of one that was cut off."""
+"""Writes files of rosbag2's storage ``sqlite3``, schema 4, in transactions, and repairs those whose writer was killed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.bags.storage import EmptyFileError, FileContents
 from gibson_sim.errors import RecordError
 
 TRANSACTION_BYTES = 2 * MIB
-"""So much waits in memory at most: twice as much must fit where the emergency file was, once in the log, once in the database."""
+"""Messages in memory, at most. Twice as much must fit where the emergency file was: once in the log, once in the database."""
 _SCHEMA = f"""
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
 CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
@@ -34,13 +34,13 @@ _INSERT_METADATA = "INSERT INTO metadata (metadata_version, metadata) VALUES (?,
 
 
 class SqliteFile:
-    """A database that is being written. What was committed outlives this process; rosbag2 keeps no publish time in it."""
+    """A database that is being written. Committed messages outlive this process; the schema has no publish time."""
 
     def __init__(self, path: Path, emergency: Path) -> None:
-        """Makes the database.
+        """Creates the database.
 
         Raises:
-            OSError: it cannot be made.
+            OSError: it cannot be created.
         """
         self._path, self._emergency = path, emergency
         self._full = False
@@ -50,10 +50,10 @@ class SqliteFile:
         self._waiting_bytes = self._size = 0
         self._connection: sqlite3.Connection | None = None
         with path.open("xb"):
-            pass  # sqlite alone would go on in a file that is there already
+            pass  # sqlite would append to an existing file
         try:
             self._connection = sqlite3.connect(path, isolation_level=None)
-            # The log of a transaction reaches the kernel with its commit; to wait for the disk as well would only help at a power cut.
+            # The log of a transaction reaches the kernel with its commit; waiting for the disk would only help in a power cut.
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=OFF")
             self._connection.executescript(_SCHEMA)
@@ -62,21 +62,21 @@ class SqliteFile:
 
     @property
     def path(self) -> Path:
-        """Where it lies."""
+        """Path of the file."""
         return self._path
 
     @property
     def full(self) -> bool:
-        """The disk was full: what was written since lives on the emergency space."""
+        """Whether the disk was full: later writes use the emergency space."""
         return self._full
 
     @property
     def size(self) -> int:
-        """Bytes of all messages: a little less than the file has."""
+        """Bytes of all messages, a little less than the size of the file."""
         return self._size
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
-        """Declares a topic, with the text of its type and of all types nested in it."""
+        """Declares a topic, with the definition of its type and of all nested types."""
         statements: list[tuple[str, tuple[Any, ...]]] = []
         if topic.type_name not in self._types:
             text = (
@@ -92,7 +92,7 @@ class SqliteFile:
         self._topics[topic.name] = number
 
     def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
-        """Takes one message of a declared topic; the publish time has no place here."""
+        """Adds one message of a declared topic; the publish time is not stored."""
         self._waiting.append((self._topics[topic], log_time_ns, data))
         self._waiting_bytes += len(data)
         self._size += len(data)
@@ -100,12 +100,12 @@ class SqliteFile:
             self.flush()
 
     def flush(self) -> None:
-        """Commits what waits."""
+        """Commits the messages in memory."""
         if self._waiting:
             self._transact([])
 
     def finish(self, information: Mapping[str, Any]) -> None:
-        """Writes the metadata, folds the log into the database and closes it."""
+        """Writes the metadata, merges the log into the database and closes it."""
         self._transact([(_INSERT_METADATA, (VERSION, dump_information(dict(information))))])
         try:
             self._open().execute("PRAGMA journal_mode=DELETE")
@@ -114,13 +114,13 @@ class SqliteFile:
         self._close()
 
     def rescue(self) -> None:
-        """Gives up what was not committed and closes the database."""
+        """Drops uncommitted messages and closes the database."""
         self._waiting, self._waiting_bytes = [], 0
         with suppress(sqlite3.Error):
             self._close()
 
     def _transact(self, statements: list[tuple[str, tuple[Any, ...]]]) -> None:
-        """Commits what waits, and the statements with it; again without the emergency file if the disk is full."""
+        """Commits the messages in memory and the statements; retries without the emergency file if the disk is full."""
         connection = self._open()
         while True:
             try:
@@ -150,11 +150,11 @@ class SqliteFile:
             connection.close()
 
 
-def mend_database(path: Path) -> FileContents:
-    """Folds what the log of a database holds into it, so that a reader needs no log, and returns what can be read then.
+def repair_database(path: Path) -> FileContents:
+    """Merges the log of a database into it, so that a reader needs no log; returns its readable content.
 
     Raises:
-        RecordError: it is no database of a bag.
+        RecordError: the file is not the database of a bag.
         OSError: the file cannot be written.
     """
     logs = [path.with_name(path.name + ending) for ending in ("-wal", "-journal")]
@@ -185,7 +185,7 @@ def _contents(path: Path, connection: sqlite3.Connection, *, whole: bool) -> Fil
 
 
 def _as_os_error(error: sqlite3.Error) -> OSError:
-    """Returns what the rest of the bag understands; `sqlite_errorcode` would need Python 3.11."""
+    """Converts an error of SQLite by its text; `sqlite_errorcode` would need Python 3.11."""
     text = str(error)
     number = errno.ENOSPC if "full" in text else errno.EACCES if "unable to open" in text or "readonly" in text else errno.EIO
     return OSError(number, f"{os.strerror(number)} ({text})")

@@ -1,4 +1,4 @@
-"""Stamps of messages, as bytes and as series. Needs no library that reads bags."""
+"""Reads stamps from CDR bytes and finds the period of a series of stamps. Needs no library that reads bags."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _STAMP_BYTES = 8
 
 
 def stamp_ns(data: bytes, at: int = 4) -> int:
-    """Returns a stamp in a message's CDR bytes, nanoseconds.
+    """Returns the stamp in a message's CDR bytes, nanoseconds.
 
     Args:
         data: the message.
-        at: where the stamp begins; 4 = at the start, as where the type begins with a Header or a Time.
+        at: offset of the stamp; 4 if the type begins with a Header or a Time.
 
     Raises:
         RecordError: the message ends before its stamp does.
@@ -39,10 +39,10 @@ def header_stamp_ns(stamp: Any) -> int:
 
 
 def nominal_period_ns(stamps: NDArray[np.int64]) -> float:
-    """Returns the period of a series of rising stamps (N,), nanoseconds, gaps left out; 0.0 if there are fewer than two."""
+    """Returns the period of increasing stamps (N,), nanoseconds, without gaps; 0.0 if there are fewer than two."""
     steps = np.diff(stamps)
     steps = steps[steps > 0]
     if not len(steps):
         return 0.0
-    # Ticks quantise the stamps (33, 33, 50 ms), so the median alone is not the period; a lost frame doubles a step.
+    # Ticks quantise the stamps (33, 33, 50 ms), so the median is not the period; a lost frame doubles a step.
     return float(steps[steps <= 1.6 * np.median(steps)].mean())

@@ -1,4 +1,4 @@
-"""What the two kinds of storage file, mcap and sqlite3, have in common for those who write and mend them."""
+"""The interface of both kinds of storage file, mcap and sqlite3, for writing and repairing."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gibson_sim.errors import RecordError
 Storage = Literal["mcap", "sqlite3"]
 SUFFIXES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
 RESERVE_FILE = ".reserve"
-"""Holds disk space while a bag is recorded, to be given up when the disk is full."""
+"""Name of the emergency file: it reserves disk space during a recording and is deleted when the disk is full."""
 
 
 class EmptyFileError(RecordError):
-    """A storage file ends before its first record: its writer was killed before it wrote anything."""
+    """A storage file that ends before its first record: its writer was killed before it wrote anything."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileContents:
-    """What can be read in one storage file."""
+    """Readable content of one storage file."""
 
     path: Path
     start_ns: int
@@ -31,15 +31,15 @@ class FileContents:
     end_ns: int
     """Log time of the last message, nanoseconds; 0 if there is none."""
     topics: tuple[TopicRecord, ...]
-    """With the numbers of messages in this file."""
+    """With the number of messages in this file."""
     cut_bytes: int = 0
-    """Bytes of a broken end that were cut off."""
+    """Bytes of a damaged end that were cut off."""
     whole: bool = True
-    """It was whole already, and was left as it is."""
+    """Whether the file was complete already and was not changed."""
 
     @property
     def count(self) -> int:
-        """Messages."""
+        """Number of messages."""
         return sum(topic.count for topic in self.topics)
 
     @property
@@ -50,14 +50,14 @@ class FileContents:
 
 @dataclass(slots=True)
 class Tally:
-    """Times and numbers of the messages that were written into one file."""
+    """Times and counts of the messages written to one file."""
 
     start_ns: int = 0
     end_ns: int = 0
     counts: Counter[str] = field(default_factory=Counter)
-    """Messages by topic."""
+    """Number of messages by topic."""
     count: int = 0
-    """Messages."""
+    """Number of all messages."""
 
     def add(self, topic: str, log_time_ns: int) -> None:
         """Counts one message."""
@@ -69,31 +69,31 @@ class Tally:
 
 
 class StorageFile(Protocol):
-    """One file of a bag that is being written. Errors of the disk come as ``OSError``."""
+    """One file of a bag that is being written. Disk errors are raised as ``OSError``."""
 
     @property
     def path(self) -> Path:
-        """Where it lies."""
+        """Path of the file."""
 
     @property
     def full(self) -> bool:
-        """The disk was full: what was written since lives on the emergency space."""
+        """Whether the disk was full: later writes use the emergency space."""
 
     @property
     def size(self) -> int:
-        """Bytes on the disk and in hand."""
+        """Bytes on disk and in memory."""
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
-        """Declares a topic, with the text of its type and of all types nested in it."""
+        """Declares a topic, with the definition of its type and of all nested types."""
 
     def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
-        """Takes one message of a declared topic."""
+        """Adds one message of a declared topic."""
 
     def flush(self) -> None:
-        """Hands everything in hand to the kernel, so that it outlives this process."""
+        """Hands all messages in memory to the kernel, so that they outlive this process."""
 
     def finish(self, information: Mapping[str, Any]) -> None:
-        """Writes what follows the messages and closes the file; ``information`` is that of a bag of this file alone."""
+        """Writes what follows the messages and closes the file; ``information`` is the metadata of a bag of this file alone."""
 
     def rescue(self) -> None:
-        """Closes the file, whatever state it is in, after a write that failed for good. Never raises ``OSError``."""
+        """Closes the file in any state, after a write that failed for good. Never raises ``OSError``."""

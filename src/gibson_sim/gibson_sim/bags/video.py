@@ -1,4 +1,4 @@
-"""A video and a contact sheet from the images of a bag: colour, and beside it depth in false colours."""
+"""A video and a contact sheet from the images of a bag: colour, and depth in false colours beside it."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ from gibson_sim.types import NS_PER_S
 IMAGE = "sensor_msgs/msg/Image"
 ODOMETRY = "nav_msgs/msg/Odometry"
 DEPTH_RANGE_M = 8.0
-"""Depth that has the coldest colour; everything farther has it too. 0 m has the warmest."""
+"""Depth from which on the coldest colour is shown, metres; 0 m has the warmest."""
 MOST_FRAMES = 5_000_000
-"""Of a video; about a day at 60 Hz."""
+"""Limit of the frames of a video; about a day at 60 Hz."""
 MAX_FPS = 60.0
+"""Limit of the frame rate that follows from the stamps, Hz."""
 
 Bgr = NDArray[np.uint8]
 
 
 def colourise_depth(depth_m: NDArray[np.floating[Any]], far_m: float = DEPTH_RANGE_M) -> Bgr:
-    """Returns depth in false colours, (H, W, 3) uint8 BGR: red is near, blue is ``far_m`` and beyond, black is nothing.
+    """Returns depth in false colours, (H, W, 3) uint8 BGR: red is near, blue is ``far_m`` and beyond, black is no depth.
 
     Args:
-        depth_m: (H, W), metres; infinite, NaN and 0 mean nothing.
+        depth_m: (H, W), metres; infinite, NaN and 0 mean no depth.
         far_m: fixed end of the scale, metres, so that colours mean the same in all images.
     """
     something = np.isfinite(depth_m) & (depth_m > 0)
@@ -72,13 +73,13 @@ def write_video(
     fps: float | None = None,
     speed: float = 1.0,
 ) -> Path:
-    """Writes an H.264 video (MP4, plays in browsers and players) of a bag's images, its timing that of the stamps.
+    """Writes an H.264 video (MP4, plays in browsers and players) of a bag's images, timed by their stamps.
 
     Args:
         bag: folder of the bag.
-        path: file to write; its folder is made where it is missing.
-        topics: image topics, shown side by side; the first one gives the frames. None = the first colour camera and its depth.
-        fps: frames a second of the video; None = as the stamps have it, 60 at most.
+        path: file to write; its folder is created if it does not exist.
+        topics: image topics, shown side by side; the stamps of the first define the frames. None = the first colour camera and its depth.
+        fps: frames a second of the video; None = by the stamps, 60 at most.
         speed: seconds of simulation shown in a second of video.
 
     Returns:
@@ -86,7 +87,7 @@ def write_video(
 
     Raises:
         RecordError: the bag has no images.
-        WriteError: the video cannot be written; nothing is left of it.
+        WriteError: the video cannot be written; no partial file remains.
     """
     if not speed > 0.0 or (fps is not None and not fps > 0.0):
         raise RecordError(f"speed is {speed:g} and fps is {fps}; both must be above 0")
@@ -105,14 +106,14 @@ def write_video(
 def write_contact_sheet(
     bag: str | Path, path: str | Path, columns: int = 4, rows: int = 4, *, topics: Sequence[str] | None = None, width: int = 320
 ) -> Path:
-    """Writes a PNG of images evenly spaced along the drive, each over its depth, with stamp and odometry below.
+    """Writes a PNG of images evenly spaced over the drive, each above its depth, with stamp and odometry below.
 
     Args:
         bag: folder of the bag.
-        path: file to write; its folder is made where it is missing.
+        path: file to write; its folder is created if it does not exist.
         columns: images in a row.
         rows: rows of images; fewer if the bag has fewer images.
-        topics: image topics, shown one above the other; None = the first colour camera and its depth.
+        topics: image topics, stacked vertically; None = the first colour camera and its depth.
         width: of one image on the sheet, pixels.
 
     Returns:
@@ -133,7 +134,7 @@ def write_contact_sheet(
             height = max(round(picture.shape[0] * width / picture.shape[1]), 1)
             small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
             cell = np.vstack([small, _caption(width, int(panels.stamps[index]), odometry)])
-            if cells and cell.shape != cells[0].shape:  # a camera may have changed its size in the middle
+            if cells and cell.shape != cells[0].shape:  # a camera may have changed its size during the recording
                 cell = np.asarray(cv2.resize(cell, (width, cells[0].shape[0]), interpolation=cv2.INTER_AREA), dtype=np.uint8)
             cells.append(cell)
     blank = np.zeros_like(cells[0])
@@ -146,7 +147,7 @@ def write_contact_sheet(
 
 
 class Panels:
-    """The images of some topics, put together where their stamps are equal."""
+    """The images of several topics, combined where their stamps are equal."""
 
     def __init__(self, reader: BagReader, topics: Sequence[str] | None) -> None:
         self._reader = reader
@@ -162,14 +163,14 @@ class Panels:
         self._stamps = {topic: set(values) for topic, values in stamps.items()}
         self._sizes: dict[str, tuple[int, ...]] = {}
         self.stamps: NDArray[np.int64] = np.unique(np.array(stamps[self.topics[0]], dtype=np.int64))
-        """Stamps of the frames, rising, nanoseconds."""
+        """Stamps of the frames, increasing, nanoseconds."""
 
     def complete(self, begin: float = 0.0, end: float = 0.0) -> NDArray[np.int64]:
-        """Returns the indices of the frames of which no topic lacks an image, rising.
+        """Returns the indices, increasing, of the frames at which every topic has an image.
 
         Args:
-            begin: leave out what is earlier, seconds after the begin of the bag.
-            end: leave out what is later, seconds after the begin of the bag; 0 = nothing.
+            begin: first moment, seconds after the start of the bag.
+            end: last moment, seconds after the start of the bag; 0 = the end of the bag.
         """
         first_ns = self._reader.span_ns[0]
         late = first_ns + (round(end * NS_PER_S) if end else 2**62)
@@ -177,12 +178,12 @@ class Panels:
         return np.flatnonzero(alike & (self.stamps >= first_ns + round(begin * NS_PER_S)) & (self.stamps <= late))
 
     def pictures(self, wanted: frozenset[int], stacked: bool = False) -> Iterator[tuple[int, Bgr]]:
-        """Yields (index into ``stamps``, picture) of the wanted frames, in order; black where a topic lacks an image."""
+        """Yields (index into ``stamps``, picture) of the requested frames, in order; black where a topic has no image."""
         for index, images in self.images(wanted):
             yield index, self._join(images, stacked)
 
     def images(self, wanted: frozenset[int]) -> Iterator[tuple[int, dict[str, Bgr]]]:
-        """Yields (index into ``stamps``, images by topic) of the wanted frames, in order."""
+        """Yields (index into ``stamps``, images by topic) of the requested frames, in order."""
         todo = sorted(wanted)
         numbers = {int(self.stamps[i]): i for i in todo}
         waiting: dict[int, dict[str, Bgr]] = {stamp: {} for stamp in numbers}
@@ -206,14 +207,14 @@ class Panels:
             if part is None:
                 part = np.zeros(self._sizes.get(topic, first.shape), dtype=np.uint8)
             if part.shape[:2] != (height, width):
-                # Depth of another resolution: nearest, so that no colours appear that no distance has.
+                # Depth of another resolution: nearest neighbour, so that no false colour appears that stands for no depth.
                 part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
             parts.append(part)
         return np.vstack(parts) if stacked else np.hstack(parts)
 
 
 def _default_topics(reader: BagReader) -> list[str]:
-    """Returns the first colour image topic and the depth topic nearest to it in name; either alone if there is only one."""
+    """Returns the first colour topic and the depth topic of the same camera; either alone if there is only one."""
     infos = [info for info in reader.topics().values() if info.type_name == IMAGE and info.count]
     if not infos:
         raise RecordError(f"bag {reader.folder} has no images: record while the render node runs, with the image topics")
@@ -229,13 +230,13 @@ def _default_topics(reader: BagReader) -> list[str]:
 
 
 def _camera(topic: str) -> str:
-    """Returns the namespace of the camera: ``/camera`` of ``/camera/image_raw`` and of ``/camera/depth/image_raw``."""
+    """Returns the namespace of the camera: ``/camera`` for ``/camera/image_raw`` and ``/camera/depth/image_raw``."""
     namespace = topic.rpartition("/")[0]
     return namespace.rpartition("/")[0] if namespace.endswith(("/depth", "/rgb", "/color", "/colour")) else namespace
 
 
 def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
-    """Returns how many frames of the video show each image (N,): every video frame shows the image nearest to its time.
+    """Returns the number of video frames that show each image (N,): every frame shows the image nearest to its time.
 
     Raises:
         RecordError: there would be more than ``MOST_FRAMES``.
@@ -254,7 +255,7 @@ def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
 
 
 class _Odometry:
-    """The odometry of a bag, to be asked for a time; empty if there is none."""
+    """The odometry of a bag, looked up by time; empty if there is none."""
 
     def __init__(self, reader: BagReader) -> None:
         names = sorted(

@@ -1,4 +1,4 @@
-"""Writes H.264 videos (MP4), whole or not at all."""
+"""Writes H.264 videos (MP4) atomically."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.errors import RecordError
 from gibson_sim.writing import cannot_write, replacing
 
 H264 = {"preset": "veryfast", "crf": "20"}
-"""About 100 frames of 1280x480 a second on two cores, and hardly a visible loss."""
+"""Options of libx264: about 100 frames of 1280x480 a second on two cores, with hardly a visible loss."""
 
 
 def write_frames(
@@ -29,18 +29,18 @@ def write_frames(
     options: Mapping[str, str] = H264,
     channels: str = "bgr24",
 ) -> None:
-    """Writes a video that browsers and players play; no file where there are no frames.
+    """Writes a video that browsers and players play; writes no file if there are no frames.
 
     Args:
-        path: file to write; its folder is made where it is missing.
+        path: file to write; its folder is created if it does not exist.
         fps: frames a second.
-        frames: how often each picture is shown, and the picture, (H, W, 3); all of one size.
+        frames: number of repetitions of each picture, and the picture, (H, W, 3); all of one size.
         options: of the encoder libx264.
         channels: order of the channels, as PyAV names it.
 
     Raises:
-        RecordError: a picture has another size than the first one.
-        WriteError: the file cannot be written; nothing is left of it.
+        RecordError: a picture differs in size from the first one.
+        WriteError: the file cannot be written; no partial file remains.
     """
     with ExitStack() as stack:
         video: _Video | None = None
@@ -60,8 +60,8 @@ class _Video:
     def __init__(
         self, path: Path, draft: Path, fps: float, size: tuple[int, int], options: Mapping[str, str], channels: str
     ) -> None:
-        """Opens it. ``size`` is (width, height), pixels."""
-        # H.264 in 4:2:0 wants even sides.
+        """Opens the file. ``size`` is (width, height), pixels."""
+        # H.264 in 4:2:0 needs even sides.
         self._size = (size[0] + size[0] % 2, size[1] + size[1] % 2)
         self._path, self._channels, self._frames = path, channels, 0
         self._file = _Output(draft)
@@ -72,7 +72,7 @@ class _Video:
         self._stream.pix_fmt = "yuv420p"
 
     def write(self, picture: NDArray[np.uint8]) -> None:
-        """Appends a frame; pictures must all have the size of the first one."""
+        """Appends a frame; all pictures must have the size of the first one."""
         right, bottom = self._size[0] - picture.shape[1], self._size[1] - picture.shape[0]
         if not (0 <= right <= 1 and 0 <= bottom <= 1):
             raise RecordError(
@@ -87,7 +87,7 @@ class _Video:
         self._check()
 
     def finish(self) -> None:
-        """Encodes what waits in the encoder, and ends the file."""
+        """Flushes the encoder and closes the file."""
         self._container.mux(self._stream.encode(None))
         self._close()
         self._check()
@@ -99,7 +99,7 @@ class _Video:
         try:
             container.close()
         except OSError:
-            # The index is put before the images by reading them again: those that could not be written are not there.
+            # FFmpeg reads the images again to put the index before them; those that could not be written are missing.
             if self._file.error is None:
                 raise
 
@@ -118,22 +118,22 @@ class _Video:
 
 
 class _Output:
-    """What the encoder writes into: it never fails, since FFmpeg ends the process where the head of a file could not be written."""
+    """Output file of the encoder. Writes never fail, since FFmpeg ends the process if it cannot write the header of a file."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
-        """By which FFmpeg reads what it has written."""
+        """Name by which FFmpeg reads the file again."""
         self.error: OSError | None = None
-        """Why the file could not be written; what was to be written since is lost."""
+        """First error of a write; later writes are dropped."""
         self.size = 0
-        """Bytes that the file has, or would have."""
+        """Size of the file, bytes, dropped writes included."""
         self.kept = 0
-        """Bytes that were written."""
+        """Bytes written."""
         self._position = 0
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC)
 
     def write(self, data: Any) -> int:
-        """Writes, or notes why that cannot be done."""
+        """Writes, or stores the error."""
         view = memoryview(data).cast("B")
         length, at = len(view), self._position
         try:
@@ -148,16 +148,16 @@ class _Output:
         return length
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Goes to a place; returns it."""
+        """Sets the position; returns it."""
         self._position = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._position}.get(whence, self.size)
         return self._position
 
     def tell(self) -> int:
-        """Returns the place."""
+        """Returns the position."""
         return self._position
 
     def close_file(self) -> None:
-        """Closes the file; PyAV must not do so itself, since it does so a second time."""
+        """Closes the file; PyAV must not, since it would close it twice."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1

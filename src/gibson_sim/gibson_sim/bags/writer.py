@@ -1,6 +1,6 @@
-"""Writes rosbag2 folders (storage mcap or sqlite3), message by message, as fast as the disk takes them.
+"""Writes rosbag2 folders (storage mcap or sqlite3), message by message, at the speed of the disk.
 
-The messages come as CDR bytes. A disk that runs full ends the recording, but never the bag: what was recorded stays readable.
+Messages are CDR bytes. A full disk ends the recording but never damages the bag: what was recorded stays readable.
 Must not import rclpy.
 """
 
@@ -30,18 +30,19 @@ from gibson_sim.writing import FULL
 __all__ = ["EMERGENCY_BYTES", "BagWriter", "Compression", "DiskFullError", "Repair", "Storage", "TopicQos", "repair"]
 
 RESERVE_BYTES = 128 * MIB
+"""Default of the free disk space below which recording ends, bytes."""
 CHUNK_BYTES = MIB
-"""A chunk ends with the message that makes it longer than this."""
+"""Size after which a chunk is written, bytes."""
 CHECK_BYTES = MIB
-"""Free space is asked for each time that so many bytes were written."""
+"""Bytes written between two checks of the free space."""
 _log = logging.getLogger(__name__)
 
 
 class BagWriter:
-    """A bag that is being written: a new folder with one file, or several, and with ``metadata.yaml`` once it is closed.
+    """A bag that is being written: a new folder with one or more files, and with ``metadata.yaml`` once it is closed.
 
-    Messages wait in memory until their chunk is full or ``flush`` is called, so a crash loses the last chunk at most; ``repair``
-    makes the rest readable. Not thread-safe: one thread calls.
+    Messages stay in memory until their chunk is full or ``flush`` is called, so a crash loses at most the last chunk; ``repair``
+    makes the rest readable. Not thread-safe.
     """
 
     def __init__(
@@ -56,22 +57,22 @@ class BagWriter:
         max_file_bytes: int = 0,
         max_file_ns: int = 0,
     ) -> None:
-        """Makes the folder and the first file.
+        """Creates the folder and the first file.
 
         Args:
             folder: must not exist, or be empty.
             storage: kind of the files.
-            message_definitions: text of the ``.msg`` file by type name, for types that are not installed; or what another bag
-                has found already.
-            reserve_bytes: recording ends when the disk has less than this left.
-            chunk_bytes: size from which on a chunk is written; only for mcap.
-            compression: of the chunks; only for mcap.
-            max_file_bytes: a file of this size is followed by another one; 0 = never.
-            max_file_ns: a file whose messages lie this far apart is followed by another one, nanoseconds; 0 = never.
+            message_definitions: text of the ``.msg`` file by type name, for types that are not installed; or the definitions
+                of another bag.
+            reserve_bytes: free disk space below which recording ends.
+            chunk_bytes: size after which a chunk is written; mcap only.
+            compression: of the chunks; mcap only.
+            max_file_bytes: size at which a new file is started; 0 = never.
+            max_file_ns: time span of the messages at which a new file is started, nanoseconds; 0 = never.
 
         Raises:
-            RecordError: the folder is not empty or cannot be made, or a setting is impossible.
-            DiskFullError: the disk has less than ``reserve_bytes`` left already.
+            RecordError: the folder is not empty or cannot be created, or a setting is invalid.
+            DiskFullError: the disk has less than ``reserve_bytes`` free already.
         """
         _check(storage, compression, chunk_bytes, reserve_bytes, max_file_bytes, max_file_ns)
         self.folder = Path(folder)
@@ -87,7 +88,7 @@ class BagWriter:
         self._end_ns = self._unchecked = 0
         self._closed = False
         self._finished = False
-        # False while a write is under way: Ctrl-C may come in the middle of it, and what lies on the disk then ends anywhere.
+        # False during a write: Ctrl-C may interrupt it, and the file may then end anywhere.
         self._whole = True
         self._emergency = self.folder / RESERVE_FILE
         self._make_folder()
@@ -99,21 +100,21 @@ class BagWriter:
 
     @property
     def message_count(self) -> int:
-        """Messages taken so far."""
+        """Messages written so far."""
         return sum(self._done_counts.values()) + self._tally.count
 
     @property
     def file_count(self) -> int:
-        """Files made so far."""
+        """Files created so far."""
         return len(self._done) + 1
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | Profile | None = None) -> None:
-        """Declares a topic; again with the same type does nothing.
+        """Declares a topic; declaring it again with the same type does nothing.
 
         Args:
             topic: full name, such as ``/camera/image_raw``.
             type_name: ``<package>/msg/<Type>``.
-            qos: ``TopicQos`` or ``rclpy.qos.QoSProfile``, with which a replay publishes it; None = reliable, depth 10.
+            qos: ``TopicQos`` or ``rclpy.qos.QoSProfile`` for a replay; None = reliable, depth 10.
 
         Raises:
             RecordError: the type is unknown, or the topic has another one already.
@@ -139,13 +140,13 @@ class BagWriter:
 
         Args:
             topic: declared with ``add_topic``.
-            data: the message as CDR, with its four bytes of encapsulation.
-            log_time_ns: time that the bag is ordered by, nanoseconds; must not run backwards.
-            publish_time_ns: time at which it was published, nanoseconds.
+            data: the message as CDR, with its encapsulation header of four bytes.
+            log_time_ns: time by which the bag is ordered, nanoseconds; must not run backwards.
+            publish_time_ns: time of publication, nanoseconds.
 
         Raises:
             RecordError: the topic is unknown, time runs backwards, or the bag is closed.
-            DiskFullError: the disk is (nearly) full; the bag is closed, and whole.
+            DiskFullError: the disk is (nearly) full; the bag is closed and complete.
         """
         self._require_open()
         if topic not in self._topics:
@@ -169,10 +170,10 @@ class BagWriter:
         self._end_if_full()
 
     def flush(self) -> None:
-        """Hands what waits in memory to the kernel: a crash of this process loses none of it.
+        """Hands all messages in memory to the kernel, so that they survive a crash of this process.
 
         Raises:
-            DiskFullError: the disk is full; the bag is closed, and whole.
+            DiskFullError: the disk is full; the bag is closed and complete.
         """
         if self._closed:
             return
@@ -185,7 +186,7 @@ class BagWriter:
         self._end_if_full()
 
     def split(self) -> bool:
-        """Closes the file in hand and goes on in the next one of the bag; returns False if it has no message yet."""
+        """Closes the current file and starts the next one of the bag; returns False if the current one has no message yet."""
         self._require_open()
         if not self._tally.count:
             return False
@@ -206,10 +207,10 @@ class BagWriter:
         return True
 
     def close(self) -> None:
-        """Writes index and metadata and closes the bag; a second time does nothing.
+        """Writes index and metadata and closes the bag; a second call does nothing.
 
         Raises:
-            RecordError: the end could not be written; the message says what is left to do.
+            RecordError: index or metadata could not be written; the message says what to do.
         """
         if self._finished:
             return
@@ -244,14 +245,14 @@ class BagWriter:
         return McapFile(path, self._emergency, chunk_bytes=self._chunk_bytes, compression=self._compression)
 
     def _is_file_long(self, log_time_ns: int) -> bool:
-        """Returns whether the next message belongs into another file."""
+        """Returns whether the next message belongs in a new file."""
         if not self._tally.count:
             return False
         too_long = bool(self._max_file_ns) and log_time_ns - self._tally.start_ns >= self._max_file_ns
         return too_long or (bool(self._max_file_bytes) and self._file.size >= self._max_file_bytes)
 
     def _finish_file(self) -> bool:
-        """Writes everything that follows the messages of the file in hand; returns whether the disk is full now."""
+        """Writes what follows the messages of the current file; returns whether the disk is full now."""
         self._file.flush()
         record = FileRecord(self._file.path.name, self._tally.start_ns, self._tally.end_ns, self._tally.count)
         topics = [replace(topic, count=self._tally.counts[name]) for name, topic in self._topics.items()]
@@ -262,12 +263,12 @@ class BagWriter:
         return self._file.full
 
     def _information(self) -> dict[str, Any]:
-        """Returns what the metadata says of the finished files."""
+        """Returns the metadata of the finished files."""
         topics = [replace(topic, count=self._done_counts[name]) for name, topic in self._topics.items()]
         return bag_information(topics, self._done, self._storage)
 
     def _make_folder(self) -> None:
-        """Makes the folder and the emergency file in it, and checks the free space."""
+        """Creates the folder with the emergency file, and checks the free space."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if any(self.folder.iterdir()):
@@ -287,7 +288,7 @@ class BagWriter:
             raise RecordError(f"bag {self.folder} is closed: nothing more can be written")
 
     def _check_space(self, size: int) -> None:
-        """Ends the recording while the disk still has the reserve."""
+        """Ends the recording when the free space falls below the reserve."""
         self._unchecked += size
         if self._unchecked < CHECK_BYTES:
             return
@@ -301,13 +302,13 @@ class BagWriter:
             raise DiskFullError(self._full_text())
 
     def _end_if_full(self) -> None:
-        """Ends the recording, all of it written, once it lives on the emergency space."""
+        """Ends the recording, with all messages written, once it uses the emergency space."""
         if self._file.full:
             self.close()
             raise DiskFullError(self._full_text())
 
     def _rescue(self, error: OSError) -> NoReturn:
-        """Cuts the file in hand back to what is whole and closes the bag, after a write that failed for good."""
+        """Truncates the current file to its last complete part and closes the bag, after a write that failed for good."""
         self._closed = self._finished = True
         try:
             self._file.rescue()
@@ -335,7 +336,7 @@ class BagWriter:
 def _check(
     storage: str, compression: str, chunk_bytes: int, reserve_bytes: int, max_file_bytes: int, max_file_ns: int
 ) -> None:  # fmt: skip
-    """Raises what is wrong with the settings of a writer."""
+    """Raises RecordError if a setting of a writer is invalid."""
     if storage not in SUFFIXES:
         raise RecordError(f"storage is {quoted(storage)}, must be one of {', '.join(SUFFIXES)}")
     if compression not in COMPRESSIONS:

@@ -1,1 +1,1 @@
-"""The command line. It starts the nodes as processes and never loads ROS, PyBullet or OpenGL itself."""
+"""The command line. It starts nodes in processes of their own; the launcher never loads ROS, PyBullet or OpenGL."""

@@ -21,7 +21,7 @@ first steps:
   gibson-sim run                          both nodes, our own flat
   gibson-sim drive keyboard               in a second terminal
   gibson-sim run --scene DIR --drive tour --duration 30 --record out/tour --video out/tour.mp4
-  gibson-sim doctor                       what works on this machine, and how to mend what does not
+  gibson-sim doctor                       what works on this machine, and how to fix what does not
 """
 
 
@@ -29,7 +29,7 @@ def run(words: list[str]) -> int:
     """Runs a sub-command and returns the exit code; errors are one line on stderr.
 
     Raises:
-        SystemExit: the words are no command line; or they ask for help or the version.
+        SystemExit: the words are not a valid command line, or request help or the version.
     """
     args = _parser(words).parse_args(words)
     interruptible = Interruptible()
@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
         elif not is_of_the_disk(error):
             raise
         else:
-            _let_output_go()
+            _discard_output()
             code = _fail(cannot_write(error.filename, error), ExitCode.ERROR)
     except Exception:
         if not interruptible.was_interrupted:
@@ -61,8 +61,8 @@ def run(words: list[str]) -> int:
     return int(code)
 
 
-def _let_output_go() -> None:
-    """Drops what waits to be printed where it cannot be: it would fail once more, in a stack, when the process ends."""
+def _discard_output() -> None:
+    """Discards buffered output that cannot be written, which would otherwise raise again at the end of the process."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -75,7 +75,7 @@ def _fail(error: GibsonSimError, code: ExitCode) -> ExitCode:
 
 
 def _parser(words: list[str]) -> argparse.ArgumentParser:
-    """Returns the parser of the sub-command that ``words`` begin with, or of all where they name none.
+    """Returns the parser of the sub-command that ``words`` begin with, or of all if they name none.
 
     Only that command's module is loaded: a launcher needs neither PyBullet nor OpenGL.
     """

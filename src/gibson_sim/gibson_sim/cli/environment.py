@@ -1,4 +1,4 @@
-"""The environment that the node processes need, set here and nowhere else."""
+"""Sets the environment of node processes; no other module does."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ SECURITY_VARIABLE, ENCLAVE_VARIABLE = "ROS_SECURITY_ENABLE", "ROS_SECURITY_ENCLA
 
 
 def add_network(parser: argparse.ArgumentParser) -> None:
-    """Adds the options that say with whom the processes of a command talk: ``environment_of`` reads them."""
+    """Adds the options of ROS domain and reach, which ``environment_of`` reads."""
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.add_argument(
         "--reach",
         choices=REACHES,
-        help="with whom to talk: processes of this machine alone, or whoever is on this network (default: local, unless variables "
-        "of ROS or Fast DDS in the environment say with whom)",
+        help="who can reach the nodes: processes of this machine only, or all machines of the network (default: local, unless "
+        "variables of ROS or Fast DDS in the environment decide)",
     )
 
 
 def environment_of(args: argparse.Namespace) -> dict[str, str]:
-    """Returns the whole environment for the nodes of a command with the options of ``add_network``.
+    """Returns the full environment for the nodes of a command with the options of ``add_network``.
 
     Raises:
-        GibsonSimError: the environment cannot work.
+        GibsonSimError: the nodes cannot work in the environment.
     """
     return node_environment(domain_id=args.domain_id, reach=args.reach)
 
@@ -40,15 +40,15 @@ def environment_of(args: argparse.Namespace) -> dict[str, str]:
 def node_environment(
     environment: Mapping[str, str] | None = None, *, domain_id: int | None = None, reach: str | None = None
 ) -> dict[str, str]:
-    """Returns the whole environment for a node process.
+    """Returns the full environment for a node process.
 
     Args:
-        environment: to begin with; None = that of this process.
-        domain_id: of ROS; None = as the environment says.
-        reach: with whom it talks, see ``gibson_sim.reach``; None = as the environment says, and ``local`` if it says nothing.
+        environment: base environment; None = that of this process.
+        domain_id: ROS domain; None = that of the environment.
+        reach: who can reach the node, see ``gibson_sim.reach``; None = by the environment, ``local`` if it does not decide.
 
     Raises:
-        GibsonSimError: the given environment cannot work.
+        GibsonSimError: the nodes cannot work in the environment.
     """
     base = dict(os.environ if environment is None else environment)
     if in_wheels() and base.get(RMW_VARIABLE, RMW) != RMW:
@@ -70,7 +70,7 @@ def node_environment(
 
 
 def _check_loopback() -> None:
-    """Raises EnvironmentProblemError where the processes of this machine could not find each other."""
+    """Raises EnvironmentProblemError if the processes of this machine cannot discover each other."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("127.0.0.1", 9))  # sends nothing
@@ -82,7 +82,7 @@ def _check_loopback() -> None:
 
 
 def enclave_variables(environment: Mapping[str, str], node: str) -> dict[str, str]:
-    """Returns the variable that gives a node its own keys and rights, ``/gibson_sim/<node>``, where SROS2 is on and no other is named."""
+    """Returns the variable with a node's SROS2 enclave, ``/gibson_sim/<node>``; empty if SROS2 is off or an enclave is set already."""
     secure = environment.get(SECURITY_VARIABLE, "").lower() == "true" and not environment.get(ENCLAVE_VARIABLE)
     return {ENCLAVE_VARIABLE: f"/gibson_sim/{node}"} if secure else {}
 
@@ -105,10 +105,10 @@ def domain_of(environment: Mapping[str, str]) -> int:
 
 
 def require_nodes() -> None:
-    """Checks that the packages of the nodes are there, without loading them.
+    """Checks that the packages of the nodes are installed, without loading them.
 
     Raises:
-        EnvironmentProblemError: naming what is missing and the remedy.
+        EnvironmentProblemError: one is missing; names it and the remedy.
     """
     from importlib.util import find_spec
 
@@ -118,3 +118,15 @@ def require_nodes() -> None:
             f"this Python ({sys.executable}) has no {', '.join(missing)}: run `make setup` and use .venv/bin/gibson-sim, "
             "or source your ROS workspace"
         )
+
+
+def is_free(host: str, port: int) -> bool:
+    """Returns whether a server could listen on a TCP port."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return False
+    return True

@@ -1,4 +1,4 @@
-"""A job of several nodes: started together, watched, ended in order, reported."""
+"""Jobs of several nodes: starts them together, monitors them, stops them in order, and reports."""
 
 from __future__ import annotations
 
@@ -23,79 +23,46 @@ from gibson_sim.reach import describe_reach
 from gibson_sim.standard.domain_lock import DomainLock
 from gibson_sim.standard.job_folder import LOADED, JobFolder
 
-
-class Restarts:
-    """Counts the restarts of a node by time: a fault that returns at once ends the run, one now and then does not."""
-
-    def __init__(self, limit: int, window_s: float, now_s: Callable[[], float] = time.monotonic) -> None:
-        """At most ``limit`` restarts within ``window_s`` seconds of ``now_s``, a clock that never goes back."""
-        self._limit, self._window_s, self._now_s = limit, window_s, now_s
-        self._recent: deque[float] = deque()
-        self.total = 0
-        """Restarts since the beginning."""
-
-    def allow(self) -> bool:
-        """Returns whether the node may start once more, and counts that it does."""
-        now = self._now_s()
-        while self._recent and now - self._recent[0] >= self._window_s:
-            self._recent.popleft()
-        if len(self._recent) >= self._limit:
-            return False
-        self._recent.append(now)
-        self.total += 1
-        return True
-
-
 MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0
-"""A render node that crashes once more within this time, seconds of wall time, ends the run."""
+"""Restarts of a crashing render node within a window, seconds of wall time; one more crash ends the run."""
 USER_ERROR = 1
-"""Exit code of a node whose settings, scene or machine is at fault: starting it again would not help."""
+"""Exit code of a node whose settings, scene or machine is at fault: a restart would not help."""
 _LOADING = ("physics", "render")
-"""Nodes that take long to load, in the order in which they start; the others are started once physics has a world."""
+"""Nodes that take long to load, in the order in which they start; the others start once physics has a world."""
 ENDS_THE_JOB = ("physics", "drive", "snapshot", "replay", "task")
-"""Nodes after whose end nothing is left to do."""
+"""Nodes whose end is the end of the job."""
 STATE_TOPIC, ROBOTS, CAMERAS, COMMANDS = "scene_state", "robots", "cameras", "commands"
-"""What physics waits for subscribers of, before time begins; of commands, for their publishers."""
+"""Topics, and groups of topics, whose subscribers physics awaits before time begins; for commands, their publishers."""
 END_FIRST = ("physics", "record")
-"""Time ends first, then who recorded it, so that the recording lasts to the last step; then all others."""
+"""Nodes that stop first, in this order, so that the recording lasts to the last step; then all others."""
 
 
 @dataclass
 class Job:
-    """What is to be started and made."""
+    """The nodes to start, and the files to write."""
 
     folder: Path
+    """Temporary folder of the nodes' reports."""
     configs: dict[str, Any] = field(default_factory=dict)
-    """Node name -> settings; started in the order from the last to the first."""
+    """Node name -> settings; started from the last to the first."""
     bag: Path | None = None
     keep_bag: bool = False
     video: Path | None = None
     summary: Path | None = None
 
 
-def check_new_bag(bag: Path, reserve_mb: float) -> None:
-    """Checks that a bag can be recorded there, with so much of the disk left free, MB.
-
-    Raises:
-        RecordError: something is there already, or the disk is full.
-    """
-    if bag.exists() and (not bag.is_dir() or any(bag.iterdir())):
-        raise RecordError(f"--record {bag}: it is there already and is not an empty folder; give another name or remove it")
-    check_room(bag, round(reserve_mb * 1e6))
-
-
 def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Runs a job in the ROS domain of an environment, which it has to itself meanwhile.
+    """Runs a job with exclusive use of the ROS domain of an environment.
 
     Args:
-        plan: returns the job; it is given a folder for what the nodes leave, which is gone afterwards.
+        plan: returns the job; receives a temporary folder for the reports of the nodes.
         environment: of the nodes.
 
     Returns:
-        The exit code, and what each node measured.
+        The exit code, and the report of each node.
 
     Raises:
-        GibsonSimError: the job is impossible, or another simulation runs there; nothing was started.
+        GibsonSimError: the job is invalid, or another simulation runs in the domain; nothing was started.
     """
     with JobFolder() as folder:
         job = plan(folder.path)
@@ -109,6 +76,17 @@ def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[i
             lock.close()
 
 
+def check_new_bag(bag: Path, reserve_mb: float) -> None:
+    """Checks that a bag can be recorded in a folder, with ``reserve_mb`` of the disk left free.
+
+    Raises:
+        RecordError: the folder is not empty, or the disk is full.
+    """
+    if bag.exists() and (not bag.is_dir() or any(bag.iterdir())):
+        raise RecordError(f"--record {bag}: it is there already and is not an empty folder; give another name or remove it")
+    check_room(bag, round(reserve_mb * 1e6))
+
+
 class JobRun:
     """The running job."""
 
@@ -120,14 +98,14 @@ class JobRun:
         self._code = ExitCode.OK
         self._accepted = "physics" not in job.configs
         self.found: dict[str, dict[str, Any]] = {}
-        """Node name -> what it measured; once the job is over."""
+        """Node name -> its report, at the end of the job."""
 
     def run(self) -> int:
-        """Starts the nodes, watches them, stops them, makes what was asked for."""
+        """Starts, monitors and stops the nodes, and writes the requested files; returns the exit code."""
         stop = StopRequest()
-        remove_dead_segments()  # whoever comes upon the port of a dead process waits for an answer of it
+        remove_dead_segments()  # a new participant waits for an answer on the port of a dead process
         try:
-            # What cannot be simulated or drawn is refused before anybody writes or says anything.
+            # Scenes and cameras are validated before any other node writes or prints anything.
             for name in _LOADING:
                 if name in self._job.configs:
                     self._start(name)
@@ -149,7 +127,7 @@ class JobRun:
         self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment, inherit=self._inherit, silent=silent)
 
     def _accept(self, cameras: str) -> bool:
-        """Starts the nodes that need a simulation, once physics has taken scene, robots and start; returns False if cameras are lacking."""
+        """Starts the other nodes, once physics has loaded scene and robots; returns False if a requested camera does not exist."""
         try:
             if "render" in self._job.configs:
                 self._job.configs["render"].check_cameras(cameras.splitlines())
@@ -160,21 +138,21 @@ class JobRun:
         self._accepted = True
         say(describe_reach(self._environment))
         for node in self._nodes.values():
-            node.speak()
+            node.print_held()
         for name in reversed(self._job.configs):
             if name not in _LOADING:
                 self._start(name)
         return True
 
     def _finished(self) -> bool:
-        """Looks after the nodes; returns whether the job is done or lost."""
+        """Polls the nodes and restarts a crashed render node; returns whether the job is over."""
         for name, node in list(self._nodes.items()):
             code = node.poll()
             if code is None:
                 continue
             del self._nodes[name]
             if code == 0:
-                node.say_error()
+                node.print_error()
                 if name in ENDS_THE_JOB:
                     return True
             elif name == "render" and code != USER_ERROR and self._restarts.allow():
@@ -195,7 +173,7 @@ class JobRun:
         return False
 
     def _stop_all(self, stop: StopRequest) -> None:
-        """Ends the nodes in order, see ``END_FIRST``."""
+        """Stops the nodes in order, see ``END_FIRST``."""
         asked = stop.count
         for name in (*END_FIRST, *self._job.configs):
             node = self._nodes.pop(name, None)
@@ -203,7 +181,7 @@ class JobRun:
                 node.stop(hurry=lambda: stop.count > asked + 1)
 
     def _report(self) -> None:
-        """Prints what was measured and makes the pictures."""
+        """Prints the reports of the nodes, and writes summary and pictures."""
         names = dict.fromkeys(("physics", "render", "record", *self._job.configs))
         read = {name: _read_json(self._job.folder / f"{name}.json") for name in names}
         found = self.found = {name: values for name, values in read.items() if values or name in ("physics", "render", "record")}
@@ -212,13 +190,13 @@ class JobRun:
         self._attempt(lambda: write_json(self._job.summary, {**found, "render_restarts": self._restarts.total}))
         if self._job.video and found["record"].get("messages"):
             self._attempt(self._write_pictures)
-        recorded = found["record"].get("messages")  # of a recorder that was killed nothing is known: its bag can be mended
+        recorded = found["record"].get("messages")  # a killed recorder leaves no report, but a bag that can be repaired
         empty = recorded is not None and not any(recorded.values())
         if self._job.bag and (empty or not self._job.keep_bag):
             shutil.rmtree(self._job.bag, ignore_errors=True)
 
     def _attempt(self, write: Callable[[], None]) -> None:
-        """Writes what was asked for; says so where that fails, and goes on: what else was asked for is made nevertheless."""
+        """Writes a requested file; prints the error if that fails, so that the other files are still written."""
         try:
             write()
         except GibsonSimError as error:
@@ -233,8 +211,35 @@ class JobRun:
             say(f"wrote {path}")
 
 
+class Restarts:
+    """Limits the restarts of a node: a fault that recurs at once ends the run, an occasional one does not.
+
+    Args:
+        limit: restarts within a window, at most.
+        window_s: length of the window, seconds.
+        now_s: monotonic clock, seconds.
+    """
+
+    def __init__(self, limit: int, window_s: float, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._limit, self._window_s, self._now_s = limit, window_s, now_s
+        self._recent: deque[float] = deque()
+        self.total = 0
+        """Restarts since the beginning."""
+
+    def allow(self) -> bool:
+        """Returns whether the node may be restarted, and counts the restart."""
+        now = self._now_s()
+        while self._recent and now - self._recent[0] >= self._window_s:
+            self._recent.popleft()
+        if len(self._recent) >= self._limit:
+            return False
+        self._recent.append(now)
+        self.total += 1
+        return True
+
+
 def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]:
-    """Returns the summary as measured, one line a part."""
+    """Returns the summary of the reports, one line each."""
     lines = []
     if p := found["physics"]:
         lines.append(

@@ -1,7 +1,7 @@
-"""What ``sim.launch.py`` offers and gives its nodes, without the launch package: arguments and parameters from the nodes' settings.
+"""Arguments of ``sim.launch.py``, and the parameters that it passes to its nodes, from the nodes' settings. Without the launch package.
 
-Every setting of a node is an argument. Only the arguments that somebody gives reach a node, and they win over ``params_file``; all others
-are as that file says, else as by default.
+Every setting of a node is an argument. Only given arguments are passed to a node, and they override ``params_file``; other settings
+come from that file, else they have their defaults.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gibson_sim.settings import Value, nearest
 CONFIGS: dict[str, type[Any]] = {"physics": PhysicsConfig, "render": RenderConfig}
 """The nodes that the launch file starts, with their settings."""
 _SECTION = "ros__parameters"
-_SPOKEN = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
+_BOOLEANS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
 _RCLPY = ("use_sim_time", "start_type_description_service")
 """Parameters that every node of rclpy has."""
 
@@ -36,23 +36,23 @@ class Argument:
 
     name: str
     default: str
-    """As text, as somebody would give it."""
+    """As text."""
     description: str
-    """What it is, and what it may be."""
+    """Meaning and allowed values."""
     choices: tuple[str, ...] = ()
-    """All that it may be, to the letter; empty = more than could be listed."""
+    """All allowed values; empty = too many to list."""
 
 
 @dataclass(frozen=True)
 class _Setting:
-    """A setting that an argument stands for."""
+    """The setting behind an argument."""
 
     node: str
     field: Field[Any]
 
 
 def _settings() -> dict[str, _Setting]:
-    """Returns what the arguments stand for, by name; a name that several nodes have gets theirs before it."""
+    """Returns the settings by argument name; a name that several nodes have is prefixed with the node's name."""
     names = [f.name for cls in CONFIGS.values() for f in fields(cls)]
     return {
         f.name if names.count(f.name) == 1 else f"{node}_{f.name}": _Setting(node, f)
@@ -66,28 +66,28 @@ _OWN = (
     Argument(
         "params_file",
         "",
-        "YAML file with parameters of the nodes, in sections `physics`, `render` or `/**`; arguments win over it",
+        "YAML file with parameters of the nodes, in sections `physics`, `render` or `/**`; arguments override it",
     ),
     Argument(
         "namespace",
         "",
-        "Namespace of both nodes, which stands before all topics and services but /clock, /tf, /tf_static and /diagnostics",
+        "Namespace of both nodes, prefixed to all topics and services except /clock, /tf, /tf_static and /diagnostics",
     ),
-    Argument("render", "true", "Start the render node too; false = physics alone, no images. Allowed: true, false"),
+    Argument("render", "true", "Start the render node too; false = only physics, no images. Allowed: true, false"),
     Argument(
         "use_sim_time",
         "false",
-        "Stamp what the render node logs with simulation time. Images have it anyway, and physics makes it. Allowed: true, false",
+        "Stamp the log of the render node with simulation time. Images always have it, and physics makes it. Allowed: true, false",
     ),
     Argument(
         "reach",
         "",
-        "With whom both nodes talk: local = processes of this machine alone, subnet = whoever is on this network; empty = local, "
-        "unless variables of ROS or Fast DDS in the environment say with whom",
+        "Who can reach both nodes: local = processes of this machine only, subnet = all machines of the network; empty = local, "
+        "unless variables of ROS or Fast DDS in the environment decide",
         ("", *REACHES),
     ),
 )
-"""Arguments that are no settings."""
+"""Arguments that are not settings."""
 
 
 def arguments() -> tuple[Argument, ...]:
@@ -97,7 +97,7 @@ def arguments() -> tuple[Argument, ...]:
 
 def _argument(name: str, setting: _Setting) -> Argument:
     f = setting.field
-    choices = f.metadata["choices"]  # launch says itself what these are
+    choices = f.metadata["choices"]  # launch lists them itself
     limits = "" if choices else "true, false" if isinstance(f.default, bool) else allowed(f)
     sentence = f"{f.metadata['doc']}. Allowed: {limits}" if limits else f.metadata["doc"]
     return Argument(name, _text(f.default), f"{sentence} ({setting.node} node)", choices)
@@ -109,45 +109,45 @@ def _text(value: Any) -> str:
 
 @dataclass(frozen=True)
 class NodeStart:
-    """How a node is started."""
+    """A node to start."""
 
     node: str
-    """Its name, and with ``_node`` behind it that of its program."""
+    """Name of the node; the program is ``<node>_node``."""
     parameters: dict[str, Value] = field(default_factory=dict)
-    """Those that somebody gave, and what follows from them."""
+    """Given parameters, and those that follow from them."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What the launch file starts."""
+class LaunchPlan:
+    """The nodes that the launch file starts."""
 
     namespace: str
     params_file: Path | None
     """Absolute."""
     nodes: tuple[NodeStart, ...]
     reach: str | None = None
-    """With whom the nodes talk; None = as the environment says."""
+    """Who can reach the nodes; None = by the environment."""
     sections: Any = None
-    """What the file holds."""
+    """Content of the file."""
 
     def overriding(self, start: NodeStart) -> str:
-        """Returns the text of a parameter file that wins over ``params_file`` when it is read after that.
+        """Returns the text of a parameter file that overrides ``params_file`` when it is read after it.
 
-        ROS takes the sections of all files in the order in which each was first named, so ``/**`` of a later file does not win over
+        ROS applies the sections of all files in the order in which each first appeared, so ``/**`` of a later file does not override
         ``physics`` of an earlier one: every section of that file is repeated.
         """
         values = {_SECTION: start.parameters}
         return json.dumps({**_with_values(self.sections or {}, values), "/**": values}, indent=1) + "\n"
 
 
-def plan(given: Mapping[str, str]) -> Plan:
-    """Returns what the launch file starts.
+def plan(given: Mapping[str, str]) -> LaunchPlan:
+    """Returns the nodes that the launch file starts.
 
     Args:
-        given: the arguments that somebody gave, as text; of others only ``ros_namespace`` counts, in which launch files start nodes.
+        given: given arguments as text; unknown ones are ignored, except ``ros_namespace``, in which launch files start nodes.
 
     Raises:
-        GibsonSimError: a value is not allowed or names what is not there, in an argument or in ``params_file``.
+        GibsonSimError: a value in an argument or in ``params_file`` is not allowed, or names something that does not exist.
     """
     values: dict[str, dict[str, Value]] = {node: {} for node in CONFIGS}
     for name, setting in _SETTINGS.items():
@@ -162,37 +162,37 @@ def plan(given: Mapping[str, str]) -> Plan:
     for node, cls in CONFIGS.items():
         if node == "render" and not with_render:
             continue
-        read = _of_node(file, sections, [*within, node])
+        read = _node_settings(file, sections, [*within, node])
         if node == "physics" and with_render and values[node].get("lockstep"):
-            # Without a name the first ticks would be over before the renderer has joined.
+            # If the renderer is not named, the first ticks are over before it has joined.
             values[node].setdefault("participants", read.get("participants", "/".join([*within, "render"])))
         try:
             config = cls(**{**read, **values[node]})
         except ConfigError as error:
-            raise ConfigError(f"{file}: {error}" if _at_fault(cls, read) else str(error)) from error
+            raise ConfigError(f"{file}: {error}" if _is_invalid(cls, read) else str(error)) from error
         check_names(config)
         parameters = {name: getattr(config, name) for name in values[node]}
         if node == "render" and "use_sim_time" in given:
             parameters["use_sim_time"] = _value("use_sim_time", given["use_sim_time"], bool)
         starts.append(NodeStart(node, parameters))
-    return Plan(namespace, file, tuple(starts), given.get("reach") or None, sections)
+    return LaunchPlan(namespace, file, tuple(starts), given.get("reach") or None, sections)
 
 
 def misspelt(names: list[str]) -> list[str]:
-    """Returns a warning for each of ``names`` that is much like an argument and is none: launch passes over such silently."""
+    """Returns a warning for each of ``names`` that resembles an argument but is none, which launch ignores silently."""
     known = [argument.name for argument in arguments()]
     hints = ((name, nearest(name, known)) for name in names if name not in known)
     return [f"argument {quoted(name)} is unknown and changes nothing; {hint}" for name, hint in hints if hint]
 
 
 def _value(name: str, text: str, kind: type[Any]) -> Value:
-    """Returns the value of an argument that was given as text."""
+    """Converts the text of an argument."""
     if kind is str:
         return text
     if kind is bool:
-        if text.lower() not in _SPOKEN:
+        if text.lower() not in _BOOLEANS:
             raise ConfigError(f"argument {quoted(name)} is {quoted(text)}, must be true or false")
-        return _SPOKEN[text.lower()]
+        return _BOOLEANS[text.lower()]
     if name == "rate" and text == "max":
         return 0.0
     try:
@@ -206,7 +206,7 @@ def _value(name: str, text: str, kind: type[Any]) -> Value:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Returns what a parameter file holds: sections, maybe within namespaces."""
+    """Returns the content of a parameter file: sections, possibly nested in namespaces."""
     try:
         tree = read_yaml_file(file)
     except TextError as error:
@@ -219,7 +219,7 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _sections(tree: Mapping[Any, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yields the name of each section, with its namespaces, and what it holds."""
+    """Yields the name of each section, with its namespaces, and its content."""
     for key, value in tree.items():
         if key == _SECTION:
             yield before, value
@@ -228,7 +228,7 @@ def _sections(tree: Mapping[Any, Any], before: str = "") -> Iterator[tuple[str, 
 
 
 def _with_values(tree: Mapping[Any, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the same sections with other values in them."""
+    """Returns the same sections with other values."""
     return {
         str(key): values if _SECTION in value else _with_values(value, values)
         for key, value in tree.items()
@@ -236,8 +236,8 @@ def _with_values(tree: Mapping[Any, Any], values: dict[str, Any]) -> dict[str, A
     }
 
 
-def _of_node(file: Path | None, tree: Mapping[Any, Any], name: list[str]) -> dict[str, Value]:
-    """Returns the settings that a file has for a node; its name has its namespaces before it."""
+def _node_settings(file: Path | None, tree: Mapping[Any, Any], name: list[str]) -> dict[str, Value]:
+    """Returns the settings of a node in a file; ``name`` is that of the node, preceded by its namespaces."""
     node = name[-1]
     known = [f.name for f in fields(CONFIGS[node])]
     found: dict[str, Value] = {}
@@ -258,7 +258,7 @@ def _of_node(file: Path | None, tree: Mapping[Any, Any], name: list[str]) -> dic
 
 
 def _matches(pattern: list[str], name: list[str]) -> bool:
-    """Returns whether the name of a section means a node: ``*`` is one part of its name, ``**`` any number of them."""
+    """Returns whether the name of a section matches a node: ``*`` is one part of its name, ``**`` any number of them."""
     if not pattern or not name:
         return not name and all(part == "**" for part in pattern)
     if pattern[0] == "**":
@@ -266,8 +266,8 @@ def _matches(pattern: list[str], name: list[str]) -> bool:
     return pattern[0] in ("*", name[0]) and _matches(pattern[1:], name[1:])
 
 
-def _at_fault(cls: Callable[..., Any], read: Mapping[str, Value]) -> bool:
-    """Returns whether a file's settings are impossible by themselves."""
+def _is_invalid(cls: Callable[..., Any], read: Mapping[str, Value]) -> bool:
+    """Returns whether a file's settings are invalid by themselves."""
     try:
         cls(**read)
     except ConfigError:

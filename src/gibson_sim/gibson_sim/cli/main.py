@@ -1,4 +1,4 @@
-"""Where ``gibson-sim`` begins. Everything else is imported once Ctrl-C ends the process silently."""
+"""Entry point of ``gibson-sim``. Imports everything else after Ctrl-C is set to end the process silently."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def main(argv: list[str] | None = None) -> None:
     """Runs a sub-command and ends the process with its exit code; errors are one line on stderr.
 
     Args:
-        argv: words behind ``gibson-sim``; None = this process is ``gibson-sim``, and its command line has them.
+        argv: arguments of ``gibson-sim``; None = those of this process, which is ``gibson-sim`` itself.
     """
     if argv is None:
         interrupts.end_silently()

@@ -1,4 +1,4 @@
-"""Looks up what settings name - scenes, robots, drives, rules - before anything starts. Loads neither ROS, PyBullet nor OpenGL."""
+"""Resolves the names in settings (scenes, robots, drives, rules) before anything starts. Loads neither ROS, PyBullet nor OpenGL."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from gibson_sim.settings import Names
 
 
 def check_names(config: Any) -> None:
-    """Checks that everything exists that the settings of a node name.
+    """Checks that everything that a node's settings name exists.
 
     Raises:
-        GibsonSimError: a setting names what is not there, or what cannot be read.
+        GibsonSimError: a setting names something that does not exist or cannot be read.
     """
     for f in fields(config):
         value = getattr(config, f.name)
@@ -27,7 +27,7 @@ def check_names(config: Any) -> None:
 
 
 def _check_scene(name: str) -> None:
-    """Finds a scene, and looks whether its file is YAML or XML: what it says takes as long to read as the scene takes to load."""
+    """Finds a scene and parses its description as YAML or XML; a full check would take as long as loading the scene."""
     from gibson_sim.reading import parse_xml, read_file, read_yaml_file
     from gibson_sim.scenes.drake_directives import parse_directives
     from gibson_sim.scenes.load import description_file
@@ -48,7 +48,7 @@ def _check_scene(name: str) -> None:
 
 
 def _check_robots(text: str) -> None:
-    """Loads robots as the physics node will, several as ``name=robot``; what is warned of is said there."""
+    """Loads robots as the physics node will, several as ``name=robot``; warnings are left to that node."""
     from gibson_sim.cli.quiet import quiet
     from gibson_sim.scenes.robot_files import load_robot
 

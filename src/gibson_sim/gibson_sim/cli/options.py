@@ -1,4 +1,4 @@
-"""Command-line options from the settings of the nodes, and arguments for a node process from settings."""
+"""Converts settings of nodes to command-line options, and settings to arguments of node processes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def add_settings(parser: argparse.ArgumentParser, cls: type[Any], names: Iterable[str]) -> None:
-    """Adds one option per named field of the settings class ``cls``: ``step_hz`` becomes ``--step-hz``."""
+    """Adds one option for each named field of the settings class ``cls``: ``step_hz`` becomes ``--step-hz``."""
     wanted = set(names)
     for f in fields(cls):
         if f.name not in wanted:
@@ -31,7 +31,7 @@ def add_settings(parser: argparse.ArgumentParser, cls: type[Any], names: Iterabl
 
 
 def _parser_of(name: str, kind: type[Any]) -> Any:
-    """Returns what turns text into the setting's type; ``max`` is a rate of 0, as fast as possible."""
+    """Returns the function that converts text to the setting's type; a rate of ``max`` is 0, as fast as possible."""
     if name == "rate":
 
         def rate(text: str) -> float:
@@ -50,10 +50,10 @@ def given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
 
 
 def settings_from_args(cls: type[T], args: argparse.Namespace, **sure: Any) -> T:
-    """Returns ``cls`` with the options that were given; ``sure`` wins over them.
+    """Returns ``cls`` with the given options, overridden by ``sure``.
 
     Raises:
-        GibsonSimError: a value is not allowed, or names what does not exist.
+        GibsonSimError: a value is not allowed or names something that does not exist.
     """
     names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
     config = cls(**{**given(args, names), **sure})
@@ -62,7 +62,7 @@ def settings_from_args(cls: type[T], args: argparse.Namespace, **sure: Any) -> T
 
 
 def node_arguments(config: Any) -> list[str]:
-    """Returns the ROS arguments that give a node these settings. JSON is YAML, and quotes whatever needs it."""
+    """Returns the ROS arguments that pass settings to a node. JSON is valid YAML, with quotes where needed."""
     arguments = ["--ros-args"]
     for f in fields(config):
         arguments += ["-p", f"{f.name}:={json.dumps(getattr(config, f.name))}"]

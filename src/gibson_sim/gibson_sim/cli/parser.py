@@ -1,4 +1,4 @@
-"""The parser of every sub-command: what is wrong with a command line is said in one line, with the nearest of what exists."""
+"""Argument parser and exit codes of all sub-commands. Errors are one line that names the nearest valid option."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gibson_sim.settings import nearest
 
 
 class ExitCode(IntEnum):
-    """What the exit code says."""
+    """Exit codes; ``MEANING`` explains them."""
 
     OK = 0
     ERROR = 1
@@ -28,36 +28,29 @@ class ExitCode(IntEnum):
 
 
 MEANING = {
-    ExitCode.OK: "done; or stopped by Ctrl-C or SIGTERM where it goes on until then (run, record, top, drive)",
-    ExitCode.ERROR: "it cannot be done: one line on stderr says why",
-    ExitCode.USAGE: "the command line is wrong",
+    ExitCode.OK: "success; or a command without an end of its own (run, record, top, drive) was stopped by Ctrl-C or SIGTERM",
+    ExitCode.ERROR: "the command failed: one line on stderr says why",
+    ExitCode.USAGE: "the command line is invalid",
     ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already; for top: none does",
     ExitCode.NODE_DIED: "a node crashed or was killed",
-    ExitCode.RECORDING_ENDED_EARLY: "the run went on, but recording stopped early (disk full); the bag is readable",
-    ExitCode.REPLAY_DIFFERS: "replay --verify: the run is not the recorded one; the report names the first tick and topics that differ",
-    ExitCode.INTERRUPTED: "Ctrl-C ended it before it was done, or while it started (the process dies of SIGINT, as shells expect)",
+    ExitCode.RECORDING_ENDED_EARLY: "the run continued, but recording stopped early (disk full); the bag is readable",
+    ExitCode.REPLAY_DIFFERS: "replay --verify: the run differs from the recorded one; the report names the first tick and topics",
+    ExitCode.INTERRUPTED: "Ctrl-C ended the command before it was done or while it started (the process dies of SIGINT, as shells expect)",
 }
-
-
-def table() -> str:
-    """Returns the codes as text, one a line."""
-    return "exit codes:\n" + "\n".join(f"{int(code):>3}  {text}" for code, text in MEANING.items())
-
-
 _NEGATIVE = re.compile(r"-([xyz]$|[0-9.])")
-"""Axes and numbers, also several with commas."""
+"""Axes and numbers, also lists of them with commas."""
 
 
 class Parser(argparse.ArgumentParser):
-    """An ``argparse`` parser; the parsers of its sub-commands are of this class too."""
+    """An ``argparse`` parser with one-line errors; the parsers of its sub-commands are of this class too."""
 
     def error(self, message: str) -> NoReturn:
-        """Ends the process with one line on stderr instead of the usage of all options."""
+        """Ends the process with one line on stderr, without the usage of all options."""
         print(f"gibson-sim: error: {message}; see `{self.prog} --help`", file=sys.stderr)
         sys.exit(int(ExitCode.USAGE))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuses unknown options here, where the known ones are known."""
+        """Rejects unknown options here, where the known ones are available for the hint."""
         words = list(sys.argv[1:] if args is None else args)
         found, rest = super().parse_known_args(self._joined(words), namespace)
         if rest:
@@ -68,7 +61,7 @@ class Parser(argparse.ArgumentParser):
         return found, rest
 
     def _joined(self, words: list[str]) -> list[str]:
-        """Returns words with a value that begins with a minus joined to its option, which argparse takes for an option else."""
+        """Joins each value that begins with a minus to its option; argparse would otherwise treat it as an option."""
         out: list[str] = []
         for word in words:
             action = self._option_string_actions.get(out[-1]) if out else None
@@ -85,7 +78,12 @@ class Parser(argparse.ArgumentParser):
 
 
 def choice_error(value: object, known: Iterable[object]) -> str:
-    """Returns what to say of a value that is none of those known."""
+    """Returns the error for an unknown value, with the nearest known one."""
     names: Sequence[str] = [str(name) for name in known]
     hint = nearest(str(value), names)
     return f"{quoted(value)} is unknown; {f'{hint} ' if hint else ''}known: {', '.join(names)}"
+
+
+def table() -> str:
+    """Returns the exit codes as text, one a line."""
+    return "exit codes:\n" + "\n".join(f"{int(code):>3}  {text}" for code, text in MEANING.items())

@@ -1,4 +1,4 @@
-"""Node processes: start, listen to, stop."""
+"""Starts node processes, forwards their output, and stops them."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from gibson_sim.cli.options import node_arguments
 from gibson_sim.interrupts import held_back
 
 GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
-"""Signals to stop a node with, and how long each may take."""
+"""Signals that stop a node, and the time after which the next one is sent, seconds."""
 _ERROR = re.compile(
     r"""(?:error:\ |\[?(?:ERROR|FATAL)\]?[:\ ]+(?:\[[^]]*\][:\ ]*)*)(?P<error>.+)  # of ours; of rclpy and logging
     |(?P<native>Fatal\ Python\ error:\ .+|terminate\ called\ .+|[A-Za-z_][\w.]*(?:Error|Exception)(?::\ .+)?)$  # the end of a stack""",
     re.VERBOSE,
 )
-"""A line that reports an error. ``[INFO] ...`` is none, whatever it speaks of."""
+"""Matches a line that reports an error; ``[INFO] ...`` never does."""
 
 
 def command_of(module: str, *arguments: str) -> list[str]:
-    """Returns the command line of a module of ``gibson_sim.ros`` in a process of its own."""
+    """Returns the command line that runs a module of ``gibson_sim.ros.nodes`` in a process of its own."""
     return [sys.executable, "-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.nodes.{module}", *arguments]
 
 
 def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> NoReturn:
-    """Replaces this process by a module of ``gibson_sim.ros``, which thereby gets the terminal, its signals and its exit code."""
+    """Replaces this process by a module of ``gibson_sim.ros.nodes``, which thus owns the terminal, the signals and the exit code."""
     command = command_of(module, *arguments)
     sys.stdout.flush()
     alone = {name: value for name, value in environment.items() if name != PARENT_VARIABLE}
@@ -43,7 +43,7 @@ def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]
 
 
 class NodeProcess:
-    """One node in a process of its own; its lines come out on our stderr with its name before them."""
+    """One node in a process of its own; its output lines are printed on stderr, prefixed with its name."""
 
     def __init__(
         self,
@@ -62,8 +62,8 @@ class NodeProcess:
             config: its settings.
             environment: its environment.
             inherit: file descriptors that it inherits.
-            out: where its lines go.
-            silent: keep its lines until ``speak``; they are dropped where it is stopped before.
+            out: receives its lines.
+            silent: whether to hold its lines until ``print_held``; they are dropped if it is stopped before.
         """
         self.name, self.config, self._environment, self._out = (
             name,
@@ -72,11 +72,11 @@ class NodeProcess:
             out,
         )
         self._tail: deque[str] = deque(maxlen=20)
-        self._unsaid = ""
-        self._kept: list[str] | None = [] if silent else None
-        self._speaking = threading.Lock()
+        self._pending_error = ""
+        self._held: list[str] | None = [] if silent else None
+        self._held_lock = threading.Lock()
         command = command_of(f"{name}_node", *node_arguments(config))
-        # A session of its own: Ctrl-C reaches the launcher alone, which then stops the nodes in order.
+        # A session of its own: only the launcher receives Ctrl-C, and stops the nodes in order.
         with held_back():
             self._process = subprocess.Popen(
                 command,
@@ -97,33 +97,33 @@ class NodeProcess:
         with self._process.stdout as output:
             for line in output:
                 self._tail.append(line.rstrip())
-                # The last line of a node that fails: whoever started it says it, once.
-                self.say_error()
+                # The last line of a failing node is reported once, by the launcher.
+                self.print_error()
                 if line.startswith("error: "):
-                    self._unsaid = line.rstrip()
+                    self._pending_error = line.rstrip()
                 else:
-                    self._say(line.rstrip())
+                    self._print(line.rstrip())
 
-    def _say(self, line: str) -> None:
-        with self._speaking:
-            if self._kept is not None:
-                self._kept.append(line)
+    def _print(self, line: str) -> None:
+        with self._held_lock:
+            if self._held is not None:
+                self._held.append(line)
                 return
         self._out.write(f"{self.name:8} | {line}\n")
         self._out.flush()
 
-    def speak(self) -> None:
-        """Prints the lines that were kept, and from now on each as it comes."""
-        with self._speaking:
-            kept, self._kept = self._kept or [], None
-        for line in kept:
-            self._say(line)
+    def print_held(self) -> None:
+        """Prints the held lines, and from now on each line at once."""
+        with self._held_lock:
+            held, self._held = self._held or [], None
+        for line in held:
+            self._print(line)
 
-    def say_error(self) -> None:
-        """Prints the error with which the node ended, unless ``reason`` or ``ending`` returned it."""
-        line, self._unsaid = self._unsaid, ""
+    def print_error(self) -> None:
+        """Prints the error with which the node ended, unless ``reason`` or ``ending`` has returned it."""
+        line, self._pending_error = self._pending_error, ""
         if line:
-            self._say(line)
+            self._print(line)
 
     @property
     def pid(self) -> int:
@@ -131,30 +131,30 @@ class NodeProcess:
         return self._process.pid
 
     def poll(self) -> int | None:
-        """Returns the exit code, negative for a signal, or None while it runs."""
+        """Returns the exit code, negative for a signal, or None while the node runs."""
         return self._process.poll()
 
     def reason(self) -> str:
-        """Returns the last error that the ended node reported; how it ended, if it reported none."""
+        """Returns the last error reported by the ended node, or how it ended if it reported none."""
         return self._last_error() or self.ending()
 
     def ending(self) -> str:
-        """Returns how the node ended: which signal or exit code, and the last error that it reported, if it did."""
+        """Returns how the node ended: the signal or exit code, and the last reported error, if any."""
         code = self._process.wait()
         how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with code {code}"
         error = self._last_error()
         return f"the {self.name} node {how}" + (f": {error}" if error else "")
 
     def _last_error(self) -> str:
-        """Returns the newest of the last lines that reports an error, without the word; empty if none does."""
+        """Returns the error in the newest of the last lines that reports one; empty if none does."""
         self._process.wait()
         self._reader.join(timeout=1.0)
-        self._unsaid = ""
+        self._pending_error = ""
         found = (_ERROR.match(line) for line in reversed(self._tail))
         return next((match["error"] or match["native"] for match in found if match), "")
 
     def stop(self, hurry: Callable[[], bool] = lambda: False) -> int:
-        """Ends the process and returns its exit code; ``hurry`` returning True shortens the waiting."""
+        """Stops the process and returns its exit code; escalates to the next signal early while ``hurry`` returns True."""
         for number, seconds in GRACE_S:
             if self._process.poll() is not None:
                 break
@@ -163,7 +163,7 @@ class NodeProcess:
             while self._process.poll() is None and time.monotonic() < deadline and not hurry():
                 time.sleep(0.02)
         self._reader.join(timeout=1.0)
-        self.say_error()
+        self.print_error()
         return self._process.wait()
 
 
@@ -175,7 +175,7 @@ def _signal_name(number: int) -> str:
 
 
 class StopRequest:
-    """Notes SIGINT and SIGTERM while it is open, instead of being interrupted by them."""
+    """Counts SIGINT and SIGTERM while it is open, in place of interrupts."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -185,6 +185,6 @@ class StopRequest:
         self.count += 1
 
     def close(self) -> None:
-        """Restores what was there before."""
+        """Restores the previous handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""Commands that print warnings themselves."""
+"""Suppresses logged warnings in commands that print them themselves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps the log of warnings away, as a decorator or for a block; afterwards it is as it was."""
+    """Suppresses warnings of the log, as a decorator or for a block; restores the level afterwards."""
     logger = logging.getLogger("gibson_sim")
     before = logger.level
     logger.setLevel(logging.ERROR)

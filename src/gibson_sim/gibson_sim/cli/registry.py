@@ -1,4 +1,4 @@
-"""Which module has which sub-command of ``gibson-sim``: ours, and those that other packages add by entry points.
+"""The module of each sub-command of ``gibson-sim``: those of this package, and those that other packages add by entry points.
 
 A package adds a command with an entry point of the group ``gibson_sim.commands``, or below ``gibson-sim scene`` with one of the group
 ``gibson_sim.scene_commands``: the name is the command, the value a module whose ``add_parser(subparsers)`` describes it.
@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import entry_points
 
 COMMANDS = {
-    "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "bag": "bag", "compare": "compare", "demo": "demo",
-    "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render", "replay": "replay",
-    "scene": "scene", "task": "task", "top": "top",
+    "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "web": "clients", "bag": "bag", "compare": "compare",
+    "demo": "demo", "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render",
+    "replay": "replay", "scene": "scene", "task": "task", "top": "top",
 }  # fmt: skip
 """Sub-command -> module of this package."""
 SCENE_COMMANDS = {"map": "scene_map"}
@@ -20,21 +20,21 @@ SCENE_COMMANDS = {"map": "scene_map"}
 _COMMAND_GROUP, _SCENE_GROUP = "gibson_sim.commands", "gibson_sim.scene_commands"
 _OF_TOOLS = ("check", "collision", "fetch", "fuse", "generate", "import", "inspect", "objects", "robot", "scan", "view")
 BROUGHT_BY = {("bench",): "gibson_sim_bench"} | {("scene", name): "gibson_sim_tools" for name in _OF_TOOLS}
-"""Commands of packages that may not be installed -> the package."""
+"""Command -> package that provides it and may not be installed."""
 
 
 def command_modules() -> dict[str, str]:
-    """Returns the module of every sub-command, of all installed packages."""
+    """Returns the module of every sub-command of all installed packages."""
     return _with_added(COMMANDS, _COMMAND_GROUP)
 
 
 def scene_command_modules() -> dict[str, str]:
-    """Returns the module of every sub-command of ``gibson-sim scene``, of all installed packages."""
+    """Returns the module of every sub-command of ``gibson-sim scene`` of all installed packages."""
     return _with_added(SCENE_COMMANDS, _SCENE_GROUP)
 
 
 def not_installed(words: Sequence[str]) -> str:
-    """Returns what to say of a command line whose command comes with a package that is not installed; "" for all others."""
+    """Returns the error for a command whose package is not installed; empty for all other command lines."""
     for command, package in BROUGHT_BY.items():
         known = scene_command_modules if len(command) == 2 else command_modules
         if tuple(words[: len(command)]) == command and command[-1] not in known():

@@ -1,4 +1,4 @@
-"""What the commands that measure share: the JSON file, what they say meanwhile, and options that several of them have."""
+"""Shared by measuring commands: the JSON report, progress on stderr, and common options."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from gibson_sim.writing import write_file
 
 
 def add_report_options(parser: argparse.ArgumentParser, *, markdown: bool = True) -> None:
-    """Adds ``--json`` and, where the table can be Markdown, ``--markdown``."""
+    """Adds ``--json`` and, if the table can be Markdown, ``--markdown``."""
     parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write")
     if markdown:
         parser.add_argument("--markdown", action="store_true", help="print Markdown")
 
 
 def write_json(path: Path | None, values: Any) -> None:
-    """Writes values into a file; its folder is made where it is missing. ``None`` = no file was asked for.
+    """Writes values to a file and creates its folder if needed. ``None`` = no file is requested.
 
     Raises:
-        WriteError: it cannot be written.
+        WriteError: the file cannot be written.
     """
     if path is not None:
         write_file(path, json.dumps(values, indent=1) + "\n")
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Returns width and height, pixels, of ``640x480``.
+    """Parses width and height, pixels, such as ``640x480``.
 
     Raises:
-        ConfigError: it is no size.
+        ConfigError: the text is not a size.
     """
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()):
@@ -44,15 +44,15 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_device(text: str | None) -> int | str | None:
-    """Returns what ``--device`` names: the number of an EGL device, or a part of its UUID; None = a GPU if there is one."""
+    """Parses ``--device``: the index of an EGL device, or a part of its UUID; None = a GPU if there is one."""
     return int(text) if text is not None and text.isdigit() else text
 
 
 def require_device(device: int | str | None) -> None:
-    """Opens the device that somebody chose and closes it again, before anything is loaded for it.
+    """Opens and closes a chosen device, to fail before anything is loaded.
 
     Raises:
-        GraphicsUnavailableError: there is no such device, or it cannot draw.
+        GraphicsUnavailableError: the device does not exist or cannot draw.
     """
     if device is not None:
         from gibson_sim.render.context import open_context
@@ -61,10 +61,10 @@ def require_device(device: int | str | None) -> None:
 
 
 def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
-    """Returns the names in ``--only``, which commas separate; none = all of ``known``.
+    """Parses ``--only``, names separated by commas; none = all of ``known``.
 
     Raises:
-        ConfigError: one of them is not known.
+        ConfigError: a name is unknown.
     """
     names = tuple(name for name in text.split(",") if name) or tuple(known)
     unknown = [name for name in names if name not in known]
@@ -75,5 +75,5 @@ def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
 
 
 def tell(line: str) -> None:
-    """Says what is being measured, beside the tables that go to stdout."""
+    """Prints progress on stderr; tables go to stdout."""
     print(line, file=sys.stderr, flush=True)

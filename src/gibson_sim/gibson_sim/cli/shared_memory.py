@@ -1,15 +1,15 @@
-"""Shared-memory files that a killed node left behind.
+"""Removes shared-memory files that killed nodes left behind.
 
-Fast DDS makes, for each segment or port ``x`` in ``/dev/shm``, the files ``fastrtps_x``, a lock file ``fastrtps_x_el`` that its owner
-holds by flock for as long as it lives, and for ports ``sem.fastrtps_x_mutex``. A process that ends after its peer was killed leaves a port
-without its lock file: dead as well, unless it is being made at this very moment.
+For each segment or port ``x``, Fast DDS creates in ``/dev/shm`` the file ``fastrtps_x``, a lock file ``fastrtps_x_el`` on which its owner
+holds an flock while it lives, and for ports ``sem.fastrtps_x_mutex``. A process that ends after its peer was killed leaves a port
+without a lock file: dead as well, unless it is just being created.
 
-A participant that starts cannot take a lock that we hold, be it for an instant, and one whose lock file was taken away is taken for dead
-by all others. So the kernel's list of locks is asked first; we try a lock only if nobody holds it and it is not new, keep it while we
-remove what it guards, and leave the lock file of a port, which is used again, where it is.
+A starting participant fails if we hold its lock even for an instant, and one whose lock file was removed counts as dead for all others.
+Therefore we read the kernel's list of locks first, try a lock only if no process holds it and it is not new, hold it while we remove
+what it guards, and keep the lock file of a port, which is reused.
 
-A port whose reader is gone stays as long as anybody alive has it open for writing. The last who closes a port removes it *by its name*: had we
-removed it before, that would be the new port of whoever got the same number meanwhile, which would be deaf from then on.
+A port without a reader stays while a living process has it open for writing. The last process to close a port removes it *by name*: if we
+had removed it before, that would be the new port of a process that got the same number meanwhile, which would receive nothing from then on.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 SETTLED_S = 1.0
-"""A port without a lock file that is younger than this may still get one."""
+"""Age below which a port without a lock file may still get one, seconds."""
 
 
 def remove_dead_segments(folder: Path = FOLDER) -> list[Path]:
-    """Removes the files of dead segments and ports that we may remove; returns their paths. The living are left alone.
+    """Removes the files of dead segments and ports, as far as permissions allow; returns their paths.
 
-    Where ports without a lock are too young to judge, it waits for ``SETTLED_S`` and looks again.
+    If ports without a lock are too young to judge, it waits for ``SETTLED_S`` and tries again.
     """
     removed, young = _sweep(folder)
     if young:
@@ -37,7 +37,7 @@ def remove_dead_segments(folder: Path = FOLDER) -> list[Path]:
 
 
 def _sweep(folder: Path) -> tuple[list[Path], bool]:
-    """Removes what is dead now; returns what was removed, and whether something looks dead but is too young to judge."""
+    """Removes dead files once; returns them, and whether a file looks dead but is too young to judge."""
     removed, young, held, mapped = [], False, _locked_files(), _mapped_files()
     for base in sorted({p.with_name(p.name.removesuffix("_el")) for p in folder.glob("fastrtps_*")}):
         lock, mutex, is_port = base.with_name(f"{base.name}_el"), base.with_name(f"sem.{base.name}_mutex"), "_port" in base.name
@@ -57,7 +57,7 @@ def _sweep(folder: Path) -> tuple[list[Path], bool]:
 
 
 def _remove(guarded: list[Path], lock: Path) -> list[Path]:
-    """Removes files while holding the lock that guards them, if there is one; returns which. None where somebody holds it."""
+    """Removes files while holding the lock that guards them, if there is one; returns those removed, none if the lock is held."""
     try:
         descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -82,7 +82,7 @@ def _unlink(path: Path) -> bool:
 
 
 def _locked_files() -> frozenset[tuple[int, int]]:
-    """Returns (device, inode) of the files that any process we can see holds a lock on."""
+    """Returns (device, inode) of the files that visible processes hold a lock on."""
     try:
         lines = Path("/proc/locks").read_text().splitlines()
     except OSError:
@@ -92,7 +92,7 @@ def _locked_files() -> frozenset[tuple[int, int]]:
 
 
 def _mapped_files() -> frozenset[tuple[int, int]]:
-    """Returns (device, inode) of the shared-memory files of Fast DDS that any process whose maps we may read has mapped."""
+    """Returns (device, inode) of the shared-memory files of Fast DDS mapped by processes whose maps are readable."""
     found = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:

@@ -1,4 +1,4 @@
-"""A thing that is no robot: a bottle, a chair, a cabinet with doors. Pure values."""
+"""``BodySpec``, any body that is no robot: a bottle, a chair, a cabinet with doors. Pure values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gibson_sim.types import Pose
 
 @dataclass(frozen=True, slots=True)
 class BodySpec:
-    """One link, or several with joints, that physics moves; a static one stays where it is put."""
+    """One link, or several with joints, that physics moves; the root of a static body stays in place."""
 
     name: str
     """Unique in the scene: its links are ``<name>/<link>``."""
@@ -20,11 +20,11 @@ class BodySpec:
     start: Pose = field(default_factory=Pose)
     """T_world_root at load and after a reset."""
     static: bool = False
-    """Nothing moves it but a command to be elsewhere."""
+    """Whether only ``set_state`` moves its root."""
     semantic_class: str = ""
     """Class of all its visuals; empty = unlabelled."""
     joints: tuple[tuple[str, float], ...] = ()
-    """Names of joints and where they are at load and after a reset, radians or metres; those that are not named are at 0."""
+    """Names and positions of joints at load and after a reset, radians or metres; missing joints are at 0."""
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -33,7 +33,7 @@ class BodySpec:
 
     @property
     def visuals(self) -> tuple[VisualSpec, ...]:
-        """What is drawn."""
+        """Its shapes to be drawn."""
         return model_visuals(self.model, self.name, self.semantic_class)
 
 

@@ -1,4 +1,4 @@
-"""How far shapes of a robot reach: points on their surfaces. Pure; who can read mesh files is given."""
+"""Extents of a robot's shapes, by points on their surfaces. Pure; the caller provides a reader of mesh files."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from gibson_sim.errors import MeshError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, transform_points
 
 MeshPoints = Callable[[Path], NDArray[np.float64]]
-"""Takes the path of a mesh file to its vertices, (N, 3), metres, in its own frame; raises MeshError."""
+"""Returns the vertices of a mesh file, (N, 3), metres, in its own frame; raises MeshError."""
 
-_TURN = np.linspace(0.0, 2 * np.pi, 73)[:-1]
+_CIRCLE = np.linspace(0.0, 2 * np.pi, 73)[:-1]
+"""Angles of the points on a circle, radians."""
 
 
 def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.float64] | None:
-    """Returns points that span a shape, (N, 3), in its frame, metres; None = it is a mesh that cannot be read.
+    """Returns points that span a shape, (N, 3), in its frame, metres; None = a mesh that cannot be read.
 
     Exact along the axes of the shape: the corners of a box, circles of 72 points on spheres and on both ends of cylinders.
     """
@@ -35,14 +36,14 @@ def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.f
     if shape.kind == "box":
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(signs * np.array(shape.size) / 2, dtype=np.float64)
-    circle = shape.size[0] * np.stack([np.cos(_TURN), np.sin(_TURN), 0 * _TURN], axis=-1)
+    circle = shape.size[0] * np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE), 0 * _CIRCLE], axis=-1)
     if shape.kind == "sphere":
         return np.concatenate([circle, circle[:, [2, 0, 1]], circle[:, [1, 2, 0]]])
     return np.concatenate([circle + np.array([0.0, 0.0, h * shape.size[1] / 2]) for h in (-1, 1)])
 
 
 def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) -> tuple[float, float] | None:
-    """Returns (farthest distance from the z axis, highest z), metres; exact but for tilted cylinders' radius. None = unreadable mesh."""
+    """Returns (greatest distance from the z axis, highest z), metres, exact except for the radius of tilted cylinders; None = unreadable mesh."""
     center, rotation = T_root_shape[:3, 3], T_root_shape[:3, :3]
     if shape.kind == "sphere":
         return float(np.hypot(center[0], center[1])) + shape.size[0], float(center[2]) + shape.size[0]
@@ -50,7 +51,7 @@ def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) ->
     if own is None:
         return None
     if shape.kind == "cylinder":
-        # A cylinder that stands off the axis is farthest in the direction of its own centre.
+        # The farthest point of a cylinder off the axis lies in the direction of its centre.
         angle = math.atan2(*(rotation.T @ center)[1::-1])
         ends = np.array([[math.cos(angle), math.sin(angle), h] for h in (-1, 1)]) * (
             shape.size[0],
@@ -65,7 +66,7 @@ def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) ->
 def link_points(
     shapes: Iterable[UrdfCollision | UrdfVisual], T_root_link: Mat4, points: MeshPoints | None = None
 ) -> NDArray[np.float64]:
-    """Returns points that span shapes of a link, (N, 3), in the root's frame, metres; meshes that cannot be read give none."""
+    """Returns points that span the shapes of a link, (N, 3), in the root's frame, metres, without meshes that cannot be read."""
     found = [np.zeros((0, 3))]
     for item in shapes:
         own = shape_points(item.shape, points)
@@ -75,7 +76,7 @@ def link_points(
 
 
 def rigid_links(model: UrdfModel, name: str) -> list[str]:
-    """Returns a link and those that hang on it by fixed joints, and on these."""
+    """Returns a link and all links below it that fixed joints join to it."""
     found = [name]
     for link in found:
         found += [joint.child for joint in model.joints if joint.kind == "fixed" and joint.parent == link]

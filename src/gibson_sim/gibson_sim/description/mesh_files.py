@@ -13,13 +13,15 @@ from gibson_sim.reading import is_file
 PACKAGE_SCHEME = "package://"
 _FILE_SCHEME = "file://"
 _WORKSPACE_SOURCES = "src"
+"""Folder of the repositories in a colcon workspace."""
 _LEVELS_UP = 3
+"""Folders above that of a URDF in which relative names are looked up."""
 
 
 def resolve_mesh(name: str, urdf: Path) -> Path | None:
-    """Returns the absolute path of the mesh that a URDF names, or None when there is no such file.
+    """Returns the absolute path of the mesh that a URDF names, or None if there is no such file.
 
-    ``package://<package>/<rest>`` is looked for in the folders of ``package_folders``; other names are relative to the URDF's
+    ``package://<package>/<rest>`` is looked up in the folders of ``package_folders``; other names are relative to the URDF's
     folder, or to one of the three above it.
     """
     if name.startswith(_FILE_SCHEME):
@@ -33,10 +35,10 @@ def resolve_mesh(name: str, urdf: Path) -> Path | None:
 
 
 def package_folders(package: str, beside: Path) -> Iterator[Path]:
-    """Yields folders that may be those of a package, the likeliest first; they need not exist.
+    """Yields possible folders of a package, the likeliest first; they need not exist.
 
-    Beside the file that names it and in the folders above it; in the repositories of a colcon workspace (``src/<repository>/<package>``)
-    that the file lies in; in ``$AMENT_PREFIX_PATH``; an installed Python package of that name.
+    They are beside the file that names it and in the folders above it; in the repositories of the file's colcon workspace
+    (``src/<repository>/<package>``); in ``$AMENT_PREFIX_PATH``; an installed Python package of that name.
     """
     for folder in beside.parents:
         if folder.name == package:
@@ -49,7 +51,7 @@ def package_folders(package: str, beside: Path) -> Iterator[Path]:
             yield Path(prefix) / "share" / package
     if package.isidentifier():
         try:
-            found = importlib.util.find_spec(package)  # of a name without dots: nothing is imported
+            found = importlib.util.find_spec(package)  # imports nothing, for a name without dots
         except ValueError:  # __main__
             found = None
         yield from map(Path, (found.submodule_search_locations or ()) if found is not None else ())

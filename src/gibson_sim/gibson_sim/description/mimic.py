@@ -1,4 +1,4 @@
-"""Joints that follow others, as ``<mimic>`` in a URDF says. Pure."""
+"""Joints that follow others (``<mimic>`` in a URDF). Pure."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ class Mimic:
     """The position of a joint is ``multiplier`` times that of its leader, plus ``offset``."""
 
     leader: str
-    """A joint that follows nobody."""
+    """A joint that follows none itself."""
     multiplier: float = 1.0
     offset: float = 0.0
     """Radians or metres."""
 
     def position(self, leader: float) -> float:
-        """Returns where the follower is while its leader is at ``leader``."""
+        """Returns the position of the follower for that of its leader."""
         return self.multiplier * leader + self.offset
 
 
 def leaders(mimics: Mapping[str, Mimic], moving: Collection[str], where: str) -> dict[str, Mimic]:
-    """Returns for every joint that follows the one at the end of its chain of leaders.
+    """Returns each mimic joint with the joint at the end of its chain of leaders.
 
     Args:
-        mimics: What each of them names as its leader, which may itself follow.
+        mimics: Mimic joint -> the leader that the file gives, which may itself be a mimic joint.
         moving: All joints that move.
         where: The file, for messages.
 
     Raises:
-        RobotError: a leader is not there or does not move, or joints follow each other in a circle.
+        RobotError: a leader is missing or does not move, or joints follow each other in a circle.
     """
     out = {}
     for name, mimic in mimics.items():

@@ -1,4 +1,4 @@
-"""What a file names and could not be used, one line each, with its kind for those who must tell them apart."""
+"""Lines of text about parts of a file that could not be used, each with its kind."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ class OmissionKind(Enum):
     """Why something was left out or replaced."""
 
     OTHER = auto()
-    """A small thing: a colour that is not defined, a motor that is not simulated."""
+    """A detail: a colour that is not defined, a motor that is not simulated."""
     INVALID = auto()
-    """A value that cannot be meant."""
+    """An impossible value."""
     MISSING_ASSET = auto()
-    """A model, mesh or texture that is not there."""
+    """A model, mesh or texture that is missing."""
     UNSUPPORTED_ASSET = auto()
-    """A mesh or texture that is there and cannot be used."""
+    """A mesh or texture that exists and cannot be used."""
     UNSUPPORTED_ELEMENT = auto()
-    """A kind of thing that is not simulated."""
+    """An element that is not simulated."""
     UP_UNCLEAR = auto()
-    """Which way is up could not be told, and nobody has said it yet."""
+    """The up axis could not be determined, and is not given."""
 
 
 class Omission(str):
-    """One line for the user; goes wherever a line of text goes."""
+    """One line for the user, with its kind."""
 
     kind: OmissionKind
 

@@ -1,7 +1,7 @@
 """Joins links that fixed joints hold together into rigid groups, and writes the small URDF that a physics engine needs. Pure.
 
-Engines give links without an ``<inertial>`` a mass of 1 kg (Bullet) or make a massless root immovable; a group sums the masses of
-its links, so frames without mass (``base_footprint``, ``camera_link``) cost nothing and disturb nothing.
+Bullet gives links without an ``<inertial>`` a mass of 1 kg, and makes a massless root immovable. A group has the sum of the masses of its links, so
+frames without mass (``base_footprint``, ``camera_link``) cost nothing and disturb nothing.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ MOVING_TYPES = ("continuous", "revolute", "prismatic")
 DEFAULT_FRICTION = 0.5
 """Coulomb friction of links that give none; the engine multiplies it with that of the other body (static shapes: 1)."""
 MAX_MOVING_JOINTS = 121
-"""Of one body: the engine has room for 128 coordinates, of which the pose of the root takes seven."""
+"""Moving joints of one body: the engine has room for 128 coordinates, of which the pose of the root needs seven."""
 MAX_JOINTS = 127
-"""The same, with fixed joints that hold links with a friction of their own."""
+"""Joints of one body in the engine, including fixed ones to links with a friction of their own."""
 _DEFAULT_ROOT_KG = 1.0
+"""Mass of a root group without one, kg."""
 _DEFAULT_LINK_KG = 0.05
+"""Mass of another group without one, kg."""
 _DEFAULT_GYRATION = 0.05
-"""Radius of gyration, metres, of a group whose inertia is missing or impossible."""
+"""Radius of gyration of a group whose inertia is missing or impossible, metres."""
 
 
 @dataclass(slots=True)
@@ -39,7 +41,7 @@ class RigidGroup:
     name: str
     """Its first link, whose frame is the group's."""
     joint: UrdfJoint | None
-    """What connects it to the group above; None for the root."""
+    """Joint to the group above; None for the root."""
     parent: str = ""
     """Name of the group above."""
     T_parent_group: Mat4 = field(default_factory=lambda: np.eye(4))
@@ -58,17 +60,17 @@ class RigidGroup:
     center: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     """Centre of mass, (3,), metres."""
     inertia: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
-    """About the centre of mass, (3, 3), kg m^2."""
+    """Inertia about the centre of mass, (3, 3), kg m^2."""
 
 
 def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
     """Returns (groups, warnings): the root's group first, parents before children.
 
-    A fixed link with its own friction or stiffness stays a group, because these belong to a whole link in the engine.
+    A fixed link with its own friction or stiffness remains a group, because the engine has these per link.
 
     Args:
-        model: the links.
-        fixed_root: nothing moves the root, so it needs no mass.
+        model: The links.
+        fixed_root: Whether the root never moves, so that it needs no mass.
     """
     by_child = {joint.child: joint for joint in model.joints}
     groups: dict[str, RigidGroup] = {}
@@ -93,7 +95,7 @@ def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[R
         groups[group.name] = group
         home[link.name] = group.name
         group.members[link.name] = T_group_link
-        _add(group, link, T_group_link)
+        _add_link(group, link, T_group_link)
     _check_count(model, [group.joint for group in groups.values() if group.joint is not None])
     warnings = [text for group in groups.values() for text in _check_mass(model, group) if group.joint or not fixed_root]
     return tuple(groups.values()), tuple(warnings)
@@ -112,12 +114,12 @@ def _group(link: UrdfLink, joint: UrdfJoint | None, parent: str = "", T_parent_g
     """Returns the group that begins with a link."""
     at = np.eye(4) if T_parent_group is None else T_parent_group
     group = RigidGroup(link.name, joint, parent, at)
-    _take_contact(group, link)
+    _set_contact(group, link)
     return group
 
 
-def _take_contact(group: RigidGroup, link: UrdfLink) -> None:
-    """Lets the group's surface be that of a link."""
+def _set_contact(group: RigidGroup, link: UrdfLink) -> None:
+    """Sets the contact properties of a group to those of a link."""
     group.friction = link.friction
     group.rolling_friction, group.spinning_friction = link.rolling_friction, link.spinning_friction
     group.stiffness, group.contact_damping = link.stiffness, link.contact_damping
@@ -126,7 +128,10 @@ def _take_contact(group: RigidGroup, link: UrdfLink) -> None:
 def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: bool = False) -> str:
     """Returns a URDF with one link per group: masses, collision shapes with absolute paths, joints; nothing to be drawn.
 
-    ``concave``: meshes are as they are, hollow; only for what never moves. Otherwise the engine makes convex hulls of them.
+    Args:
+        model: The links.
+        groups: Their groups.
+        concave: Whether meshes keep all their triangles, hollow, which is only for bodies that never move; else the engine makes convex hulls.
     """
     robot = ET.Element("robot", name=model.name)
     for group in groups:
@@ -136,7 +141,7 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
         for key, value in (("rolling_friction", group.rolling_friction), ("spinning_friction", group.spinning_friction)):
             if value:
                 ET.SubElement(contact, key, value=_text(value))
-        if group.stiffness:  # the engine takes both or none
+        if group.stiffness:  # the engine needs both or neither
             ET.SubElement(contact, "stiffness", value=_text(group.stiffness))
             ET.SubElement(contact, "damping", value=_text(group.contact_damping))
         inertial = ET.SubElement(link, "inertial")
@@ -151,23 +156,23 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
             _geometry(collision, shape)
         if group.joint is not None:
             _joint(robot, group, group.joint)
-    ET.indent(robot)  # Bullet breaks lines of more than 8 KB, also in the middle of a file's name.
+    ET.indent(robot)  # Bullet breaks lines of more than 8 KB, even inside a file name.
     return ET.tostring(robot, encoding="unicode")
 
 
 def _same_contact(group: RigidGroup, link: UrdfLink) -> bool:
-    """Returns whether the link's shapes can join the group's; the first shapes of a group decide its friction and stiffness."""
+    """Returns whether the link's shapes can join the group's; the first shapes of a group determine its friction and stiffness."""
     if not link.collisions:
         return True
     if not group.collisions:
-        _take_contact(group, link)
+        _set_contact(group, link)
     rolling, soft = (link.rolling_friction, link.spinning_friction), (link.stiffness, link.contact_damping)
     same_rolling = rolling in ((0.0, 0.0), (group.rolling_friction, group.spinning_friction))
     same_soft = soft[0] == 0.0 or soft == (group.stiffness, group.contact_damping)
     return (link.friction is None or link.friction == group.friction) and same_rolling and same_soft
 
 
-def _add(group: RigidGroup, link: UrdfLink, T_group_link: Mat4) -> None:
+def _add_link(group: RigidGroup, link: UrdfLink, T_group_link: Mat4) -> None:
     """Adds the link's shapes and mass (parallel axis theorem)."""
     for item in link.collisions:
         group.collisions.append((item.shape, T_group_link @ matrix_from_pose(item.pose)))
@@ -194,14 +199,14 @@ def _point_inertia(mass: float, offset: NDArray[np.float64]) -> NDArray[np.float
 
 
 def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
-    """Gives the group a mass and an inertia that an engine can use; returns what it had to change."""
+    """Replaces a mass or an inertia that an engine cannot use; returns warnings of what changed."""
     warnings = []
     if group.mass <= 0:
         group.mass = _DEFAULT_ROOT_KG if group.joint is None else _DEFAULT_LINK_KG
         group.inertia = np.zeros((3, 3))
         warnings.append(f"{model.path.name}: link {quoted(group.name)} has no mass; {group.mass:g} kg is used")
     low, mid, high = np.linalg.eigvalsh(group.inertia)
-    # A real body obeys the triangle inequality; hand-written files often miss it a little, and engines bear that.
+    # A real body obeys the triangle inequality; hand-written files often violate it slightly, which engines tolerate.
     if low <= 0 or high > 1.5 * (low + mid):
         group.inertia = np.eye(3) * group.mass * _DEFAULT_GYRATION**2
         if not warnings:
@@ -235,13 +240,13 @@ def _geometry(collision: ET.Element, shape: Shape) -> None:
 
 
 def _origin(element: ET.Element, transform: Mat4) -> None:
-    ET.SubElement(element, "origin", xyz=_text(*transform[:3, 3]), rpy=_text(*_rpy_from_matrix(transform[:3, :3])))
+    ET.SubElement(element, "origin", xyz=_text(*transform[:3, 3]), rpy=_text(*rpy_from_matrix(transform[:3, :3])))
 
 
-def _rpy_from_matrix(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
+def rpy_from_matrix(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
     """Returns roll, pitch, yaw (radians) with ``rotation`` = Rz(yaw) Ry(pitch) Rx(roll)."""
     pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
-    if math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # straight up or down: only roll -+ yaw is defined, so yaw is 0
+    if math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: only roll -+ yaw is defined, so yaw is 0
         return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
     return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 

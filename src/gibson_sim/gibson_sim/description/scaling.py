@@ -1,4 +1,4 @@
-"""Makes a model larger or smaller. Pure."""
+"""Scales a model. Pure."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from gibson_sim.types import Pose, Vec3
 
 
 def scaled_model(model: UrdfModel, factor: float) -> UrdfModel:
-    """Returns the model with all lengths times ``factor`` and its density as it was: mass grows with the third power.
+    """Returns the model with all lengths times ``factor`` and equal density: mass grows with the third power.
 
-    What slides does so by ``factor`` times as far; angles stay. Damping and friction grow with mass and inertia, so things come to rest as before.
+    Prismatic joints move ``factor`` times as far; angles stay. Damping and friction grow with mass and inertia, so joints come to rest as before.
     """
     if factor == 1.0:
         return model
     links = tuple(_link(link, factor) for link in model.links)
-    leads = {joint.name: factor if joint.kind == "prismatic" else 1.0 for joint in model.joints}
-    return replace(model, links=links, joints=tuple(_joint(joint, factor, leads) for joint in model.joints))
+    factors = {joint.name: factor if joint.kind == "prismatic" else 1.0 for joint in model.joints}
+    return replace(model, links=links, joints=tuple(_joint(joint, factor, factors) for joint in model.joints))
 
 
 def _link(link: UrdfLink, factor: float) -> UrdfLink:
@@ -35,24 +35,24 @@ def _link(link: UrdfLink, factor: float) -> UrdfLink:
     )
 
 
-def _joint(joint: UrdfJoint, factor: float, leads: dict[str, float]) -> UrdfJoint:
-    along = leads[joint.name]
-    # N s/m of a slide goes with the mass, N m s/rad of a hinge with the inertia.
+def _joint(joint: UrdfJoint, factor: float, factors: dict[str, float]) -> UrdfJoint:
+    stretch = factors[joint.name]
+    # N s/m of a prismatic joint scales with the mass, N m s/rad of a hinge with the inertia.
     damping = joint.damping * factor ** (3 if joint.kind == "prismatic" else 5)
-    # N of a slide goes with the mass and the way, N m of a hinge with the inertia.
+    # N of a prismatic joint scales with the mass and the distance, N m of a hinge with the inertia.
     friction = joint.friction * factor ** (4 if joint.kind == "prismatic" else 5)
-    pose, lower, upper = _pose(joint.pose, factor), joint.lower * along, joint.upper * along
+    pose, lower, upper = _pose(joint.pose, factor), joint.lower * stretch, joint.upper * stretch
     return replace(
-        joint, pose=pose, lower=lower, upper=upper, damping=damping, mimic=_mimic(joint, along, leads), friction=friction
+        joint, pose=pose, lower=lower, upper=upper, damping=damping, mimic=_mimic(joint, stretch, factors), friction=friction
     )
 
 
-def _mimic(joint: UrdfJoint, along: float, leads: dict[str, float]) -> Mimic | None:
-    """Returns what it follows, where its own motion is ``along`` times as far and that of its leader as ``leads`` says."""
+def _mimic(joint: UrdfJoint, stretch: float, factors: dict[str, float]) -> Mimic | None:
+    """Returns the mimic of a joint whose motion is ``stretch`` times as far, and that of its leader by its factor in ``factors``."""
     if joint.mimic is None:
         return None
-    multiplier = joint.mimic.multiplier * along / leads[joint.mimic.leader]
-    return replace(joint.mimic, multiplier=multiplier, offset=joint.mimic.offset * along)
+    multiplier = joint.mimic.multiplier * stretch / factors[joint.mimic.leader]
+    return replace(joint.mimic, multiplier=multiplier, offset=joint.mimic.offset * stretch)
 
 
 def _shape(shape: Shape, factor: float) -> Shape:

@@ -1,4 +1,4 @@
-"""Shapes, and how they look: what robots, bodies and scenes are drawn from. Pure values."""
+"""Shapes and visuals of robots, bodies and scenes, and their appearance. Pure values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ShapeKind = Literal["mesh", "box", "sphere", "cylinder"]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A piece of geometry in its own frame, z up, centred (primitives) or as its file has it (meshes)."""
+    """A geometry in its own frame, z up, centred (primitives) or as in its file (meshes)."""
 
     kind: ShapeKind
     size: Vec3 = (1.0, 1.0, 1.0)
@@ -30,15 +30,15 @@ PATTERN_KINDS: tuple[PatternKind, ...] = ("noise", "stripes", "checker", "image"
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A texture made of a few numbers, laid over a surface in metres, along the axes of its link (or of the world)."""
+    """A procedural texture, or an image, mapped in metres along the axes of the link (or of the world)."""
 
     kind: PatternKind = "noise"
     seed: int = 0
-    """noise: decides every pixel."""
+    """noise: seed of its pixels."""
     colors: tuple[Vec3, Vec3] = ((0.2, 0.2, 0.2), (0.8, 0.8, 0.8))
     """sRGB, 0 to 1; image: not used."""
     size: float = 0.5
-    """Metres after which it repeats; stripes and checkers have four pairs of colours in it."""
+    """Period, metres; stripes and checkers have four pairs of colours in it."""
     image: str = ""
     """kind image: absolute path of the file."""
 
@@ -55,24 +55,24 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """What changes in the materials of a visual. Where it is solid, and thus depth, labels and normals, never changes."""
+    """Changes to the materials of a visual. Depth, labels and normals never change, since opacity does not."""
 
     hue: float = 0.0
-    """Turns all colours, 1 = once around."""
+    """Rotation of the hue of all colours, 1 = a full circle."""
     saturation: float = 1.0
-    """Factor: 0 = grey."""
+    """Factor on the saturation: 0 = grey."""
     value: float = 1.0
-    """Factor on the light: 0 = black."""
+    """Factor on the brightness: 0 = black."""
     pattern: Pattern | None = None
-    """Replaces the colours of the texture, but not its opacity; None = they stay."""
+    """Replaces the colours of the texture, but not its opacity; None = no change."""
     metallic: float | None = None
-    """Replaces it, 0 to 1, or None."""
+    """Replaces the metalness, 0 to 1; None = no change."""
     roughness: float | None = None
-    """Replaces it, 0 to 1, or None."""
+    """Replaces the roughness, 0 to 1; None = no change."""
 
     @property
     def is_tint(self) -> bool:
-        """Whether colours change at all, other than by a pattern."""
+        """Whether colours change other than by a pattern."""
         return (self.hue, self.saturation, self.value) != (0.0, 1.0, 1.0)
 
 
@@ -83,7 +83,7 @@ class VisualSpec:
     name: str
     """Unique in the scene."""
     link: str
-    """Link that it is fixed to, as in ``SceneState.links``; empty = the world, so it never moves."""
+    """Link that it is fixed to, as in ``SceneState.links``; empty = the world."""
     shape: Shape
     pose: Pose = field(default_factory=Pose)
     """T_link_visual."""

@@ -1,7 +1,7 @@
 """Reads a URDF file into plain values: links, shapes, joints, the tree. Pure: no physics engine, no ROS.
 
-Bad structure (no root, two roots, a cycle, a number that is none) is a ``RobotError``. What can be done without (a mesh that is
-missing, a shape of unknown kind) is left out, with one line in ``UrdfModel.warnings``.
+Bad structure (no root, two roots, a cycle, text in place of a number) is a ``RobotError``. What is dispensable (a missing mesh, a shape of unknown
+kind) is left out, with one line in ``UrdfModel.warnings``.
 """
 
 from __future__ import annotations
@@ -24,79 +24,27 @@ from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import parse_xml, read_file
 from gibson_sim.types import Pose, Rgba, Vec3
 
-
-class XmlValues:
-    """Reads the values of one file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path.absolute()
-
-    def origin(self, element: ET.Element, where: str) -> Pose:
-        """Returns the pose in the ``<origin>`` of an element; the identity where there is none."""
-        item = element.find("origin")
-        if item is None:
-            return Pose()
-        zero = (0.0, 0.0, 0.0)
-        xyz = self.vector(item, "xyz", where) if item.get("xyz") else zero
-        rpy = self.vector(item, "rpy", where) if item.get("rpy") else zero
-        return pose_from_xyz_rpy(xyz, rpy)
-
-    def positive(self, values: tuple[float, ...], where: str) -> tuple[float, ...]:
-        """Returns the values where all are above 0."""
-        if min(values) <= 0:
-            raise RobotError(f"{self.path}: {where}: size {values} must be above 0 in every direction")
-        return values
-
-    def text(self, element: ET.Element, key: str) -> str:
-        """Returns an attribute that is not empty."""
-        value = element.get(key, "").strip()
-        if not value:
-            raise RobotError(f"{self.path}: a <{element.tag}> has no {key}")
-        return value
-
-    def vector(self, element: ET.Element, key: str, where: str) -> Vec3:
-        """Returns three finite numbers."""
-        x, y, z = self.numbers(element, key, 3, where)
-        return (x, y, z)
-
-    def optional(self, element: ET.Element, key: str, where: str, default: float = 0.0) -> float:
-        """Returns a finite number, or the default where the attribute is not there."""
-        return self.numbers(element, key, 1, where)[0] if element.get(key) else default
-
-    def numbers(self, element: ET.Element, key: str, count: int, where: str) -> tuple[float, ...]:
-        """Returns so many finite numbers."""
-        raw = element.get(key, "")
-        try:
-            values = tuple(float(part) for part in raw.split())
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(map(math.isfinite, values)):
-            wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise RobotError(f'{self.path}: {where}: <{element.tag} {key}="{raw}">, must be {wanted}')
-        return values
-
-
 __all__ = [
     "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
 ]  # fmt: skip
 
 _MOST_NAMED, _LONGEST_NAME = 8, 40
-"""Links that a message names, and characters of each."""
+"""Number of links that a message names, and characters of each name."""
 _MOST_FRICTION = 1.5
-"""Of what a file tells Gazebo: wheels there often have 100 or more."""
+"""Greatest friction that is read from ``<gazebo>`` elements: wheels there often have 100 or more."""
 FindMesh = Callable[[str, Path], Path | None]
-"""Takes what a URDF names and the URDF's path to the absolute path of a file, or None when there is none."""
+"""Takes the name of a mesh and the URDF's path; returns the absolute path of the file, or None if there is none."""
 
 
 def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
     """Reads the URDF at ``path``.
 
     Args:
-        path: the file.
-        find: finds its meshes; None = ``resolve_mesh``.
+        path: The file.
+        find: Finds its meshes; None = ``resolve_mesh``.
 
     Raises:
-        RobotError: the file is not there, is no URDF, or its tree is broken; one line.
+        RobotError: the file is missing, is no URDF, or its tree is broken; one line.
     """
     path = Path(path)
     try:
@@ -109,12 +57,12 @@ def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
 
 
 def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) -> UrdfModel:
-    """Reads a URDF that is at hand as text.
+    """Reads a URDF from its text.
 
     Args:
-        text: the XML.
-        source: where it comes from, for messages and for names relative to it; need not exist.
-        find: finds its meshes; None = ``resolve_mesh``.
+        text: The XML.
+        source: Path of its file, for messages and relative names; need not exist.
+        find: Finds its meshes; None = ``resolve_mesh``.
 
     Raises:
         RobotError: it is no URDF, or its tree is broken; one line.
@@ -129,19 +77,19 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     return _Reader(source, find or resolve_mesh).model(top)
 
 
-class _Reader(XmlValues):
-    """Turns the XML of one file into values; gathers warnings on the way."""
+class _Reader:
+    """Turns the XML of one file into values, and collects warnings."""
 
     def __init__(self, path: Path, find: FindMesh) -> None:
-        super().__init__(path)
-        self.find = find
+        self.path, self.find = path.absolute(), find
         self.warnings: list[str] = []
         self.colors: dict[str, Rgba | None] = {}
-        """None = a texture alone."""
+        """Material name -> its colour; None = it has only a texture."""
         self.frictions: dict[str, float] = {}
-        """Link -> Coulomb friction that the file tells Gazebo."""
+        """Link -> Coulomb friction from ``<gazebo>`` elements."""
 
     def model(self, top: ET.Element) -> UrdfModel:
+        """Returns the model of a ``<robot>``."""
         if top.tag != "robot":
             raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, a URDF has <robot>")
         for material in top.iter("material"):
@@ -151,14 +99,14 @@ class _Reader(XmlValues):
         self.frictions = self.gazebo_frictions(top)
         links = [self.link(element) for element in top.findall("link")]
         joints = [self.joint(element) for element in top.findall("joint")]
-        ordered = self.tree(links, joints)
-        joints = self.led(joints)
+        ordered = self.sorted_links(links, joints)
+        joints = self.with_final_leaders(joints)
         return UrdfModel(top.get("name", self.path.stem), self.path, ordered, tuple(joints), tuple(self.warnings))
 
-    def tree(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
-        """Returns the links, parents first; raises where they do not form one tree."""
-        self.unique("link", [link.name for link in links])
-        self.unique("joint", [joint.name for joint in joints])
+    def sorted_links(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
+        """Returns the links, parents first; raises RobotError if they do not form one tree."""
+        self.check_unique("link", [link.name for link in links])
+        self.check_unique("joint", [joint.name for joint in joints])
         by_name = {link.name: link for link in links}
         children: dict[str, list[str]] = {link.name: [] for link in links}
         parents: dict[str, UrdfJoint] = {}
@@ -194,13 +142,14 @@ class _Reader(XmlValues):
             raise RobotError(f"{self.path}: links {', '.join(lost)} form a cycle that the root {quoted(roots[0])} does not reach")
         return tuple(by_name[name] for name in order)
 
-    def led(self, joints: list[UrdfJoint]) -> list[UrdfJoint]:
-        """Returns the joints, those that mimic others with the one that they follow in the end."""
+    def with_final_leaders(self, joints: list[UrdfJoint]) -> list[UrdfJoint]:
+        """Returns the joints, with each mimic joint following the end of its chain of leaders."""
         moving = [joint.name for joint in joints if joint.kind != "fixed"]
         followed = leaders({joint.name: joint.mimic for joint in joints if joint.mimic is not None}, moving, str(self.path))
         return [replace(joint, mimic=followed.get(joint.name)) for joint in joints]
 
-    def unique(self, what: str, names: Iterable[str]) -> None:
+    def check_unique(self, what: str, names: Iterable[str]) -> None:
+        """Raises RobotError if two names are equal."""
         seen: set[str] = set()
         for name in names:
             if name in seen:
@@ -229,7 +178,7 @@ class _Reader(XmlValues):
         )  # fmt: skip
 
     def gazebo_frictions(self, top: ET.Element) -> dict[str, float]:
-        """Returns link -> friction, from ``<gazebo reference="link"><mu1>0.1</mu1></gazebo>``; the smaller one of both directions."""
+        """Returns link -> friction from ``<gazebo reference="link"><mu1>0.1</mu1></gazebo>``: the smaller one of both directions."""
         found: dict[str, float] = {}
         names = [element.get("name", "") for element in top.findall("link")]
         for element in top.findall("gazebo"):
@@ -239,12 +188,13 @@ class _Reader(XmlValues):
                 continue
             if values and all(math.isfinite(value) and value >= 0.0 for value in values):
                 reference = element.get("reference", "")
-                # Descriptions with a prefix often forget it here.
+                # Descriptions with a prefix often omit it here.
                 meant = [name for name in names if name == reference] or [n for n in names if n.endswith(f"/{reference}")]
                 found.update({name: min(*values, _MOST_FRICTION) for name in meant if len(meant) == 1})
         return found
 
     def contact(self, element: ET.Element, key: str, where: str) -> float:
+        """Returns a number, 0 or more, in the ``<contact>`` of a link; 0 if it is missing."""
         found = element.find(f"contact/{key}")
         value = 0.0 if found is None else self.numbers(found, "value", 1, where)[0]
         if value < 0:
@@ -309,7 +259,7 @@ class _Reader(XmlValues):
         return Inertial(kg, self.origin(element, where), (ixx, ixy, ixz, iyy, iyz, izz))
 
     def shape(self, element: ET.Element, where: str) -> Shape | None:
-        """Returns the shape, or None (with a warning) when it cannot be used."""
+        """Returns the shape, or None, with a warning, if it cannot be used."""
         geometry = element.find("geometry")
         kinds = [] if geometry is None else list(geometry)
         if not kinds:
@@ -355,3 +305,49 @@ class _Reader(XmlValues):
     def rgba(self, element: ET.Element) -> Rgba:
         r, g, b, a = (min(max(c, 0.0), 1.0) for c in self.numbers(element, "rgba", 4, "material"))
         return (r, g, b, a)
+
+    # Values
+
+    def origin(self, element: ET.Element, where: str) -> Pose:
+        """Returns the pose in the ``<origin>`` of an element; the identity if there is none."""
+        item = element.find("origin")
+        if item is None:
+            return Pose()
+        zero = (0.0, 0.0, 0.0)
+        xyz = self.vector(item, "xyz", where) if item.get("xyz") else zero
+        rpy = self.vector(item, "rpy", where) if item.get("rpy") else zero
+        return pose_from_xyz_rpy(xyz, rpy)
+
+    def positive(self, values: tuple[float, ...], where: str) -> tuple[float, ...]:
+        """Returns the values; raises RobotError unless all are above 0."""
+        if min(values) <= 0:
+            raise RobotError(f"{self.path}: {where}: size {values} must be above 0 in every direction")
+        return values
+
+    def text(self, element: ET.Element, key: str) -> str:
+        """Returns an attribute that is not empty."""
+        value = element.get(key, "").strip()
+        if not value:
+            raise RobotError(f"{self.path}: a <{element.tag}> has no {key}")
+        return value
+
+    def vector(self, element: ET.Element, key: str, where: str) -> Vec3:
+        """Returns three finite numbers."""
+        x, y, z = self.numbers(element, key, 3, where)
+        return (x, y, z)
+
+    def optional(self, element: ET.Element, key: str, where: str, default: float = 0.0) -> float:
+        """Returns a finite number, or the default if the attribute is missing."""
+        return self.numbers(element, key, 1, where)[0] if element.get(key) else default
+
+    def numbers(self, element: ET.Element, key: str, count: int, where: str) -> tuple[float, ...]:
+        """Returns ``count`` finite numbers."""
+        raw = element.get(key, "")
+        try:
+            values = tuple(float(part) for part in raw.split())
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            expected = "a finite number" if count == 1 else f"{count} finite numbers"
+            raise RobotError(f'{self.path}: {where}: <{element.tag} {key}="{raw}">, must be {expected}')
+        return values

@@ -1,4 +1,4 @@
-"""A robot or a thing as a URDF describes it: links, shapes, joints, the tree. Pure values; ``description.urdf`` reads them."""
+"""A robot or a body as a URDF describes it: links, shapes, joints, the tree. Pure values; ``description.urdf`` reads them."""
 
 from __future__ import annotations
 
@@ -62,18 +62,18 @@ class UrdfLink:
     friction: float | None = None
     """Coulomb friction from ``<contact><lateral_friction value=""/></contact>`` (an extension of Bullet); None = not given."""
     rolling_friction: float = 0.0
-    """Metres: what holds a round link back, from ``<rolling_friction value=""/>`` beside it."""
+    """Rolling resistance of a round link, metres, from ``<rolling_friction value=""/>`` beside it."""
     spinning_friction: float = 0.0
-    """Metres: the same about the normal of a contact, from ``<spinning_friction value=""/>``."""
+    """Resistance to spinning about the normal of a contact, metres, from ``<spinning_friction value=""/>``."""
     stiffness: float = 0.0
-    """N/m of its contacts, from ``<stiffness value=""/>``: what stands on soft and on hard points stands on the hard ones first; 0 = hard."""
+    """Stiffness of its contacts, N/m, from ``<stiffness value=""/>``: a body on soft and hard contacts rests on the hard ones first; 0 = hard."""
     contact_damping: float = 0.0
-    """N s/m of its contacts, from ``<damping value=""/>`` beside that."""
+    """Damping of its contacts, N s/m, from ``<damping value=""/>`` beside that."""
 
 
 @dataclass(frozen=True, slots=True)
 class UrdfJoint:
-    """One joint, at zero its child frame is at ``pose`` in the parent's."""
+    """One joint; at position 0 its child frame is at ``pose`` in the parent's."""
 
     name: str
     kind: str
@@ -88,15 +88,15 @@ class UrdfJoint:
     """Radians or metres; lower > upper = no limit."""
     upper: float = -1.0
     effort: float = 0.0
-    """N m or N; 0 = not given."""
+    """Effort limit, N m or N; 0 = not given."""
     velocity: float = 0.0
-    """rad/s or m/s; 0 = not given."""
+    """Velocity limit, rad/s or m/s; 0 = not given."""
     damping: float = 0.0
     """N m s/rad or N s/m."""
     mimic: Mimic | None = None
-    """What it follows; None = it moves by itself."""
+    """The joint that it follows; None = it moves by itself."""
     friction: float = 0.0
-    """N m or N that hold it back while nobody drives it."""
+    """Dry friction while no motor drives it, N m or N."""
 
     @property
     def is_bounded(self) -> bool:
@@ -105,13 +105,13 @@ class UrdfJoint:
 
     @property
     def has_motor(self) -> bool:
-        """Whether it can be commanded: a continuous one that the URDF gives neither effort nor speed is a caster."""
+        """Whether it can be commanded: a continuous joint with neither an effort nor a velocity limit is a caster."""
         if self.mimic is not None:
             return False
         return self.kind in ("revolute", "prismatic") or (self.kind == "continuous" and max(self.effort, self.velocity) > 0.0)
 
     def motion(self, position: float) -> Mat4:
-        """Returns T_zero_child, (4, 4): how far ``position`` (radians or metres) moves the child from where it is at 0."""
+        """Returns T_zero_child, (4, 4): the motion of the child frame from position 0 to ``position`` (radians or metres)."""
         x, y, z = self.axis
         if self.kind == "prismatic":
             return np.array(
@@ -175,7 +175,7 @@ class UrdfModel:
         return tuple(link.name for link in self.links if link.name in found)
 
     def transforms(self, positions: Mapping[str, float] | None = None) -> dict[str, Mat4]:
-        """Returns T_root_link, (4, 4), of every link with joints at ``positions``; those that are not named are at 0."""
+        """Returns T_root_link, (4, 4), of every link with joints at ``positions``; missing joints are at 0."""
         at = positions or {}
         by_child = {joint.child: joint for joint in self.joints}
         out = {self.root: matrix_from_pose(Pose())}
@@ -187,7 +187,7 @@ class UrdfModel:
         return out
 
     def with_followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Returns the positions, and where the joints that mimic others are then; leaders that are not named are at 0."""
+        """Returns the positions, with those of mimic joints added; missing leaders are at 0."""
         out = dict(positions)
         for joint in self.joints:
             if joint.mimic is not None:

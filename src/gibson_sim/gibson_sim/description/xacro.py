@@ -1,6 +1,6 @@
-"""Turns descriptions that are not yet plain URDF into it: xacro files, and ``$(optenv NAME default)``.
+"""Expands xacro files and ``$(optenv NAME default)`` to plain URDF.
 
-The xacro package does its work in a process of its own (``xacro_process``), which may be stopped, and in which alone it finds packages as we do.
+The xacro package runs in a process of its own (``xacro_process``), which can be stopped, and in which it finds packages as ``package://`` does.
 """
 
 from __future__ import annotations
@@ -25,41 +25,42 @@ from gibson_sim.reading import is_file, parse_xml, read_file
 from gibson_sim.resources import cache_folder
 
 _XACRO = b"<xacro:"
-_NO_ELEMENTS = {b"<!--": b"-->", b"<![CDATA[": b"]]>", b"<?": b"?>"}
-"""What holds text that looks like elements: its beginning, and its end."""
-# None of these goes back over what it has read: a file of strangers may be made to let it.
-_NO_ELEMENT = re.compile(b"|".join(re.escape(begin) for begin in _NO_ELEMENTS))
+_SECTIONS_WITHOUT_ELEMENTS = {b"<!--": b"-->", b"<![CDATA[": b"]]>", b"<?": b"?>"}
+"""Begin and end of sections whose text is no elements."""
+# None of these patterns backtracks: an untrusted file could exploit that.
+_SECTION = re.compile(b"|".join(re.escape(begin) for begin in _SECTIONS_WITHOUT_ELEMENTS))
 _OPTIONAL = re.compile(rb"\$\(optenv\s+\w+(?:\s([^()]*))?\)")
 _ARGUMENT = re.compile(rb"<xacro:arg\s([^<>]*)")
 _ARGUMENT_NAME = re.compile(rb"""name\s*=\s*["'](\w+)["']""")
 _TIMEOUT_S = 60.0
-"""Wall time; ``xacro_process`` ends itself after ``LIMIT_S`` of processor time."""
+"""Wall-time limit, s; ``xacro_process`` ends itself after ``LIMIT_S`` of processor time."""
 _MODULE = "gibson_sim.description.xacro_process"
 """Program that expands a xacro."""
 _LONGEST_REASON = 1000
-_MOST_SAID = 65536
-"""Bytes of what xacro says that are looked at."""
+"""Characters of an error that a message quotes."""
+_MAX_OUTPUT = 65536
+"""Bytes at the end of xacro's output that are searched for its error."""
 _ERRORS = ("error: ", "XML parsing error: ")
-"""How xacro begins the line of an error."""
+"""Beginnings of the lines in which xacro reports an error."""
 
 
 def is_xacro(text: str | bytes, top: ET.Element | None = None) -> bool:
-    """Returns whether a description has elements that only xacro understands: includes, properties, calls of macros.
+    """Returns whether a description has xacro elements: includes, properties, calls of macros.
 
-    Their prefix tells: the namespace that it stands for is not the same everywhere, and a part of a file often names none.
+    They are recognised by their prefix: its namespace is not the same everywhere, and a part of a file often declares none.
 
     Args:
-        text: the XML.
-        top: of it; None = it is not well-formed.
+        text: The XML.
+        top: Its outermost element; None = it is not well-formed.
     """
     data = text.encode("utf-8", errors="replace") if isinstance(text, str) else text
     if top is None or _XACRO not in data:
         return _XACRO in data
     at = 0
-    while (begin := _NO_ELEMENT.search(data, at)) is not None:
+    while (begin := _SECTION.search(data, at)) is not None:
         if _XACRO in data[at : begin.start()]:
             return True
-        mark = _NO_ELEMENTS[begin[0]]
+        mark = _SECTIONS_WITHOUT_ELEMENTS[begin[0]]
         end = data.find(mark, begin.end())
         if end < 0:
             return False
@@ -68,19 +69,19 @@ def is_xacro(text: str | bytes, top: ET.Element | None = None) -> bool:
 
 
 def with_defaults(text: bytes) -> bytes:
-    """Returns a description with the default in the place of every ``$(optenv NAME default)``.
+    """Returns a description with every ``$(optenv NAME default)`` replaced by its default.
 
-    The environment does not count: a robot is the same wherever it runs, and who may spawn robots need not see variables.
+    The environment does not count: a robot is the same wherever it runs, and clients that spawn robots must not read variables.
     """
     return _OPTIONAL.sub(lambda found: (found[1] or b"").lstrip(), text)
 
 
 def plain_description(path: Path, arguments: Mapping[str, str]) -> Path:
-    """Returns a plain URDF: the file itself, or what it expands to, in a file of the cache, whose meshes have absolute names.
+    """Returns a plain URDF: the file itself, or its expansion in a file of the cache, whose meshes have absolute names.
 
     Args:
         path: A URDF or a xacro.
-        arguments: Of the xacro: name and value.
+        arguments: Arguments of the xacro: name and value.
 
     Raises:
         RobotError: the file cannot be read, the xacro package is not installed, or it refuses the file; one line.
@@ -100,7 +101,7 @@ def plain_description(path: Path, arguments: Mapping[str, str]) -> Path:
 
 
 def published_description(path: Path) -> str:
-    """Returns a URDF as other programs can read it: meshes with relative names, which only its own folder explains, have absolute ones."""
+    """Returns a URDF for other programs: mesh names relative to its folder become absolute."""
     data = read_file(path)
     relative = re.search(rb"""filename\s*=\s*["'](?!\w+://|/)""", data)
     return (_with_absolute_meshes(data, path, relative_only=True) if relative else data).decode("utf-8")
@@ -114,14 +115,14 @@ def _is_xacro_file(data: bytes) -> bool:
 
 
 def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
-    """Returns what the xacro package makes of a file."""
+    """Returns the expansion of a file by the xacro package."""
     if find_spec("xacro") is None:
         raise RobotError(
             f"{path.absolute()}: is a xacro; install what expands it (pip install xacro), or expand it yourself: "
             f"xacro {path.name} > robot.urdf"
         )
     words = [str(path.absolute()), *(f"{key}:={value}" for key, value in arguments.items())]
-    # Away from the current folder, whose files could stand for modules.
+    # Not in the current folder, whose files could shadow modules.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)}
     command = [sys.executable, "-m", _MODULE, *words]
     try:
@@ -131,14 +132,14 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
     if done.returncode == -signal.SIGXCPU:
         raise RobotError(f"{path}: xacro was not done after {LIMIT_S} s; do its macros call each other?")
     if done.returncode:
-        reason = clipped(_reason(done.stderr[-_MOST_SAID:].decode(errors="replace")), _LONGEST_REASON)
-        raise RobotError(f"{path}: xacro refuses it: {reason}{_takes(path, arguments, reason)}")
+        reason = clipped(_reason(done.stderr[-_MAX_OUTPUT:].decode(errors="replace")), _LONGEST_REASON)
+        raise RobotError(f"{path}: xacro refuses it: {reason}{_missing_arguments(path, arguments, reason)}")
     _check_robot(path, done.stdout)
     return done.stdout
 
 
 def _check_robot(path: Path, data: bytes) -> None:
-    """Refuses what a xacro expands to where it is no robot, with the name of the xacro; who reads it says what else is wrong."""
+    """Raises RobotError, with the name of the xacro, if it expands to no robot; the reader of the URDF reports other errors."""
     try:
         top = parse_xml(data)
     except TextError:
@@ -149,24 +150,24 @@ def _check_robot(path: Path, data: bytes) -> None:
         raise RobotError(f"{path}: expands to no <link>; if it has macros alone, give the xacro that calls them")
 
 
-def _takes(path: Path, arguments: Mapping[str, str], reason: str) -> str:
-    """Returns what to say of arguments that a xacro has and that it was not given; nothing where a package is lacking."""
+def _missing_arguments(path: Path, arguments: Mapping[str, str], reason: str) -> str:
+    """Returns the part of a message about arguments of a xacro that were not given; empty if a package is missing."""
     try:
         found = [_ARGUMENT_NAME.search(argument) for argument in _ARGUMENT.findall(read_file(path))]
     except OSError:
         return ""
     declared = [name[1].decode(errors="replace") for name in found if name is not None]
-    lacking = [name for name in dict.fromkeys(declared) if name not in arguments]
-    if not lacking or "package " in reason:
+    missing = [name for name in dict.fromkeys(declared) if name not in arguments]
+    if not missing or "package " in reason:
         return ""
-    names = ", ".join(lacking[:8])
+    names = ", ".join(missing[:8])
     how = "gibson-sim scene robot FILE --xacro-arg NAME:=VALUE --write robot.yaml"
     return f"; it takes the arguments {names}: give them as xacro_args in a robot.yaml: {how}"
 
 
-def _reason(said: str) -> str:
-    """Returns the line that says what is wrong: the error, which warnings may precede; of a traceback the last line."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+def _reason(output: str) -> str:
+    """Returns the line with the error, which warnings may precede; the last line of a traceback."""
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     if not lines:
         return "it gives no reason"
     error = next((line for line in lines if line.startswith(_ERRORS)), None)
@@ -174,7 +175,7 @@ def _reason(said: str) -> str:
 
 
 def _with_absolute_meshes(data: bytes, path: Path, *, relative_only: bool = False) -> bytes:
-    """Returns a URDF whose meshes and textures have absolute names: it will be read elsewhere. Those that are missing keep theirs."""
+    """Returns a URDF with absolute names of meshes and textures, for a copy in another folder; missing files keep their names."""
     try:
         top = parse_xml(data)
     except TextError as error:
@@ -191,7 +192,7 @@ def _with_absolute_meshes(data: bytes, path: Path, *, relative_only: bool = Fals
 
 
 def keep_description(data: bytes, path: Path) -> Path:
-    """Returns a file of the cache with a URDF that was made from the one at ``path``, its meshes with absolute names; equal ones share it.
+    """Writes a URDF made from the one at ``path`` to the cache, with absolute mesh names, and returns the file; equal ones share it.
 
     Raises:
         RobotError: it is no XML, or cannot be written.
@@ -203,7 +204,7 @@ def keep_description(data: bytes, path: Path) -> Path:
         return file
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        # In a folder of its own: other threads and processes may write the same robot.
+        # Written in a folder of its own, since other threads and processes may write the same robot.
         with tempfile.TemporaryDirectory(dir=file.parent, prefix=".half_") as folder:
             half = Path(folder) / file.name
             half.write_bytes(data)

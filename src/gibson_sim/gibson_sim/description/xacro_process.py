@@ -1,4 +1,4 @@
-"""Program that expands one xacro, in a process of its own: ``$(find <package>)`` finds a package where ``package://`` finds it.
+"""Program that expands one xacro in a process of its own; ``$(find <package>)`` finds the packages that ``package://`` does.
 
 ``python -m gibson_sim.description.xacro_process FILE [NAME:=VALUE ...]`` prints the URDF. Imports nothing of the package but ``mesh_files``.
 """
@@ -15,20 +15,20 @@ from pathlib import Path
 from gibson_sim.description.mesh_files import package_folders
 
 LIMIT_S = 10
-"""Processor time that one xacro may take, seconds: ``${9**9**9}`` never ends."""
+"""Limit of processor time, s: ``${9**9**9}`` never ends."""
 LIMIT_BYTES = 2 * 2**30
-"""Of address space: ``${'x' * 10**10}`` asks for more than a machine has."""
+"""Limit of address space, bytes: ``${'x' * 10**10}`` needs more than a machine has."""
 _INDEX = "ament_index_python.packages"
-"""Module that xacro asks for the folder of a package."""
+"""Module that xacro uses to find the folder of a package."""
 
 
 def package_finder(file: Path) -> Callable[[str], str]:
-    """Returns a function that takes the name of a package to its folder.
+    """Returns a function that returns the folder of a package by its name.
 
-    A package that one found package names is looked for beside that one too.
+    It also looks beside the packages that it has found.
 
     Args:
-        file: the xacro, absolute.
+        file: The xacro, absolute.
     """
     beside = [file]
 
@@ -39,7 +39,7 @@ def package_finder(file: Path) -> Callable[[str], str]:
     def find(package: str) -> str:
         folder = next((folder for folder in folders(package) if folder.is_dir()), None)
         if folder is None:
-            # Ends the program: xacro would say an exception twice.
+            # Not an exception, which xacro would print twice.
             raise SystemExit(
                 f"error: package {package!r} is not found: it is not beside {file.name} or above it, not in $AMENT_PREFIX_PATH, and no "
                 f"Python package; put its folder beside that of {file.name}, or source the workspace that has it"
@@ -59,7 +59,7 @@ def main() -> None:
     xacro = importlib.import_module("xacro")
     try:
         index = importlib.import_module(_INDEX)
-    except ImportError:  # without ROS, xacro works as well but for packages
+    except ImportError:  # without ROS, xacro lacks only this module
         index = types.ModuleType(_INDEX)
         sys.modules.setdefault(_INDEX.partition(".")[0], types.ModuleType(_INDEX.partition(".")[0]))
         sys.modules[_INDEX] = index

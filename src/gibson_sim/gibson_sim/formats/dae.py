@@ -35,130 +35,33 @@ from gibson_sim.reading import parse_xml
 from gibson_sim.types import Rgba
 
 Element = ElementTree.Element
-_SHADERS = ("phong", "blinn", "lambert", "constant")
-_BELIEVABLE_ALPHA = 0.02
 
-
-class DaeMaterials:
-    """All materials of one file, read when they are first asked for."""
-
-    def __init__(self, path: Path, root: Element, textures: TextureStore, files: list[Path], warn: Warn) -> None:
-        self.path = path
-        self.textures = textures
-        self.files = files
-        self.warn = warn
-        self._materials = {m.get("id", ""): m for m in root.iterfind("library_materials/material")}
-        self._effects = {e.get("id", ""): e for e in root.iterfind("library_effects/effect")}
-        self._images = {i.get("id", ""): i for i in root.iterfind("library_images/image")}
-        self._known: dict[str, Material] = {}
-
-    def bound(self, instance: Element | None) -> dict[str, str]:
-        """Returns the material of each symbol that an <instance_geometry> binds."""
-        if instance is None:
-            return {}
-        return {m.get("symbol", ""): m.get("target", "").lstrip("#") for m in instance.iter("instance_material")}
-
-    def get(self, name: str) -> Material:
-        """Returns a material by id; light grey, with a warning, if there is none."""
-        if name not in self._known:
-            self._known[name] = self._read(name)
-        return self._known[name]
-
-    def _read(self, name: str) -> Material:
-        source = self._materials.get(name)
-        instance = None if source is None else source.find("instance_effect")
-        effect = None if instance is None else self._effects.get(instance.get("url", "").lstrip("#"))
-        if effect is None:
-            self.warn(f"{self.path}: material {quoted(name)} is not in the file; the surface is light grey")
-            return Material(name)
-        shader = next((found for tag in _SHADERS if (found := effect.find(f".//{tag}")) is not None), None)
-        if shader is None:
-            return Material(name)
-        color: Rgba = LIGHT_GREY
-        texture = None
-        # A <constant> shader has no diffuse: what it shows is its emission.
-        for slot in ("diffuse", "emission") if shader.tag == "constant" else ("diffuse",):
-            diffuse = shader.find(slot)
-            if diffuse is None:
-                continue
-            image = diffuse.find("texture")
-            if image is not None:
-                texture = self._texture(effect, image.get("texture", ""))
-                color = (1.0, 1.0, 1.0, 1.0) if texture is not None else LIGHT_GREY
-            else:
-                color = _color(diffuse.findtext("color")) or LIGHT_GREY
-            break
-        alpha = _alpha(shader)
-        transparent = shader.find("transparent/texture")
-        mode: AlphaMode = "opaque"
-        if alpha < 1.0:
-            mode = "blend"
-        elif transparent is not None and texture is not None and texture.pixels.shape[2] == 4:
-            mode = "mask"
-        return Material(name, (*color[:3], alpha), texture, alpha_mode=mode)
-
-    def _texture(self, effect: Element, name: str) -> TextureSource | None:
-        """Returns the image behind a sampler: sampler -> surface -> image, or the image's own id as some exporters write."""
-        for _ in range(3):
-            if name in self._images:
-                break
-            parameter = next((p for p in effect.iter("newparam") if p.get("sid") == name), None)
-            if parameter is None:
-                break
-            image = parameter.find(".//instance_image")
-            found = parameter.findtext("sampler2D/source") or parameter.findtext("surface/init_from")
-            name = (image.get("url", "").lstrip("#") if image is not None else found or "").strip()
-        if name not in self._images:
-            self.warn(f"{self.path}: image {quoted(name)} is not in the file; the surface is drawn without it")
-            return None
-        init = self._images[name].find("init_from")
-        uri = "" if init is None else (init.text or init.findtext("ref") or "").strip()
-        if not uri:
-            self.warn(f"{self.path}: image {quoted(name)} names no file; the surface is drawn without it")
-            return None
-        return self.textures.from_uri(uri, self.path, self.files, self.warn)
-
-
-def _color(text: str | None) -> Rgba | None:
-    values = [min(max(float(word), 0.0), 1.0) for word in (text or "").split()]
-    if len(values) < 3:
-        return None
-    return (values[0], values[1], values[2], values[3] if len(values) > 3 else 1.0)
-
-
-def _alpha(shader: Element) -> float:
-    """Returns the opacity, COLLADA 1.4.1 "Determining Transparency"; what would be invisible is taken as opaque.
-
-    Exporters write both "0 = opaque" and "1 = opaque", with and without the attribute that tells; nobody exports a surface
-    that cannot be seen.
-    """
-    transparent, factor = shader.find("transparent"), shader.findtext("transparency/float")
-    if transparent is None and factor is None:
-        return 1.0
-    strength = 1.0 if factor is None else float(factor)
-    color = _color(None if transparent is None else transparent.findtext("color")) or (1.0, 1.0, 1.0, 1.0)
-    mode = "A_ONE" if transparent is None else transparent.get("opaque", "A_ONE")
-    luminance = 0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
-    alpha = {
-        "A_ONE": color[3] * strength,
-        "A_ZERO": 1.0 - color[3] * strength,
-        "RGB_ZERO": 1.0 - luminance * strength,
-        "RGB_ONE": luminance * strength,
-    }.get(mode, 1.0)
-    return alpha if _BELIEVABLE_ALPHA < alpha < 1.0 - _BELIEVABLE_ALPHA else 1.0
-
-
-_MAX_INSTANCES = 100_000
-_UP: dict[str, UpAxis] = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}
 _NAMESPACE = re.compile(rb'\sxmlns\s*=\s*(".*?"|\'.*?\')')
+_UP: dict[str, UpAxis] = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}
 _PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
+_SHADERS = ("phong", "blinn", "lambert", "constant")
+_MAX_INSTANCES = 100_000
+"""Nodes of the scene, each counted as often as it is instantiated."""
+_LEAST_ALPHA = 0.02
+"""Opacity below which a surface counts as opaque, since no exporter writes invisible ones; so does one above 1 minus this."""
 
 
 def load_dae(
     path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn
 ) -> tuple[list[MeshPart], UpAxis, float]:
-    """Returns the parts in metres with z up, and what the file says of both: its up axis and its metres per unit."""
-    # Without the default namespace every path below is a plain tag name.
+    """Returns the parts of a COLLADA file, metres, z up, and the up axis and the metres per unit of the file.
+
+    Args:
+        path: the file.
+        data: its content.
+        textures: finds and decodes the images that it names.
+        files: list to which every further file that is read is appended.
+        warn: called with one line about everything that is left out or replaced.
+
+    Raises:
+        MeshError: the file is no COLLADA file, or is broken.
+    """
+    # Without the default namespace, all paths below are plain tag names.
     root = parse_xml(_NAMESPACE.sub(b"", data, count=1))
     if root.tag != "COLLADA":
         raise MeshError(f"{path}: is not a COLLADA file: its root is <{root.tag[:60]}>")
@@ -166,11 +69,12 @@ def load_dae(
     up_axis = _UP.get((root.findtext("asset/up_axis") or "Y_UP").strip(), "y")
     to_scene = np.eye(4)
     to_scene[:3, :3] = unit_m * TO_Z_UP[up_axis]
-    reader = _Reader(path, root, DaeMaterials(path, root, textures, files, warn), warn)
+    reader = _DaeReader(path, root, _DaeMaterials(path, root, textures, files, warn), warn)
     return reader.parts(to_scene), up_axis, unit_m
 
 
 def _unit(path: Path, root: Element, warn: Warn) -> float:
+    """Returns the metres per unit of a file."""
     unit = root.find("asset/unit")
     text = "1" if unit is None else unit.get("meter", "1")
     try:
@@ -183,8 +87,10 @@ def _unit(path: Path, root: Element, warn: Warn) -> float:
     return value
 
 
-class _Reader:
-    def __init__(self, path: Path, root: Element, materials: DaeMaterials, warn: Warn) -> None:
+class _DaeReader:
+    """One document while it is read."""
+
+    def __init__(self, path: Path, root: Element, materials: _DaeMaterials, warn: Warn) -> None:
         self.path = path
         self.root = root
         self.materials = materials
@@ -197,13 +103,14 @@ class _Reader:
         self._pieces: dict[str, list[tuple[str, F64, I64, F64, F64 | None]]] = {}
 
     def parts(self, to_scene: F64) -> list[MeshPart]:
+        """Returns all parts under T_scene_file, (4, 4)."""
         instance = self.root.find("scene/instance_visual_scene")
         scene = None if instance is None else self.scenes.get(_ref(instance))
         if scene is None and self.scenes:
             scene = next(iter(self.scenes.values()))
         parts: list[MeshPart] = []
         if scene is None:
-            # Some exporters write no scene at all: take every geometry as it lies.
+            # Some exporters write no scene: every geometry is placed at the origin.
             for name in self.geometries:
                 parts += self._geometry(name, None, to_scene)
             return parts
@@ -251,7 +158,7 @@ class _Reader:
             return []
         if name not in self._pieces:
             mesh = self.geometries[name].find("mesh")
-            self._pieces[name] = [] if mesh is None else _Geometry(self.path, mesh, self.warn).pieces()
+            self._pieces[name] = [] if mesh is None else _DaeGeometry(self.path, mesh, self.warn).pieces()
         bound = self.materials.bound(instance)
         parts = []
         for symbol, vertices, triangles, normals, uvs in self._pieces[name]:
@@ -262,7 +169,7 @@ class _Reader:
         return parts
 
 
-class _Geometry:
+class _DaeGeometry:
     """One <mesh> while it is read."""
 
     def __init__(self, path: Path, mesh: Element, warn: Warn) -> None:
@@ -273,7 +180,7 @@ class _Geometry:
         self._arrays: dict[str, F64] = {}
 
     def pieces(self) -> list[tuple[str, F64, I64, F64, F64 | None]]:
-        """Returns (material symbol, vertices, triangles, normals, uvs) of every group of polygons."""
+        """Returns (material symbol, vertices (V, 3), triangles (F, 3), normals (V, 3), uvs (V, 2) or None) of each group of polygons."""
         found = []
         for tag in _PRIMITIVES:
             for group in self.mesh.iterfind(tag):
@@ -321,7 +228,7 @@ class _Geometry:
             raise MeshError(f"{self.path}: a triangle names {what} {int(index.max())}, but there are {total}; the file is broken")
 
     def _inputs(self, group: Element) -> tuple[dict[str, tuple[int, F64]], int]:
-        """Returns (offset, values) by semantic, and the number of indices at each corner."""
+        """Returns offset and values (N, C) of each semantic, and the number of indices of a corner."""
         found: dict[str, tuple[int, F64]] = {}
         texcoord_set = None
         stride = 0
@@ -337,7 +244,7 @@ class _Geometry:
             elif semantic == "NORMAL":
                 found[semantic] = (offset, self._array(source))
             elif semantic == "TEXCOORD":
-                # Several sets: the lowest is the one that the diffuse texture uses, in all files met so far.
+                # Of several sets the diffuse texture uses the lowest one, in all files seen so far.
                 number = int(item.get("set", "0"))
                 if texcoord_set is None or number < texcoord_set:
                     texcoord_set = number
@@ -358,16 +265,16 @@ class _Geometry:
             if stride < 1 or not 0 <= offset <= len(values):
                 raise MeshError(f"{self.path}: source {quoted(name)} has stride {stride} and offset {offset}; the file is broken")
             rows = (len(values) - offset) // stride
-            wanted = rows if accessor is None else int(accessor.get("count", str(rows)))
-            if wanted > rows:
+            count = rows if accessor is None else int(accessor.get("count", str(rows)))
+            if count > rows:
                 raise MeshError(
-                    f"{self.path}: source {quoted(name)} has {rows} rows, {wanted} are promised; the file is cut or broken"
+                    f"{self.path}: source {quoted(name)} has {rows} rows, must have {count}; the file is cut or broken"
                 )
             self._arrays[name] = values[offset : offset + rows * stride].reshape(rows, stride)
         return self._arrays[name]
 
     def _corners(self, group: Element, tag: str, stride: int) -> tuple[I64, I64]:
-        """Returns the index rows of all corners (C, stride), and triangles (F, 3) into them."""
+        """Returns the indices of all corners (C, stride), and triangles (F, 3), whose values are rows of the first."""
         lists = [_integers(p.text) for p in group.iterfind("p")]
         lists += [_integers(p.text) for p in group.iterfind("ph/p")]
         if not lists:
@@ -382,7 +289,7 @@ class _Geometry:
             counts = _integers(group.findtext("vcount"))
             if counts.sum() != len(corners) or counts.min(initial=0) < 0:
                 raise MeshError(
-                    f"{self.path}: a <polylist> promises {counts.sum()} corners and has {len(corners)}; the file is cut or broken"
+                    f"{self.path}: a <polylist> has {len(corners)} corners, must have {counts.sum()}; the file is cut or broken"
                 )
         triangles = fan(counts)
         if tag == "tristrips":
@@ -392,7 +299,117 @@ class _Geometry:
         return corners, triangles
 
 
+class _DaeMaterials:
+    """All materials of one file, each read at its first use."""
+
+    def __init__(self, path: Path, root: Element, textures: TextureStore, files: list[Path], warn: Warn) -> None:
+        self.path = path
+        self.textures = textures
+        self.files = files
+        self.warn = warn
+        self._materials = {m.get("id", ""): m for m in root.iterfind("library_materials/material")}
+        self._effects = {e.get("id", ""): e for e in root.iterfind("library_effects/effect")}
+        self._images = {i.get("id", ""): i for i in root.iterfind("library_images/image")}
+        self._known: dict[str, Material] = {}
+
+    def bound(self, instance: Element | None) -> dict[str, str]:
+        """Returns the material id of each symbol that an <instance_geometry> binds."""
+        if instance is None:
+            return {}
+        return {m.get("symbol", ""): m.get("target", "").lstrip("#") for m in instance.iter("instance_material")}
+
+    def get(self, name: str) -> Material:
+        """Returns a material by id; light grey, with a warning, if there is none."""
+        if name not in self._known:
+            self._known[name] = self._read(name)
+        return self._known[name]
+
+    def _read(self, name: str) -> Material:
+        source = self._materials.get(name)
+        instance = None if source is None else source.find("instance_effect")
+        effect = None if instance is None else self._effects.get(instance.get("url", "").lstrip("#"))
+        if effect is None:
+            self.warn(f"{self.path}: material {quoted(name)} is not in the file; the surface is light grey")
+            return Material(name)
+        shader = next((found for tag in _SHADERS if (found := effect.find(f".//{tag}")) is not None), None)
+        if shader is None:
+            return Material(name)
+        color: Rgba = LIGHT_GREY
+        texture = None
+        # A <constant> shader has no diffuse colour; it shows its emission.
+        for slot in ("diffuse", "emission") if shader.tag == "constant" else ("diffuse",):
+            diffuse = shader.find(slot)
+            if diffuse is None:
+                continue
+            image = diffuse.find("texture")
+            if image is not None:
+                texture = self._texture(effect, image.get("texture", ""))
+                color = (1.0, 1.0, 1.0, 1.0) if texture is not None else LIGHT_GREY
+            else:
+                color = _color(diffuse.findtext("color")) or LIGHT_GREY
+            break
+        alpha = _alpha(shader)
+        transparent = shader.find("transparent/texture")
+        mode: AlphaMode = "opaque"
+        if alpha < 1.0:
+            mode = "blend"
+        elif transparent is not None and texture is not None and texture.pixels.shape[2] == 4:
+            mode = "mask"
+        return Material(name, (*color[:3], alpha), texture, alpha_mode=mode)
+
+    def _texture(self, effect: Element, name: str) -> TextureSource | None:
+        """Returns the image of a sampler (sampler -> surface -> image), whose name may also be the id of the image itself."""
+        for _ in range(3):
+            if name in self._images:
+                break
+            parameter = next((p for p in effect.iter("newparam") if p.get("sid") == name), None)
+            if parameter is None:
+                break
+            image = parameter.find(".//instance_image")
+            found = parameter.findtext("sampler2D/source") or parameter.findtext("surface/init_from")
+            name = (image.get("url", "").lstrip("#") if image is not None else found or "").strip()
+        if name not in self._images:
+            self.warn(f"{self.path}: image {quoted(name)} is not in the file; the surface is drawn without it")
+            return None
+        init = self._images[name].find("init_from")
+        uri = "" if init is None else (init.text or init.findtext("ref") or "").strip()
+        if not uri:
+            self.warn(f"{self.path}: image {quoted(name)} names no file; the surface is drawn without it")
+            return None
+        return self.textures.from_uri(uri, self.path, self.files, self.warn)
+
+
+def _color(text: str | None) -> Rgba | None:
+    """Returns a colour, 0 to 1; None if the text has fewer than three numbers."""
+    values = [min(max(float(word), 0.0), 1.0) for word in (text or "").split()]
+    if len(values) < 3:
+        return None
+    return (values[0], values[1], values[2], values[3] if len(values) > 3 else 1.0)
+
+
+def _alpha(shader: Element) -> float:
+    """Returns the opacity, 0 to 1, by COLLADA 1.4.1, "Determining Transparency"; invisible surfaces count as opaque.
+
+    Exporters write both "0 = opaque" and "1 = opaque", with or without the attribute that tells which, but no invisible surfaces.
+    """
+    transparent, factor = shader.find("transparent"), shader.findtext("transparency/float")
+    if transparent is None and factor is None:
+        return 1.0
+    strength = 1.0 if factor is None else float(factor)
+    color = _color(None if transparent is None else transparent.findtext("color")) or (1.0, 1.0, 1.0, 1.0)
+    mode = "A_ONE" if transparent is None else transparent.get("opaque", "A_ONE")
+    luminance = 0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+    alpha = {
+        "A_ONE": color[3] * strength,
+        "A_ZERO": 1.0 - color[3] * strength,
+        "RGB_ZERO": 1.0 - luminance * strength,
+        "RGB_ONE": luminance * strength,
+    }.get(mode, 1.0)
+    return alpha if _LEAST_ALPHA < alpha < 1.0 - _LEAST_ALPHA else 1.0
+
+
 def _strip(start: int, count: int) -> I64:
+    """Returns the triangles (F, 3) of a strip of ``count`` corners from ``start`` on."""
     k = start + np.arange(max(count - 2, 0))
     triangles = np.stack([k, k + 1, k + 2], axis=1)
     triangles[1::2] = triangles[1::2][:, [0, 2, 1]]
@@ -411,7 +428,7 @@ def _integers(text: str | None) -> I64:
     return np.array((text or "").split(), dtype=np.int64)
 
 
-# Transforms: all (4, 4)
+# Transforms, (4, 4)
 
 
 def _matrix(values: F64) -> F64:
@@ -429,7 +446,7 @@ def _scale(values: F64) -> F64:
 
 
 def _rotate(values: F64) -> F64:
-    """Axis and angle in degrees (Rodrigues)."""
+    """Returns the rotation about an axis by an angle in degrees (Rodrigues' formula)."""
     x, y, z = values[:3] / np.linalg.norm(values[:3])
     angle = math.radians(values[3])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

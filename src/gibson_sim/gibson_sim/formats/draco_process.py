@@ -1,7 +1,7 @@
-"""Decodes Draco meshes in a process of its own, whose memory and time are limited: a few bytes may ask for gigabytes, or end the decoder.
+"""Decodes Draco meshes in a separate process with limited memory and time: a few bytes can demand gigabytes, or crash the decoder.
 
 Standard input: for each mesh its length, 8 bytes little-endian, and its bytes. Standard output: an archive of NumPy with, for mesh i,
-``i_faces`` (F, 3) and ``i_<id>`` (V, C) for each attribute by its unique id. Whatever is wrong is said in one line on standard error.
+``i_faces`` (F, 3) and ``i_<id>`` (V, C) for each attribute by its unique id. An error is one line on standard error.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 MEMORY_BYTES = 4 * 2**30
 """Address space of the process."""
 SECONDS = 60
-"""Time of the CPU."""
+"""CPU time of the process, seconds."""
 
 
 def main() -> int:
-    """Decodes what comes in; returns the exit code."""
+    """Decodes the meshes on standard input; returns the exit code."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -31,7 +31,7 @@ def main() -> int:
         length = int.from_bytes(data[at : at + 8], "little")
         try:
             mesh = DracoPy.decode(data[at + 8 : at + 8 + length])
-        # Whatever a decoder in C++ throws.
+        # A decoder in C++ can throw anything.
         except Exception as error:
             sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}\n")
             return 1

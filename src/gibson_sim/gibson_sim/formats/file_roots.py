@@ -1,9 +1,9 @@
-"""Which files a file may name: the one rule for scenes, models, meshes, materials, buffers and images.
+"""The rule for the files that a file may name, for scenes, models, meshes, materials, buffers and images.
 
-What a file names must, all symbolic links followed, lie in the folders of the file that names it: those are the package, model or
-scene that it belongs to, once as the file was named and once where the file lies with its own link followed. An installation made of
-links (``colcon build --symlink-install``, a store of blobs) thus works as one made of copies, and neither an absolute path nor ``..``
-nor a link takes a file of strangers beyond its own package. Imports ``reading`` alone.
+A file that another one names must, after following all symbolic links, lie in the package, model or scene of the naming file: that around
+its path as given, or that around its path after following its own link. An installation by links (``colcon build --symlink-install``, a
+store of blobs) therefore works like one by copies, and neither an absolute path nor ``..`` nor a link takes an untrusted file out of its
+package. Imports ``reading`` alone.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from pathlib import Path
 from gibson_sim.reading import is_file
 
 _MARKERS = ("package.xml", "model.config", "model.sdf", "scene.yaml", "robot.yaml")
-"""Files that stand in the topmost folder of a package, a model, a scene or a robot."""
+"""Files in the topmost folder of a package, a model, a scene or a robot."""
 _ASSET_FOLDERS = frozenset(
     ("mesh", "meshes", "visual", "visuals", "collision", "collisions", "obj", "dae", "stl", "ply", "gltf", "glb")
 )
-"""Names of folders, lower case, that are a part of the model around them even where no marker says so."""
+"""Names of folders, lower case, that belong to the model around them even without a marker there."""
 _LEVELS_UP = 8
+"""Folders above a file that are searched for a marker."""
 
 
 def is_inside(path: Path, roots: Iterable[Path]) -> bool:
-    """Returns whether a file, symbolic links followed, lies under one of ``roots``; what can be no path (a NUL in it) does not."""
+    """Returns whether a file lies below one of ``roots`` after following symbolic links; False for invalid paths (a NUL in them)."""
     try:
         resolved = Path(os.path.realpath(path))
         return any(resolved.is_relative_to(os.path.realpath(root)) for root in roots)
@@ -33,9 +34,9 @@ def is_inside(path: Path, roots: Iterable[Path]) -> bool:
 
 
 def in_any_case(path: Path) -> Path:
-    """Returns a file or folder that is there under a name that differs in upper and lower case alone, else the path as it was named.
+    """Returns an existing path that differs from the given one in upper and lower case alone, else the given one.
 
-    Files that were made where case does not count, as on Windows, name others so.
+    Files from systems that ignore case, such as Windows, name others in any case.
     """
     try:
         if path.exists() or path.name in ("", "..") or path == path.parent:
@@ -47,20 +48,20 @@ def in_any_case(path: Path) -> Path:
 
 
 def package_roots(file: Path) -> tuple[Path, ...]:
-    """Returns the folders that the companions of a file may lie in, resolved: its package as named, and where the file really lies.
+    """Returns the resolved folders that files named by a file may lie in: its package by its path as given, and by its resolved path.
 
     The package is the nearest folder above the file with a ``package.xml``, ``model.config``, ``model.sdf``, ``scene.yaml`` or
-    ``robot.yaml``. Without one it is the file's own folder, or the one above it where that has a name such as ``meshes``. Never ``/``.
+    ``robot.yaml``. Without one it is the file's own folder, or the one above that if it has a name such as ``meshes``; never ``/``.
     """
     folders = (Path(os.path.realpath(file.parent)), Path(os.path.realpath(file)).parent)
     return bounded(dict.fromkeys(_package(folder) for folder in folders))
 
 
 def description_roots(root: Path, file: Path) -> tuple[Path, ...]:
-    """Returns the folders that the files of a scene may lie in, resolved: ``root``, and its counterpart where ``file`` is a link.
+    """Returns the resolved folders that the files of a scene may lie in: ``root``, and the folder it mirrors if ``file`` is a link.
 
     Args:
-        root: folder that holds the scene.
+        root: folder of the scene.
         file: its description, in that folder.
     """
     real = Path(os.path.realpath(file))
@@ -69,9 +70,9 @@ def description_roots(root: Path, file: Path) -> tuple[Path, ...]:
 
 
 def mirrored(root: Path, file: Path) -> Path | None:
-    """Returns the folder that ``root`` mirrors as far as ``file`` tells, None if it does not.
+    """Returns the folder that ``root`` mirrors, by the target of the link ``file`` in it; None if it mirrors none.
 
-    ``root/worlds/a.world`` that links to ``/src/worlds/a.world`` says that ``root`` mirrors ``/src``.
+    If ``root/worlds/a.world`` links to ``/src/worlds/a.world``, then ``root`` mirrors ``/src``.
     """
     here, real = Path(os.path.realpath(root)), Path(os.path.realpath(file))
     named = Path(os.path.realpath(file.parent)) / file.name
@@ -83,11 +84,12 @@ def mirrored(root: Path, file: Path) -> Path | None:
 
 
 def bounded(roots: Iterable[Path]) -> tuple[Path, ...]:
-    """Returns the roots without the root of the file system, which would bound nothing."""
+    """Returns the roots without the root of the file system, which would allow every file."""
     return tuple(root for root in roots if root != root.parent)
 
 
 def _package(folder: Path) -> Path:
+    """Returns the package that a folder belongs to, see ``package_roots``."""
     above = (folder, *folder.parents)[: _LEVELS_UP + 1]
     marked = (place for place in above if place != place.parent and any(is_file(place / name) for name in _MARKERS))
     beside = folder.parent if folder.name.lower() in _ASSET_FOLDERS and folder.parent != folder.parent.parent else folder

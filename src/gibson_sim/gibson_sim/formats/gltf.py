@@ -34,12 +34,14 @@ from gibson_sim.reading import read_file
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MAX_BUFFER_BYTES = 2**30
+"""Largest size of a buffer file."""
 _MAX_ELEMENTS = 100_000_000
+"""Elements of an accessor."""
 _MAX_VALUES = 2_000_000
-"""Commas of the JSON: of a house with 20,000 nodes there are 1 million. Their bytes do not matter, a buffer may be written out in it."""
+"""Commas of the JSON; a house with 20,000 nodes has 1 million. Its size is no limit, since it may contain buffers as text."""
 _MAX_NODES = 100_000
-_NODES_OF_A_PART = 10
-"""Nodes for each part that is allowed: most hold none, and each takes time."""
+_NODES_PER_PART = 10
+"""Nodes for each part that is allowed: most nodes have no mesh, and each takes time."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _KNOWN_EXTENSIONS = {
     "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
@@ -52,15 +54,27 @@ _MAPS = {
     "occlusionTexture": "occlusion_texture",
     "emissiveTexture": "emissive_texture",
 }
-"""Name in the file -> field of ``Material``."""
-_Placement = tuple[int, dict[str, Any]]
-"""Set of texture coordinates, and KHR_texture_transform or nothing."""
+"""Name of a texture in the file -> field of ``Material``."""
+_UvMapping = tuple[int, dict[str, Any]]
+"""Number of the set of texture coordinates, and the KHR_texture_transform, empty = none."""
 
 
 def load_gltf(
-    path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn, most_parts: int | None = None
+    path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn, max_parts: int | None = None
 ) -> list[MeshPart]:
-    """Returns the parts of the default scene, turned from y up to z up; more than ``most_parts`` are refused."""
+    """Returns the parts of the default scene, metres, rotated from y up to z up.
+
+    Args:
+        path: the file.
+        data: its content.
+        textures: finds and decodes the images that it names.
+        files: list to which every further file that is read is appended.
+        warn: called with one line about everything that is left out or replaced.
+        max_parts: largest number of parts; None = any.
+
+    Raises:
+        MeshError: the file is broken, needs an unknown extension, or has too many parts or nodes.
+    """
     document, chunk = _split(path, data)
     version = str(document.get("asset", {}).get("version", ""))
     if not version.startswith("2"):
@@ -68,11 +82,11 @@ def load_gltf(
     for name in document.get("extensionsRequired", []):
         if name not in _KNOWN_EXTENSIONS and not name.startswith("KHR_materials_"):
             raise MeshError(f"{path}: needs glTF extension {name}, which is not supported; export the file without it")
-    return _Reader(path, document, chunk, textures, files, warn).parts(most_parts)
+    return _GltfReader(path, document, chunk, textures, files, warn).parts(max_parts)
 
 
 def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Returns the JSON document and the binary chunk (empty if there is none)."""
+    """Returns the JSON document and the binary chunk, empty if there is none."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
             raise MeshError(f"{path}: is not a GLB file (it starts with {quoted(data[:4])}, must be b'glTF')")
@@ -102,7 +116,7 @@ def _json(path: Path, data: bytes) -> Any:
     return json.loads(data.decode("utf-8-sig"))
 
 
-class _Reader:
+class _GltfReader:
     """One document while it is read."""
 
     def __init__(
@@ -120,15 +134,16 @@ class _Reader:
         self._draco: dict[int, DracoMesh] | None = None
         """Buffer view -> mesh; None = not decoded yet."""
         self._decoded: dict[int, NDArray[Any]] = {}
-        """Accessor -> what Draco holds for it, of the primitive that is read."""
+        """Accessor -> values from Draco, of the primitive that is being read."""
         self._unpacked: dict[int, bytes] = {}
         self._unpacked_bytes = 0
 
     def parts(self, most: int | None) -> list[MeshPart]:
+        """Returns all parts, at most ``most``."""
         if "EXT_mesh_gpu_instancing" in self.document.get("extensionsUsed", []):
             self.warn(f"{self.path}: EXT_mesh_gpu_instancing is not supported; only one of each instanced mesh is drawn")
         parts: list[MeshPart] = []
-        nodes, allowed = len(self.document.get("nodes", [])), min(_MAX_NODES, _NODES_OF_A_PART * (most or _MAX_NODES))
+        nodes, allowed = len(self.document.get("nodes", [])), min(_MAX_NODES, _NODES_PER_PART * (most or _MAX_NODES))
         if nodes > allowed:
             reason = f"has {nodes} nodes, must have at most {allowed}; join its meshes"
             raise MeshError(f"{self.path}: {reason}").telling(reason)
@@ -154,7 +169,7 @@ class _Reader:
     # Nodes
 
     def _nodes(self) -> Iterator[tuple[dict[str, Any], F64]]:
-        """Yields every node of the default scene with T_zup_node, (4, 4)."""
+        """Yields every node of the default scene and its T_zup_node, (4, 4)."""
         nodes = self.document.get("nodes", [])
         scenes = self.document.get("scenes")
         if scenes:
@@ -190,7 +205,7 @@ class _Reader:
         vertices = self._accessor(attributes["POSITION"])
         if vertices.shape[1] != 3:
             raise MeshError(f"{self.path}: positions have {vertices.shape[1]} coordinates, must be 3; the file is broken")
-        normals = self._same_length("NORMAL", attributes, len(vertices), 3)
+        normals = self._attribute("NORMAL", attributes, len(vertices), 3)
         if draco is not None:
             indices: I64 = draco.indices
         elif "indices" in primitive:
@@ -198,7 +213,7 @@ class _Reader:
         else:
             indices = np.arange(len(vertices))
         material, uv_set, uv_matrix = self._material_of(primitive)
-        uvs = self._same_length(f"TEXCOORD_{uv_set}", attributes, len(vertices), 2)
+        uvs = self._attribute(f"TEXCOORD_{uv_set}", attributes, len(vertices), 2)
         if uvs is not None and uv_matrix is not None:
             uvs = uvs @ uv_matrix[:2, :2].T + uv_matrix[:2, 2]
         colors = None
@@ -207,11 +222,11 @@ class _Reader:
         return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix, colors)
 
     def _draco_of(self, primitive: dict[str, Any]) -> DracoMesh | None:
-        """Returns what Draco holds of a primitive, None = it is not compressed; all meshes of the file are decoded at once."""
+        """Returns the Draco mesh of a primitive, None = it is not compressed; all meshes of the file are decoded at the first call."""
         if DRACO not in primitive.get("extensions", {}):
             return None
         if "bufferView" in self._item("accessors", primitive["attributes"]["POSITION"]):
-            return None  # it is there as well as it was
+            return None  # the file has it uncompressed too
         if self._draco is None:
             every = [p for mesh in self.document.get("meshes", []) for p in mesh.get("primitives", [])]
             views = dict.fromkeys(p["extensions"][DRACO]["bufferView"] for p in every if DRACO in p.get("extensions", {}))
@@ -220,7 +235,7 @@ class _Reader:
         return self._draco[primitive["extensions"][DRACO]["bufferView"]]
 
     def _draco_arrays(self, primitive: dict[str, Any], draco: DracoMesh) -> dict[int, NDArray[Any]]:
-        """Returns accessor -> what Draco holds for it, with as many elements as the accessor says."""
+        """Returns the values (V, C) of each accessor that Draco holds; their number must be that of the accessor."""
         found: dict[int, NDArray[Any]] = {}
         for name, number in primitive["extensions"][DRACO].get("attributes", {}).items():
             index = primitive["attributes"].get(name)
@@ -235,7 +250,8 @@ class _Reader:
             raise MeshError(f"{self.path}: a Draco mesh has no POSITION; the file is broken")
         return found
 
-    def _same_length(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
+    def _attribute(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
+        """Returns an attribute (count, width) of vertices; None if the primitive does not have it."""
         if name not in attributes:
             return None
         array = self._accessor(attributes[name])
@@ -244,14 +260,14 @@ class _Reader:
         return array
 
     def _colors(self, index: int, count: int) -> NDArray[np.uint8]:
-        """Returns the colours of vertices, (V, 3) sRGB; those of the file are linear, and their alpha is left out."""
+        """Returns the colours of vertices, (V, 3) uint8 sRGB, from the file's linear ones without their alpha."""
         linear = self._accessor(index)
         if linear.shape[0] != count or linear.shape[1] not in (3, 4):
             raise MeshError(f"{self.path}: COLOR_0 has shape {linear.shape}, must be ({count}, 3 or 4); the file is broken")
         return srgb8_from_linear(linear[:, :3].astype(np.float64))
 
     def _accessor(self, index: int) -> NDArray[Any]:
-        """Returns (count, width); normalised integers as float in [-1, 1] or [0, 1]."""
+        """Returns the values of an accessor, (count, width); normalised integers as floats in [-1, 1] or [0, 1]."""
         accessor = self._item("accessors", index)
         dtype, width, count = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]], int(accessor["count"])
         if not 0 <= count <= _MAX_ELEMENTS:
@@ -277,6 +293,7 @@ class _Reader:
         return array
 
     def _view(self, index: int, offset: int, dtype: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
+        """Returns values (count, width) of a buffer view from byte ``offset`` on."""
         view = self._item("bufferViews", index)
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
         stride = int(view.get("byteStride", 0)) or dtype.itemsize * width
@@ -295,7 +312,7 @@ class _Reader:
         return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))
 
     def _meshopt(self, packed: dict[str, Any]) -> bytes:
-        """Returns the bytes of a view that meshoptimizer compressed."""
+        """Returns the bytes of a view that is compressed with meshoptimizer."""
         self._unpacked_bytes += int(packed.get("count", 0)) * int(packed.get("byteStride", 0))
         if self._unpacked_bytes > MAX_DECODED_BYTES:
             raise MeshError(f"{self.path}: its compressed buffers hold more than {MAX_DECODED_BYTES >> 20} MB; simplify the mesh")
@@ -336,7 +353,7 @@ class _Reader:
     # Materials
 
     def _material_of(self, primitive: dict[str, Any]) -> tuple[Material, int, F64 | None]:
-        """Returns the material, its set of texture coordinates, and the (3, 3) transform of these or None."""
+        """Returns the material of a primitive, the number of its set of texture coordinates, and the transform (3, 3) of these or None."""
         if "material" not in primitive:
             return Material(), 0, None
         index = primitive["material"]
@@ -346,7 +363,7 @@ class _Reader:
         pbr = source.get("pbrMetallicRoughness", {})
         info = pbr.get("baseColorTexture") or gloss.get("diffuseTexture")
         factor = pbr.get("baseColorFactor") or gloss.get("diffuseFactor")
-        placed = _placement(info or next(filter(None, (_map_info(source, name) for name in _MAPS)), {}))
+        mapping = _uv_mapping(info or next(filter(None, (_map_info(source, name) for name in _MAPS)), {}))
         if index not in self._materials:
             texture = None if info is None else self._texture(info["index"])
             color = (1.0, 1.0, 1.0, 1.0) if texture or not self.textures.decode else LIGHT_GREY
@@ -363,29 +380,29 @@ class _Reader:
                 float(source.get("alphaCutoff", 0.5)),
                 bool(source.get("doubleSided", False)),
             )
-            self._materials[index] = material if material.unlit else self._with_surface(material, source, placed)
-        return self._materials[index], placed[0], _uv_matrix(placed[1])
+            self._materials[index] = material if material.unlit else self._with_surface(material, source, mapping)
+        return self._materials[index], mapping[0], _uv_matrix(mapping[1])
 
-    def _with_surface(self, material: Material, source: dict[str, Any], placed: _Placement) -> Material:
-        """Returns the material with what concerns metal, roughness, emission, and its further textures."""
+    def _with_surface(self, material: Material, source: dict[str, Any], mapping: _UvMapping) -> Material:
+        """Returns the material with its metallic, roughness and emissive factors and further textures."""
         maps: dict[str, Any] = {}
         for name, field in _MAPS.items():
             info = _map_info(source, name)
             if info is None:
                 continue
-            if _placement(info) != placed:
-                # One set of coordinates a vertex: a second one would cost every scene for the sake of few.
+            if _uv_mapping(info) != mapping:
+                # A second set of coordinates for each vertex would cost all scenes memory, and few need it.
                 self.warn(
-                    f"{self.path}: {name} of material {quoted(material.name)} lies otherwise than its base colour; left out"
+                    f"{self.path}: {name} of material {quoted(material.name)} has other texture coordinates than its base colour; left out"
                 )
                 continue
             maps[field] = self._texture(info["index"])
         pbr, extensions = source.get("pbrMetallicRoughness", {}), source.get("extensions", {})
         gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
-        # By the standard a material that says nothing of either is a rough metal; whoever leaves all of it out means no metal.
-        silent = not {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture"} & set(pbr)
-        metallic, roughness = (0.0, 1.0) if silent else (pbr.get("metallicFactor", 1.0), pbr.get("roughnessFactor", 1.0))
-        if silent and "glossinessFactor" in gloss:
+        # By the standard, a material without these keys is a rough metal; exporters that leave all of them out mean no metal.
+        unspecified = not {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture"} & set(pbr)
+        metallic, roughness = (0.0, 1.0) if unspecified else (pbr.get("metallicFactor", 1.0), pbr.get("roughnessFactor", 1.0))
+        if unspecified and "glossinessFactor" in gloss:
             roughness = 1.0 - float(gloss["glossinessFactor"])
         strength = float(extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0))
         red, green, blue = (_limited(c, math.inf) * _limited(strength, math.inf) for c in source.get("emissiveFactor", (0, 0, 0)))
@@ -427,23 +444,25 @@ class _Reader:
 
 
 def _map_info(source: dict[str, Any], name: str) -> dict[str, Any] | None:
-    """Returns the reference to a texture of a material, or None."""
+    """Returns the textureInfo of a material's texture, or None."""
     holder = source.get("pbrMetallicRoughness", {}) if name == "metallicRoughnessTexture" else source
     info: dict[str, Any] | None = holder.get(name)
     return info
 
 
-def _placement(info: dict[str, Any]) -> _Placement:
+def _uv_mapping(info: dict[str, Any]) -> _UvMapping:
+    """Returns the texture coordinates that a textureInfo uses."""
     transform = info.get("extensions", {}).get("KHR_texture_transform", {})
     return int(transform.get("texCoord", info.get("texCoord", 0))), {k: v for k, v in transform.items() if k != "texCoord"}
 
 
 def _limited(value: Any, high: float = 1.0) -> float:
-    """Returns a number of the file within 0 and ``high``."""
+    """Returns a number clamped to 0 and ``high``."""
     return min(max(float(value), 0.0), high)
 
 
 def _node_matrix(node: dict[str, Any]) -> F64:
+    """Returns T_parent_node, (4, 4)."""
     if "matrix" in node:
         return np.asarray(node["matrix"], dtype=np.float64).reshape(4, 4).T
     matrix = np.eye(4)
@@ -457,7 +476,7 @@ def _node_matrix(node: dict[str, Any]) -> F64:
 
 
 def _triangles(indices: I64, mode: int) -> I64:
-    """Returns (F, 3) of a list (mode 4), a strip (5) or a fan (6) of vertices."""
+    """Returns the triangles (F, 3) of a list (mode 4), a strip (5) or a fan (6) of vertices."""
     if mode == 4:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)
     n = max(len(indices) - 2, 0)
@@ -469,7 +488,7 @@ def _triangles(indices: I64, mode: int) -> I64:
 
 
 def _uv_matrix(transform: dict[str, Any]) -> F64 | None:
-    """Returns the (3, 3) matrix of KHR_texture_transform, which turns counter-clockwise as the image is seen (v downwards)."""
+    """Returns the matrix (3, 3) of a KHR_texture_transform, whose rotation is counter-clockwise in the image (v downwards)."""
     if not transform:
         return None
     c, s = math.cos(transform.get("rotation", 0.0)), math.sin(transform.get("rotation", 0.0))
@@ -478,5 +497,6 @@ def _uv_matrix(transform: dict[str, Any]) -> F64 | None:
 
 
 def _data_uri(uri: str) -> bytes:
+    """Returns the content of a ``data:`` URI."""
     header, _, body = uri.partition(",")
     return base64.b64decode(unquote_to_bytes(body), validate=False) if header.endswith(";base64") else unquote_to_bytes(body)

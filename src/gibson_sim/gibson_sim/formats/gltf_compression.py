@@ -1,4 +1,4 @@
-"""Decodes what glTF extensions compress: meshes with Draco, buffers with meshoptimizer. Nothing in a file is believed before it is checked."""
+"""Decodes compressed glTF: meshes with Draco, buffers with meshoptimizer. Files are not trusted: every number is checked before its use."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from gibson_sim.quoting import clipped, quoted
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 MAX_DECODED_BYTES = 2**30
-"""Of one file."""
+"""Decoded bytes of one file."""
 _TIMEOUT_S = 120.0
-_BY_HAND = "export the file without it, or convert it: npx @gltf-transform/cli copy in.glb out.glb"
+_WITHOUT_DRACO = "export the file without it, or convert it: npx @gltf-transform/cli copy in.glb out.glb"
 _FILTERS = {"NONE": (), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": tuple(range(4, 257, 4))}
-"""Filter -> strides, bytes, that it is for; empty = any."""
+"""Filter -> its strides, bytes; empty = any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,19 +33,23 @@ class DracoMesh:
     """A decoded mesh."""
 
     indices: NDArray[np.int64]
-    """(3 F,)."""
+    """(3 F,), corners of the triangles."""
     attributes: Mapping[int, NDArray[Any]]
     """Unique id -> values of each vertex, (V, C)."""
 
 
 def decode_draco(where: str, meshes: Sequence[bytes]) -> list[DracoMesh]:
-    """Returns Draco meshes, decoded in one process of its own, which may fail without harm.
+    """Returns decoded Draco meshes; the decoder runs in a separate process, which may crash without harm.
+
+    Args:
+        where: the file, for messages.
+        meshes: the compressed bytes of each mesh.
 
     Raises:
         MeshError: DracoPy is not installed, or a mesh is broken or too large; one line.
     """
     if find_spec("DracoPy") is None:
-        raise MeshError(f"{where}: is Draco compressed; install what reads it (pip install DracoPy), {_BY_HAND}")
+        raise MeshError(f"{where}: is Draco compressed; install its decoder (pip install DracoPy), {_WITHOUT_DRACO}")
     data = b"".join(len(mesh).to_bytes(8, "little") + mesh for mesh in meshes)
     environment = {
         **os.environ,
@@ -62,8 +66,8 @@ def decode_draco(where: str, meshes: Sequence[bytes]) -> list[DracoMesh]:
             f"{where}: its Draco meshes were not decoded after {_TIMEOUT_S:g} s; the file is broken or too large"
         ) from error
     if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        reason = clipped(said[-1], 200) if said else f"the decoder ended with code {done.returncode}"
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        reason = clipped(lines[-1], 200) if lines else f"the decoder ended with code {done.returncode}"
         raise MeshError(f"{where}: a Draco mesh cannot be decoded ({reason}); the file is cut, broken, or too large")
     try:
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
@@ -74,6 +78,7 @@ def decode_draco(where: str, meshes: Sequence[bytes]) -> list[DracoMesh]:
 
 
 def _draco_mesh(number: int, found: Mapping[str, NDArray[Any]]) -> DracoMesh:
+    """Returns a mesh from the output of ``draco_process``."""
     start = f"{number}_"
     values = {
         int(name[len(start) :]): array for name, array in found.items() if name.startswith(start) and name != f"{start}faces"
@@ -82,19 +87,19 @@ def _draco_mesh(number: int, found: Mapping[str, NDArray[Any]]) -> DracoMesh:
 
 
 def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> bytes:
-    """Returns the bytes of a buffer view that meshoptimizer compressed.
+    """Returns the bytes of a buffer view that is compressed with meshoptimizer.
 
     Args:
         where: the file, for messages.
-        extension: ``count``, ``byteStride``, ``mode`` and ``filter``, as the file has them.
+        extension: ``count``, ``byteStride``, ``mode`` and ``filter`` of the file.
         data: the compressed bytes.
 
     Raises:
-        MeshError: the numbers do not fit, or the data are broken; one line.
+        MeshError: the parameters are not valid, or the data are broken; one line.
     """
     count, stride = (int(extension.get(key, 0)) for key in ("count", "byteStride"))
     mode, kind = str(extension.get("mode", "")), str(extension.get("filter", "NONE"))
-    problem = _wrong(mode, kind, count, stride)
+    problem = _invalid(mode, kind, count, stride)
     if problem:
         raise MeshError(f"{where}: a compressed buffer has {problem}; the file is broken")
     if count == 0:
@@ -102,7 +107,7 @@ def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> byt
     try:
         from meshoptimizer import decoder
     except ImportError as error:
-        raise MeshError(f"{where}: is compressed with {MESHOPT[0]}; install what reads it (pip install meshoptimizer)") from error
+        raise MeshError(f"{where}: is compressed with {MESHOPT[0]}; install its decoder (pip install meshoptimizer)") from error
     try:
         if mode == "ATTRIBUTES":
             array = decoder.decode_vertex_buffer(count, stride, data, np.dtype((np.void, stride)))
@@ -118,8 +123,8 @@ def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> byt
     return bytes(indices.astype("<u2" if stride == 2 else "<u4"))
 
 
-def _wrong(mode: str, kind: str, count: int, stride: int) -> str:
-    """Returns what is wrong with the numbers of a compressed buffer, empty = nothing."""
+def _invalid(mode: str, kind: str, count: int, stride: int) -> str:
+    """Returns the invalid parameters of a compressed buffer in words, empty = all are valid."""
     if mode not in ("ATTRIBUTES", "TRIANGLES", "INDICES"):
         return f"mode {quoted(mode)}"
     if kind not in _FILTERS:

@@ -1,4 +1,4 @@
-"""Reads the size of an image from its first bytes, so that nothing too large is decoded."""
+"""Reads the size of an image from its header, so that images that are too large are not decoded."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import struct
 from dataclasses import dataclass
 
 MAX_PIXELS = 8192 * 8192
-"""Of a texture: 200 MB as RGB. More than this is refused before it is decoded."""
+"""Pixels of a texture, 200 MB as RGB; larger images are refused before they are decoded."""
 
 MAX_IMAGE_BYTES = 512 * 2**20
-"""Of the file of an image."""
-_MOST_SEGMENTS = 10_000
-"""Of a JPEG before its size; one of fill bytes alone would be looked through byte by byte."""
+"""Largest size of an image file."""
+_MAX_SEGMENTS = 10_000
+"""Segments of a JPEG before its size; a file of fill bytes has one for each byte."""
 _JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 3, 2: 3, 3: 4, 4: 4, 6: 4}
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
@@ -20,13 +20,15 @@ _RADIANCE = re.compile(rb"[-+]Y\s+(\d+)\s+[-+]X\s+(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
-class ImageSize:
-    """What the header of an image says."""
+class ImageHeader:
+    """Size and channels of an image, from its header."""
 
     width: int
+    """Pixels."""
     height: int
+    """Pixels."""
     channels: int
-    """Once it is decoded: 3 or 4."""
+    """Channels of the decoded image, 3 or 4."""
 
     @property
     def pixels(self) -> int:
@@ -35,46 +37,46 @@ class ImageSize:
 
     @property
     def decoded_bytes(self) -> int:
-        """What it takes in memory."""
+        """Size of the decoded image, bytes."""
         return self.pixels * self.channels
 
 
-def image_size(data: bytes) -> ImageSize | None:
-    """Returns the size of a PNG, JPEG, WebP, BMP, GIF, TIFF, TGA, PNM or Radiance image, or None if the bytes are none of these."""
+def image_size(data: bytes) -> ImageHeader | None:
+    """Returns the header of a PNG, JPEG, WebP, BMP, GIF, TIFF, TGA, PNM or Radiance image, or None if the bytes are none of these."""
     try:
         return _size(data)
     except (struct.error, IndexError):
         return None
 
 
-def _size(data: bytes) -> ImageSize | None:
+def _size(data: bytes) -> ImageHeader | None:
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         width, height = struct.unpack_from(">II", data, 16)
-        return ImageSize(width, height, _PNG_CHANNELS.get(data[25], 4))
+        return ImageHeader(width, height, _PNG_CHANNELS.get(data[25], 4))
     if data.startswith(b"\xff\xd8"):
         return _jpeg(data)
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         return _webp(data)
     if data.startswith(b"BM"):
         width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
-        return ImageSize(abs(width), abs(height), 4 if bits == 32 else 3)
+        return ImageHeader(abs(width), abs(height), 4 if bits == 32 else 3)
     if data.startswith((b"GIF87a", b"GIF89a")):
         width, height = struct.unpack_from("<HH", data, 6)
-        return ImageSize(width, height, 4)
+        return ImageHeader(width, height, 4)
     if data[:4] in (b"II*\0", b"MM\0*"):
         return _tiff(data, "<" if data[:2] == b"II" else ">")
     if data.startswith(b"#?"):
         found = _RADIANCE.search(data[:4096])
-        return None if found is None else ImageSize(int(found[2]), int(found[1]), 3)
+        return None if found is None else ImageHeader(int(found[2]), int(found[1]), 3)
     found = _PNM.match(data[:4096])
     if found is not None:
-        return ImageSize(int(found[1]), int(found[2]), 3)
+        return ImageHeader(int(found[1]), int(found[2]), 3)
     return _tga(data)
 
 
-def _jpeg(data: bytes) -> ImageSize | None:
+def _jpeg(data: bytes) -> ImageHeader | None:
     at = 2
-    for _ in range(_MOST_SEGMENTS):
+    for _ in range(_MAX_SEGMENTS):
         if at + 9 >= len(data):
             return None
         if data[at] != 0xFF:
@@ -82,7 +84,7 @@ def _jpeg(data: bytes) -> ImageSize | None:
         marker = data[at + 1]
         if marker in _JPEG_SIZES:
             height, width = struct.unpack_from(">HH", data, at + 5)
-            return ImageSize(width, height, 3)
+            return ImageHeader(width, height, 3)
         if marker == 0xFF or marker == 0x01 or 0xD0 <= marker <= 0xD8:
             at += 1 if marker == 0xFF else 2
             continue
@@ -90,32 +92,32 @@ def _jpeg(data: bytes) -> ImageSize | None:
     return None
 
 
-def _webp(data: bytes) -> ImageSize | None:
+def _webp(data: bytes) -> ImageHeader | None:
     kind = data[12:16]
     if kind == b"VP8X":
         width, height = (int.from_bytes(data[at : at + 3], "little") + 1 for at in (24, 27))
-        return ImageSize(width, height, 4 if data[20] & 0x10 else 3)
+        return ImageHeader(width, height, 4 if data[20] & 0x10 else 3)
     if kind == b"VP8L":
         bits = int(struct.unpack_from("<I", data, 21)[0])
-        return ImageSize((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, 4)
+        return ImageHeader((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, 4)
     if kind == b"VP8 ":
         width, height = struct.unpack_from("<HH", data, 26)
-        return ImageSize(width & 0x3FFF, height & 0x3FFF, 3)
+        return ImageHeader(width & 0x3FFF, height & 0x3FFF, 3)
     return None
 
 
-def _tiff(data: bytes, order: str) -> ImageSize | None:
+def _tiff(data: bytes, order: str) -> ImageHeader | None:
     (at,) = struct.unpack_from(f"{order}I", data, 4)
     (count,) = struct.unpack_from(f"{order}H", data, at)
     found: dict[int, int] = {}
     for k in range(count):
         tag, kind = struct.unpack_from(f"{order}HH", data, at + 2 + 12 * k)
         found[tag] = int(struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * k)[0])
-    return ImageSize(found[256], found[257], 4 if found.get(277, 3) == 4 else 3) if 256 in found and 257 in found else None
+    return ImageHeader(found[256], found[257], 4 if found.get(277, 3) == 4 else 3) if 256 in found and 257 in found else None
 
 
-def _tga(data: bytes) -> ImageSize | None:
+def _tga(data: bytes) -> ImageHeader | None:
     if len(data) < 18 or data[1] not in (0, 1) or data[2] not in (1, 2, 3, 9, 10, 11) or data[16] not in (8, 15, 16, 24, 32):
         return None
     width, height = struct.unpack_from("<HH", data, 12)
-    return ImageSize(width, height, 4 if data[16] == 32 else 3)
+    return ImageHeader(width, height, 4 if data[16] == 32 else 3)

@@ -1,6 +1,6 @@
-"""Reads meshes and makes primitives: the one place that turns a ``Shape`` into triangles, for drawing, maps and physics alike.
+"""Turns a ``Shape`` into triangles, a mesh file or a primitive, for drawing, maps and physics alike.
 
-A ``MeshLoader`` reads each file and decodes each image once for as long as it lives; nothing is kept globally.
+A ``MeshLoader`` reads each file and decodes each image once during its life. Only primitives are cached globally.
 """
 
 from __future__ import annotations
@@ -30,107 +30,28 @@ from gibson_sim.geometry.triangles import areas_of
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 
-_Maker = Callable[[float, float, float], tuple[F64, F64, F64, I64]]
-SEGMENTS = 48
-"""Corners of a circle."""
-
-
-@lru_cache(maxsize=256)
-def primitive_mesh(shape: Shape) -> Mesh:
-    """Returns a box, sphere or cylinder (about z), centred at the origin, metres."""
-    makers: dict[str, _Maker] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
-    if shape.kind not in makers:
-        raise MeshError(f"shape {quoted(shape.kind)} is no primitive; known: {', '.join(makers)}")
-    needed = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
-    if not all(math.isfinite(s) and s > 0 for s in shape.size[:needed]):
-        raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {needed} must be finite and above 0 (metres)")
-    vertices, normals, uvs, triangles = makers[shape.kind](*shape.size)
-    part = MeshPart(
-        vertices.astype(np.float32), normals.astype(np.float32), uvs.astype(np.float32), triangles.astype(np.uint32), Material()
-    )
-    return Mesh((part,))
-
-
-def _box(x: float, y: float, z: float) -> tuple[F64, F64, F64, I64]:
-    faces = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            normal = np.zeros(3)
-            normal[axis] = sign
-            right = np.array([0.0, 1.0, 0.0]) if axis == 0 else np.array([1.0, 0.0, 0.0])
-            up = np.cross(normal, right)
-            faces.append(np.stack([normal - right - up, normal + right - up, normal + right + up, normal - right + up]))
-    vertices = np.concatenate(faces) * np.array([x, y, z]) / 2
-    normals = np.repeat([np.eye(3)[k] * s for k in range(3) for s in (1.0, -1.0)], 4, axis=0)
-    uvs = np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1))
-    quads = np.arange(24).reshape(6, 4)
-    return vertices, normals, uvs, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-
-
-def _circle() -> F64:
-    """Returns points around the unit circle, (SEGMENTS + 1, 2); the last one is the first, to the bit, so that what is closed has no gap."""
-    around = 2 * math.pi * (np.arange(SEGMENTS + 1) % SEGMENTS) / SEGMENTS
-    return np.column_stack([np.cos(around), np.sin(around)])
-
-
-def _grid(rows: int, columns: int) -> I64:
-    """Returns triangles (F, 3) of a grid of vertices, row by row, counter-clockwise where rows go down and columns right."""
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None, :]).ravel()
-    lower = corner + columns
-    return np.concatenate([np.stack([corner, lower, lower + 1], 1), np.stack([corner, lower + 1, corner + 1], 1)])
-
-
-def _sphere(radius: float, _y: float, _z: float) -> tuple[F64, F64, F64, I64]:
-    rings = SEGMENTS // 2
-    u, v = np.meshgrid(np.linspace(0, 1, SEGMENTS + 1), np.linspace(0, 1, rings + 1))
-    down = math.pi * v
-    level = np.sin(down)
-    level[-1] = 0.0  # sin(pi) is not quite
-    around = np.tile(_circle(), (rings + 1, 1))
-    normals = np.column_stack([level.ravel() * around[:, 0], level.ravel() * around[:, 1], np.cos(down).ravel()])
-    triangles = _grid(rings + 1, SEGMENTS + 1)
-    area = areas_of((radius * normals)[triangles])
-    # At the poles half of the triangles collapse to a line.
-    return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 5e-10 * radius * radius]
-
-
-def _cylinder(radius: float, length: float, _z: float) -> tuple[F64, F64, F64, I64]:
-    side = np.column_stack([_circle(), np.zeros(SEGMENTS + 1)])
-    ring = side * radius
-    up = np.array([0.0, 0.0, length / 2])
-    top, bottom = ring + up, ring - up
-    n = SEGMENTS + 1
-    k = np.arange(SEGMENTS)
-    vertices = np.concatenate([top, bottom, top, bottom, [[0, 0, length / 2], [0, 0, -length / 2]]])
-    z = np.array([[0.0, 0.0, 1.0]])
-    normals = np.concatenate([side, side, np.repeat(z, n, 0), np.repeat(-z, n, 0), z, -z])
-    disc = 0.5 + 0.5 * side[:, :2] * [1, -1]
-    strip = np.linspace(0, 1, n)
-    uvs = np.concatenate([np.stack([strip, 0 * strip], 1), np.stack([strip, 0 * strip + 1], 1), disc, disc, [[0.5, 0.5]] * 2])
-    upper = np.stack([np.full(SEGMENTS, 4 * n), 2 * n + k, 2 * n + k + 1], 1)
-    lower = np.stack([np.full(SEGMENTS, 4 * n + 1), 3 * n + k + 1, 3 * n + k], 1)
-    return vertices, normals, uvs, np.concatenate([_grid(2, n), upper, lower])
-
-
 __all__ = [
     "LIGHT_GREY", "MESH_SUFFIXES", "Material", "Mesh", "MeshLoader", "MeshPart", "TextureSource",
     "load_mesh", "load_shape", "primitive_mesh",
 ]  # fmt: skip
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl", ".ply")
-"""Formats that can be read, lower case."""
+"""Suffixes of mesh files that can be read, lower case."""
+SEGMENTS = 48
+"""Segments of the circles of primitives."""
+_Geometry = tuple[F64, F64, F64, I64]
+"""Vertices (V, 3), metres, normals (V, 3), uvs (V, 2), triangles (F, 3)."""
 
 
 class MeshLoader:
     """Reads meshes, each file once.
 
     Args:
-        allowed_roots: folders that meshes must lie in, symbolic links followed; None = anywhere. Textures, materials and buffers that a
-            mesh names must lie in these folders or in its own package (``file_roots``), wherever the mesh lies.
-        textures: False = geometry only: textures are looked for, and warned about, but not decoded; "sizes" = black images of the
-            right size.
-        max_bytes: a larger mesh file is refused; None = any size.
-        max_parts: a glTF with more meshes in its nodes is refused; None = any number.
+        allowed_roots: folders that meshes must lie in after following symbolic links; None = anywhere. Textures, materials and buffers
+            that a mesh names must lie in these folders or in the package of the mesh (``file_roots``).
+        textures: False = textures are checked for existence, with warnings, but not decoded; "sizes" = black images of the right size.
+        max_bytes: largest size of a mesh file; None = any.
+        max_parts: largest number of meshes in the nodes of a glTF; None = any.
     """
 
     def __init__(
@@ -159,11 +80,15 @@ class MeshLoader:
         return self._meshes[real]
 
     def image_bytes(self, texture: TextureSource) -> bytes:
-        """Returns the image file of a texture of a mesh from here; the loader's ``textures`` must be "sizes"."""
+        """Returns the content of the image file of a texture that this loader read with ``textures`` "sizes"."""
         return self._textures.encoded(texture)
 
     def shape(self, shape: Shape) -> Mesh:
-        """Returns the triangles of a shape: its mesh file under its scale, or the primitive."""
+        """Returns the triangles of a shape, metres, in its frame: its mesh file under its scale, or the primitive.
+
+        Raises:
+            MeshError: the mesh cannot be read, or a size is not valid.
+        """
         if shape.kind != "mesh":
             return primitive_mesh(shape)
         mesh = self.mesh(Path(shape.mesh))
@@ -188,7 +113,7 @@ class MeshLoader:
             raise
         except TextError as e:
             raise MeshError(f"{path}: {e}").telling(e.public) from e
-        # A broken file makes any of these fly out of a parser; all mean the same to the user.
+        # A broken file can make a parser raise any of these.
         except (
             ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, MemoryError,
             OSError, struct.error, json.JSONDecodeError,
@@ -229,23 +154,110 @@ class MeshLoader:
 
 
 def load_mesh(path: Path, allowed_roots: Sequence[Path]) -> Mesh:
-    """Returns the mesh in a glTF, GLB, OBJ, DAE, STL or PLY file, z up, metres. For several files use one ``MeshLoader``."""
+    """Returns the mesh in a glTF, GLB, OBJ, DAE, STL or PLY file, z up, metres; use one ``MeshLoader`` for several files."""
     return MeshLoader(allowed_roots).mesh(path)
 
 
 def load_shape(shape: Shape, allowed_roots: Sequence[Path] | None = None) -> Mesh:
-    """Returns the triangles of a shape. For several shapes use one ``MeshLoader``. No ``allowed_roots``: the mesh was checked already."""
+    """Returns the triangles of a shape, metres, in its frame; use one ``MeshLoader`` for several shapes.
+
+    Args:
+        shape: the shape.
+        allowed_roots: folders that its mesh must lie in; None = its path was checked before.
+    """
     return MeshLoader(mesh_folders([shape]) if allowed_roots is None else allowed_roots).shape(shape)
 
 
 def mesh_folders(shapes: Iterable[Shape]) -> tuple[Path, ...]:
-    """Returns the folders that hold the mesh files of shapes, for a ``MeshLoader`` of files that were checked already.
+    """Returns the folders of the mesh files of shapes, for a ``MeshLoader`` of files whose paths were checked before.
 
-    Where a file is a link, as in an installation that is made of links, these are the link's folder and the one that it leads to.
+    For a symbolic link these are both the link's folder and that of its target.
     """
     files = {Path(shape.mesh) for shape in shapes if shape.kind == "mesh"}
     return tuple(sorted({folder for file in files for folder in (file.parent, Path(os.path.realpath(file)).parent)}))
 
 
+@lru_cache(maxsize=256)
+def primitive_mesh(shape: Shape) -> Mesh:
+    """Returns a box, sphere or cylinder (about z), centred at the origin, metres.
+
+    Raises:
+        MeshError: the shape is no primitive, or a size is not above 0.
+    """
+    makers: dict[str, Callable[[float, float, float], _Geometry]] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
+    if shape.kind not in makers:
+        raise MeshError(f"shape {quoted(shape.kind)} is no primitive; known: {', '.join(makers)}")
+    needed = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
+    if not all(math.isfinite(s) and s > 0 for s in shape.size[:needed]):
+        raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {needed} must be finite and above 0 (metres)")
+    vertices, normals, uvs, triangles = makers[shape.kind](*shape.size)
+    part = MeshPart(
+        vertices.astype(np.float32), normals.astype(np.float32), uvs.astype(np.float32), triangles.astype(np.uint32), Material()
+    )
+    return Mesh((part,))
+
+
+def _box(x: float, y: float, z: float) -> _Geometry:
+    faces = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            right = np.array([0.0, 1.0, 0.0]) if axis == 0 else np.array([1.0, 0.0, 0.0])
+            up = np.cross(normal, right)
+            faces.append(np.stack([normal - right - up, normal + right - up, normal + right + up, normal - right + up]))
+    vertices = np.concatenate(faces) * np.array([x, y, z]) / 2
+    normals = np.repeat([np.eye(3)[k] * s for k in range(3) for s in (1.0, -1.0)], 4, axis=0)
+    uvs = np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1))
+    quads = np.arange(24).reshape(6, 4)
+    return vertices, normals, uvs, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def _circle() -> F64:
+    """Returns points on the unit circle, (SEGMENTS + 1, 2); the last equals the first exactly, so that closed surfaces have no gap."""
+    around = 2 * math.pi * (np.arange(SEGMENTS + 1) % SEGMENTS) / SEGMENTS
+    return np.column_stack([np.cos(around), np.sin(around)])
+
+
+def _grid(rows: int, columns: int) -> I64:
+    """Returns the triangles (F, 3) of a grid of vertices, row by row; counter-clockwise if rows go down and columns right."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None, :]).ravel()
+    lower = corner + columns
+    return np.concatenate([np.stack([corner, lower, lower + 1], 1), np.stack([corner, lower + 1, corner + 1], 1)])
+
+
+def _sphere(radius: float, _y: float, _z: float) -> _Geometry:
+    rings = SEGMENTS // 2
+    u, v = np.meshgrid(np.linspace(0, 1, SEGMENTS + 1), np.linspace(0, 1, rings + 1))
+    down = math.pi * v
+    level = np.sin(down)
+    level[-1] = 0.0  # sin(pi) is not exactly 0
+    around = np.tile(_circle(), (rings + 1, 1))
+    normals = np.column_stack([level.ravel() * around[:, 0], level.ravel() * around[:, 1], np.cos(down).ravel()])
+    triangles = _grid(rings + 1, SEGMENTS + 1)
+    area = areas_of((radius * normals)[triangles])
+    # At the poles half of the triangles have no area.
+    return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 5e-10 * radius * radius]
+
+
+def _cylinder(radius: float, length: float, _z: float) -> _Geometry:
+    side = np.column_stack([_circle(), np.zeros(SEGMENTS + 1)])
+    ring = side * radius
+    up = np.array([0.0, 0.0, length / 2])
+    top, bottom = ring + up, ring - up
+    n = SEGMENTS + 1
+    k = np.arange(SEGMENTS)
+    vertices = np.concatenate([top, bottom, top, bottom, [[0, 0, length / 2], [0, 0, -length / 2]]])
+    z = np.array([[0.0, 0.0, 1.0]])
+    normals = np.concatenate([side, side, np.repeat(z, n, 0), np.repeat(-z, n, 0), z, -z])
+    disc = 0.5 + 0.5 * side[:, :2] * [1, -1]
+    strip = np.linspace(0, 1, n)
+    uvs = np.concatenate([np.stack([strip, 0 * strip], 1), np.stack([strip, 0 * strip + 1], 1), disc, disc, [[0.5, 0.5]] * 2])
+    upper = np.stack([np.full(SEGMENTS, 4 * n), 2 * n + k, 2 * n + k + 1], 1)
+    lower = np.stack([np.full(SEGMENTS, 4 * n + 1), 3 * n + k + 1, 3 * n + k], 1)
+    return vertices, normals, uvs, np.concatenate([_grid(2, n), upper, lower])
+
+
 def _one_line(error: BaseException) -> str:
+    """Returns the message of an error in one line of at most 200 characters."""
     return " ".join(str(error).split())[:200]

@@ -1,4 +1,4 @@
-"""What a mesh is once it is in memory, and the checks every mesh passes where it is born. Knows no file format."""
+"""Meshes in memory, and the checks that all of them pass when they are built. Knows no file format."""
 
 from __future__ import annotations
 
@@ -20,64 +20,66 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MATTE_ROUGHNESS = 0.9
-"""A surface that is no metal and at least this rough is matte."""
+"""Least roughness of a matte surface, which is no metal either."""
 LIGHT_GREY: Rgba = (0.8, 0.8, 0.8, 1.0)
-"""Colour of a surface whose file names none."""
+"""Colour of a surface without one in its file, sRGB and alpha."""
 
 TO_Z_UP: dict[UpAxis, F64] = {
     "z": np.eye(3),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "x": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
 }
-"""R_zup_file, (3, 3), by the axis that is up in the file (COLLADA 1.4.1, up_axis). A scene keeps these rotations exact."""
+"""R_zup_file, (3, 3), by the up axis of the file (COLLADA 1.4.1, up_axis); exact, without rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextureSource:
-    """A decoded image. Parts that show the same image share one object, so ``id()`` tells textures apart."""
+    """A decoded image. Parts with the same image share one object, so that ``id()`` identifies textures."""
 
     name: str
-    """File, or file and index for images inside a file; for messages."""
+    """File, or file and index for images inside a file."""
     pixels: NDArray[np.uint8]
     """(H, W, 3) RGB or (H, W, 4) RGBA uint8, sRGB, row 0 = top."""
 
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """How one part of a mesh looks."""
+    """The material of one part of a mesh."""
 
     name: str = ""
     base_color: Rgba = LIGHT_GREY
     """sRGB and alpha, each 0 to 1; multiplies the texture."""
     texture: TextureSource | None = None
     unlit: bool = False
-    """Light is baked into the texture: draw it as it is (KHR_materials_unlit)."""
+    """Whether the colours include the light, so that shading is skipped (KHR_materials_unlit)."""
     alpha_mode: AlphaMode = "opaque"
     alpha_cutoff: float = 0.5
-    """Below this alpha nothing is drawn, where alpha_mode is mask."""
+    """Alpha below which nothing is drawn, for alpha_mode mask."""
     double_sided: bool = True
     metallic: float = 0.0
     """0 = plastic, wood, cloth; 1 = bare metal. Multiplies the blue channel of ``metallic_roughness_texture``."""
     roughness: float = 1.0
     """0 = a mirror, 1 = no highlight at all. Multiplies the green channel of ``metallic_roughness_texture``."""
     emissive: Vec3 = (0.0, 0.0, 0.0)
-    """Light that it gives off, linear RGB, may exceed 1; multiplies ``emissive_texture``. It does not light other surfaces."""
+    """Emitted light, linear RGB, may exceed 1; multiplies ``emissive_texture``. It does not light other surfaces."""
     normal_texture: TextureSource | None = None
-    """Tangent-space normals as glTF has them: +X right, +Y up in the image, linear."""
+    """Tangent-space normals as in glTF: +X right, +Y up in the image, linear."""
     normal_scale: float = 1.0
+    """Factor on x and y of the normals."""
     metallic_roughness_texture: TextureSource | None = None
     """Green = roughness, blue = metallic, linear."""
     emissive_texture: TextureSource | None = None
     """sRGB."""
     occlusion_texture: TextureSource | None = None
-    """Red = how much ambient light arrives, linear."""
+    """Red = share of the ambient light that arrives, linear."""
     occlusion_strength: float = 1.0
+    """Strength of the occlusion, 0 to 1."""
     colored: bool = False
-    """Every vertex has a colour of its own (``MeshPart.colors``), which multiplies ``base_color`` and takes the place of a texture."""
+    """Whether the vertices have colours (``MeshPart.colors``), which multiply ``base_color`` in place of a texture."""
 
     @property
     def has_maps(self) -> bool:
-        """Whether it has textures beside that of its base colour, which only matter where it is lit."""
+        """Whether it is lit and has textures other than that of its base colour."""
         maps = (self.normal_texture, self.metallic_roughness_texture, self.emissive_texture, self.occlusion_texture)
         return not self.unlit and any(m is not None for m in maps)
 
@@ -96,7 +98,7 @@ class MeshPart:
     """(F, 3), rows of ``vertices``."""
     material: Material = field(default_factory=Material)
     colors: NDArray[np.uint8] | None = None
-    """(V, 3) sRGB, where the material is ``colored``; else None."""
+    """(V, 3) uint8 sRGB if the material is ``colored``; else None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,17 +107,17 @@ class Mesh:
 
     parts: tuple[MeshPart, ...]
     warnings: tuple[str, ...] = ()
-    """What was left out or replaced, one line each."""
+    """Things that were left out or replaced, one line each."""
     files: tuple[Path, ...] = ()
-    """Every file that was read, resolved, the mesh file first."""
+    """Resolved paths of all files that were read, the mesh file first."""
     up_axis: UpAxis = "z"
-    """The axis that the file, or its format, calls up; ``vertices`` are turned to z up already."""
+    """Up axis of the file or its format; ``vertices`` are rotated to z up already."""
     unit_m: float = 1.0
-    """Metres per unit as the file, or its format, says; ``vertices`` are in metres already."""
+    """Metres per unit of the file or its format; ``vertices`` are in metres already."""
 
     @property
     def triangle_count(self) -> int:
-        """Triangles of all parts."""
+        """Number of triangles of all parts."""
         return sum(len(part.triangles) for part in self.parts)
 
     @property
@@ -126,7 +128,7 @@ class Mesh:
         return np.array([np.min(lows, axis=0), np.max(highs, axis=0)], dtype=np.float64)
 
     def merged(self) -> tuple[F64, NDArray[np.int32]]:
-        """Returns all triangles as one: vertices (V, 3) float64 and triangles (F, 3) int32."""
+        """Returns all triangles as one mesh: vertices (V, 3) float64, metres, and triangles (F, 3) int32."""
         return merge([(part.vertices, part.triangles) for part in self.parts])
 
     def transformed(self, matrix: ArrayLike) -> Mesh:
@@ -135,7 +137,7 @@ class Mesh:
         parts = tuple(
             MeshPart(
                 apply(m, part.vertices).astype(np.float32),
-                turn_normals(m, part.normals).astype(np.float32),
+                transform_normals(m, part.normals).astype(np.float32),
                 part.uvs,
                 part.triangles if np.linalg.det(m[:3, :3]) > 0 else np.ascontiguousarray(part.triangles[:, ::-1]),
                 part.material,
@@ -147,7 +149,7 @@ class Mesh:
 
 
 def merge(pieces: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[F64, NDArray[np.int32]]:
-    """Returns (vertices (V, 3), triangles (F, 3)) pieces joined to one: float64 and int32."""
+    """Returns several pairs of vertices (V, 3) and triangles (F, 3) as one mesh, float64 and int32."""
     vertices = [np.asarray(v, dtype=np.float64) for v, _ in pieces]
     starts = np.cumsum([0, *(len(v) for v in vertices)])
     triangles = [np.asarray(t, dtype=np.int64) + start for (_, t), start in zip(pieces, starts, strict=False)]
@@ -161,17 +163,17 @@ def apply(matrix: F64, points: ArrayLike) -> F64:
     return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def turn_normals(matrix: F64, normals: ArrayLike) -> F64:
+def transform_normals(matrix: F64, normals: ArrayLike) -> F64:
     """Returns unit normals (N, 3) of a surface under a (4, 4) affine transform; a zero normal stays zero."""
     linear = matrix[:3, :3]
-    # The cofactor matrix is det * inverse transpose; dividing by the sign of det keeps mirrored normals outward.
+    # The cofactor matrix is det * inverse transpose; the sign of det keeps the normals of a mirrored surface outward.
     cofactors = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
     sign = -1.0 if np.linalg.det(linear) < 0 else 1.0
     return unit(np.asarray(normals, dtype=np.float64) @ (sign * cofactors).T)
 
 
 def unit(vectors: ArrayLike) -> F64:
-    """Returns vectors (N, 3) at length 1; zero vectors and NaN become zero."""
+    """Returns vectors (N, 3) scaled to length 1; zero vectors and NaN become zero."""
     v = np.nan_to_num(np.asarray(vectors, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     length = np.linalg.norm(v, axis=1, keepdims=True)
     result: F64 = np.divide(v, length, out=np.zeros_like(v), where=length > 1e-30)
@@ -179,7 +181,7 @@ def unit(vectors: ArrayLike) -> F64:
 
 
 def area_normals(vertices: ArrayLike, triangles: ArrayLike) -> F64:
-    """Returns unit normals (V, 3): the mean of the faces around each vertex, weighted by area; +z for lone vertices."""
+    """Returns unit normals (V, 3) of vertices (V, 3): the area-weighted mean of the triangles (F, 3) around each; +z for isolated vertices."""
     v = np.asarray(vertices, dtype=np.float64)
     t = np.asarray(triangles, dtype=np.int64)
     faces = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
@@ -205,18 +207,18 @@ def build_part(
 
     Args:
         what: the file, for messages.
-        vertices: (V, 3).
-        triangles: (F, 3) whole numbers.
-        normals: (V, 3) or None to compute them; zero or NaN rows are computed too.
+        vertices: (V, 3), metres.
+        triangles: (F, 3), whole numbers, rows of ``vertices``.
+        normals: (V, 3), or None to compute them; rows that are zero or NaN are computed too.
         uvs: (V, 2), v downwards, or None.
-        material: its material.
-        matrix: (4, 4) affine transform to apply, None = as they are.
-        colors: (V, 3) uint8 sRGB of the vertices, or None. Not used where there is a texture.
+        material: the material.
+        matrix: (4, 4) affine transform to apply to the vertices and normals; None = the identity.
+        colors: (V, 3) uint8 sRGB of the vertices, or None; not used if the material has a texture.
 
     Raises:
-        MeshError: an index points nowhere, or a coordinate is NaN or infinite.
+        MeshError: an index is out of range, or a coordinate is NaN or infinite.
     """
-    # A NaN that signals would warn when it is cast.
+    # Casting a signalling NaN would warn.
     with np.errstate(invalid="ignore"):
         v, n, uv = (None if array is None else np.asarray(array, dtype=np.float64) for array in (vertices, normals, uvs))
     t = np.asarray(triangles, dtype=np.int64)
@@ -228,17 +230,17 @@ def build_part(
     used = np.zeros(len(v), dtype=bool)
     used[t] = True
     if not used.all():
-        # Exporters let several parts share one vertex array: keep what this part needs.
+        # Exporters share one vertex array among several parts: keep the vertices of this part.
         t = (np.cumsum(used) - 1)[t]
         v = v[used]
         n = None if n is None else n[used]
         uv = None if uv is None else uv[used]
         colors = None if colors is None else colors[used]
     if matrix is not None:
-        # What is not finite is refused below, with its row.
+        # Vertices that are not finite are refused below, with their row.
         with np.errstate(invalid="ignore", over="ignore"):
             v = apply(matrix, v)
-        n = None if n is None else turn_normals(matrix, n)
+        n = None if n is None else transform_normals(matrix, n)
         t = t if np.linalg.det(matrix[:3, :3]) > 0 else t[:, ::-1]
     with np.errstate(over="ignore", invalid="ignore"):
         v32 = v.astype(np.float32)
@@ -254,7 +256,7 @@ def build_part(
 
 
 def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:
-    """Returns unit normals (V, 3), computed where the file gives none."""
+    """Returns unit normals (V, 3): those of the file, and computed ones where it has none."""
     if normals is None:
         return area_normals(vertices, triangles)
     filled = unit(normals)
@@ -265,19 +267,19 @@ def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:
 
 
 def index_corners(*columns: I64) -> tuple[I64, I64]:
-    """Joins corners that agree in every column.
+    """Merges corners that agree in every column.
 
     Args:
         columns: each (C,) int64: position index, uv index, ... of each corner.
 
     Returns:
-        For each distinct corner one row where it occurs, (V,), and for each corner its distinct one, (C,).
+        The first corner of each group of equal ones, (V,), and the group of each corner, (C,).
     """
     key = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
         low = int(column.min()) if len(column) else 0
         span = (int(column.max()) - low + 1) if len(column) else 1
-        # Renumbering keeps the keys small: a product of three index ranges would overflow.
+        # Renumbering keeps the keys small, since a product of three index ranges could overflow.
         if int(key.max(initial=0)) * span > 2**62:
             key = np.unique(key, return_inverse=True)[1].astype(np.int64)
         key = key * span + (column - low)
@@ -286,7 +288,7 @@ def index_corners(*columns: I64) -> tuple[I64, I64]:
 
 
 def fan(counts: I64) -> I64:
-    """Returns triangles (F, 3) into the corners of polygons with ``counts`` corners each, stored one after the other."""
+    """Returns the triangle fans (F, 3) of polygons with ``counts`` (P,) corners, as indices of the corners of all polygons in order."""
     counts = np.asarray(counts, dtype=np.int64)
     starts = np.cumsum(counts) - counts
     per_polygon = np.maximum(counts - 2, 0)

@@ -1,4 +1,4 @@
-"""Reads Wavefront OBJ with its MTL files. It has no units and no up axis: metres, z up are assumed."""
+"""Reads Wavefront OBJ with its MTL files. The format has no units and no up axis: metres and z up are assumed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TEXTURE_OPTIONS = {
 
 @dataclass
 class _Faces:
-    """Triangles of one material: (F, 3) indices from 0, -1 = none."""
+    """Triangles of one material: indices (F, 3) from 0, -1 = none."""
 
     positions: I64
     uvs: I64
@@ -38,7 +38,18 @@ class _Faces:
 
 
 def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
-    """Returns one part for each material."""
+    """Returns the parts of an OBJ file, one for each material, metres, z up.
+
+    Args:
+        path: the file.
+        data: its content.
+        textures: finds and decodes the images that it names.
+        files: list to which every further file that is read is appended.
+        warn: called with one line about everything that is left out or replaced.
+
+    Raises:
+        MeshError: the file is broken.
+    """
     if b"\0" in data[:4096]:
         raise MeshError(f"{path}: is not an OBJ file: it is not text")
     lines = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
@@ -71,7 +82,7 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
 
 
 def _table(path: Path, lines: list[str], width: int) -> F64:
-    """Returns the first ``width`` numbers of every line, (N, width); missing ones are 0 (vt may have one number)."""
+    """Returns the first ``width`` numbers of every line, (N, width); missing ones are 0, as vt may have one number."""
     if not lines:
         return np.zeros((0, width))
     counts = {len(line.split()) for line in lines}
@@ -90,7 +101,7 @@ def _table(path: Path, lines: list[str], width: int) -> F64:
 
 
 def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
-    """Returns the colours of vertices, (V, 3) sRGB, where every line has three more numbers, as scanners write them; else None."""
+    """Returns the colours of vertices, (V, 3) uint8 sRGB, if every line has three more numbers, as scanners write them; else None."""
     if len(lines[0].split()) < 6:
         return None
     try:
@@ -100,17 +111,17 @@ def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
     if table.shape[1] not in (6, 7):
         return None
     values = np.nan_to_num(table[:, 3:6])
-    # Some write 0 to 1, some 0 to 255.
+    # Some programs write 0 to 1, others 0 to 255.
     return np.asarray(np.rint(np.clip(values * (1.0 if values.max() > 1.0 else 255.0), 0.0, 255.0)), dtype=np.uint8)
 
 
 def _faces_by_material(
     path: Path, rows: dict[str, tuple[list[int], list[str]]], totals: tuple[int, int, int]
 ) -> dict[str, _Faces]:
-    """Returns the triangles of every material, all indices absolute.
+    """Returns the triangles of every material, with absolute indices.
 
-    Faces are grouped by their pattern (``7/1/4 8/2/4 9/3/4`` has the pattern ``// // //``), of which a file has few, so that
-    numpy reads all faces of a pattern at once.
+    Faces are grouped by their pattern (``7/1/4 8/2/4 9/3/4`` has the pattern ``// // //``): a file has few patterns, and NumPy parses all
+    faces of one at once.
     """
     numbers, texts = rows["f"]
     groups: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -119,7 +130,7 @@ def _faces_by_material(
     for k, text in enumerate(texts):
         pattern = " ".join(_NUMBER.sub("", text.partition("#")[0]).split(" ")).strip()
         groups[(uses[1][owner[k]] if owner[k] >= 0 else "", pattern + f" {len(text.partition('#')[0].split())}")].append(k)
-    # A negative index counts back from the vertices read so far, at the line of the face.
+    # A negative index counts back from the last vertex before the line of the face.
     read = [
         np.searchsorted(np.array(rows[key][0], dtype=np.int64), np.array(numbers, dtype=np.int64)) for key in ("v", "vt", "vn")
     ]
@@ -150,7 +161,7 @@ def _faces_by_material(
 
 
 def _columns(path: Path, texts: list[str]) -> I64:
-    """Returns (faces, corners, 3) int64: v, vt, vn of faces that share a pattern, 0 = not given."""
+    """Returns v, vt and vn of faces of one pattern, (faces, corners, 3) int64, 0 = not given."""
     words = texts[0].split()
     slashes = words[0].count("/")
     double = "//" in words[0]
@@ -168,7 +179,7 @@ def _columns(path: Path, texts: list[str]) -> I64:
 
 
 def _smooth_normals(path: Path, positions: F64, faces: dict[str, _Faces]) -> F64 | None:
-    """Returns a normal for each position, (N, 3), if any face lacks its own; seams of the texture stay smooth that way."""
+    """Returns a normal for each position, (N, 3), if a face lacks normals, else None; it is smooth across seams of the texture."""
     if not any((face.normals < 0).any() for face in faces.values()):
         return None
     with np.errstate(invalid="ignore"):
@@ -204,7 +215,7 @@ def _part(
 
 
 def _names(line: str, path: Path) -> list[str]:
-    """Returns the .mtl files of an mtllib line: one name with blanks if there is such a file, else several names."""
+    """Returns the .mtl files of an mtllib line: one name with spaces if that file exists, else several names."""
     return [line] if is_file(local_path(line, path.parent)) or " " not in line else line.split()
 
 
@@ -237,10 +248,10 @@ def _material(
     name: str, block: dict[str, str], mtl: Path, obj: Path, textures: TextureStore, files: list[Path], warn: Warn
 ) -> Material:
     uri = _texture_name(block.get("map_kd", ""))
-    # Search as the .mtl sees it, but report and fall back as the mesh.
+    # Paths are relative to the .mtl, but warnings and the search are those of the mesh.
     texture = textures.from_uri(uri, mtl.parent / obj.name, files, warn) if uri else None
     alpha = _floats(block.get("d", ""), 1, (1.0,), mtl, warn)[0]
-    # Tr is not read: half of the exporters mean opacity by it, the other half transparency.
+    # Tr is not read: it means opacity to half of the exporters, and transparency to the others.
     color: Rgba = (1.0, 1.0, 1.0, alpha)
     if texture is None:
         r, g, b = _floats(block.get("kd", ""), 3, LIGHT_GREY[:3], mtl, warn)
@@ -259,6 +270,7 @@ def _material(
 
 
 def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: Warn) -> tuple[float, ...]:
+    """Returns the last ``count`` numbers of a line, clamped to 0 and 1; the default if it is empty, or, with a warning, not readable."""
     if not text:
         return default
     try:
@@ -272,7 +284,7 @@ def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: 
 
 
 def _texture_name(text: str) -> str:
-    """Returns the file name of a map_Kd line, options such as ``-s 1 1 1`` left out."""
+    """Returns the file name of a map_Kd line without options such as ``-s 1 1 1``."""
     if not text.startswith("-"):
         return text
     words = shlex.split(text.replace("\\", "/"))

@@ -1,7 +1,7 @@
 """Reads PLY, text and binary: triangles and polygons with normals, colours of vertices or a texture. Metres, z up are assumed.
 
-Format: http://paulbourke.net/dataformats/ply/. Colours of vertices come from scans, with the light of the room in them, so these surfaces
-are drawn as they are.
+Format: http://paulbourke.net/dataformats/ply/. Colours of vertices come from scans and include the light of the room, so these surfaces are
+unlit.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ POINT_CLOUD_ADVICE = (
     "(Filters > Remeshing > Screened Poisson), CloudCompare (Plugins > PoissonRecon) or Open3D "
     "(TriangleMesh.create_from_point_cloud_poisson), and import that"
 )
-"""What to do with points, after the name of the file."""
+"""Message about a point cloud, after the name of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class _Property:
     name: str
     kind: str
     count_kind: str = ""
-    """Of a list: type of its length."""
+    """Type of the length of a list; empty = the property is no list."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +52,29 @@ class _Element:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ply:
-    """What a PLY file holds, as it stands there."""
+    """The content of a PLY file, not converted."""
 
     vertex: Mapping[str, NDArray[Any]]
-    """Each (V,), by name of the property."""
+    """Properties of the vertices by name, each (V,)."""
     corners: I64
-    """(C,): the vertices of all polygons, one polygon after the other."""
+    """(C,): the vertices of all polygons, polygon by polygon."""
     sizes: I64
-    """(P,): corners of each polygon."""
+    """(P,): number of corners of each polygon."""
     face: Mapping[str, NDArray[Any]]
-    """Each (P,), by name of the property; not the lists."""
+    """Properties of the polygons by name, each (P,), without lists."""
     corner_uvs: F64 | None
     """(C, 2), v upwards, or None."""
     texture: str
-    """Name of the image, or empty."""
+    """Name of the image file, empty = none."""
 
     @property
     def positions(self) -> F64:
-        """(V, 3)."""
+        """(V, 3), in the units of the file."""
         return np.stack([np.asarray(self.vertex[axis], dtype=np.float64) for axis in "xyz"], axis=1)
 
     @property
     def colors(self) -> NDArray[np.uint8] | None:
-        """(V, 3) sRGB, or None."""
+        """(V, 3) uint8 sRGB, or None."""
         names = next((n for n in (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
                       if all(k in self.vertex for k in n)), None)  # fmt: skip
         if names is None:
@@ -88,54 +88,69 @@ class Ply:
 
     @property
     def polygon_of_triangle(self) -> I64:
-        """(F,): the polygon that each row of ``fan(sizes)`` comes from."""
+        """(F,): the polygon of each row of ``fan(sizes)``."""
         return np.repeat(np.arange(len(self.sizes)), np.maximum(self.sizes - 2, 0))
 
 
 def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
-    """Returns the triangles of a PLY file as one part."""
+    """Returns the triangles of a PLY file as one part, metres, z up.
+
+    Args:
+        path: the file.
+        data: its content.
+        textures: finds and decodes the images that it names.
+        files: list to which every further file that is read is appended.
+        warn: called with one line about everything that is left out or replaced.
+
+    Raises:
+        MeshError: the file is broken, or a point cloud.
+    """
     ply = read_ply(path, data)
     part = ply_part(str(path), ply, fan(ply.sizes), _material(path, ply, textures, files, warn))
     return [] if part is None else [part]
 
 
 def ply_part(what: str, ply: Ply, corner_triangles: I64, material: Material | None = None) -> MeshPart | None:
-    """Returns some of the triangles as a part, or None if there are none.
+    """Returns triangles of a PLY file as a part, metres, z up, or None if there are none.
 
     Args:
         what: the file, for messages.
-        ply: all of it.
-        corner_triangles: (F, 3) rows of ``ply.corners``.
-        material: None = the colours of the vertices.
+        ply: its content.
+        corner_triangles: (F, 3), rows of ``ply.corners``.
+        material: the material; None = the colours of the vertices.
     """
     triangles = ply.corners[corner_triangles]
     uvs, rows = _uvs(ply), None
     if ply.corner_uvs is not None:
-        # A vertex on a seam of the texture has several coordinates.
+        # A vertex on a seam of the texture has several texture coordinates.
         used = corner_triangles.ravel()
         keys = np.rint(np.clip(np.nan_to_num(ply.corner_uvs[used]), -1e6, 1e6) * 65536.0).astype(np.int64)
         first, inverse = index_corners(ply.corners[used], keys[:, 0], keys[:, 1])
         rows, triangles, uvs = ply.corners[used][first], inverse.reshape(-1, 3), ply.corner_uvs[used][first]
     if len(triangles) and (triangles.min() < 0 or (rows is None and triangles.max() >= len(ply.vertex["x"]))):
         raise MeshError(f"{what}: a face names a vertex that is not there; there are {len(ply.vertex['x'])}; the file is broken")
-    take = slice(None) if rows is None else rows
+    chosen = slice(None) if rows is None else rows
     normals = None
     if all(k in ply.vertex for k in ("nx", "ny", "nz")):
-        normals = np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in ("nx", "ny", "nz")], axis=1)[take]
+        normals = np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in ("nx", "ny", "nz")], axis=1)[chosen]
     colors = ply.colors
     if uvs is not None:
         uvs = np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)
     used_material = material or Material("vertex colours", (1.0, 1.0, 1.0, 1.0), unlit=True)
     return build_part(
-        what, ply.positions[take], triangles, normals, uvs, used_material, None, None if colors is None else colors[take]
+        what, ply.positions[chosen], triangles, normals, uvs, used_material, None, None if colors is None else colors[chosen]
     )
 
 
 def read_ply(path: Path, data: bytes) -> Ply:
-    """Returns what is in a PLY file.
+    """Returns the content of a PLY file.
+
+    Args:
+        path: the file, for messages.
+        data: its bytes.
 
     Raises:
-        MeshError: it is broken, cut, or a point cloud.
+        MeshError: the file is broken, cut, or a point cloud.
     """
     binary, elements, texture, at = _header(path, data)
     tables: dict[str, dict[str, Any]] = {}
@@ -180,7 +195,7 @@ def _uvs(ply: Ply) -> F64 | None:
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
-    """Returns the byte order ("" = text), the elements, the name of a texture, and where the content begins."""
+    """Returns the byte order ("" = text), the elements, the name of the texture, and the offset of the content, bytes."""
     if not data.startswith(b"ply"):
         raise MeshError(f"{path}: is not a PLY file (it starts with {quoted(data[:4])}, must be b'ply')")
     end = data.find(b"end_header", 0, _MAX_HEADER)
@@ -218,7 +233,7 @@ def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:
 
 def _binary_table(path: Path, element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
     lists = [p for p in element.properties if p.count_kind]
-    # Most files have triangles alone, or quads alone: then all rows are alike, and are read at once.
+    # Most files have triangles alone, or quads alone: all rows then have one layout and are read at once.
     sizes = _first_sizes(element, data, at, order) if lists and element.count else [0] * len(lists)
     dtype = _row_type(element, sizes, order)
     needed = element.count * dtype.itemsize
@@ -263,7 +278,7 @@ def _row_type(element: _Element, sizes: list[int], order: str) -> np.dtype[Any]:
 
 
 def _uneven_table(path: Path, element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
-    """Reads rows of different lengths one by one."""
+    """Returns the table of rows of different lengths, read one by one, and the offset behind it, bytes."""
     kinds = [(p, np.dtype(order + p.kind), np.dtype(order + p.count_kind) if p.count_kind else None) for p in element.properties]
     sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
     pieces: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
@@ -287,17 +302,17 @@ def _uneven_table(path: Path, element: _Element, data: bytes, at: int, order: st
 
 
 def _as_kind(path: Path, what: str, column: NDArray[np.float64], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Returns numbers of a text file as the type that its header names.
+    """Returns numbers (N,) of a text file in the type that its header names.
 
     Raises:
-        MeshError: a whole number does not fit into it.
+        MeshError: a whole number is out of range.
     """
     if kind.kind in "iu" and len(column):
         limits = np.iinfo(kind)
         beyond = ~((column >= limits.min) & (column <= limits.max))
         if beyond.any():
             raise MeshError(f"{path}: {quoted(what)} is {column[beyond][0]:g}, must be {limits.min} to {limits.max}")
-    with np.errstate(over="ignore"):  # what is too large for single precision is infinite, and refused as such where it matters
+    with np.errstate(over="ignore"):  # numbers too large for single precision become infinite, which build_part refuses
         return column.astype(kind)
 
 

@@ -1,4 +1,4 @@
-"""Reads STL, binary and ASCII. It has no units, no materials: metres and light grey are assumed."""
+"""Reads STL, binary and ASCII. The format has no units and no materials: metres, z up and light grey are assumed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,15 @@ _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
 def load_stl(path: Path, data: bytes) -> list[MeshPart]:
-    """Returns the triangles of an STL file with flat normals, as one part."""
+    """Returns the triangles of an STL file with flat normals, as one part, metres.
+
+    Args:
+        path: the file, for messages.
+        data: its bytes.
+
+    Raises:
+        MeshError: the file is broken.
+    """
     corners = _corners(path, data)
     edges = corners[:, 1:] - corners[:, :1]
     with np.errstate(invalid="ignore"):
@@ -26,7 +34,7 @@ def load_stl(path: Path, data: bytes) -> list[MeshPart]:
 
 
 def _corners(path: Path, data: bytes) -> F64:
-    """Returns (F, 3, 3) float64."""
+    """Returns the corners of all triangles, (F, 3, 3) float64."""
     if len(data) >= 84:
         count = int.from_bytes(data[80:84], "little")
         if len(data) == 84 + 50 * count:

@@ -1,4 +1,4 @@
-"""Finds and decodes the images that meshes name, each once, and only inside the folders that are allowed."""
+"""Finds and decodes the images that meshes name, each once, and only in allowed folders."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from gibson_sim.reading import is_file, is_folder, read_file
 
 Warn = Callable[[str], None]
 Decode = bool | Literal["sizes"]
+"""Whether images are decoded; "sizes" = replaced by black ones of the same size."""
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
 _LEVELS_UP = 3
-"""Folders above a mesh beside which textures are looked for."""
+"""Folders above a mesh beside which textures are searched."""
 
 
 def local_path(uri: str, folder: Path) -> Path:
-    r"""Returns the path that a reference in a mesh file means: percent-decoded, ``\`` as ``/``, ``file://`` dropped."""
+    r"""Returns the path of a reference in a mesh file: percent-decoded, with ``/`` for ``\``, without ``file://``."""
     text = unquote(uri.strip()).replace("\\", "/")
     if text.lower().startswith("file://"):
         text = text[7:]
@@ -41,8 +42,8 @@ class TextureStore:
 
     Args:
         roots: folders that images may lie in.
-        decode: False = only check that they are there, for users of geometry alone; "sizes" = black images of the size that their
-            headers say, which take no memory.
+        decode: False = images are only checked for existence, for users of geometry alone; "sizes" = black images of the sizes in their
+            headers, which take no memory.
     """
 
     def __init__(self, roots: Sequence[Path], decode: Decode = True) -> None:
@@ -52,27 +53,27 @@ class TextureStore:
         self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
 
     def within(self, roots: Sequence[Path]) -> TextureStore:
-        """Returns this store, with all that it has decoded, for files that may name images in other folders."""
+        """Returns a store with other folders that shares the decoded images with this one."""
         other = copy.copy(self)
         other.roots = tuple(roots)
         return other
 
     def from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn, *, search: bool = True) -> TextureSource | None:
-        """Returns the image that ``mesh`` names, or None after a warning; with ``decode`` off always None.
+        """Returns the image that ``mesh`` names, or None after a warning; always None without ``decode``.
 
         Args:
             uri: the reference, relative to the mesh.
             mesh: the mesh file.
-            files: gets the path of the image.
-            warn: takes one line on what is wrong.
-            search: look in the usual folders near the mesh if it is not where it should be.
+            files: list to which the path of the image is appended.
+            warn: called with one line about the image if it cannot be used.
+            search: whether a missing image is searched in the usual folders near the mesh.
 
         Raises:
             MeshError: the image has more than ``MAX_PIXELS``.
         """
-        wanted = local_path(uri, mesh.parent)
-        path = wanted if is_file(wanted) else (self._nearby(wanted, mesh) if search else None)
-        if not is_inside(path or wanted, self.roots):
+        named = local_path(uri, mesh.parent)
+        path = named if is_file(named) else (self._nearby(named, mesh) if search else None)
+        if not is_inside(path or named, self.roots):
             text = (
                 f"{mesh}: texture {quoted(uri)} lies outside the folder of the mesh and of its model; it is not read, "
                 "put it beside the mesh"
@@ -80,11 +81,11 @@ class TextureStore:
             warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
         if path is None:
-            text = f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface is drawn without it"
+            text = f"{mesh}: texture {named.name} is missing (looked at {named}); the surface is drawn without it"
             warn(Omission(text, OmissionKind.MISSING_ASSET))
             return None
-        if path != wanted and path.name.lower() != wanted.name.lower():
-            warn(f"{mesh}: texture {wanted.name} is missing; used {path.name}, the only image beside the mesh")
+        if path != named and path.name.lower() != named.name.lower():
+            warn(f"{mesh}: texture {named.name} is missing; used {path.name}, the only image beside the mesh")
         path = Path(os.path.realpath(path))
         if path not in files:
             files.append(path)
@@ -104,6 +105,11 @@ class TextureStore:
     def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
         """Returns the image in ``data``, the bytes of an image file, or None after a warning.
 
+        Args:
+            name: name of the image, for messages.
+            data: the bytes.
+            warn: called with one line about the image if it cannot be decoded.
+
         Raises:
             MeshError: the image has more than ``MAX_PIXELS``.
         """
@@ -119,15 +125,15 @@ class TextureStore:
         return source
 
     def encoded(self, texture: TextureSource) -> bytes:
-        """Returns the image file of a texture that came from here with ``decode`` "sizes".
+        """Returns the bytes of the image file of a texture of this store, whose ``decode`` is "sizes".
 
         Raises:
-            OSError: it cannot be read any more.
+            OSError: the file cannot be read any more.
         """
         return self._encoded[id(texture)][1] if id(texture) in self._encoded else Path(texture.name).read_bytes()
 
     def _pixels(self, name: str, data: bytes) -> NDArray[np.uint8] | None:
-        """Returns what ``decode_image`` does, as far as it is wanted."""
+        """Returns the pixels (H, W, C) of an image file, black ones if ``decode`` is "sizes"; None if it cannot be decoded."""
         size = image_size(data)
         if self.decode == "sizes":
             black = np.zeros((1, 1, 1), dtype=np.uint8)
@@ -141,30 +147,30 @@ class TextureStore:
             )
         return decode_image(data)
 
-    def _nearby(self, wanted: Path, mesh: Path) -> Path | None:
-        """Returns an image of the wanted name in the usual folders near the mesh, else the only image beside the mesh."""
+    def _nearby(self, named: Path, mesh: Path) -> Path | None:
+        """Returns an image of that name in the usual folders near the mesh, else the only image beside the mesh."""
         here = mesh.parent
-        # `meshes/` beside `materials/textures/`, as Gazebo has it, also where meshes lie in folders of their own below that.
+        # Gazebo has `meshes/` beside `materials/textures/`; meshes may lie in further folders below the first.
         above = [place for place in here.parents[:_LEVELS_UP] if is_inside(place, self.roots)]
         beside = [folder for place in above for folder in (place / "textures", place / "materials" / "textures")]
-        for folder in map(in_any_case, (wanted.parent, here, here / "textures", *beside)):
+        for folder in map(in_any_case, (named.parent, here, here / "textures", *beside)):
             if not (is_folder(folder) and is_inside(folder, self.roots)):
                 continue
             for entry in sorted(folder.iterdir()):
-                if entry.name.lower() == wanted.name.lower() and is_file(entry):
+                if entry.name.lower() == named.name.lower() and is_file(entry):
                     return entry
         images = [p for p in sorted(here.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and is_file(p)]
-        # Scans come as one mesh and one image, and the image is the file that gets renamed.
+        # Scans come as one mesh and one image, which people rename.
         return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
 
 
 def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
-    """Returns what OpenCV makes of an image file's bytes, or None if they are none, or hold more than ``MAX_PIXELS``.
+    """Returns an image decoded by OpenCV, or None if it cannot be decoded or has more than ``MAX_PIXELS``.
 
-    A few KB of PNG may stand for gigabytes: its header is read first.
+    The header is read first, because a few KB of PNG can hold gigabytes.
 
     Args:
-        data: of a file, or of a message.
+        data: bytes of an image file or message.
         flags: ``cv2.IMREAD_...``.
     """
     size = image_size(data)
@@ -178,7 +184,7 @@ def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
 
 
 def decode_image(data: bytes) -> NDArray[np.uint8] | None:
-    """Returns (H, W, 3) RGB or (H, W, 4) RGBA uint8 of an image file's bytes, or None if they are none."""
+    """Returns the pixels of an image file's bytes, (H, W, 3) RGB or (H, W, 4) RGBA uint8, or None if they cannot be decoded."""
     image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         return None

@@ -13,6 +13,7 @@ from gibson_sim.resources import PATH_VARIABLE
 
 _MODEL_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
 _LEVELS_UP = 3
+"""Folders above a file among its ancestors."""
 
 
 def environment_folders() -> tuple[Path, ...]:
@@ -32,17 +33,16 @@ def ancestors(folder: Path, levels: int = _LEVELS_UP) -> tuple[Path, ...]:
 
 
 def installed_paths(rest: str) -> Iterator[Path]:
-    """Yields where ``<package>/<path>`` may lie in the ROS installations of the environment."""
+    """Yields the candidate paths of ``<package>/<path>`` in the ROS installations of the environment."""
     name, _, inner = rest.partition("/")
     for variable, below in (("AMENT_PREFIX_PATH", f"share/{name}"), ("ROS_PACKAGE_PATH", name)):
         yield from (entry / below / inner for entry in _entries(variable))
 
 
 def is_registered(path: Path) -> bool:
-    """Returns whether a file lies in a folder of the user's environment, or in a link that mirrors one.
+    """Returns whether a file lies in a folder of the user's environment, also where links are installed in place of copies.
 
-    These are the model folders, and the packages of ``$AMENT_PREFIX_PATH`` and ``$ROS_PACKAGE_PATH``: what is installed there with links
-    is as good as what is copied there.
+    These folders are the model folders, and the packages of ``$AMENT_PREFIX_PATH`` and ``$ROS_PACKAGE_PATH``.
     """
     roots = list(environment_folders())
     for variable, below in (("AMENT_PREFIX_PATH", "share"), ("ROS_PACKAGE_PATH", "")):
@@ -55,7 +55,7 @@ def is_registered(path: Path) -> bool:
 
 
 class UriResolver:
-    """Finds files of one scene.
+    """Resolves the URIs in the files of one scene.
 
     Args:
         root: folder of the scene.
@@ -70,7 +70,7 @@ class UriResolver:
         self.model_folders = tuple(dict.fromkeys([f for f in own if is_folder(f)] + list(environment_folders())))
 
     def find(self, uri: str, base: Path) -> Path | None:
-        """Returns the file or folder that ``uri`` means in a file of folder ``base``, or None."""
+        """Returns the file or folder of a URI in a file of folder ``base``, or None if it does not exist."""
         candidates = dict.fromkeys(self._candidates(unquote(uri.strip()), base))
         found = next((p for p in candidates if exists(p)), None)
         return found or next((p for p in map(in_any_case, candidates) if exists(p)), None)
@@ -96,7 +96,7 @@ class UriResolver:
         name, _, inner = rest.partition("/")
         yield from installed_paths(rest)
         yield from (folder / inner for folder in self.ancestors if folder.name == name)
-        # The package is not installed, and the scene may hold only a part of it: try shorter and shorter ends of the path.
+        # The package is not installed, and the scene may hold a part of it: try ever shorter ends of the path.
         parts = [p for p in inner.split("/") if p]
         for start in range(len(parts)):
             yield from (folder.joinpath(name, *parts[start:]) for folder in self.ancestors if start == 0)

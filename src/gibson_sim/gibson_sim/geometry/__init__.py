@@ -1,1 +1,1 @@
-"""Transforms and projections. Knows types, nothing above."""
+"""Transforms, projections, triangles and grids. Knows ``types`` and nothing above."""

@@ -1,4 +1,4 @@
-"""Loops over numbers become machine code, by Numba, where it is installed (the extra ``fast``)."""
+"""Compiles numeric loops to machine code with Numba if it is installed (the extra ``fast``)."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ except ImportError:
 Number = TypeVar("Number", bound=np.generic)
 Function = TypeVar("Function", bound=Callable[..., Any])
 CAN_COMPILE: bool = njit is not None and not config.DISABLE_JIT  # type: ignore[attr-defined]
-"""Whether ``compiled`` compiles. If not, NumPy is far quicker than loops: callers have the same in NumPy, which must give equal results."""
+"""Whether ``compiled`` compiles. If not, loops are far slower than NumPy: callers then use a NumPy version, which must give equal results."""
 
 
-def _hold_interrupts_back() -> None:
-    """Lets Ctrl-C interrupt what compiles only between compilations: in the middle of one it ends in a stack or a segmentation fault."""
-    depth, handler, kept = 0, None, False
+def _defer_interrupts() -> None:
+    """Defers Ctrl-C to the end of a compilation: in the middle of one it causes a stack trace or a segmentation fault."""
+    depth, handler, deferred = 0, None, False
 
-    def keep(*_: object) -> None:
-        nonlocal kept
-        kept = True
+    def defer(*_: object) -> None:
+        nonlocal deferred
+        deferred = True
 
     class Compilations(event.Listener):
-        """Hears of every compilation, in the thread that compiles."""
+        """Receives the events of every compilation, in the compiling thread."""
 
         def on_start(self, event: Any) -> None:
-            nonlocal depth, handler, kept
+            nonlocal depth, handler, deferred
             if threading.current_thread() is not threading.main_thread():
                 return
             depth += 1
             if depth == 1 and callable(signal.getsignal(signal.SIGINT)):
-                kept, handler = False, signal.signal(signal.SIGINT, keep)
+                deferred, handler = False, signal.signal(signal.SIGINT, defer)
 
         def on_end(self, event: Any) -> None:
             nonlocal depth, handler
@@ -49,32 +49,32 @@ def _hold_interrupts_back() -> None:
             if depth == 0 and handler is not None:
                 signal.signal(signal.SIGINT, handler)
                 handler = None
-                if kept:
+                if deferred:
                     signal.raise_signal(signal.SIGINT)
 
     event.register("numba:compile", Compilations())  # type: ignore[no-untyped-call]
 
 
 if CAN_COMPILE:
-    _hold_interrupts_back()
+    _defer_interrupts()
 
 
 def compiled(function: Function) -> Function:
-    """Returns the function compiled, at its first call in an installation, which takes seconds; later processes find it in a cache.
+    """Returns the function, which is compiled at its first call in an installation, in seconds; later processes load it from a cache.
 
-    Arithmetic is done as it is written, without fused or reordered operations: the numbers are those of NumPy, to the bit.
+    Operations are neither fused nor reordered, so that the results are those of NumPy to the bit.
     """
     if not CAN_COMPILE:
         return function
     try:
         return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
     except RuntimeError:
-        # Neither beside the module nor in the user's cache can anything be kept: it is compiled anew in every process.
+        # Neither the folder of the module nor the user's cache is writable: the function is compiled again in every process.
         return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 
 def fixed(values: NDArray[Number]) -> NDArray[Number]:
-    """Returns an array that cannot be written to, without gaps: loops are compiled anew for every kind of array that they meet."""
+    """Returns a read-only, contiguous array: a loop is compiled again for every kind of array that it is called with."""
     view = np.ascontiguousarray(values).view()
     view.flags.writeable = False
     return view

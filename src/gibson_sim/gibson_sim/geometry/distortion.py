@@ -1,7 +1,7 @@
-"""Lens distortion as ROS's camera_info and OpenCV have it: plumb_bob, rational_polynomial, equidistant; forwards, and back.
+"""Lens distortion of ROS's camera_info and OpenCV, and its inverse: plumb_bob, rational_polynomial, equidistant.
 
-A polynomial describes its lens only out to where it stops growing. Beyond that two directions would share a pixel: no lens does
-so, and everything here is NaN there.
+A polynomial describes its lens only up to the radius at which it stops growing. Beyond that, two directions would share a pixel, which no
+lens does; all results are NaN there.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _STEPS = 100
-"""Of a search that halves its interval at worst: more than a double has bits."""
+"""Iterations of a search that halves its interval at worst: more than the bits of a double."""
 
 
 def distort(points: Array, d: Sequence[float]) -> tuple[Array, Array]:
-    """Returns where a lens puts points of the plane z = 1.
+    """Distorts points of the plane z = 1.
 
     Args:
         points: (..., 2), x / z and y / z.
         d: 4 or 5 numbers of plumb_bob (k1, k2, p1, p2, k3) or 8 of rational_polynomial (and k4, k5, k6).
 
     Returns:
-        The points in the image plane, (..., 2), and their derivatives by x and y, (..., 2, 2); NaN beyond the reach of ``d``.
+        The distorted points, (..., 2), and their derivatives by x and y, (..., 2, 2); NaN beyond the valid radius of ``d``.
     """
     x, y = points[..., 0], points[..., 1]
     p1, p2 = d[2:4]
@@ -44,15 +44,15 @@ def distort(points: Array, d: Sequence[float]) -> tuple[Array, Array]:
             axis=-2,
         )
         determinant = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
-        bad = ~((q < reach(tuple(d))) & (determinant > 0.0))
+        bad = ~((q < valid_radius_squared(tuple(d))) & (determinant > 0.0))
     out[bad], jacobian[bad] = np.nan, np.nan
     return out, jacobian
 
 
 def undistort(points: Array, d: Sequence[float]) -> Array:
-    """Returns the points of the plane z = 1, (..., 2), that ``distort`` takes to ``points``; NaN where there are none."""
+    """Returns the points of the plane z = 1, (..., 2), that ``distort`` maps to ``points`` (..., 2); NaN where there are none."""
     radius = np.hypot(points[..., 0], points[..., 1])
-    limit = float(np.sqrt(reach(tuple(d))))
+    limit = float(np.sqrt(valid_radius_squared(tuple(d))))
 
     def radial(r: Array) -> tuple[Array, Array]:
         factor, slope = _radial(r * r, d)
@@ -63,18 +63,18 @@ def undistort(points: Array, d: Sequence[float]) -> Array:
         start = points * np.where(radius > 0, straight / radius, 1.0)[..., None]
     if not (d[2] or d[3]):
         return start
-    # Tangential terms are small: Newton from the radial solution. A search that leaves the lens ends as NaN.
+    # Tangential terms are small: Newton's method from the radial solution. A search that leaves the valid radius ends as NaN.
     out = np.where(np.isfinite(start), start, points).reshape(-1, 2)
-    wanted = points.reshape(-1, 2)
+    targets = points.reshape(-1, 2)
     error = np.full(len(out), np.inf)
     left = np.arange(len(out))
-    tolerance = 1e-15 * (1.0 + np.abs(wanted).max(axis=-1))
+    tolerance = 1e-15 * (1.0 + np.abs(targets).max(axis=-1))
     for _ in range(_STEPS):
         there, j = distort(out[left], d)
-        rest = wanted[left] - there
+        rest = targets[left] - there
         now, before = np.abs(rest).max(axis=-1), error[left]
         error[left] = now
-        # Done is what is exact, or as good as doubles have it; a NaN compares as false and goes on no more either.
+        # A point is done once it is exact within the precision of doubles; a NaN compares as false and so is done too.
         more = (now > tolerance[left]) & ((now > 100 * tolerance[left]) | (now < before))
         left, rest, j = left[more], rest[more], j[more]
         if not len(left):
@@ -86,17 +86,17 @@ def undistort(points: Array, d: Sequence[float]) -> Array:
     return out.reshape(points.shape)
 
 
-def bend(theta: Array, d: Sequence[float]) -> Array:
-    """Returns the distance from the image's centre, in focal lengths, of rays at the angle ``theta`` from the axis (equidistant)."""
+def distort_angle(theta: Array, d: Sequence[float]) -> Array:
+    """Returns the distance from the principal point, focal lengths, of rays at an angle from the axis, radians (equidistant model)."""
     q = theta * theta
     k1, k2, k3, k4 = d or (0.0,) * 4
     out = theta * (1.0 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
-    return np.where(theta <= largest_angle(tuple(d)), out, np.nan)
+    return np.where(theta <= valid_angle(tuple(d)), out, np.nan)
 
 
-def unbend(radius: Array, d: Sequence[float]) -> Array:
-    """Returns the angle from the axis, radians, that ``bend`` takes to ``radius``; NaN where there is none."""
-    limit = largest_angle(tuple(d))
+def undistort_angle(radius: Array, d: Sequence[float]) -> Array:
+    """Returns the angle from the axis, radians, that ``distort_angle`` maps to ``radius``, focal lengths; NaN where there is none."""
+    limit = valid_angle(tuple(d))
     if not any(d):
         return np.where(radius <= limit, radius, np.nan)
     k1, k2, k3, k4 = d
@@ -110,7 +110,7 @@ def unbend(radius: Array, d: Sequence[float]) -> Array:
 
 
 def _radial(q: Array, d: Sequence[float]) -> tuple[Array, Array]:
-    """Returns the factor by which a point at the squared distance ``q`` moves outwards, and its derivative by ``q``."""
+    """Returns the radial factor of points at a squared distance ``q`` from the axis, and its derivative by ``q``."""
     k1, k2, _, _, k3, k4, k5, k6 = (*d, 0.0, 0.0, 0.0, 0.0)[:8]
     above = 1.0 + q * (k1 + q * (k2 + q * k3))
     below = 1.0 + q * (k4 + q * (k5 + q * k6))
@@ -120,8 +120,8 @@ def _radial(q: Array, d: Sequence[float]) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=64)
-def reach(d: tuple[float, ...]) -> float:
-    """Returns the square of the distance from the axis, on the plane z = 1, up to which plumb_bob or rational_polynomial grows."""
+def valid_radius_squared(d: tuple[float, ...]) -> float:
+    """Returns the squared distance from the axis on the plane z = 1 up to which plumb_bob or rational_polynomial grows."""
     k1, k2, _, _, k3, k4, k5, k6 = (*d, 0.0, 0.0, 0.0, 0.0)[:8]
     above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
     q = np.poly1d([1.0, 0.0])
@@ -130,7 +130,7 @@ def reach(d: tuple[float, ...]) -> float:
 
 
 @lru_cache(maxsize=64)
-def largest_angle(d: tuple[float, ...]) -> float:
+def valid_angle(d: tuple[float, ...]) -> float:
     """Returns the angle from the axis, radians, at most pi, up to which an equidistant polynomial grows."""
     if not any(d):
         return float(np.pi)
@@ -140,37 +140,38 @@ def largest_angle(d: tuple[float, ...]) -> float:
 
 def _first_root(polynomial: np.poly1d) -> float:
     """Returns the least positive root, +inf if there is none."""
-    # Coefficients next to nothing have their roots next to infinity, and overflow on the way there.
+    # Tiny coefficients have roots near infinity, and overflow on the way there.
     roots = np.roots(np.where(np.abs(polynomial.coeffs) < 1e-30, 0.0, polynomial.coeffs))
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
     return float(real.min()) if len(real) else float("inf")
 
 
 def _inverse(function: Callable[[Array], tuple[Array, Array]], values: Array, limit: float) -> Array:
-    """Returns where a function that grows from 0 at 0 to ``limit`` takes ``values`` >= 0; NaN where it does not.
+    """Returns the arguments at which a function has ``values`` >= 0; NaN where it has none.
 
-    Newton's steps, and where one leaves the interval that holds the solution, half of the interval instead.
+    The function grows from 0 at 0 up to ``limit``, and returns its derivative too. The method is Newton's, with bisection where a step
+    leaves the interval of the solution.
     """
-    upper, wanted = limit, values.ravel()
+    upper, targets = limit, values.ravel()
     if not np.isfinite(upper):
-        upper, largest = 1.0, float(np.nanmax(wanted, initial=0.0))
+        upper, largest = 1.0, float(np.nanmax(targets, initial=0.0))
         while upper < 1e9 and function(np.array(upper))[0] < largest:
             upper *= 2.0
-    out = np.full(wanted.shape, np.nan)
+    out = np.full(targets.shape, np.nan)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        # At the limit itself the slope is zero, or the value infinite: a hair below is what the search can reach.
-        left = np.flatnonzero(wanted <= function(np.array(upper * (1.0 - 1e-12)))[0])
-        wanted = wanted[left]
-        x, low, high = np.minimum(wanted, upper), np.zeros_like(wanted), np.full_like(wanted, upper)
+        # At the limit itself the slope is zero or the value infinite, so the search ends slightly below.
+        left = np.flatnonzero(targets <= function(np.array(upper * (1.0 - 1e-12)))[0])
+        targets = targets[left]
+        x, low, high = np.minimum(targets, upper), np.zeros_like(targets), np.full_like(targets, upper)
         for _ in range(_STEPS):
             value, slope = function(x)
-            low, high = np.where(value <= wanted, x, low), np.where(value >= wanted, x, high)
-            new = x - (value - wanted) / slope
+            low, high = np.where(value <= targets, x, low), np.where(value >= targets, x, high)
+            new = x - (value - targets) / slope
             new = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
             out[left] = new
             moved = np.abs(new - x) > 1e-15 * (1.0 + np.abs(new))
             left = left[moved]
-            wanted, x, low, high = (a[moved] for a in (wanted, new, low, high))
+            targets, x, low, high = (a[moved] for a in (targets, new, low, high))
             if not len(left):
                 break
     return out.reshape(values.shape)

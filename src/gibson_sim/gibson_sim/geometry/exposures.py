@@ -1,9 +1,8 @@
-"""When each row of an image sees the world: the states that a camera with an open shutter or a rolling one is drawn from. Pure.
+"""The states from which an image with motion blur or a rolling shutter is drawn. Pure.
 
-The stamp of an image is the time at which its last row's exposure ends, since that is the newest state that is known when it is drawn.
-Row r's exposure ends ``readout_s (rows - 1 - r) / (rows - 1)`` earlier and begins ``shutter_s`` before that. Colours are averaged over
-the exposure; depth, labels and normals are those of the end of each row's exposure. In between two states everything moves evenly; what
-lies before the earlier one goes on evenly.
+The stamp of an image is the end of its last row's exposure, since that is the newest state that is known when it is drawn. The exposure of
+row r ends ``readout_s (rows - 1 - r) / (rows - 1)`` earlier, and begins ``shutter_s`` before that. Colours are averaged over the exposure;
+depth, labels and normals are those at its end. Motion between two states is uniform, and is extrapolated before the earlier one.
 """
 
 from __future__ import annotations
@@ -20,47 +19,47 @@ from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, matrix_from_q
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
 MAX_BANDS = 32
-"""Most bands of rows that a rolling shutter is drawn in."""
+"""Largest number of bands of rows of a rolling shutter."""
 BAND_MOTION_PX = 0.5
-"""Motion in pixels from one band to the next; more only where ``MAX_BANDS`` are not enough."""
+"""Largest motion from one band to the next, pixels, unless ``MAX_BANDS`` is reached."""
 MAX_SAMPLES = 17
-"""Most pictures that are averaged for motion blur: one for each pixel of motion, up to this."""
+"""Largest number of pictures that are averaged for motion blur; there is one for each pixel of motion up to this."""
 MAX_PICTURES = 256
-"""Most pictures for an image with both effects: with many bands fewer samples are averaged, but never less than three."""
+"""Largest number of pictures for an image with both effects: many bands have fewer samples each, but at least three."""
 LEAST_MOTION_PX = 0.1
-"""Below this motion a picture is drawn at once, like one without these effects."""
+"""Motion below which one picture is drawn without these effects, pixels."""
 PROBE_DISTANCE = 1.0
-"""Metres: how near the standing world is taken to be. What is nearer may move farther from one band or sample to the next."""
+"""Distance of the static world at which its motion is estimated, metres. Nearer things move farther from one band or sample to the next."""
 _LINK_RADIUS = 0.25
-"""Metres: how far from its origin a turning link is taken to reach."""
+"""Distance from the origin of a rotating link at which its motion is estimated, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposure:
-    """One picture to be drawn, of some rows."""
+    """One picture of some rows of an image."""
 
     state: SceneState
     rows: slice
     """Rows of the image."""
     weight: float
-    """Part of the colours of these rows that comes from this picture, linear light; the weights of a row add up to 1."""
+    """Weight of this picture in the colours of these rows, in linear light; the weights of a row add up to 1."""
     geometry: bool
-    """Whether depth, labels and normals of these rows are those of this picture: true once for each row."""
+    """Whether depth, labels and normals of these rows come from this picture: true once for each row."""
 
 
 def needs_previous(camera: CameraSpec) -> bool:
-    """Returns whether the image of a camera depends on the state before."""
+    """Returns whether the image of a camera depends on the previous state."""
     return "flow" in camera.outputs or camera.effects.shutter_s > 0.0 or camera.effects.readout_s > 0.0
 
 
 def exposures(camera: CameraSpec, previous: SceneState | None, current: SceneState) -> list[Exposure]:
-    """Returns what to draw for one image: rows from top to bottom, of each row the end of its exposure, whose geometry counts, last.
+    """Returns the pictures for one image, rows from top to bottom; for each row, the end of its exposure comes last.
 
-    Without motion, without shutter and readout times or without a previous state this is one exposure of ``current``.
+    Without motion, without shutter and readout times, or without a previous state this is one exposure of ``current``.
 
     Args:
-        camera: its ``effects.shutter_s`` and ``effects.readout_s`` count.
-        previous: an earlier state of the same scene, the nearer in time the better; None = nothing has moved.
+        camera: the camera, with ``effects.shutter_s`` and ``effects.readout_s``.
+        previous: an earlier state of the same scene, preferably recent; None = nothing has moved.
         current: the state at the stamp of the image.
 
     Raises:
@@ -79,7 +78,7 @@ def exposures(camera: CameraSpec, previous: SceneState | None, current: SceneSta
     edges = [round(k * camera.height / bands) for k in range(bands + 1)]
     out: list[Exposure] = []
     for first, end in pairwise(edges):
-        # A band is drawn at the time of its middle row; a single one needs no correction, it moves by less than half a pixel.
+        # A band is drawn at the time of its middle row; a single band moves by less than half a pixel and needs no correction.
         rows_after = camera.height - 1 - (first + end - 1) / 2
         before_stamp = readout * rows_after / (camera.height - 1) if bands > 1 else 0.0
         for k, weight in reversed(list(enumerate(_weights(samples)))):
@@ -90,7 +89,7 @@ def exposures(camera: CameraSpec, previous: SceneState | None, current: SceneSta
 
 
 def _weights(samples: int) -> list[float]:
-    """Returns the weights of the trapezoid rule: its samples include the end of the exposure, whose geometry is wanted."""
+    """Returns the weights of the trapezoidal rule, whose samples include the end of the exposure, which has the geometry."""
     if samples == 1:
         return [1.0]
     inner = 1.0 / (samples - 1)
@@ -98,10 +97,10 @@ def _weights(samples: int) -> list[float]:
 
 
 def pixel_motion(camera: CameraSpec, earlier: SceneState, later: SceneState) -> float:
-    """Returns an estimate of how far the fastest thing moves in the image from one state to another, pixels.
+    """Returns an estimate of the largest motion in the image from one state to another, pixels.
 
-    It looks at points of the standing world ``PROBE_DISTANCE`` ahead, in the middle and the corners of the image, and at the links in
-    the field of view.
+    It considers points of the static world at ``PROBE_DISTANCE``, at the centre, the edges and the corners of the image, and the links in the
+    field of view.
     """
     T_before, T_after = _camera_matrix(camera, earlier), _camera_matrix(camera, later)
     rays, half_angle, focal = _lens(camera)
@@ -110,25 +109,25 @@ def pixel_motion(camera: CameraSpec, earlier: SceneState, later: SceneState) -> 
     after = _in_camera(T_after, np.concatenate([still, later.positions]))
     distance = np.maximum(np.linalg.norm(after, axis=1), 1e-9)
     angles = np.linalg.norm(np.cross(before, after), axis=1) / np.maximum(np.linalg.norm(before, axis=1) * distance, 1e-12)
-    angles[len(still) :] += _turns(earlier, later) * _LINK_RADIUS / np.maximum(distance[len(still) :], _LINK_RADIUS)
+    angles[len(still) :] += _rotations(earlier, later) * _LINK_RADIUS / np.maximum(distance[len(still) :], _LINK_RADIUS)
     cosine = after[:, 2] / distance
     seen = cosine > math.cos(half_angle)
     seen[: len(still)] = True
     seen[len(still) :] &= np.asarray([link != camera.link for link in later.links], dtype=bool)
-    # The same angle is more pixels towards the corners of a pinhole's image.
+    # The same angle spans more pixels towards the corners of a pinhole's image.
     stretch = np.clip(cosine, math.cos(half_angle), 1.0) ** -2 if camera.projection == "pinhole" else 1.0
     return float(np.max(angles * stretch, initial=0.0, where=seen)) * focal
 
 
-def _turns(earlier: SceneState, later: SceneState) -> NDArray[np.float64]:
-    """Returns how far each link has turned, radians, (N,)."""
+def _rotations(earlier: SceneState, later: SceneState) -> NDArray[np.float64]:
+    """Returns the rotation angle of each link, (N,), radians."""
     dots = np.abs(np.sum(earlier.quats_xyzw * later.quats_xyzw, axis=1))
-    # The rounding of a dot product just below 1 would count as a turn.
+    # A dot product just below 1 because of rounding would count as a rotation.
     return np.where(dots > 1.0 - 1e-12, 0.0, 2.0 * np.arccos(np.minimum(dots, 1.0)))
 
 
 def _camera_matrix(camera: CameraSpec, state: SceneState) -> Mat4:
-    """Returns T_world_camera; a camera on a link that the state lacks stands still, and drawing will refuse it."""
+    """Returns T_world_optical; a camera whose link the state lacks does not move, and drawing will refuse it."""
     pose = matrix_from_pose(camera.pose)
     if camera.link not in state.links:
         return pose
@@ -141,12 +140,13 @@ def _camera_matrix(camera: CameraSpec, state: SceneState) -> Mat4:
 
 
 def _in_camera(T_world_camera: Mat4, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns world points (N, 3) in the optical frame, metres."""
     moved: NDArray[np.float64] = (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
     return moved
 
 
 def _lens(camera: CameraSpec) -> tuple[NDArray[np.float64], float, float]:
-    """Returns unit rays (N, 3) through the middle and towards the edges, the angle from the axis to the farthest, and pixels a radian."""
+    """Returns unit rays (N, 3) through centre, edges and corners, the largest angle from the axis, radians, and the focal length, pixels."""
     k = camera.intrinsics()
     focal = max(float(k[0, 0]), float(k[1, 1]))
     if camera.projection == "pinhole":

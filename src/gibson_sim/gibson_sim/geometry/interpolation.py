@@ -1,4 +1,4 @@
-"""Scene states between two others: positions and velocities linearly, orientations along the shortest turn."""
+"""Interpolates scene states: positions and velocities linearly, orientations along the shortest rotation."""
 
 from __future__ import annotations
 
@@ -9,36 +9,41 @@ from gibson_sim.errors import SceneMismatchError
 from gibson_sim.types import SceneState
 
 _SMALL_ANGLE = 1e-6
-"""Radians between two quaternions below which the arc and its chord are the same to the last digit."""
+"""Angle between two quaternions below which arc and chord are equal in double precision, radians."""
 
 
 def slerp(earlier: ArrayLike, later: ArrayLike, fraction: float) -> NDArray[np.float64]:
-    """Returns unit quaternions (x, y, z, w) that turn at a constant rate, by the shortest way, from one to the other.
+    """Returns unit quaternions (x, y, z, w), (..., 4), on the shortest rotation at constant rate from one to the other.
 
     Args:
         earlier: (..., 4), unit quaternions.
         later: (..., 4), unit quaternions.
-        fraction: 0 = earlier, 1 = later; outside of [0, 1] the turning goes on at the same rate.
+        fraction: 0 = earlier, 1 = later; beyond [0, 1] the rotation is extrapolated.
     """
     a = np.asarray(earlier, dtype=np.float64)
     b = np.asarray(later, dtype=np.float64)
     b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0.0, -b, b)
-    # The arc tangent keeps its digits at small angles, where the arc cosine of the dot product has none.
+    # The arc tangent is precise at small angles, where the arc cosine of the dot product is not.
     angle = 2.0 * np.arctan2(np.linalg.norm(b - a, axis=-1, keepdims=True), np.linalg.norm(b + a, axis=-1, keepdims=True))
     small = angle < _SMALL_ANGLE
     sine = np.where(small, 1.0, np.sin(angle))
     weight_a = np.where(small, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / sine)
     weight_b = np.where(small, fraction, np.sin(fraction * angle) / sine)
     mixed = weight_a * a + weight_b * b
-    turned: NDArray[np.float64] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
-    return turned
+    out: NDArray[np.float64] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+    return out
 
 
 def interpolate_states(earlier: SceneState, later: SceneState, fraction: float) -> SceneState:
-    """Returns the state at ``fraction`` of the time from one state to another, for all links at once.
+    """Returns the state at a fraction of the time from one state to another.
 
-    At 0 and 1 it returns the given states themselves. Outside of [0, 1] everything moves on as it did in between: a camera whose
-    exposure begins a little before ``earlier`` needs that.
+    At 0 and 1 it returns the given states themselves. Beyond [0, 1] the motion is extrapolated, for cameras whose exposure begins a little
+    before ``earlier``.
+
+    Args:
+        earlier: the state at 0.
+        later: the state at 1, of the same scene and revision.
+        fraction: of the time between them.
 
     Raises:
         SceneMismatchError: the states are not of the same scene and revision.

@@ -1,4 +1,4 @@
-"""How far what is meant to be level is out of level: one measure for whoever checks, mends or fuses."""
+"""Finds the direction across the level surfaces of a mesh, for checking, repairing and fusing scenes."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from gibson_sim.geometry.patches import Patches
 F64 = NDArray[np.float64]
 
 _CONE_DEG = (25.0, 8.0, 4.0, 2.0)
-"""Pieces whose direction is this near to what is taken for up decide, round after round."""
+"""Largest angles between the estimate of up and the patches that improve it, round by round."""
 _MODE_DEG = 0.4
-"""Pieces are as one direction within about this: a ramp beside a level floor must not be averaged with it."""
+"""Width of the kernel about the most frequent direction: a ramp beside a level floor must not be averaged with it."""
 _ALIKE_DEG, _ALIKE = 0.7, 0.3
-"""Where so much of what is about level lies across one direction so nearly, it alone decides."""
+"""Angle about the most frequent direction, and the share of the roughly level area within it from which on it alone decides."""
 _LEAST = 0.02
-"""Of the whole surface: less is chance."""
+"""Least share of the whole surface for the same; a smaller one may be chance."""
 _FACING = math.cos(math.radians(30.0))
-"""Normals of single triangles of a scan scatter."""
+"""Least cosine between up and the normals of triangles of level surfaces, which scatter in scans."""
 _LAYER = 0.15
-"""Of the area in the fullest layer: one with less is no floor, no ceiling, no table."""
+"""Least area of a layer as a share of that of the fullest; a smaller one is no floor, ceiling or table."""
 _THIN = (0.2, 0.1, 0.05)
-"""Half the thickness of a layer, in edges of a cube, round after round; but at least ``_BUMPS``."""
+"""Half thickness of a layer, edges of a cube, round by round; at least ``_BUMPS``."""
 _BUMPS = 3.0
-"""Standard deviations of the bumps of what is level."""
+"""Least half thickness of a layer, standard deviations of the roughness of level surfaces."""
 _ROUNDS = 8
 _MEDIAN = 1.4826
-"""Standard deviation against the median of what is normally distributed."""
+"""Standard deviation of a normal distribution divided by the median absolute deviation."""
 _NARROW = 1.0
-"""A surface that is not wider than this many cubes in both directions says nothing: a ledge, a beam."""
+"""Least width of a level surface in both directions, cubes: a ledge or a beam is narrower."""
 
 
 def level_direction(patches: Patches, up: F64) -> tuple[F64, float]:
-    """Returns the direction across all level surfaces near ``up``, unit length, and the part of the whole surface that it rests on.
+    """Returns the direction across all level surfaces near ``up``, a unit vector (3,), and the share of the whole surface that is level.
 
-    Floors at several heights, stages and tables count each for themselves: no plane is laid through two of them. Where nothing level is
-    near, ``up`` itself comes back, and 0.
+    Floors at several heights, stages and tables are fitted separately, each about its own centre. Without level surfaces the result is
+    ``up`` itself and 0.
 
     Args:
-        patches: of a mesh.
-        up: unit vector, roughly up.
+        patches: patches of a mesh.
+        up: (3,), unit vector, roughly up, in the frame of the mesh.
     """
     found = np.asarray(up, dtype=np.float64)
     total = max(float(patches.weights.sum()), 1.0)
@@ -63,7 +63,7 @@ def level_direction(patches: Patches, up: F64) -> tuple[F64, float]:
 
 
 def _densest(patches: Patches, near: NDArray[np.bool_], up: F64) -> F64:
-    """Returns the direction, (3,), that most of the pieces ``near`` the direction ``up`` lie across."""
+    """Returns the most frequent direction (3,) of the patches ``near`` (P,), which are roughly across ``up``."""
     aligned = patches.directions[near] * np.sign(patches.directions[near] @ up)[:, None]
     width = 1.0 - math.cos(math.radians(_MODE_DEG))
     kernel = np.exp((np.minimum(aligned @ aligned.T, 1.0) - 1.0) / width)
@@ -76,10 +76,10 @@ def _densest(patches: Patches, near: NDArray[np.bool_], up: F64) -> F64:
 
 
 def _through_layers(patches: Patches, near: NDArray[np.bool_], up: F64, area: float) -> tuple[F64, float]:
-    """Returns the direction across the layers that the pieces ``near`` lie in, each about its own middle, and ``area``."""
+    """Returns the direction across the layers of the patches ``near`` (P,), each fitted about its own centre, and ``area``."""
     on = near[patches.cube]
     faces = np.abs(patches.normals @ up) > _FACING
-    # Specks of a soup face anywhere: then the pieces alone say what is level.
+    # The triangles of a soup face anywhere; the patches alone then decide what is level.
     on = on & faces if (on & faces).sum() > 0.5 * on.sum() else on
     points = patches.points[on]
     bumps = _MEDIAN * float(
@@ -97,21 +97,21 @@ def _through_layers(patches: Patches, near: NDArray[np.bool_], up: F64, area: fl
         counts = np.bincount(number)
         means = np.stack([np.bincount(number, points[kept, k]) for k in range(3)], axis=1) / np.maximum(counts, 1)[:, None]
         offsets = points[kept] - means[number]
-        # What stands on a floor is in its layer, too, at the foot: it must not pull.
+        # The feet of things on a floor lie in its layer too, but must not affect it.
         across = np.abs(offsets @ found)
         close = across <= max(_BUMPS * _MEDIAN * float(np.median(across)), 1e-9 * patches.size)
         values, vectors = np.linalg.eigh(offsets[close].T @ offsets[close] / max(int(close.sum()), 1))
         if values[1] < (_NARROW * patches.size) ** 2:
             return up, area
-        turned = vectors[:, 0] * (1.0 if float(vectors[:, 0] @ up) >= 0 else -1.0)
-        if float(turned @ up) < math.cos(math.radians(_CONE_DEG[-1])):
+        normal = vectors[:, 0] * (1.0 if float(vectors[:, 0] @ up) >= 0 else -1.0)
+        if float(normal @ up) < math.cos(math.radians(_CONE_DEG[-1])):
             return up, area
-        found = turned
+        found = normal
     return found, area
 
 
 def _layers(heights: F64, half: float) -> NDArray[np.int64]:
-    """Returns the layer of each height, (N,); -1 of those in none. Layers are the fullest ones, and ``half`` thick to either side."""
+    """Returns the number of the layer of each height, (N,), -1 = none; the fullest layers are ``half`` thick to either side."""
     low = float(heights.min())
     bins = np.floor((heights - low) / half).astype(np.int64)
     sums = np.bincount(bins, minlength=int(bins.max()) + 2).astype(np.float64)

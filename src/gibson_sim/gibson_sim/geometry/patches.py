@@ -1,7 +1,7 @@
-"""The flat pieces that a mesh consists of: points spread over its triangles, and a plane through those of each small cube.
+"""The flat patches of a mesh: points spread over its triangles, and a plane through the points in each small cube.
 
-What counts is where surface is, not how it was cut into triangles: a floor of two triangles, one of a million bumpy ones and a soup of
-specks that face anywhere give the same pieces.
+Patches depend on the surface, not on its triangulation: a floor of two triangles, one of a million bumpy triangles and a soup of triangles
+that face anywhere give the same patches.
 """
 
 from __future__ import annotations
@@ -17,67 +17,69 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 POINTS = 40_000
-"""Points that stand for a mesh."""
-_POINTS_EACH = 25.0
-"""Points in a cube, on average over the points."""
-_FEWEST = 8
-"""Points that a plane is laid through."""
+"""Points on a mesh."""
+_POINTS_PER_CUBE = 25.0
+"""Points in the cube of a point, on average over all points."""
+_MIN_POINTS = 8
+"""Least number of points of a plane."""
 _FLAT = 0.08
-"""Variance across a flat piece, against the lesser one along it."""
+"""Largest variance across a flat patch, relative to the smaller variance along it."""
 _ROUNDS = 4
+"""Adjustments of the size of the cubes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Points on a mesh, and the flat pieces that they lie on. All lengths are in the unit of the mesh."""
+    """Points on a mesh and their flat patches, in the frame and unit of the mesh."""
 
     points: F64
-    """(N, 3), spread evenly: each square metre has as many."""
+    """(N, 3), of uniform density."""
     normals: F64
-    """(N, 3), unit length: of the triangles that the points lie on."""
+    """(N, 3), unit normals of the triangles of the points."""
     cube: I64
-    """(N,), the row below of each point."""
+    """(N,), the cube of each point: a row of the following arrays."""
     centres: F64
-    """(P, 3), of the points in each cube."""
+    """(P, 3), centroids of the points in each cube."""
     directions: F64
-    """(P, 3), unit length, across the piece; the sign means nothing."""
+    """(P, 3), unit vectors across the patches, of arbitrary sign."""
     weights: F64
-    """(P,), points on the piece; 0 where the cube's points are on no plane."""
+    """(P,), number of points of each patch; 0 = the points of the cube lie on no plane."""
     size: float
     """Edge of a cube."""
 
 
 def flat_patches(vertices: F64, triangles: NDArray[np.integer], rng: np.random.Generator, count: int = POINTS) -> Patches | None:
-    """Returns the flat pieces of a mesh; None if its triangles have no area.
+    """Returns the flat patches of a mesh; None if its triangles have no area.
 
     Args:
         vertices: (V, 3).
         triangles: (F, 3), rows of ``vertices``.
-        rng: decides where the points lie.
-        count: of the points.
+        rng: source of randomness for the points.
+        count: number of points.
     """
     corners = np.asarray(vertices, dtype=np.float64)[triangles]
     points, which = spread_over(corners, count, rng)
     if not len(points):
         return None
-    return _pieces(points, unit_normals(corners[which]), np.eye(3))
+    return _patches(points, unit_normals(corners[which]), np.eye(3))
 
 
 def in_other_cubes(patches: Patches, rotation: F64) -> Patches:
-    """Returns the flat pieces of the same points in the cubes of a grid that is turned, (3, 3); the frame stays that of the mesh."""
-    return _pieces(patches.points, patches.normals, rotation)
+    """Returns the patches of the same points, still in the frame of the mesh, in the cubes of a grid rotated by ``rotation`` (3, 3)."""
+    return _patches(patches.points, patches.normals, rotation)
 
 
-def _pieces(points: F64, normals: F64, rotation: F64) -> Patches:
-    turned = points @ rotation
-    size = max(float(np.ptp(turned, axis=0).max()) / 30.0, 1e-12)
+def _patches(points: F64, normals: F64, rotation: F64) -> Patches:
+    """Returns the patches of points (N, 3) with normals (N, 3) in the cubes of a rotated grid."""
+    in_grid = points @ rotation
+    size = max(float(np.ptp(in_grid, axis=0).max()) / 30.0, 1e-12)
     for _ in range(_ROUNDS):
-        cube, numbers = _cubes(turned, size)
+        cube, numbers = _cubes(in_grid, size)
         mean = float((numbers.astype(np.float64) ** 2).sum() / numbers.sum())
-        if 0.9 < mean / _POINTS_EACH < 1.1:
+        if 0.9 < mean / _POINTS_PER_CUBE < 1.1:
             break
-        size *= (_POINTS_EACH / mean) ** 0.5
-    cube, numbers = _cubes(turned, size)
+        size *= (_POINTS_PER_CUBE / mean) ** 0.5
+    cube, numbers = _cubes(in_grid, size)
     centres = np.stack([np.bincount(cube, points[:, k]) for k in range(3)], axis=1) / numbers[:, None]
     offsets = points - centres[cube]
     spread = np.empty((len(numbers), 3, 3))
@@ -85,12 +87,12 @@ def _pieces(points: F64, normals: F64, rotation: F64) -> Patches:
         for j in range(i, 3):
             spread[:, i, j] = spread[:, j, i] = np.bincount(cube, offsets[:, i] * offsets[:, j]) / numbers
     values, vectors = np.linalg.eigh(spread)
-    flat = (numbers >= _FEWEST) & (values[:, 1] > 0.0) & (values[:, 0] < _FLAT * values[:, 1])
+    flat = (numbers >= _MIN_POINTS) & (values[:, 1] > 0.0) & (values[:, 0] < _FLAT * values[:, 1])
     return Patches(points, normals, cube, centres, vectors[:, :, 0], np.where(flat, numbers, 0).astype(np.float64), size)
 
 
 def _cubes(points: F64, size: float) -> tuple[I64, I64]:
-    """Returns the number of the cube of each point, (N,), and the points in each cube."""
+    """Returns the number of the cube of each point, (N,), and the number of points in each cube, (P,)."""
     cells = np.floor(points / size).astype(np.int64)
     cells -= cells.min(axis=0)
     sides = cells.max(axis=0) + 1

@@ -1,11 +1,11 @@
-"""Cameras: optical frame (x right, y down, z forward, metres) to pixels and back; pixel centres are at whole numbers.
+"""Camera models: from the optical frame (x right, y down, z forward, metres) to pixels and back; pixel centres are at whole numbers.
 
 pinhole
-    ``K`` takes (x / z, y / z), bent by plumb_bob or rational_polynomial, to pixels.
+    ``K`` maps (x / z, y / z), distorted by plumb_bob or rational_polynomial, to pixels.
 fisheye
-    ``K`` takes the direction in the image times the angle from the axis, bent by equidistant, to pixels.
+    ``K`` maps the unit direction in the image times the angle from the axis, distorted by equidistant, to pixels.
 equirectangular
-    ``K`` takes (longitude, -latitude) to pixels: longitude 0 is the z axis, in the middle of the image, and grows to the right, to
+    ``K`` maps (longitude, -latitude) to pixels: longitude 0 is the z axis, in the middle of the image, and grows to the right, to
     pi at the right edge; latitude grows upwards (-y), to pi / 2 at the top edge. Square pixels have ``width = 2 height``.
 
 The depth of a pinhole camera is along its axis, that of the others is the distance from the camera's centre.
@@ -16,24 +16,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gibson_sim.geometry.distortion import bend, distort, unbend, undistort
+from gibson_sim.geometry.distortion import distort, distort_angle, undistort, undistort_angle
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.types import CameraSpec
 
 _ANGLE_EPSILON = 1e-9
-"""Radians by which rounding may push a ray beyond the field of view."""
+"""Tolerance of the field of view for rounding errors, radians."""
 
 
 def project(points: ArrayLike, camera: CameraSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Projects points to the image, which they may miss.
+    """Projects points to the image plane, also beyond the edges of the image.
 
     Args:
         points: (N, 3), optical frame, metres.
-        camera: its optics and size.
+        camera: the camera.
 
     Returns:
-        (u, v), (N, 2), pixels, NaN for points that the camera cannot see in any direction (at or behind a pinhole's plane, outside
-        a fisheye's ``fov``, where the distortion ends); and their depth, (N,), metres.
+        (u, v), (N, 2), pixels, NaN for points without a projection (at or behind a pinhole's plane, outside a fisheye's ``fov``, beyond
+        the valid radius of the distortion); and their depth, (N,), metres.
     """
     p = np.asarray(points, dtype=np.float64)
     x, y, z = p[:, 0], p[:, 1], p[:, 2]
@@ -48,7 +48,7 @@ def project(points: ArrayLike, camera: CameraSpec) -> tuple[NDArray[np.float64],
     across = np.hypot(x, y)
     if camera.projection == "fisheye":
         theta = np.arctan2(across, z)
-        radius = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, bend(theta, camera.distortion), np.nan)
+        radius = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, distort_angle(theta, camera.distortion), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = p[:, :2] * np.where(across > 0.0, radius / across, np.where(radius == 0.0, 0.0, np.nan))[:, None]
     else:
@@ -58,7 +58,7 @@ def project(points: ArrayLike, camera: CameraSpec) -> tuple[NDArray[np.float64],
 
 
 def unproject(pixels: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
-    """Returns the points at depth 1, (..., 3), optical frame, that pixels (..., 2) show; NaN where the camera sees nothing."""
+    """Returns the points at depth 1, (..., 3), optical frame, of pixels (..., 2); NaN for pixels that see nothing."""
     uv = np.asarray(pixels, dtype=np.float64)
     k = camera.intrinsics()
     py = (uv[..., 1] - k[1, 2]) / k[1, 1]
@@ -69,7 +69,7 @@ def unproject(pixels: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
         return np.stack([px, py, np.where(np.isnan(px), np.nan, 1.0)], axis=-1)
     if camera.projection == "fisheye":
         radius = np.hypot(px, py)
-        theta = unbend(radius, camera.distortion)
+        theta = undistort_angle(radius, camera.distortion)
         theta = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, theta, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             across = np.where(radius > 0.0, np.sin(theta) / radius, 1.0)
@@ -81,26 +81,32 @@ def unproject(pixels: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
 
 
 def rays(camera: CameraSpec) -> NDArray[np.float64]:
-    """Returns the point at depth 1 that each pixel shows, (H, W, 3), optical frame; NaN where the camera sees nothing.
+    """Returns the point at depth 1 of each pixel, (H, W, 3), optical frame; NaN for pixels that see nothing.
 
-    Unit vectors of fisheye and equirectangular cameras; z is 1 for pinhole cameras.
+    They are unit vectors for fisheye and equirectangular cameras; z is 1 for pinhole cameras.
     """
     v, u = np.mgrid[: camera.height, : camera.width]
     return unproject(np.stack([u, v], axis=-1), camera)
 
 
 def back_project(depth: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
-    """Returns the points, (H, W, 3), optical frame, metres, of a depth image (H, W) of the camera; +inf gives NaN."""
+    """Returns the points of a depth image (H, W), metres, in the optical frame, (H, W, 3), metres; NaN where the depth is not finite."""
     d = np.asarray(depth, dtype=np.float64)
     return rays(camera) * np.where(np.isfinite(d), d, np.nan)[..., None]
 
 
 def clip_from_optical(intrinsics: ArrayLike, width: int, height: int, near: float) -> Mat4:
-    """Returns the (4, 4) matrix from a pinhole's optical frame to clip coordinates, in which x / w and y / w in [-1, 1] is the image.
+    """Returns the matrix (4, 4) from a pinhole's optical frame to clip coordinates; the image is x / w and y / w in [-1, 1].
 
-    y / w = -1 is the image's top edge, so whoever draws bottom-up, as OpenGL does, gets row 0 = top in memory. z / w is
-    ``near / depth``: 1 at the near plane, 0 infinitely far, which keeps precision where floats have it. Pixel centres at whole
-    numbers put the image's left edge at u = -0.5.
+    y / w = -1 is the top edge of the image: OpenGL, whose row 0 is at the bottom, then writes the top row first. z / w is
+    ``near / depth``, 1 at the near plane and 0 at infinity, which suits the precision of floats. Pixel centres are at whole numbers, so the
+    left edge of the image is at u = -0.5.
+
+    Args:
+        intrinsics: K, (3, 3), pixels.
+        width: of the image, pixels.
+        height: of the image, pixels.
+        near: distance of the near plane, metres.
     """
     k = np.asarray(intrinsics, dtype=np.float64)
     to_clip = np.array([[2.0 / width, 0.0, 1.0 / width - 1.0], [0.0, 2.0 / height, 1.0 / height - 1.0]])
@@ -112,6 +118,9 @@ def clip_from_optical(intrinsics: ArrayLike, width: int, height: int, near: floa
 
 
 def frustum_planes(intrinsics: ArrayLike, width: int, height: int, near: float) -> NDArray[np.float64]:
-    """Returns the planes left, right, top, bottom and near, (5, 4): x is seen where ``planes @ (x, 1) >= 0`` for all of them."""
+    """Returns the planes left, right, top, bottom and near, (5, 4): x (optical frame, metres) is inside if ``planes @ (x, 1) >= 0`` for all.
+
+    The arguments are those of ``clip_from_optical``.
+    """
     x, y, z, w = clip_from_optical(intrinsics, width, height, near)
     return np.stack([w + x, w - x, w + y, w - y, w - z])

@@ -12,10 +12,11 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 ROUNDING = 1e-6
-"""Cells: what is nearer than this to a border lies on it."""
+"""Distance from a border at which a point lies on it, cells."""
 _FAR = 1e9
-"""Cells: what is farther off counts as there."""
+"""Largest coordinate; larger ones are clipped to it, cells."""
 _PAIRS_AT_ONCE = 200_000
+"""Pairs of a triangle and a row or cell that are processed together, which limits memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +32,9 @@ class Grid:
 
     @staticmethod
     def around(points: ArrayLike, resolution: float) -> Grid:
-        """Returns the grid about points (N, 2), with one cell of rim so that outdoors is connected.
+        """Returns the grid about points (N, 2), metres, with a rim of one cell, so that outdoors is connected.
 
-        Its borders are whole multiples of the cell, so that grids of one scene line up.
+        Its borders are whole multiples of the cell, so that the grids of one scene are aligned.
         """
         box = np.asarray(points, dtype=np.float64)
         first = np.floor(box.min(axis=0) / resolution + ROUNDING) - 1
@@ -41,19 +42,19 @@ class Grid:
         return Grid(resolution, (float(first[0] * resolution), float(first[1] * resolution)), (height, width))
 
     def cover(self, polygons: F64) -> Bools:
-        """Returns (H, W): every cell that a convex polygon (P, K, 2), world metres, shares more than its rim with."""
+        """Returns (H, W): every cell that shares more than its rim with one of the convex polygons (P, K, 2), world metres."""
         return rasterise((polygons - np.asarray(self.origin)) / self.resolution, self.shape)
 
     def heights(self, corners: F64, chosen: np.ufunc) -> F64:
-        """Returns (H, W): the highest or lowest point of triangles over the centre of each cell; -inf or +inf where there are none.
+        """Returns (H, W): the highest or lowest height of triangles at the centre of each cell, metres; -inf or +inf where there are none.
 
         Args:
-            corners: (F, 3, 3), world metres; none of them upright.
+            corners: (F, 3, 3), world metres; none of them vertical.
             chosen: ``np.maximum`` or ``np.minimum``.
         """
         rows, columns = self.shape
         out = np.full(rows * columns, -np.inf if chosen is np.maximum else np.inf)
-        # In cells, centres at whole numbers.
+        # In cells, with centres at whole numbers.
         flat = (corners[:, :, :2] - np.asarray(self.origin)) / self.resolution - 0.5
         first = np.maximum(np.ceil(flat.min(axis=1) - ROUNDING), 0).astype(np.int64)
         last = np.minimum(np.floor(flat.max(axis=1) + ROUNDING), [columns - 1, rows - 1]).astype(np.int64)
@@ -71,7 +72,7 @@ class Grid:
 
 
 def clip_to_slab(corners: F64, low: float, high: float) -> F64:
-    """Returns the parts of triangles (F, 3, 3) between two heights, seen from above: closed polygons (F, 9, 2), corners repeated."""
+    """Returns the parts of triangles (F, 3, 3) between two heights as polygons (P, 9, 2) seen from above; unused corners repeat others."""
     if not len(corners):
         return np.zeros((0, 9, 2))
     slots, valid = [], []
@@ -80,7 +81,7 @@ def clip_to_slab(corners: F64, low: float, high: float) -> F64:
         za, zb = a[:, 2], b[:, 2]
         slots.append(a[:, :2])
         valid.append((za >= low) & (za <= high))
-        # In the order in which the edge passes them.
+        # In the order in which the edge crosses them.
         up = (zb > za)[:, None]
         near, far = np.where(up[:, 0], low, high), np.where(up[:, 0], high, low)
         for z in (near, far):
@@ -98,7 +99,7 @@ def clip_to_slab(corners: F64, low: float, high: float) -> F64:
 
 
 def rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
-    """Returns (H, W): every cell that a convex polygon (P, K, 2), in cells, shares more than its rim with."""
+    """Returns (H, W): every cell that shares more than its rim with one of the convex polygons (P, K, 2), in cells."""
     grid = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
     if not len(polygons):
         return np.zeros(shape, dtype=bool)
@@ -125,7 +126,7 @@ def _cell_range(low: F64, high: F64, size: int) -> tuple[I64, I64]:
 
 
 def _clipped(cells: F64, size: int) -> I64:
-    """Returns numbers of cells, those beyond a border at it; what is not finite, at the first."""
+    """Returns numbers of cells clipped to the grid; values that are not finite become the first cell."""
     return np.clip(np.nan_to_num(cells, nan=0.0, posinf=0.0, neginf=0.0), 0, size - 1).astype(np.int64)
 
 
@@ -148,7 +149,7 @@ def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
 
 
 def _over(z: F64, triangles: F64, points: I64) -> tuple[F64, Bools]:
-    """Returns the heights (N,) of triangles (N, 3, 2) with corners at z (N, 3) over points (N, 2), and which of these lie in them."""
+    """Returns the heights (N,) at points (N, 2) of triangles (N, 3, 2) with heights z (N, 3), and whether each point is inside (N,)."""
     a, b, c = (triangles[:, k] for k in range(3))
     ab, ac, to = b - a, c - a, points - a
     whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]

@@ -1,7 +1,7 @@
 """Rigid transforms as (4, 4) matrices, poses and unit quaternions ``(x, y, z, w)``.
 
-``T_a_b`` takes homogeneous column vectors in frame b to frame a. Roll, pitch and yaw are URDF's and SDF's: rotations about the
-fixed axes x, y, z in that order, so ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+``T_a_b`` takes homogeneous column vectors in frame b to frame a. Roll, pitch and yaw are those of URDF and SDF: rotations about the fixed
+axes x, y, z in that order, ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Mat3 = NDArray[np.float64]
 Mat4 = NDArray[np.float64]
 
 R_LINK_OPTICAL: Mat3 = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Optical axes (x right, y down, z forward) in a link with x forward, y left, z up (REP 103)."""
+"""R_link_optical: from optical axes (x right, y down, z forward) to those of a link with x forward, y left, z up (REP 103)."""
 
 
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
@@ -35,7 +35,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
 
 
 def yaw_from_quat(quat_xyzw: ArrayLike) -> float:
-    """Returns the heading of the rotated x axis in the x-y plane, radians in (-pi, pi]."""
+    """Returns the yaw of a unit quaternion (4,), the heading of its x axis in the x-y plane, radians in (-pi, pi]."""
     x, y, z, w = (float(c) for c in np.asarray(quat_xyzw, dtype=np.float64))
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -52,14 +52,14 @@ def matrix_from_quat(quat_xyzw: ArrayLike) -> NDArray[np.float64]:
 
 
 def camera_pose(eye: Vec3, look_at: Vec3) -> Pose:
-    """Returns T_world_optical of a level camera: x to the right, y down, z towards what it looks at.
+    """Returns T_world_optical of a camera without roll that looks at a point.
 
     Args:
-        eye: where it is, metres.
-        look_at: a point in the middle of its image, metres; not the eye itself, nor straight above or below it.
+        eye: position of the camera, world metres.
+        look_at: point at the centre of its image, world metres; neither the eye itself nor straight above or below it.
 
     Raises:
-        ConfigError: no level camera looks there.
+        ConfigError: no camera without roll looks at the point.
     """
     forward = np.subtract(look_at, eye).astype(np.float64)
     right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -69,8 +69,8 @@ def camera_pose(eye: Vec3, look_at: Vec3) -> Pose:
     return Pose(eye, quat_from_matrix(np.stack([right, np.cross(forward, right), forward], axis=1)))
 
 
-def turned(quat_xyzw: Quat, vector: Vec3) -> Vec3:
-    """Returns a vector turned by a unit quaternion, in plain floats: for one, a tenth of the time that arrays take."""
+def rotated(quat_xyzw: Quat, vector: Vec3) -> Vec3:
+    """Returns a vector rotated by a unit quaternion, in plain floats, which takes a tenth of the time of arrays for one vector."""
     x, y, z, w = quat_xyzw
     a, b, c = vector
     u, v, t = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -104,7 +104,7 @@ def pose_from_xyz_rpy(xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) 
 
 
 def matrix_from_pose(pose: Pose) -> Mat4:
-    """Returns T_parent_child, shape (4, 4)."""
+    """Returns T_parent_child, shape (4, 4), of a pose in its parent frame."""
     matrix = np.eye(4)
     matrix[:3, :3] = matrix_from_quat(pose.quat_xyzw)
     matrix[:3, 3] = pose.position

@@ -1,4 +1,4 @@
-"""Welding, sampling and measuring triangle meshes, and simplifying them with meshoptimizer. Knows no file format."""
+"""Welds, measures, smooths and simplifies triangle meshes, the last with meshoptimizer. Knows no file format."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ I64 = NDArray[np.int64]
 _ERROR_IN_METRES = 4
 """meshopt_SimplifyErrorAbsolute."""
 _PRUNE = 8
-"""meshopt_SimplifyPrune: specks smaller than the error go."""
+"""meshopt_SimplifyPrune: removes parts smaller than the error."""
 _NO_LIMIT = 1000.0
-"""Metres."""
+"""Error without effect, metres."""
 _ROUNDS = 10
+"""Rounds of smoothing."""
 _NEAREST = (4, 64)
+"""Sample points whose triangles a point is compared with, at first, and if it is doubtful."""
 _DOUBTFUL = 0.02
-"""Metres: points that seem farther off are compared with more triangles."""
+"""Distance above which a point is doubtful, metres."""
 _AT_ONCE = 20_000
+"""Points that are processed together, which limits memory."""
 
 
 def weld(vertices: ArrayLike, triangles: ArrayLike) -> tuple[F64, I64]:
-    """Returns the mesh (V, 3), (F, 3) with one vertex where several lay at the same place, and without degenerate triangles."""
+    """Returns the mesh, vertices (V, 3) and triangles (F, 3), with coincident vertices merged and without degenerate triangles."""
     points = np.ascontiguousarray(np.asarray(vertices, dtype=np.float32).reshape(-1, 3) + np.float32(0.0))
     corners = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     corners = corners[np.isfinite(points[corners]).all(axis=(1, 2))]
@@ -45,13 +48,13 @@ def weld(vertices: ArrayLike, triangles: ArrayLike) -> tuple[F64, I64]:
 
 
 def compact(vertices: F64, triangles: I64) -> tuple[F64, I64]:
-    """Returns the mesh without the vertices that no triangle uses."""
+    """Returns the mesh, vertices (V, 3) and triangles (F, 3), without the vertices that no triangle uses."""
     used, corners = np.unique(triangles, return_inverse=True)
     return vertices[used], corners.reshape(-1, 3).astype(np.int64)
 
 
 def components(triangles: NDArray[np.integer], vertex_count: int) -> I64:
-    """Returns (F,): the number of the connected part of each triangle; parts that share a vertex are one."""
+    """Returns (F,): the number of the connected component of each triangle (F, 3); triangles with a common vertex are connected."""
     if not len(triangles):
         return np.zeros(0, dtype=np.int64)
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
@@ -60,15 +63,21 @@ def components(triangles: NDArray[np.integer], vertex_count: int) -> I64:
 
 
 def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 500.0) -> F64:
-    """Returns metres from points (N, 3) to triangles (F, 3, 3), (N,); never too small, and exact for nearly all points.
+    """Returns the distances (N,) of points (N, 3) from triangles (F, 3, 3), metres; never too small, and exact for nearly all points.
 
-    Each point is compared with the triangles of the nearest of ``density`` sample points for each square metre.
+    Each point is compared with the triangles of the nearest sample points.
+
+    Args:
+        points: (N, 3), metres.
+        corners: (F, 3, 3), metres.
+        rng: source of randomness for the sample points.
+        density: sample points per square metre.
     """
     if not len(corners):
         return np.full(len(points), np.inf)
     count = int(np.clip(areas_of(corners).sum() * density, 10_000, 300_000))
     around, owner = spread_over(corners, count, rng)
-    # Triangles too small to be sampled count too.
+    # Triangles too small for a sample are represented by their centroids.
     around = np.concatenate([around, corners.mean(axis=1)])
     owner = np.concatenate([owner, np.arange(len(corners))])
     tree = cKDTree(around)
@@ -85,14 +94,14 @@ def distances(points: F64, corners: F64, rng: np.random.Generator, density: floa
 
 
 def smooth(vertices: F64, triangles: I64, fixed: Bools, farthest: float) -> F64:
-    """Returns the vertices (V, 3) with the noise of a scan taken out, each moved by at most ``farthest`` metres.
+    """Returns the vertices (V, 3) of a scan without its noise, each moved by at most ``farthest`` metres.
 
-    Smoothing back and forth keeps the size of things: Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
+    Alternating signs keep the size of things: Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
 
     Args:
-        vertices: (V, 3), welded.
-        triangles: (F, 3).
-        fixed: (V,), vertices that stay.
+        vertices: (V, 3), welded, metres.
+        triangles: (F, 3), rows of ``vertices``.
+        fixed: (V,), vertices that must not move.
         farthest: metres.
     """
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -111,12 +120,12 @@ def smooth(vertices: F64, triangles: I64, fixed: Bools, farthest: float) -> F64:
 
 
 def simplify(vertices: F64, triangles: I64, error: float, fixed: Bools) -> tuple[F64, I64]:
-    """Returns a mesh with fewer triangles that lies within about ``error`` (metres) of the given one, whose corners are some of its.
+    """Returns a mesh with fewer triangles, between some of the same vertices, at about ``error`` metres from the given one.
 
     Args:
-        vertices: (V, 3), welded.
-        triangles: (F, 3).
-        error: metres; meshoptimizer's measure is a mean over the planes that met, so measure what came out.
+        vertices: (V, 3), welded, metres.
+        triangles: (F, 3), rows of ``vertices``.
+        error: metres; meshoptimizer's measure is a mean over adjacent planes, so the result must be measured.
         fixed: (V,), vertices that must stay.
 
     Raises:
@@ -128,14 +137,14 @@ def simplify(vertices: F64, triangles: I64, error: float, fixed: Bools) -> tuple
 def simplified_triangles(
     vertices: NDArray[Any], triangles: NDArray[Any], *, error: float = _NO_LIMIT, least: int = 0, fixed: Bools | None = None
 ) -> I64:
-    """Returns fewer triangles, (F, 3), between the same vertices, most of which are then in none.
+    """Returns fewer triangles (F, 3) between the same vertices, most of which are then unused.
 
     Args:
-        vertices: (V, 3), welded.
-        triangles: (F, 3).
+        vertices: (V, 3), welded, metres.
+        triangles: (F, 3), rows of ``vertices``.
         error: metres, as for ``simplify``.
-        least: it stops at about so many triangles.
-        fixed: (V,), vertices that must stay; None = none must.
+        least: number of triangles at which it stops, approximately.
+        fixed: (V,), vertices that must stay; None = none.
 
     Raises:
         MeshError: meshoptimizer is not installed.
@@ -155,13 +164,14 @@ def simplified_triangles(
 
 
 def _simplifier() -> Callable[..., int]:
+    """Returns meshoptimizer's function with its C types."""
     try:
         from meshoptimizer.simplifier import lib
     except ImportError as error:
         raise MeshError(
             f"scans are simplified with meshoptimizer, which cannot be loaded ({error}); pip install meshoptimizer"
         ) from error
-    # The package's own wrapper declares no types, so sizes beyond the sixth argument arrive with garbage in their upper half.
+    # The package's wrapper declares no types, so that sizes after the sixth argument have garbage in their upper half.
     size, pointer = ctypes.c_size_t, ctypes.c_void_p
     function: Callable[..., int] = ctypes.CFUNCTYPE(
         size, pointer, pointer, size, pointer, size, size, pointer, size, pointer, size, pointer, size, ctypes.c_float,
@@ -171,7 +181,7 @@ def _simplifier() -> Callable[..., int]:
 
 
 def _to_triangle(points: F64, corners: F64) -> F64:
-    """Returns metres from points (N, 3) to one triangle each, (N, 3, 3)."""
+    """Returns the distances (N,) of points (N, 3) from one triangle each, (N, 3, 3), metres."""
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)
     square = np.einsum("ij,ij->i", normal, normal)

@@ -9,19 +9,19 @@ F64 = NDArray[np.float64]
 
 
 def areas_of(corners: F64) -> F64:
-    """Returns the areas (F,) of triangles (F, 3, 3); square metres where these are in metres."""
+    """Returns the areas (F,) of triangles (F, 3, 3), square metres for corners in metres."""
     return np.asarray(np.linalg.norm(_crosses(corners), axis=1) / 2)
 
 
 def unit_normals(corners: F64) -> F64:
-    """Returns the normals (F, 3) of triangles (F, 3, 3), on the side that sees their corners counter-clockwise; 0 of those without an area."""
+    """Returns the unit normals (F, 3) of triangles (F, 3, 3), on the side from which the corners are counter-clockwise; 0 without area."""
     crosses = _crosses(corners)
     lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
     return np.asarray(np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0))
 
 
 def spread_over(corners: F64, count: int, rng: np.random.Generator) -> tuple[F64, NDArray[np.int64]]:
-    """Returns ``count`` points (N, 3), evenly spread over triangles (F, 3, 3), and the triangle of each, (N,); none if nothing has an area."""
+    """Returns ``count`` random points (N, 3) of uniform density on triangles (F, 3, 3), and the triangle of each (N,); none without area."""
     areas = areas_of(corners)
     if not areas.sum() > 0:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)

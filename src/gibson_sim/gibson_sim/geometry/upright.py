@@ -1,9 +1,9 @@
-"""Which way is up in a mesh of an interior, of whatever it is made and however it is turned.
+"""Estimates the up direction of a mesh of an interior in any orientation.
 
-Up is sought among the directions that flat pieces lie across, over the whole sphere. Cues weigh these: buildings are wider than high,
-free space reaches from floor to ceiling, things stand on the floor and leave the ceiling free, tables are seen from above, nothing is
-beneath the lowest floor. The weights are a logistic regression on 283 scans, models and parts of both, each cue in one of two classes:
-even ones are the same for up and down, odd ones have opposite signs. ``tests/benchmarks/upright.py`` measures what comes of them.
+Candidates are the directions across flat patches, over the whole sphere. Cues rank them: buildings are wider than high, free space reaches
+from floor to ceiling, things stand on the floor and leave the ceiling free, tables are seen from above, nothing is below the lowest floor.
+The weights come from a logistic regression on 283 scans, models and parts of both. Even cues are equal for up and down, odd cues have
+opposite signs. ``tests/benchmarks/upright.py`` measures the accuracy.
 """
 
 from __future__ import annotations
@@ -22,49 +22,58 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 CUES = ("flat", "gaps", "facing", "clutter", "bounds", "outside")
-"""Names of the columns of ``cues``. The first two say which axis is vertical, the others which end of it is up."""
+"""Names of the cues. The first two decide which axis is vertical, the others which of its ends is up."""
 WEIGHTS = (4.6, 4.2, 2.1, 4.7, 6.2, 2.2)
-"""Logarithm of the odds that a unit of each cue is worth."""
+"""Change of the log-odds for a unit of each cue."""
 _DIRECTIONS = 3000
+"""Directions of the half sphere at which the density of patches is evaluated."""
 _KERNEL_DEG, _PEAK_DEG, _APART_DEG = 5.0, 8.0, 25.0
+"""Width of the kernel of the density, radius of a peak, and least angle between two peaks."""
 _FAINT = 0.03
-"""Of the strongest direction: a weaker one is none."""
-_MOST = 10
+"""Least density of a peak relative to the highest one."""
+_MAX_AXES = 10
 _LEVEL = math.cos(math.radians(12.0))
+"""Least cosine between an axis and the directions of level patches."""
 _FACES = 0.9
+"""Least cosine between an axis and the normals of triangles that face along it."""
 _STRUCTURE = 0.03
-"""Of the whole surface: planes with more are floors, ceilings, walls; the rest is clutter."""
+"""Least share of the whole surface of a plane that is a floor, ceiling or wall; the rest is clutter."""
 _LARGE = 0.3
-"""Of the largest level plane: planes with more count as floors and ceilings."""
+"""Least area of a floor or ceiling relative to the largest level plane."""
 _LITTLE = 0.03
-"""Of the whole surface: less clutter than this says little."""
+"""Share of clutter in the whole surface at which its cues have half their weight."""
 _GAP = 0.25
-"""Of the height: free columns that are longer count."""
+"""Least length of a free column relative to the height of the mesh."""
 _SAMPLES = 8
 """Grids of cubes over which cues are averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A direction that may be up."""
+class UpCandidate:
+    """A candidate for the up direction."""
 
     up: tuple[float, float, float]
-    """Unit vector, frame of the mesh, exactly across what is level then."""
+    """Unit vector across the surfaces that are level if this is up, frame of the mesh."""
     area: float
-    """Part of the whole surface that is level then."""
+    """Share of the whole surface that is level if this is up."""
     cues: tuple[float, ...]
-    """As ``CUES`` names them."""
+    """Values of ``CUES``."""
     chance: float
-    """Against the other candidates, 0 to 1, by the cues alone."""
+    """Probability among the candidates by the cues alone, 0 to 1."""
 
 
-def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> list[Candidate]:
-    """Returns the directions that may be up, the likeliest first; none where nothing is flat."""
+def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> list[UpCandidate]:
+    """Returns the candidates for up, the most probable first; none if the mesh has no flat patch.
+
+    Args:
+        patches: patches of the mesh.
+        weights: weight of each of ``CUES``.
+    """
     axes = _axes(patches)
     if not axes:
         return []
-    # How cubes happen to lie on furniture decides nothing once many lie in many ways.
-    samples = [patches, *(in_other_cubes(patches, turn) for turn in _turns(_SAMPLES - 1))]
+    # Averaging over many rotated grids cancels the effect of how the cubes lie on furniture.
+    samples = [patches, *(in_other_cubes(patches, rotation) for rotation in _rotations(_SAMPLES - 1))]
     structures = [_structure(sample, axes) for sample in samples]
     found = []
     for axis in axes:
@@ -79,20 +88,20 @@ def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> lis
     chances = np.exp(scores - scores.max())
     chances /= chances.sum()
     return [
-        Candidate((float(up[0]), float(up[1]), float(up[2])), area, tuple(float(c) for c in cues), float(chances[k]))
+        UpCandidate((float(up[0]), float(up[1]), float(up[2])), area, tuple(float(c) for c in cues), float(chances[k]))
         for k, (up, area, cues) in sorted(enumerate(found), key=lambda item: -chances[item[0]])
     ]
 
 
-def _turns(count: int) -> list[F64]:
-    """Returns rotations, (3, 3), the same ones each time."""
+def _rotations(count: int) -> list[F64]:
+    """Returns fixed pseudorandom rotations, (3, 3) each."""
     rng = np.random.default_rng(0)
-    turns = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(count)]
-    return [turn * np.sign(np.linalg.det(turn)) for turn in turns]
+    orthogonal = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(count)]
+    return [matrix * np.sign(np.linalg.det(matrix)) for matrix in orthogonal]
 
 
 def _axes(patches: Patches) -> list[F64]:
-    """Returns the directions, of one half of the sphere, that many pieces lie across."""
+    """Returns the directions across many patches, unit vectors (3,), one of each pair of opposite ones."""
     normals, weights = patches.directions, patches.weights
     if not weights.sum() > 0:
         return []
@@ -101,7 +110,7 @@ def _axes(patches: Patches) -> list[F64]:
     density = np.exp((alike - 1.0) / (1.0 - math.cos(math.radians(_KERNEL_DEG)))) @ weights
     least = _FAINT * float(density.max())
     found: list[F64] = []
-    while len(found) < _MOST and density.max() > least:
+    while len(found) < _MAX_AXES and density.max() > least:
         axis = half[int(density.argmax())]
         for _ in range(5):
             near = np.abs(normals @ axis) > math.cos(math.radians(_PEAK_DEG))
@@ -116,7 +125,7 @@ def _axes(patches: Patches) -> list[F64]:
 
 
 def _half_sphere(count: int) -> F64:
-    """Returns unit vectors, (count, 3), spread evenly over one half of the sphere."""
+    """Returns unit vectors (count, 3) of uniform density on one half of the sphere."""
     k = np.arange(count) + 0.5
     z = k / count
     angle, radius = np.pi * (1.0 + math.sqrt(5.0)) * k, np.sqrt(1.0 - z * z)
@@ -124,7 +133,7 @@ def _half_sphere(count: int) -> F64:
 
 
 def _structure(patches: Patches, axes: Sequence[F64]) -> Bools:
-    """Returns which pieces, (P,), lie in large planes: floors, walls, ceilings."""
+    """Returns (P,): whether each patch lies in a large plane: a floor, a wall, a ceiling."""
     out = np.zeros(len(patches.centres), dtype=bool)
     for axis in axes:
         across = np.abs(patches.directions @ axis) > _LEVEL
@@ -132,13 +141,13 @@ def _structure(patches: Patches, axes: Sequence[F64]) -> Bools:
         for height, area in _planes(heights[across], patches.weights[across], patches.size):
             if area > _STRUCTURE * patches.weights.sum():
                 near = np.abs(heights - height) < patches.size
-                # Cubes in corners of the room hold pieces of two planes, and so none of their own.
+                # Cubes in corners of a room hold parts of two planes, and therefore have no patch.
                 out |= near & (across | (patches.weights == 0))
     return out
 
 
 def _planes(heights: F64, weights: F64, size: float) -> list[tuple[float, float]]:
-    """Returns height and area of the planes that parallel pieces lie in, from the lowest."""
+    """Returns height and area of the planes of parallel patches, from the lowest; heights and weights: (N,)."""
     if not len(heights):
         return []
     step = 0.5 * size
@@ -150,7 +159,7 @@ def _planes(heights: F64, weights: F64, size: float) -> list[tuple[float, float]
 
 
 def _cues(patches: Patches, axis: F64, structure: Bools) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Returns the cues of an axis, and those of its end; the other end has the opposite ones."""
+    """Returns the even cues of an axis and the odd ones of its positive end; those of the other end are the negatives."""
     level = np.abs(patches.directions @ axis) > _LEVEL
     heights = patches.points @ axis
     low, high = (float(h) for h in np.percentile(heights, (0.3, 99.7)))
@@ -176,9 +185,9 @@ def _cues(patches: Patches, axis: F64, structure: Bools) -> tuple[tuple[float, .
 
 
 def _bounds(patches: Patches, axis: F64, sides: F64, heights: F64, level_structure: Bools, least: float) -> tuple[float, float]:
-    """Returns the parts of all columns that are free and end in a floor or ceiling at their lower and at their upper end, 0 to 1.
+    """Returns the shares of free columns that end in a floor or ceiling at their lower and at their upper end, 0 to 1.
 
-    What stands on a floor shortens them from below.
+    Things on a floor shorten columns from below.
     """
     edge = 1.5 * patches.size
     cells = np.floor(np.column_stack([patches.points @ sides.T, heights]) / edge).astype(np.int64)
@@ -190,13 +199,13 @@ def _bounds(patches: Patches, axis: F64, sides: F64, heights: F64, level_structu
     solid = np.bincount(inverse, level_structure[patches.cube]) / np.bincount(inverse) > 0.3
     column, row = full // counts[2], full % counts[2]
     free = (column[1:] == column[:-1]) & ((row[1:] - row[:-1]) * edge > least)
-    # Without a ceiling there are few such columns, beneath tables and shelves, and they say nothing.
+    # Without a ceiling there are few such columns, below tables and shelves, which are no evidence.
     every = max(int(free.sum()), len(np.unique(column)))
     return float(solid[:-1][free].sum()) / every, float(solid[1:][free].sum()) / every
 
 
 def _hanging(heights: F64, floors: Sequence[float], low: float, high: float) -> float:
-    """Returns how much nearer clutter is to what is level beneath it than to what is above: 0.5 at the floor, -0.5 at the ceiling."""
+    """Returns the mean position of clutter between the level planes below and above it: 0.5 at the floor, -0.5 at the ceiling."""
     if not len(heights) or high <= low:
         return 0.0
     levels = np.unique([low, *floors, high])
@@ -210,7 +219,7 @@ def _hanging(heights: F64, floors: Sequence[float], low: float, high: float) -> 
 
 
 def _outside(heights: F64, floors: Sequence[tuple[float, float]], size: float) -> float:
-    """Returns how much more lies above the level planes than beneath them, -1 to 1."""
+    """Returns the balance of the surface above and below the level planes: 1 = all above, -1 = all below."""
     total = sum(area for _, area in floors)
     if not total > 0:
         return 0.0

@@ -1,4 +1,4 @@
-"""The movable things of a scene where they stand at load: what they take up, and how they look."""
+"""The bodies of a scene where they stand at load: their collision shapes as triangles, and their visuals."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ Triangles = tuple[F64, NDArray[np.int32]]
 
 
 def body_triangles(scene: SceneSpec) -> Triangles:
-    """Returns vertices (V, 3), world frame, metres, and triangles (F, 3) of the collision shapes of all bodies; meshes as their hulls."""
+    """Returns vertices (V, 3), world metres, and triangles (F, 3) of the collision shapes of all bodies; convex hulls for meshes."""
     shapes = [c.shape for body in scene.bodies for link in body.model.links for c in link.collisions]
-    # Whoever loaded the bodies has checked each path already.
+    # The loader of the bodies has checked each path already.
     loader = MeshLoader(mesh_folders(shapes), textures=False)
     known: dict[Shape, Triangles] = {}
     parts: list[Triangles] = []
     for body in scene.bodies:
-        places = link_transforms(body)
+        T_world_links = link_transforms(body)
         for link in body.model.links:
             for collision in link.collisions:
                 if collision.shape not in known:
-                    known[collision.shape] = _solid(loader, collision.shape)
+                    known[collision.shape] = _shape_triangles(loader, collision.shape)
                 vertices, triangles = known[collision.shape]
-                parts.append((transform_points(places[link.name] @ matrix_from_pose(collision.pose), vertices), triangles))
+                parts.append((transform_points(T_world_links[link.name] @ matrix_from_pose(collision.pose), vertices), triangles))
     return merge(parts)
 
 
 def still_visuals(scene: SceneSpec) -> tuple[VisualSpec, ...]:
-    """Returns everything that is drawn but robots, bodies where they stand at load, as if all were part of the building."""
+    """Returns all visuals but those of robots, fixed to the world; those of bodies are where they stand at load."""
     out = list(scene.visuals)
     for body in scene.bodies:
-        places = link_transforms(body)
+        T_world_links = link_transforms(body)
         for visual in body.visuals:
             link = visual.link.removeprefix(f"{body.name}/")
-            out.append(replace(visual, link="", pose=pose_from_matrix(places[link] @ matrix_from_pose(visual.pose))))
+            out.append(replace(visual, link="", pose=pose_from_matrix(T_world_links[link] @ matrix_from_pose(visual.pose))))
     return tuple(out)
 
 
@@ -57,12 +57,12 @@ def link_transforms(body: BodySpec) -> dict[str, Mat4]:
     out = {body.model.root: matrix_from_pose(body.start)}
     for link in body.model.links[1:]:
         joint = by_child[link.name]
-        out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose) @ _moved(joint, positions.get(joint.name, 0.0))
+        out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose) @ _joint_motion(joint, positions.get(joint.name, 0.0))
     return out
 
 
-def _moved(joint: UrdfJoint, position: float) -> Mat4:
-    """Returns the motion (4, 4) of a joint's child at a position, radians or metres."""
+def _joint_motion(joint: UrdfJoint, position: float) -> Mat4:
+    """Returns the transform (4, 4) from a joint's child to where the child is at position 0, for a position in radians or metres."""
     out = np.eye(4)
     axis = np.asarray(joint.axis, dtype=np.float64)
     if joint.kind == "prismatic":
@@ -73,15 +73,16 @@ def _moved(joint: UrdfJoint, position: float) -> Mat4:
     return out
 
 
-def _solid(loader: MeshLoader, shape: Shape) -> Triangles:
+def _shape_triangles(loader: MeshLoader, shape: Shape) -> Triangles:
+    """Returns a shape in its own frame; a mesh as its convex hull, whose triangles face outwards."""
     vertices, triangles = loader.shape(shape).merged()
     if shape.kind != "mesh":
         return vertices, triangles
     try:
         hull = ConvexHull(vertices)
-    except (QhullError, ValueError):  # flat, or hardly any corners
+    except (QhullError, ValueError):  # flat, or too few corners
         return vertices, triangles
-    # Qhull gives the corners of a triangle in any order, but its outward normal too.
+    # Qhull returns the corners of a triangle in either order, and its outward normal.
     a, b, c = (vertices[hull.simplices[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     return vertices, np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Writes floor maps to files: for Nav2's map server, in the layout of Gibson's scenes, and as pictures to look at."""
+"""Writes floor maps to files: for Nav2's map server, in the layout of Gibson's scenes, and as coloured images."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from gibson_sim.writing import write_file
 Bytes = NDArray[np.uint8]
 
 OCCUPIED, UNKNOWN, FREE = 0, 205, 254
-"""Grey values that Nav2's map server writes and reads in its mode "trinary"."""
+"""Grey values of Nav2's map server in its mode "trinary"."""
 FLOORS = "floors.txt"
-"""File with the heights of all floors, as Gibson's scenes have it."""
+"""File with the heights of all floors, metres, in the layout of Gibson's scenes."""
 GIBSON_RESOLUTION = 0.01
-"""Metres for each pixel of ``floor_trav_N.png``."""
-_MOST_PIXELS = 12_000
+"""Size of a pixel of ``floor_trav_N.png``, metres."""
+_MAX_PIXELS = 12_000
+"""Largest width and height of ``floor_trav_N.png``."""
 _COLOURS = {"unknown": (236, 239, 241), "occupied": (38, 50, 56), "free": (200, 230, 201), "near": (255, 224, 130)}
 
 
@@ -38,7 +39,7 @@ def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
     picture[floor.occupied] = OCCUPIED
     picture[floor.free] = FREE
     image, description = path.with_name(f"{path.name}.pgm"), path.with_name(f"{path.name}.yaml")
-    # Row 0 of the picture is the highest y.
+    # Row 0 of the image is at the highest y.
     rows, columns = floor.shape
     write_file(image, f"P5\n{columns} {rows}\n255\n".encode() + np.ascontiguousarray(picture[::-1]).tobytes())
     meta = {
@@ -55,9 +56,9 @@ def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
 
 
 def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, ...]:
-    """Writes ``floor_trav_N.png`` (255 = free) of every floor and ``floors.txt`` (heights), and returns their paths.
+    """Writes ``floor_trav_N.png`` (255 = free) for every floor and ``floors.txt`` (heights), and returns their paths.
 
-    A pixel is 1 cm; the middle of the square picture is the world's origin; rows go along y, columns along x.
+    A pixel is 1 cm; the centre of the square image is the origin of the world; rows go along +y, columns along +x.
 
     Raises:
         SceneError: a file cannot be written, or a floor lies farther than 60 m from the origin.
@@ -72,16 +73,16 @@ def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, .
 
 
 def write_picture(floor: FloorMap, path: Path, radius: float, *, pixels: int = 3) -> None:
-    """Writes a PNG to look at: green where a robot's centre can be, yellow where it would touch something, dark obstacles.
+    """Writes a coloured PNG: green where a robot's centre can be, yellow where the robot would touch something, dark obstacles.
 
     Args:
         floor: the map.
         path: the PNG.
-        radius: of the robot, metres.
-        pixels: edge of a cell.
+        radius: radius of the robot, metres.
+        pixels: edge of a cell, pixels.
 
     Raises:
-        SceneError: it cannot be written.
+        SceneError: the file cannot be written.
     """
     picture = np.empty((*floor.shape, 3), dtype=np.uint8)
     picture[:] = _COLOURS["unknown"]
@@ -93,16 +94,16 @@ def write_picture(floor: FloorMap, path: Path, radius: float, *, pixels: int = 3
 
 
 def _gibson_picture(floor: FloorMap) -> Bytes:
-    """Returns the square picture of a floor, (N, N) uint8."""
+    """Returns the square image of a floor, (N, N) uint8, 255 = free."""
     rows, columns = floor.shape
     x, y = floor.origin
     half = max(abs(x), abs(y), abs(x + columns * floor.resolution), abs(y + rows * floor.resolution))
     size = 2 * int(np.ceil(half / GIBSON_RESOLUTION - 1e-6))
-    if size > _MOST_PIXELS:
+    if size > _MAX_PIXELS:
         raise SceneError(
             f"the floor reaches {half:.0f} m from the origin, its map would have {size} pixels; must be at most 60 m"
         )
-    # The middle of each pixel, looked up: rows and columns have the same coordinates.
+    # Centres of the pixels, metres: the same along rows and columns.
     middles = (np.arange(size) + 0.5 - size / 2) * GIBSON_RESOLUTION
     across = np.floor((middles - x) / floor.resolution).astype(np.int64)
     along = np.floor((middles - y) / floor.resolution).astype(np.int64)
@@ -112,6 +113,7 @@ def _gibson_picture(floor: FloorMap) -> Bytes:
 
 
 def _png(picture: Bytes) -> bytes:
+    """Returns an image (H, W) or (H, W, 3), BGR, as PNG."""
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not done:
         raise SceneError(f"a picture of {picture.shape} cannot be encoded")

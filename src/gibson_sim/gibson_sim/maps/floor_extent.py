@@ -1,4 +1,4 @@
-"""How far a floor reaches, for views of all of it."""
+"""The extent of a floor, for views that show all of it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from gibson_sim.scenes.spec import DrawnScene, SceneSpec
 from gibson_sim.scenes.views import FloorExtent
 
 _WALLS = (0.5, 2.1)
-"""Metres above the floor: what stands there bounds it. Lawns and pavements outside do not count."""
+"""Heights above the floor, metres, between which things bound it; lawns and pavements outside lie below."""
+_ALL = (-0.1, _WALLS[1])
+"""The same for floors without walls."""
 
 
 def extent_of_scene(scene: SceneSpec) -> FloorExtent:
-    """Returns the extent of the floor that robots start on: of the rooms that the scene names there, else of what stands on it.
+    """Returns the extent of the floor that robots start on, world metres: that of its named rooms, else that of everything on it.
 
     Raises:
         SceneError: there is nothing at this height.
@@ -36,11 +38,11 @@ def extent_of_scene(scene: SceneSpec) -> FloorExtent:
 
 
 def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequence[Path] | None = None) -> FloorExtent:
-    """Returns the extent of what stands on the floor of a scene of which nothing but its visuals is known.
+    """Returns the extent of everything on the floor of a scene, world metres, from its visuals alone.
 
     Args:
-        scene: its files must be on this machine.
-        floor_z: height of the floor, metres; None = where most of what faces up lies in the lowest metre.
+        scene: the scene, whose files must be on this machine.
+        floor_z: height of the floor, world metres; None = estimated by ``estimate_floor``.
         roots: folders that meshes must lie in; None = the folders of the meshes.
 
     Raises:
@@ -58,18 +60,18 @@ def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequ
 
 
 def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: float) -> FloorExtent:
-    """Returns the extent of what stands on a floor; of the floor itself where nothing does.
+    """Returns the extent of everything on a floor, world metres; that of the floor itself if nothing is on it.
 
     Args:
-        vertices: (V, 3), world frame, metres.
-        triangles: (F, 3).
-        floor_z: height of the floor, metres.
+        vertices: (V, 3), world metres.
+        triangles: (F, 3), rows of ``vertices``.
+        floor_z: height of the floor, world metres.
 
     Raises:
         SceneError: there is nothing at this height.
     """
     corners = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)[np.asarray(triangles, dtype=np.int64).reshape(-1, 3)]
-    for low, high in (_WALLS, (-0.1, _WALLS[1])):
+    for low, high in (_WALLS, _ALL):
         inside = clip_to_slab(corners, floor_z + low, floor_z + high).reshape(-1, 2)
         if len(inside):
             return _extent(inside, floor_z)
@@ -77,5 +79,6 @@ def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: floa
 
 
 def _extent(points: NDArray[np.float64], z: float) -> FloorExtent:
+    """Returns the bounding rectangle of points (N, 2), world metres."""
     (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return FloorExtent((x0, y0), (x1, y1), z)

@@ -1,6 +1,8 @@
-"""Where on a floor a robot can stand: an occupancy grid made from collision triangles. Knows no ROS and no physics engine.
+"""The occupancy grid of a floor: where a robot can stand, made from collision triangles. Knows no ROS and no physics engine.
 
-Cells are square; row 0 is at the lowest y, column 0 at the lowest x, as in ``nav_msgs/OccupancyGrid``.
+Cells are square; row 0 is at the lowest y, column 0 at the lowest x, as in ``nav_msgs/OccupancyGrid``. A cell is occupied where something
+touches it between the floor and the robot's height, or where it lies inside a solid that stands on the floor: the triangles of a wardrobe
+are its faces alone.
 """
 
 from __future__ import annotations
@@ -8,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -24,87 +26,49 @@ from gibson_sim.scenes.spec import SceneSpec
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-
-_FLAT = 0.9
-"""Undersides and floors face down and up to within this cosine."""
-_STEEP = 0.05
-"""What is steeper than the angle of this cosine neither covers nor bears anything."""
-_MOST_COVERED = 0.9
-"""Part of a floor that things stand on; where more faces down, the faces themselves are wrong."""
-_TIE = 0.002
-"""Metres: an underside that lies no lower below a floor than this stands on it."""
-
-
-def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: float, *, ground_plane: bool = False) -> Bools:
-    """Returns (H, W): cells whose centre has an underside at the height of the floor, and above it first the top of something.
-
-    A room has its ceiling above it, which faces down, and a table's underside lies higher. Meshes whose faces are turned, or doubled,
-    have as much floor that faces down as up: nothing is said of these.
-
-    Args:
-        corners: (F, 3, 3), triangles, counter-clockwise seen from outside, world frame, metres.
-        grid: the cells.
-        floor_z: height of the floor, world metres.
-        low: what is lower is no part of it.
-        high: nor is what is higher.
-        ground_plane: there is a floor everywhere, although no triangle says so.
-    """
-    bottoms, tops = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
-    at_floor = (bottoms >= low) & (tops <= high)
-    facing = unit_normals(corners)[:, 2]
-    down, up = corners[at_floor & (facing < -_FLAT)], corners[at_floor & (facing > _LEVEL)]
-    down = down[down[:, :, 2].max(axis=1) >= floor_z - _TIE]
-    floor_area = max(_area(up), 0.5 * grid.resolution**2 * grid.shape[0] * grid.shape[1] if ground_plane else 0.0)
-    if not len(down) or _area(down) > _MOST_COVERED * floor_area:
-        return np.zeros(grid.shape, dtype=bool)
-    underside = grid.heights(down, np.maximum)
-    standing = underside > -np.inf
-    # Elsewhere nobody asks what is above.
-    first, last = (np.asarray(grid.origin) + end * grid.resolution for end in _rim(standing))
-    over = (corners[:, :, :2].max(axis=1) > first).all(axis=1) & (corners[:, :, :2].min(axis=1) < last).all(axis=1)
-    above = over & (bottoms > high)
-    roof = grid.heights(corners[above & (facing < -_STEEP)], np.minimum)
-    top = grid.heights(corners[above & (facing > _STEEP)], np.minimum)
-    return np.asarray(standing & (underside >= grid.heights(up, np.maximum) - _TIE) & (top < roof))
-
-
-def _area(corners: F64) -> float:
-    """Returns the area of triangles (F, 3, 3) seen from above, square metres."""
-    a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
-    return float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
-
-
-def _rim(cells: Bools) -> tuple[I64, I64]:
-    """Returns the first and last column and row, (2,) each, of the rectangle about cells."""
-    found = np.argwhere(cells)[:, ::-1]
-    return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else (np.zeros(2, np.int64), np.zeros(2, np.int64))
-
-
+T = TypeVar("T", bound=np.generic)
 logger = logging.getLogger(__name__)
 
-
 FLOOR_CLEARANCE = 0.03
-"""What rises less than this above the floor is driven over, metres: thresholds, carpets, the bumps of a scan."""
+"""Height above the floor below which robots drive over things, metres: thresholds, carpets, the bumps of a scan."""
 FLOOR_TOLERANCE = 0.10
-"""A level surface this near to the floor's height is floor, metres."""
+"""Largest distance of a level surface from the floor's height at which it is floor, metres."""
 _LEVEL = math.cos(math.radians(20.0))
+"""Least cosine between the normal of a floor and the vertical."""
+MIN_GROUND_SHARE = 0.2
+"""Share of the cells with floor below which the ground plane is the floor everywhere."""
+
 _MAX_CELLS = 4_000_000
 """100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
-_COARSE = 0.3
-"""Cells, metres, larger than which no robot finds its way: a quarter as many are as good, and take a quarter of the time."""
 _MAX_SIDE = 20_000
-"""Cells of a row or a column: things in a line, kilometres apart, would take gigabytes."""
-_CERTAIN = 2000.0
-"""Distances, half cells, below which single precision tells the squares of all from each other."""
+"""Cells of a row or column: things in a line, kilometres apart, would take gigabytes."""
+_COARSE = 0.3
+"""Cell size, metres, above which no robot finds a path: a quarter of the cells then serve as well in a quarter of the time."""
+_EXACT_BELOW = 2000.0
+"""Distance, half cells, below which single precision holds all squares of distances exactly."""
+
 _CEILING = (1.8, 6.0)
-"""Metres above the floor: what is level and between these is a ceiling."""
+"""Heights above the floor between which a level surface is a ceiling, metres."""
 _CEILING_WIDTH = 0.6
-"""Metres: what is narrower is none."""
+"""Least width of a ceiling, metres: lintels, tops of walls and lamps are narrower."""
 _CEILING_LEVEL = math.cos(math.radians(50.0))
+"""Least cosine between the normal of a ceiling and the vertical."""
+
 _OPEN_SHARE = 0.2
-"""A region that ends in nothing along more than this part of its rim is outdoors: lawns, terraces."""
+"""Share of its rim along which a region must end in nothing to be outdoors, as lawns and terraces do."""
 _ROOM_AREA = 1.0
-"""Square metres: a smaller region is no room."""
+"""Least area of a room, square metres."""
+_YARD_WEIGHT = 0.02
+"""Weight of area without a ceiling where the scene has ceilings."""
+
+_FLAT = 0.9
+"""Least cosine between the vertical and the normal of an underside that stands on the floor."""
+_STEEP = 0.05
+"""Least cosine between the vertical and the normal of a surface that covers or bears something."""
+_MAX_COVERED = 0.9
+"""Share of the floor that things can stand on; if more faces down, the faces themselves are wrong."""
+_TIE = 0.002
+"""Largest distance of an underside below a floor that it stands on, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +80,9 @@ class FloorMap:
     origin: tuple[float, float]
     """World x, y of the lower left corner of cell [0, 0], metres."""
     occupied: Bools
-    """(H, W): something stands here between the floor and the robot's height."""
+    """(H, W): something is here between the floor and the robot's height."""
     floor: Bools
-    """(H, W): there is floor to stand on. What is neither occupied nor floor is unknown."""
+    """(H, W): there is floor to stand on. A cell that is neither occupied nor floor is unknown."""
     covered: Bools | None = None
     """(H, W): a ceiling is above; None = not known."""
     floor_z: float = 0.0
@@ -134,7 +98,7 @@ class FloorMap:
         object.__setattr__(self, "distance_to_obstacle", _distance_to_blocked(~self.free, self.resolution))
 
     def furnished(self, vertices: F64, triangles: NDArray[np.integer[Any]], robot_height: float) -> FloorMap:
-        """Returns the map with things on its floor: cells that a robot ``robot_height`` metres high cannot be in for them are occupied.
+        """Returns the map with things on its floor: cells in which they touch a robot ``robot_height`` metres high are occupied too.
 
         Args:
             vertices: (V, 3), world frame, metres.
@@ -157,39 +121,43 @@ class FloorMap:
         return rows, columns
 
     def cells(self, xy: ArrayLike) -> I64:
-        """Returns row and column, (..., 2), of world points (..., 2); they may lie outside the grid."""
+        """Returns row and column, (..., 2), of world points (..., 2), metres; they may lie outside the grid."""
         points = np.asarray(xy, dtype=np.float64)
         return np.floor((points - self.origin) / self.resolution + ROUNDING).astype(np.int64)[..., ::-1]
 
     def centers(self, cells: ArrayLike) -> F64:
-        """Returns world x, y, (..., 2), of the centres of cells given as row, column, (..., 2)."""
+        """Returns world x, y, (..., 2), metres, of the centres of cells given as row, column, (..., 2)."""
         rows_columns = np.asarray(cells, dtype=np.float64)
         return np.asarray((rows_columns[..., ::-1] + 0.5) * self.resolution + np.asarray(self.origin))
 
     def clearance(self, xy: ArrayLike) -> F64:
-        """Returns ``distance_to_obstacle`` of the cells that hold world points (..., 2); 0 outside the grid."""
+        """Returns (...,): ``distance_to_obstacle``, metres, of the cells that hold world points (..., 2); 0 outside the grid."""
+        return self.look_up(self.distance_to_obstacle, xy, outside=0.0)
+
+    def look_up(self, values: NDArray[T], xy: ArrayLike, *, outside: float | bool) -> NDArray[T]:
+        """Returns (...,): the values (H, W) of the cells that hold world points (..., 2), metres; ``outside`` where there is no cell."""
         cells = self.cells(xy)
         inside = np.asarray(((cells >= 0) & (cells < np.array(self.shape))).all(axis=-1))
         safe = np.where(inside[..., None], cells, 0)
-        return np.where(inside, self.distance_to_obstacle[safe[..., 0], safe[..., 1]], 0.0)
+        return np.where(inside, values[safe[..., 0], safe[..., 1]], values.dtype.type(outside))
 
     def inflate(self, radius: float) -> Bools:
-        """Returns (H, W): cells about any point of which a disc of ``radius`` (metres) lies in free space."""
+        """Returns (H, W): cells in which a disc of ``radius`` (metres) about any point lies in free space."""
         return np.asarray(self.distance_to_obstacle >= radius + self.resolution * math.sqrt(0.5))
 
     def largest_free_region(self, radius: float = 0.0) -> Bools:
-        """Returns (H, W): the largest connected part of the places for a disc of ``radius``; all False if there is none.
+        """Returns (H, W): the largest connected region that has room for a disc of ``radius``, metres; all False if there is none.
 
-        Indoors goes before outdoors, where a part of 1 m^2 or more is indoors: under a ceiling, or closed in by walls. A part is open
-        that touches the rim of the map, or ends in nothing as a lawn does. Where ceilings are known, closed parts without one (yards)
-        count little.
+        Regions indoors, which lie under a ceiling or are enclosed by walls, come before those outdoors if one has 1 m^2 or more. A region
+        is open if it touches the rim of the map, or ends in nothing as a lawn does. Where the scene has ceilings, enclosed regions
+        without one (yards) count little.
         """
         places = self.inflate(radius) if radius > 0 else self.free
         covered = np.zeros(self.shape, dtype=bool) if self.covered is None else self.covered
         labels, count = ndimage.label(places & (covered | ~self._open()))
         has_ceilings = (covered & places).sum() * self.resolution**2 >= _ROOM_AREA
-        worth = np.where(covered, 1.0, 0.02 if has_ceilings else 1.0)
-        areas = np.bincount(labels.ravel(), weights=worth.ravel(), minlength=count + 1) * self.resolution**2
+        weight = np.where(covered, 1.0, _YARD_WEIGHT if has_ceilings else 1.0)
+        areas = np.bincount(labels.ravel(), weights=weight.ravel(), minlength=count + 1) * self.resolution**2
         areas[0] = 0.0
         if areas.max() >= _ROOM_AREA:
             return np.asarray(labels == int(areas.argmax()))
@@ -199,7 +167,7 @@ class FloorMap:
         return np.asarray(labels == 1 + int(np.bincount(labels.ravel())[1:].argmax()))
 
     def _open(self) -> Bools:
-        """Returns (H, W): free cells of regions that are not closed in."""
+        """Returns (H, W): free cells of regions that are not enclosed."""
         unknown, _ = ndimage.label(np.pad(~(self.floor | self.occupied), 1, constant_values=True))
         outside = (unknown == unknown[0, 0])[1:-1, 1:-1]
         labels, count = ndimage.label(self.free)
@@ -214,7 +182,7 @@ class FloorMap:
         return np.asarray(is_open[labels])
 
     def nearest_free(self, xy: tuple[float, float], radius: float = 0.0) -> tuple[float, float] | None:
-        """Returns the centre of the nearest place for a disc of ``radius``, world metres; None if there is none."""
+        """Returns the centre of the nearest cell to ``xy`` that has room for a disc of ``radius``, world metres; None if there is none."""
         cells = np.argwhere(self.inflate(radius) if radius > 0 else self.free)
         if not len(cells):
             return None
@@ -224,12 +192,26 @@ class FloorMap:
 
 
 def scene_floor_map(scene: SceneSpec, *, robot_height: float, resolution: float = 0.05) -> FloorMap:
-    """Returns the floor map of a scene's static collision shapes for a robot ``robot_height`` metres high."""
+    """Returns the map of the floor at ``scene.floor_z``, made from the scene's static collision shapes.
+
+    Args:
+        scene: the scene.
+        robot_height: metres above the floor.
+        resolution: edge of a cell, metres; made coarser, with a warning, if the map would become too large.
+
+    Raises:
+        SceneError: there is nothing at this height.
+    """
     vertices, triangles = collision_triangles(scene)
-    ground = scene.ground_z is not None and abs(scene.ground_z - scene.floor_z) <= FLOOR_TOLERANCE
+    ground = has_ground_at(scene, scene.floor_z)
     return make_floor_map(
         vertices, triangles, floor_z=scene.floor_z, robot_height=robot_height, resolution=resolution, ground_plane=ground
     )
+
+
+def has_ground_at(scene: SceneSpec, floor_z: float) -> bool:
+    """Returns whether the scene's ground plane is the floor at a height, world metres."""
+    return scene.ground_z is not None and abs(scene.ground_z - floor_z) <= FLOOR_TOLERANCE
 
 
 def make_floor_map(
@@ -244,16 +226,15 @@ def make_floor_map(
     """Returns the occupancy grid of a triangle mesh, world frame, z up.
 
     A cell is occupied where any part of a triangle between ``floor_z + FLOOR_CLEARANCE`` and ``floor_z + robot_height`` touches it, and
-    inside of what stands on the floor.
+    inside solids that stand on the floor.
 
     Args:
         vertices: (V, 3), metres.
         triangles: (F, 3), rows of ``vertices``.
-        floor_z: height of the floor, metres.
+        floor_z: height of the floor, world metres.
         robot_height: metres above the floor.
-        resolution: edge of a cell, metres; made coarser, with a warning, where the map would become too large.
-        ground_plane: there is a floor everywhere, also where no triangle is. Where the mesh has a floor of its own, that one
-            decides what is indoors.
+        resolution: edge of a cell, metres; made coarser, with a warning, if the map would become too large.
+        ground_plane: whether there is floor everywhere, also where no triangle is; a floor of the mesh's own takes precedence.
 
     Raises:
         SceneError: there is nothing at this height.
@@ -269,10 +250,10 @@ def make_floor_map(
     grid = grid_about(floors, obstacles, resolution, floor_z, ground_plane)
 
     floor = grid.cover(floors)
-    # Neighbouring floor tiles of a model may leave cracks.
+    # The floor tiles of a model may leave cracks between them.
     floor = np.asarray(ndimage.binary_closing(np.pad(floor, 2), np.ones((3, 3)))[2:-2, 2:-2])
     solid = inside_solids(corners, grid, floor_z, floor_z - FLOOR_TOLERANCE, low, ground_plane=ground_plane)
-    if ground_plane and (floor & ~solid).mean() < 0.2:
+    if ground_plane and (floor & ~solid).mean() < MIN_GROUND_SHARE:
         floor = np.ones(grid.shape, dtype=bool)
     covered = under_ceiling(corners, floor_z, grid)
     return FloorMap(grid.resolution, grid.origin, grid.cover(obstacles) | solid, floor, covered, floor_z)
@@ -282,11 +263,11 @@ def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, g
     """Returns the grid about polygons (P, K, 2) of floors and obstacles, world metres.
 
     Args:
-        floors: may be none.
-        obstacles: may be none.
-        resolution: edge of a cell, metres; made coarser, with a warning, where the grid would become too large.
-        floor_z: for the message.
-        ground_plane: there is a floor also where there are no polygons.
+        floors: P may be 0.
+        obstacles: P may be 0.
+        resolution: edge of a cell, metres; made coarser, with a warning, if the grid would become too large.
+        floor_z: height of the floor for the error message, world metres.
+        ground_plane: whether there is floor also where there are no polygons.
 
     Raises:
         SceneError: there are neither floors nor obstacles nor a ground plane.
@@ -303,7 +284,13 @@ def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, g
 
 
 def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
-    """Returns (H, W): cells below the level ones of triangles (F, 3, 3) at the height of a ceiling."""
+    """Returns (H, W): cells below a ceiling, that is below level triangles at the height of one.
+
+    Args:
+        corners: (F, 3, 3), triangles, world metres.
+        floor_z: height of the floor, world metres.
+        grid: the cells.
+    """
     middle = corners[:, :, 2].mean(axis=1) - floor_z
     near = corners[(middle >= _CEILING[0]) & (middle <= _CEILING[1])]
     level = near[np.abs(unit_normals(near)[:, 2]) >= _CEILING_LEVEL]
@@ -311,13 +298,64 @@ def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
     last = first + grid.resolution * np.array(grid.shape[::-1])
     inside = (level[:, :, :2].max(axis=1) > first).all(axis=1) & (level[:, :, :2].min(axis=1) < last).all(axis=1)
     covered = grid.cover(level[inside][:, :, :2])
-    # Lintels, tops of walls and lamps are no ceilings.
     width = max(1, round(_CEILING_WIDTH / grid.resolution))
     return np.asarray(ndimage.binary_opening(covered, np.ones((width, width))))
 
 
+def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: float, *, ground_plane: bool = False) -> Bools:
+    """Returns (H, W): cells inside solids that stand on the floor.
+
+    The centre of such a cell has an underside at the height of the floor, and the next surface above it faces up: it is the top of the
+    solid. Above the floor of a room the next surface is the ceiling, which faces down; a table's underside lies higher. Meshes with
+    flipped or doubled faces have as much floor that faces down as up; for them the result is empty.
+
+    Args:
+        corners: (F, 3, 3), triangles, counter-clockwise seen from outside, world metres.
+        grid: the cells.
+        floor_z: height of the floor, world metres.
+        low: lower limit of the floor's surfaces, world metres.
+        high: upper limit of the floor's surfaces, world metres.
+        ground_plane: whether there is floor everywhere, also where no triangle is.
+    """
+    bottoms, tops = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
+    at_floor = (bottoms >= low) & (tops <= high)
+    facing = unit_normals(corners)[:, 2]
+    down, up = corners[at_floor & (facing < -_FLAT)], corners[at_floor & (facing > _LEVEL)]
+    down = down[down[:, :, 2].max(axis=1) >= floor_z - _TIE]
+    floor_area = max(_area(up), 0.5 * grid.resolution**2 * grid.shape[0] * grid.shape[1] if ground_plane else 0.0)
+    if not len(down) or _area(down) > _MAX_COVERED * floor_area:
+        return np.zeros(grid.shape, dtype=bool)
+    underside = grid.heights(down, np.maximum)
+    standing = underside > -np.inf
+    # Only triangles above these cells can be a top or a ceiling.
+    first, last = (np.asarray(grid.origin) + end * grid.resolution for end in _bounds(standing))
+    over = (corners[:, :, :2].max(axis=1) > first).all(axis=1) & (corners[:, :, :2].min(axis=1) < last).all(axis=1)
+    above = over & (bottoms > high)
+    roof = grid.heights(corners[above & (facing < -_STEEP)], np.minimum)
+    top = grid.heights(corners[above & (facing > _STEEP)], np.minimum)
+    return np.asarray(standing & (underside >= grid.heights(up, np.maximum) - _TIE) & (top < roof))
+
+
+def _area(corners: F64) -> float:
+    """Returns the area of triangles (F, 3, 3) seen from above, square metres."""
+    a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+    return float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
+
+
+def _bounds(cells: Bools) -> tuple[I64, I64]:
+    """Returns the bounding rectangle of the True cells (H, W): first and last corner as column and row, (2,) each."""
+    found = np.argwhere(cells)[:, ::-1]
+    return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else (np.zeros(2, np.int64), np.zeros(2, np.int64))
+
+
+def _is_floor(corners: F64, floor_z: float) -> Bools:
+    """Returns (F,): which triangles (F, 3, 3) are level and at the height of the floor."""
+    near = (np.abs(corners[:, :, 2] - floor_z) <= FLOOR_TOLERANCE).all(axis=1)
+    return np.asarray(near & (np.abs(unit_normals(corners)[:, 2]) >= _LEVEL))
+
+
 def _affordable(resolution: float, size: F64) -> float:
-    """Returns a cell size for which a map of ``size`` (2,) metres fits into memory."""
+    """Returns a cell size, metres, no finer than ``resolution``, with which a map of ``size`` (2,) metres fits into memory."""
     needed = max(math.sqrt(float(size[0] * size[1]) / _MAX_CELLS), float(size.max()) / _MAX_SIDE)
     if needed <= resolution:
         return resolution
@@ -328,22 +366,16 @@ def _affordable(resolution: float, size: F64) -> float:
     return coarser
 
 
-def _is_floor(corners: F64, floor_z: float) -> Bools:
-    """Returns (F,): triangles (F, 3, 3) that are level and at the height of the floor."""
-    near = (np.abs(corners[:, :, 2] - floor_z) <= FLOOR_TOLERANCE).all(axis=1)
-    return np.asarray(near & (np.abs(unit_normals(corners)[:, 2]) >= _LEVEL))
-
-
 def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:
-    """Returns (H, W): metres from cell centres to the nearest blocked cell or the rim of the map, exact up to a thousand cells."""
+    """Returns (H, W): metres from cell centres to the nearest blocked cell or the rim of the map, exact within a thousand cells."""
     rows, columns = blocked.shape
-    # On a lattice of half cells the nearest point of a square to a cell's centre is always a lattice point.
+    # On a lattice of half cells, the point of a square that is nearest to a cell's centre is always a lattice point.
     lattice = np.zeros((2 * rows + 1, 2 * columns + 1), dtype=bool)
     lattice[0] = lattice[-1] = lattice[:, 0] = lattice[:, -1] = True
     for i in range(3):
         for j in range(3):
             lattice[i : i + 2 * rows - 1 : 2, j : j + 2 * columns - 1 : 2] |= blocked
-    # OpenCV takes a fifth of SciPy's time, in single precision: the squares of smaller distances, whole numbers, are still certain.
+    # OpenCV takes a fifth of SciPy's time but computes in single precision; squares of distances are whole numbers and can be restored.
     distance = cv2.distanceTransform((~lattice).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1::2, 1::2].astype(np.float64)
-    exact = np.where(distance < _CERTAIN, np.sqrt(np.rint(np.square(distance))), distance)
+    exact = np.where(distance < _EXACT_BELOW, np.sqrt(np.rint(np.square(distance))), distance)
     return np.asarray(exact * (resolution / 2), dtype=np.float64)

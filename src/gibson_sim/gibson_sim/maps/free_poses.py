@@ -1,4 +1,4 @@
-"""Free poses that a scene carries, in ``free_poses.csv``: places where a robot touches nothing, for tasks and tests. Pure but for the file."""
+"""Free poses, where a robot touches nothing but the floor: drawn at random on a map, and those of a scene's ``free_poses.csv``."""
 
 from __future__ import annotations
 
@@ -20,6 +20,35 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 from gibson_sim.writing import write_file
 
+FREE_POSES = "free_poses.csv"
+"""File in a scene's folder."""
+COLUMNS = ("floor", "x", "y", "z", "yaw", "room")
+_MAX_BYTES = 16_000_000
+"""Largest size of a file that is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreePose:
+    """A pose on a floor, in the world frame, at which a robot touches nothing but the floor."""
+
+    floor: int
+    """Number of its floor, 0 = the lowest."""
+    x: float
+    """Metres."""
+    y: float
+    """Metres."""
+    z: float
+    """Height of the surface below the robot, metres."""
+    yaw: float
+    """Radians."""
+    room: str = ""
+    """Name of its room; empty = the scene names none there."""
+
+    @property
+    def pose(self) -> Pose:
+        """T_world_base, with the base on the floor."""
+        return pose_from_xyz_rpy((self.x, self.y, self.z), (0.0, 0.0, self.yaw))
+
 
 def random_free_poses(
     floor: FloorMap,
@@ -30,22 +59,22 @@ def random_free_poses(
     spacing: float = 0.0,
     region: NDArray[np.bool_] | None = None,
 ) -> tuple[Pose, ...]:
-    """Returns ``count`` poses (T_world_base) on the floor, evenly spread over it, of any heading; equal generators give equal poses.
+    """Returns random poses (T_world_base) on the floor, uniform over its area and of uniform heading.
 
     Args:
         floor: the map.
-        count: how many.
-        rng: where chance comes from.
-        clearance: metres to the nearest obstacle, at least.
-        spacing: metres between any two of them, at least.
-        region: (H, W), cells that they may lie in; None = ``floor.largest_free_region(clearance)``.
+        count: number of poses.
+        rng: source of randomness; equal generators give equal poses.
+        clearance: least distance to the nearest obstacle, metres.
+        spacing: least distance between two poses, metres.
+        region: (H, W), cells that the poses may lie in; None = ``floor.largest_free_region(clearance)``.
 
     Raises:
-        SceneError: there is not so much room.
+        SceneError: the floor has no room for that number of poses.
     """
     places = floor.inflate(clearance) & (floor.largest_free_region(clearance) if region is None else region)
     cells = np.argwhere(places)
-    # Any point of such a cell keeps the clearance, and there are enough of them even where places are few.
+    # Every point of such a cell keeps the clearance, so that cells can be used several times where they are few.
     drawn = rng.permutation(np.tile(np.arange(len(cells)), max(1, math.ceil(4 * count / max(len(cells), 1)))))
     points = floor.centers(cells[drawn]) + rng.uniform(-0.5, 0.5, (len(drawn), 2)) * floor.resolution
     left = np.ones(len(points), dtype=bool)
@@ -54,7 +83,7 @@ def random_free_poses(
         if not left.any():
             raise SceneError(
                 f"floor at z = {floor.floor_z:g} m: only {len(chosen)} of {count} poses fit with {clearance:g} m to obstacles and "
-                f"{spacing:g} m to each other; ask for fewer, or less distance"
+                f"{spacing:g} m to each other; request fewer poses, or smaller distances"
             )
         point = points[int(left.argmax())]
         left[int(left.argmax())] = False
@@ -68,35 +97,8 @@ def random_free_poses(
     )
 
 
-FREE_POSES = "free_poses.csv"
-COLUMNS = ("floor", "x", "y", "z", "yaw", "room")
-_MOST_BYTES = 16_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class FreePose:
-    """A place on a floor where a robot touches nothing but the floor."""
-
-    floor: int
-    """Number of its floor, 0 = the lowest."""
-    x: float
-    """World metres."""
-    y: float
-    z: float
-    """Height of what the robot stands on, metres."""
-    yaw: float
-    """Radians."""
-    room: str = ""
-    """Name of its room; empty = the scene names none there."""
-
-    @property
-    def pose(self) -> Pose:
-        """T_world_base."""
-        return pose_from_xyz_rpy((self.x, self.y, self.z), (0.0, 0.0, self.yaw))
-
-
 def scene_free_poses(scene: SceneSpec) -> tuple[FreePose, ...]:
-    """Returns the free poses that a scene carries in its folder; none where it has no such file.
+    """Returns the free poses in a scene's folder; none if it has no such file.
 
     Raises:
         SceneError: the file is broken.
@@ -109,10 +111,10 @@ def read_free_poses(path: Path) -> tuple[FreePose, ...]:
     """Returns the poses in a file, in its order.
 
     Raises:
-        SceneError: it cannot be read, or a line of it is wrong.
+        SceneError: the file cannot be read, or one of its lines is wrong.
     """
     try:
-        rows = list(csv.reader(read_file(path, _MOST_BYTES).decode("utf-8").splitlines()))
+        rows = list(csv.reader(read_file(path, _MAX_BYTES).decode("utf-8").splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SceneError(f"{path}: cannot be read: {error}; write it anew with gibson-sim scene map SCENE --write") from error
     if not rows or tuple(rows[0]) != COLUMNS:
@@ -122,10 +124,10 @@ def read_free_poses(path: Path) -> tuple[FreePose, ...]:
 
 
 def write_free_poses(path: Path, poses: Iterable[FreePose]) -> None:
-    """Writes a file of free poses: millimetres, and a ten-thousandth of a radian.
+    """Writes a file of free poses: x and y to a millimetre, z to 0.1 mm, yaw to 0.0001 rad.
 
     Raises:
-        WriteError: it cannot be written.
+        WriteError: the file cannot be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Places of a scene that have a name: where robots start, where there is room, rooms and doors. Computed from its floor map."""
+"""Named poses of a scene: where robots start, where there is room, and its rooms and doors, computed from its floor maps."""
 
 from __future__ import annotations
 
@@ -20,128 +20,45 @@ from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import SceneSpec, StartPose
 from gibson_sim.types import Pose, Vec3
 
-_WALL = 0.4
-"""Metres: the thickest wall between two outlines."""
-
-
-@dataclass(frozen=True, slots=True)
-class RoomPlace:
-    """A room that a robot fits into."""
-
-    room: RoomSpec
-    place: tuple[float, float]
-    """Where a robot stands well: far from things and from the outline, world metres."""
-    area: float
-    """Square metres of free floor."""
-    reachable: bool
-    """Whether the way there from the largest part of the floor is wide enough for the robot."""
-
-
-class NamedRooms:
-    """The named rooms of one floor.
-
-    Args:
-        rooms: those of this floor.
-        floor: its map.
-    """
-
-    def __init__(self, rooms: Sequence[RoomSpec], floor: FloorMap) -> None:
-        self._rooms, self._floor = rooms, floor
-        self._inside: NDArray[np.int64] = np.zeros(floor.shape, dtype=np.int64)
-        cells = np.argwhere(floor.free) if rooms else np.zeros((0, 2), dtype=np.int64)
-        centers = floor.centers(cells)
-        for number, room in reversed(list(enumerate(rooms, start=1))):
-            self._inside[tuple(cells[room.contains(centers)].T)] = number
-        self._labels = self._grown()
-
-    def _grown(self) -> NDArray[np.int64]:
-        """Returns (H, W): number of the room of each free cell, 0 = none; those in doorways between outlines belong to the nearest."""
-        if not self._inside.any():
-            return self._inside
-        distance, nearest = ndimage.distance_transform_edt(self._inside == 0, self._floor.resolution, return_indices=True)
-        near = self._inside[tuple(nearest)]
-        return np.where(self._floor.free & (distance <= _WALL / 2 + self._floor.resolution), near, 0)
-
-    def places(self, radius: float) -> list[RoomPlace]:
-        """Returns one place for each room that a disc of ``radius`` metres fits into, in the order of the rooms."""
-        fits = self._floor.inflate(radius)
-        reachable = self._floor.largest_free_region(radius)
-        out = []
-        for number, room in enumerate(self._rooms, start=1):
-            inside = self._inside == number
-            cells = np.argwhere(inside & reachable)
-            is_reachable = len(cells) > 0
-            if not is_reachable:
-                cells = np.argwhere(inside & fits)
-            if not len(cells):
-                continue
-            # An outline may be no wall: a place on it is in both rooms.
-            within = ndimage.distance_transform_edt(np.pad(room.contains(self._centers()), 1), self._floor.resolution)[1:-1, 1:-1]
-            best = cells[int(np.minimum(within, self._floor.distance_to_obstacle)[tuple(cells.T)].argmax())]
-            x, y = self._floor.centers(best)
-            area = float(np.count_nonzero(inside)) * self._floor.resolution**2
-            out.append(RoomPlace(room, (float(x), float(y)), area, is_reachable))
-        return out
-
-    def doors(self) -> list[Door]:
-        """Returns the passages between the rooms, whose numbers are indices of ``rooms``; wide ones are open sides."""
-        out = []
-        for (first, second), pieces in passages(self._labels).items():
-            for cells in pieces:
-                door = door_at(self._floor, self._labels, cells, (first, second), (first - 1, second - 1))
-                # Gaps beside furniture, and the inside of hollow walls, are none.
-                if door.width >= NARROWEST_DOOR - self._floor.resolution:
-                    span = np.ptp(cells, axis=0)
-                    width = float(np.hypot(*(span + (span > 0)))) * self._floor.resolution
-                    out.append(replace(door, width=max(width, door.width)))
-        return sorted(out, key=lambda door: (door.rooms, door.center))
-
-    def room_at(self, xy: tuple[float, float]) -> RoomSpec | None:
-        """Returns the room of a place, world metres, or None."""
-        row, column = (int(i) for i in self._floor.cells(np.array(xy)))
-        rows, columns = self._floor.shape
-        number = int(self._labels[row, column]) if 0 <= row < rows and 0 <= column < columns else 0
-        return self._rooms[number - 1] if number else None
-
-    def _centers(self) -> NDArray[np.float64]:
-        rows, columns = self._floor.shape
-        return self._floor.centers(np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1))
-
-
 logger = logging.getLogger(__name__)
 
 FREE_PLACES = 8
-"""On a floor."""
+"""Number of free places on a floor."""
 DEFAULT_RADIUS, DEFAULT_HEIGHT = 0.3, 0.5
-"""Metres: of the robot that a free place is for, where the scene has none."""
+"""Size of the robot that free places have room for, metres, if the scene has no robot."""
 _SPARE = 0.2
-"""Metres beside the robot, where the floor has places with so much."""
+"""Clearance beside the robot, metres, on floors that have places with that much."""
 _WIDEST_DOOR = 1.6
-"""Metres: a wider passage between two rooms that a scene names is an opening, as in a flat whose kitchen is a part of its living room."""
+"""Largest width of a door between two named rooms, metres; a wider passage is an opening, as between a living room and its kitchen corner."""
+_THICKEST_WALL = 0.4
+"""Largest distance between the outlines of neighbouring rooms, metres."""
 _ROOM_RESOLUTION = 0.1
-_MOST_CANDIDATES = 100_000
+"""Cell size of the maps in which rooms are found, metres."""
+_MAX_CANDIDATES = 100_000
+"""Cells among which free places are chosen."""
 
 
 @dataclass(frozen=True, slots=True)
 class NamedPose:
-    """A place with a name."""
+    """A pose with a name, and a box about it."""
 
     name: str
     description: str
     tags: tuple[str, ...]
     pose: Pose
-    """World frame."""
+    """T_world_pose."""
     low: Vec3
-    """Lowest corner of a box about it, in its frame, metres."""
+    """Lowest corner of the box, in the frame of the pose, metres."""
     high: Vec3
+    """Highest corner of the box, in the frame of the pose, metres."""
 
 
 def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
     """Returns start poses, free places, rooms and doors of every floor, in this order; equal scenes have equal poses.
 
-    A room that the scene names is called as there, ``floor_0/kitchen``, and its pose is where the largest robot stands well; others are
-    numbered. Doors are called by the rooms that they connect, ``floor_0/door_hall_kitchen``; what is wider is an opening. The boxes of start
-    poses and free places are free of everything static; that of a room is the smallest about its floor.
+    A room that the scene names keeps its name, as in ``floor_0/kitchen``, and its pose has the most room for the largest robot; other rooms
+    are numbered. Doors are named after the rooms that they connect, as in ``floor_0/door_hall_kitchen``; wider passages are openings. The
+    boxes of start poses and free places hold nothing static; that of a room is the bounding box of its floor.
     """
     height = max((robot.height for robot in scene.robots), default=DEFAULT_HEIGHT)
     radius = max((robot.radius for robot in scene.robots), default=DEFAULT_RADIUS)
@@ -154,7 +71,7 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
             large = floor.resolution >= _ROOM_RESOLUTION  # then both maps are the same
             coarse = floor if large else scene_floor_map(level, robot_height=height, resolution=_ROOM_RESOLUTION)
         except SceneError as error:
-            logger.warning("scene %s: start poses are the only ones with a name on %s: %s", scene.name, tag, error)
+            logger.warning("scene %s: only start poses are named on %s: %s", scene.name, tag, error)
             nowhere = (0.0, 0.0, 0.0)
             out += [NamedPose(s.name, "start pose", ("start", tag), s.pose, nowhere, nowhere) for s in starts]
             continue
@@ -164,19 +81,8 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
     return _unique(out)
 
 
-def _unique(poses: Sequence[NamedPose]) -> tuple[NamedPose, ...]:
-    """Returns the poses; of those with the same name the later ones have a number behind it."""
-    taken: set[str] = set()
-    out = []
-    for pose in poses:
-        name = next(text for text in (pose.name, *(f"{pose.name}_{i}" for i in range(2, len(poses) + 2))) if text not in taken)
-        taken.add(name)
-        out.append(replace(pose, name=name))
-    return tuple(out)
-
-
 def _floor_of(scene: SceneSpec, z: float) -> int:
-    """Returns the number of the highest floor that is not above ``z``, with half a metre to spare; else the lowest."""
+    """Returns the number of the highest floor at most half a metre above ``z`` (world metres); else that of the lowest."""
     return max((i for i, floor_z in enumerate(scene.floors) if floor_z <= z + 0.5), default=0)
 
 
@@ -189,7 +95,7 @@ def _starts(starts: Sequence[StartPose], tag: str, floor: FloorMap, height: floa
 
 
 def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: float) -> list[NamedPose]:
-    """Returns free places far from each other: the most open one first, then always the one farthest from all before."""
+    """Returns free places far apart: the most open one, and then always the one farthest from all before it."""
     region = floor.largest_free_region(radius)
     roomy = region & (floor.distance_to_obstacle >= radius + _SPARE)
     cells = np.argwhere(roomy if roomy.any() else region)
@@ -197,7 +103,7 @@ def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: fl
         return []
     clearance = floor.distance_to_obstacle[tuple(cells.T)]
     chosen = [cells[int(clearance.argmax())]]
-    candidates = cells[:: max(1, len(cells) // _MOST_CANDIDATES)].astype(np.float64)
+    candidates = cells[:: max(1, len(cells) // _MAX_CANDIDATES)].astype(np.float64)
     distance = np.full(len(candidates), np.inf)
     while len(chosen) < FREE_PLACES:
         distance = np.minimum(distance, np.sum((candidates - chosen[-1]) ** 2, axis=1))
@@ -217,41 +123,41 @@ def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: fl
 def _rooms_and_doors(
     scene: SceneSpec, number: int, floor: FloorMap, coarse: FloorMap, radius: float, height: float
 ) -> list[NamedPose]:
-    """Returns rooms and doors: those that the scene names, and what the map shows beside them."""
+    """Returns rooms and doors: those of rooms that the scene names, and others that are found in the map."""
     tag = f"floor_{number}"
-    known = NamedRooms([room for room in scene.rooms if room.floor == number], floor)
+    known = _NamedRooms([room for room in scene.rooms if room.floor == number], floor)
     out = [_named_room(place, tag, scene.floor_z, height) for place in known.places(radius)]
     rooms, doors = find_rooms(coarse)
-    callings = {i: spec.name for i, found in enumerate(rooms) if (spec := known.room_at(found.center)) is not None}
-    others = [i for i in range(len(rooms)) if i not in callings]
-    callings |= {i: f"room_{n}" for n, i in enumerate(others)}
+    room_names = {i: spec.name for i, found in enumerate(rooms) if (spec := known.room_at(found.center)) is not None}
+    others = [i for i in range(len(rooms)) if i not in room_names]
+    room_names |= {i: f"room_{n}" for n, i in enumerate(others)}
     for i in others:
         room, (x, y) = rooms[i], rooms[i].center
         low: Vec3 = (room.low[0] - x, room.low[1] - y, 0.0)
         high: Vec3 = (room.high[0] - x, room.high[1] - y, height)
         pose = pose_from_xyz_rpy((x, y, scene.floor_z))
-        out.append(NamedPose(f"{tag}/{callings[i]}", f"room of {room.area:.1f} m^2", ("room", tag), pose, low, high))
+        out.append(NamedPose(f"{tag}/{room_names[i]}", f"room of {room.area:.1f} m^2", ("room", tag), pose, low, high))
     names = [room.name for room in scene.rooms if room.floor == number]
-    passages = [(door, names[door.rooms[0]], names[door.rooms[1]]) for door in known.doors()]
-    passages += [(door, callings[door.rooms[0]], callings[door.rooms[1]]) for door in doors if {*door.rooms} & {*others}]
-    return out + _doors(passages, tag, scene.floor_z, height)
+    connections = [(door, names[door.rooms[0]], names[door.rooms[1]]) for door in known.doors()]
+    connections += [(door, room_names[door.rooms[0]], room_names[door.rooms[1]]) for door in doors if {*door.rooms} & {*others}]
+    return out + _doors(connections, tag, scene.floor_z, height)
 
 
-def _named_room(place: RoomPlace, tag: str, floor_z: float, height: float) -> NamedPose:
+def _named_room(place: _RoomPlace, tag: str, floor_z: float, height: float) -> NamedPose:
     (x, y), room = place.place, place.room
     corners = np.array(room.polygon) - (x, y)
     low: Vec3 = (*(float(c) for c in corners.min(axis=0)), 0.0)  # type: ignore[assignment]
     high: Vec3 = (*(float(c) for c in corners.max(axis=0)), height)  # type: ignore[assignment]
-    apart = "" if place.reachable else ", not to be reached by the robot from the rest of the floor"
+    apart = "" if place.reachable else ", unreachable for the robot from the rest of the floor"
     text = f"room of {place.area:.1f} m^2{apart}: {room.name}"
     return NamedPose(f"{tag}/{room.name}", text, ("room", tag, room.room_class), pose_from_xyz_rpy((x, y, floor_z)), low, high)
 
 
-def _doors(passages: Sequence[tuple[Door, str, str]], tag: str, floor_z: float, height: float) -> list[NamedPose]:
-    """Returns passages with the names of the rooms that they connect; several between the same two are numbered."""
+def _doors(connections: Sequence[tuple[Door, str, str]], tag: str, floor_z: float, height: float) -> list[NamedPose]:
+    """Returns poses of passages, given with the names of the two rooms; several between the same two are numbered."""
     out: list[NamedPose] = []
     count: Counter[tuple[str, ...]] = Counter()
-    for door, first, second in passages:
+    for door, first, second in connections:
         what = "door" if door.width <= _WIDEST_DOOR else "opening"
         again = count[what, first, second]
         count[what, first, second] += 1
@@ -263,6 +169,102 @@ def _doors(passages: Sequence[tuple[Door, str, str]], tag: str, floor_z: float, 
 
 
 def _box(clearance: float, height: float) -> tuple[Vec3, Vec3]:
-    """Returns the corners of the square within a circle of radius ``clearance``, as high as the map was made for."""
+    """Returns the corners of a box ``height`` metres high on the square inscribed in a circle of radius ``clearance``, metres."""
     half = clearance / math.sqrt(2.0)
     return (-half, -half, 0.0), (half, half, height)
+
+
+def _unique(poses: Sequence[NamedPose]) -> tuple[NamedPose, ...]:
+    """Returns the poses with unique names: later poses of the same name get a number appended."""
+    used: set[str] = set()
+    out = []
+    for pose in poses:
+        name = next(text for text in (pose.name, *(f"{pose.name}_{i}" for i in range(2, len(poses) + 2))) if text not in used)
+        used.add(name)
+        out.append(replace(pose, name=name))
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True)
+class _RoomPlace:
+    """A place for a robot in a room."""
+
+    room: RoomSpec
+    place: tuple[float, float]
+    """The point farthest from obstacles and from the outline of the room, world metres."""
+    area: float
+    """Square metres of free floor in the room."""
+    reachable: bool
+    """Whether a path that is wide enough for the robot leads here from the largest region of the floor."""
+
+
+class _NamedRooms:
+    """The named rooms of one floor.
+
+    Args:
+        rooms: the rooms of this floor.
+        floor: the map of this floor.
+    """
+
+    def __init__(self, rooms: Sequence[RoomSpec], floor: FloorMap) -> None:
+        self._rooms, self._floor = rooms, floor
+        self._inside: NDArray[np.int64] = np.zeros(floor.shape, dtype=np.int64)
+        cells = np.argwhere(floor.free) if rooms else np.zeros((0, 2), dtype=np.int64)
+        centers = floor.centers(cells)
+        for number, room in reversed(list(enumerate(rooms, start=1))):
+            self._inside[tuple(cells[room.contains(centers)].T)] = number
+        self._labels = self._with_doorways()
+
+    def _with_doorways(self) -> NDArray[np.int64]:
+        """Returns (H, W): number of the room of each free cell, 0 = none; cells in doorways between outlines get the nearest room."""
+        if not self._inside.any():
+            return self._inside
+        distance, nearest = ndimage.distance_transform_edt(self._inside == 0, self._floor.resolution, return_indices=True)
+        near = self._inside[tuple(nearest)]
+        return np.where(self._floor.free & (distance <= _THICKEST_WALL / 2 + self._floor.resolution), near, 0)
+
+    def places(self, radius: float) -> list[_RoomPlace]:
+        """Returns a place in each room that has room for a disc of ``radius`` metres, in the order of the rooms."""
+        fits = self._floor.inflate(radius)
+        reachable = self._floor.largest_free_region(radius)
+        out = []
+        for number, room in enumerate(self._rooms, start=1):
+            inside = self._inside == number
+            cells = np.argwhere(inside & reachable)
+            is_reachable = len(cells) > 0
+            if not is_reachable:
+                cells = np.argwhere(inside & fits)
+            if not len(cells):
+                continue
+            # An outline need not be a wall, so the place keeps away from it too.
+            within = ndimage.distance_transform_edt(np.pad(room.contains(self._centers()), 1), self._floor.resolution)[1:-1, 1:-1]
+            best = cells[int(np.minimum(within, self._floor.distance_to_obstacle)[tuple(cells.T)].argmax())]
+            x, y = self._floor.centers(best)
+            area = float(np.count_nonzero(inside)) * self._floor.resolution**2
+            out.append(_RoomPlace(room, (float(x), float(y)), area, is_reachable))
+        return out
+
+    def doors(self) -> list[Door]:
+        """Returns the passages between the rooms, with indices of ``rooms``, however wide they are."""
+        out = []
+        for (first, second), pieces in passages(self._labels).items():
+            for cells in pieces:
+                door = door_at(self._floor, self._labels, cells, (first, second), (first - 1, second - 1))
+                # Narrower passages are gaps beside furniture, or the inside of hollow walls.
+                if door.width >= NARROWEST_DOOR - self._floor.resolution:
+                    span = np.ptp(cells, axis=0)
+                    width = float(np.hypot(*(span + (span > 0)))) * self._floor.resolution
+                    out.append(replace(door, width=max(width, door.width)))
+        return sorted(out, key=lambda door: (door.rooms, door.center))
+
+    def room_at(self, xy: tuple[float, float]) -> RoomSpec | None:
+        """Returns the room at a point (world metres), or None."""
+        row, column = (int(i) for i in self._floor.cells(np.array(xy)))
+        rows, columns = self._floor.shape
+        number = int(self._labels[row, column]) if 0 <= row < rows and 0 <= column < columns else 0
+        return self._rooms[number - 1] if number else None
+
+    def _centers(self) -> NDArray[np.float64]:
+        """Returns the centres of all cells, (H, W, 2), world metres."""
+        rows, columns = self._floor.shape
+        return self._floor.centers(np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1))

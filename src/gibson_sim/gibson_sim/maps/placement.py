@@ -1,4 +1,4 @@
-"""Puts robots into a scene: from names to one SceneSpec."""
+"""Places robots in a scene: loads them by name, gives each a namespace and a start pose, and returns one SceneSpec."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def populate(
     """Returns the scene with its robots.
 
     Args:
-        scene_name: what ``load_scene`` takes.
-        robots: what ``load_robot`` takes, or several as ``name=robot``, separated by commas: each gets a namespace of its name.
-        start: name of one of the scene's start poses, or ``x,y,yaw_deg``; for several robots in their order, separated by ``;``.
-            Empty = the first start pose that is left, or the most open place.
-        sdf_lamps: as ``load_scene`` takes it.
-        robot_tf: several robots: ``namespaced`` or ``prefixed``, see ``gibson_sim.config.PhysicsConfig``.
+        scene_name: argument of ``load_scene``.
+        robots: argument of ``load_robot``, or several as ``name=robot``, separated by commas; each name is the robot's namespace.
+        start: name of a start pose of the scene, or ``x,y,yaw_deg`` in world metres and degrees; for several robots in their order,
+            separated by ``;``. Empty = the first start pose that is free, or the most open place.
+        sdf_lamps: argument of ``load_scene``.
+        robot_tf: for several robots: ``namespaced`` or ``prefixed``, see ``gibson_sim.config.PhysicsConfig``.
 
     Raises:
         SceneError: the scene cannot be loaded.
         RobotError: a robot cannot be loaded.
-        ConfigError: ``robots`` or ``start`` is not as above.
+        ConfigError: ``robots`` or ``start`` is none of the above.
     """
     return place_robots(load_scene(scene_name, sdf_lamps=sdf_lamps), robots, start, robot_tf=robot_tf)
 
@@ -73,28 +73,28 @@ def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: st
 
 
 def in_namespace(robot: RobotSpec, namespace: str, robot_tf: str = "namespaced") -> RobotSpec:
-    """Returns the robot with all its topics, those of its cameras too, under ``namespace``, its frames as ``robot_tf`` says."""
+    """Returns the robot with all its topics, including those of its cameras, in ``namespace``, and its frames as ``robot_tf`` says."""
     prefix = f"{namespace}/" if robot_tf == "prefixed" else ""
     cameras = tuple(replace(c, name=f"{namespace}/{c.name}", frame_id=f"{prefix}{c.optical_frame}") for c in robot.cameras)
     return replace(robot, namespace=namespace, frame_prefix=prefix, own_tf=not prefix, cameras=cameras)
 
 
-def free_start(scene: SceneSpec, robot: RobotSpec, taken: list[Pose]) -> Pose:
-    """Returns a place that is clear of what stands there and of robots at ``taken``: a start pose, or the nearest free floor."""
+def free_start(scene: SceneSpec, robot: RobotSpec, others: list[Pose]) -> Pose:
+    """Returns a start (T_world_base) clear of obstacles and of the robots at ``others``: a start pose of the scene, or the nearest free floor."""
     distance = 4.0 * robot.radius + 0.5
 
     def is_clear(x: float, y: float) -> bool:
-        return all(math.hypot(x - other.position[0], y - other.position[1]) >= distance for other in taken)
+        return all(math.hypot(x - other.position[0], y - other.position[1]) >= distance for other in others)
 
     for named in scene.starts:
         if is_clear(*named.pose.position[:2]):
             return named.pose
-    if not taken:
+    if not others:
         return start_pose(scene, robot, "")
     floor = robot_floor_map(scene, robot)
     region = floor.largest_free_region(robot.radius)
     centers = floor.centers(np.argwhere(region))
-    order = np.argsort(np.sum((centers - np.array(taken[0].position[:2])) ** 2, axis=1), kind="stable")
+    order = np.argsort(np.sum((centers - np.array(others[0].position[:2])) ** 2, axis=1), kind="stable")
     for x, y in centers[order]:
         if is_clear(float(x), float(y)):
             return pose_from_xyz_rpy((float(x), float(y), scene.floor_z), (0.0, 0.0, 0.0))
@@ -119,21 +119,22 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
     if scene.starts:
         return scene.starts[0].pose
     x, y, yaw = choose_start(robot_floor_map(scene, robot), robot.radius)
-    logger.info("scene %s names no start pose: starting at %.2f,%.2f,%.0f", scene.name, x, y, math.degrees(yaw))
+    logger.info("scene %s has no start pose: starting at %.2f,%.2f,%.0f (x, y, yaw_deg)", scene.name, x, y, math.degrees(yaw))
     return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, yaw))
 
 
 def robot_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
-    """Returns where on the scene's floor ``robot`` would touch nothing static."""
+    """Returns the map of the scene's floor for the height of a robot, with static obstacles alone."""
     return scene_floor_map(scene, robot_height=robot.height)
 
 
 def furnished_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
-    """Returns where on the scene's floor ``robot`` would touch nothing, neither what is static nor bodies where they stand at load."""
+    """Returns the map of the scene's floor for the height of a robot, with static obstacles and bodies where they stand at load."""
     return robot_floor_map(scene, robot).furnished(*body_triangles(scene), robot.height)
 
 
 def _three_numbers(text: str) -> tuple[float, float, float] | None:
+    """Returns three finite numbers separated by commas; None if the text is something else."""
     try:
         x, y, yaw = (float(part) for part in text.split(","))
     except ValueError:

@@ -1,7 +1,7 @@
-"""Rooms and doors of a floor, found in its map: a door is where the way between two wide places is narrow.
+"""Rooms and doors of a floor, found in its map: a door is a narrow passage between two wide places.
 
-Water that rises from the most open places meets where the passages are narrowest (a watershed of the distance to the nearest obstacle).
-Pure and deterministic.
+They are found by a watershed transform of the distance to the nearest obstacle: regions that grow from the most open places meet where the
+passages are narrowest. Pure and deterministic.
 """
 
 from __future__ import annotations
@@ -17,24 +17,26 @@ from scipy import ndimage
 from gibson_sim.maps.floor_map import FloorMap
 
 WIDEST_DOOR = 1.0
-"""Metres: wider passages join what they connect to one room."""
+"""Largest width of a door, metres: a wider passage joins both sides to one room."""
 NARROWEST_DOOR = 0.4
-"""Metres: a narrower passage is a gap beside furniture."""
+"""Least width of a door, metres: a narrower passage is a gap beside furniture."""
 SMALLEST_ROOM = 2.0
-"""Square metres."""
-_MOST_CELLS = 400_000
-_STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+"""Least area of a room, square metres."""
+_MAX_CELLS = 400_000
+"""Free cells of a map up to which rooms are looked for: growing the regions is a loop in Python."""
+_NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A part of the floor that can be left through doors alone."""
+    """A part of the floor whose only exits are doors."""
 
     center: tuple[float, float]
-    """Its most open place, world metres."""
+    """The place farthest from obstacles, world metres."""
     low: tuple[float, float]
-    """Of the smallest rectangle about its floor, world metres."""
+    """Lower left corner of the bounding rectangle of its floor, world metres."""
     high: tuple[float, float]
+    """Upper right corner of the same, world metres."""
     area: float
     """Square metres of free floor."""
 
@@ -46,20 +48,20 @@ class Door:
     center: tuple[float, float]
     """World metres."""
     yaw: float
-    """Radians: the way from the first room to the second."""
+    """Direction from the first room to the second, radians, world frame."""
     width: float
-    """Metres of free floor."""
+    """Width of free floor, metres."""
     rooms: tuple[int, int]
-    """Indices of the rooms."""
+    """Indices of the first and the second room."""
 
 
 def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
-    """Returns the rooms, from small x and y on, and the doors between them; none of a map with too many free cells."""
-    if np.count_nonzero(floor.free) > _MOST_CELLS:
+    """Returns the rooms, ordered by x and y, and the doors between them; none for a map with more than 400,000 free cells."""
+    if np.count_nonzero(floor.free) > _MAX_CELLS:
         return (), ()
     open_places, _ = ndimage.label(floor.distance_to_obstacle > WIDEST_DOOR / 2)
-    labels = _flood(floor.distance_to_obstacle, np.asarray(open_places, dtype=np.int64))
-    labels = _merged(labels, passages(labels))
+    labels = _watershed(floor.distance_to_obstacle, np.asarray(open_places, dtype=np.int64))
+    labels = _joined(labels, passages(labels))
     areas = np.bincount(labels.ravel()) * floor.resolution**2
     boxes = ndimage.find_objects(labels)
     rooms = {
@@ -79,6 +81,7 @@ def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
 
 
 def _room(floor: FloorMap, labels: NDArray[np.int64], label: int, box: tuple[slice, slice], area: float) -> Room:
+    """Returns the room with a label (H, W); ``box`` are the rows and columns that hold it, ``area`` is in square metres."""
     cells = np.argwhere(labels[box] == label) + np.array((box[0].start, box[1].start))
     half = floor.resolution / 2
     centers = floor.centers(cells)
@@ -87,15 +90,15 @@ def _room(floor: FloorMap, labels: NDArray[np.int64], label: int, box: tuple[sli
     return Room((float(x), float(y)), (float(low[0]), float(low[1])), (float(high[0]), float(high[1])), area)
 
 
-def _flood(clearance: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Returns the labels, grown over all cells with some clearance: always on to the most open cell beside a labelled one."""
+def _watershed(clearance: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns labels (H, W) grown over all cells with a clearance above 0, always into the most open cell beside a labelled one."""
     out = np.array(labels)
     rows, columns = out.shape
     heap = [(-float(clearance[r, c]), int(r), int(c)) for r, c in np.argwhere(_edge(out))]
     heapq.heapify(heap)
     while heap:
         _, row, column = heapq.heappop(heap)
-        for down, right in _STEPS:
+        for down, right in _NEIGHBOURS:
             r, c = row + down, column + right
             if 0 <= r < rows and 0 <= c < columns and not out[r, c] and clearance[r, c] > 0.0:
                 out[r, c] = out[row, column]
@@ -109,7 +112,7 @@ def _edge(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np.int64]]]:
-    """Returns where two labels meet: for every pair, the lower one first, the cells (N, 2) of each passage between them."""
+    """Returns the passages between labels (H, W): for every pair, the lower one first, the cells (N, 2) of each place where they meet."""
     borders: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for down, right in ((0, 1), (1, 0)):
         a = labels[: labels.shape[0] - down, : labels.shape[1] - right]
@@ -117,34 +120,42 @@ def passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np
         for row, column in np.argwhere((a != b) & (a > 0) & (b > 0)):
             first, second = sorted((int(a[row, column]), int(b[row, column])))
             borders.setdefault((first, second), []).append((int(row), int(column)))
-    passages = {}
+    out = {}
     for pair, cells in borders.items():
         at = np.array(cells)
         first_cell = at.min(axis=0)
         mask = np.zeros(at.max(axis=0) - first_cell + 1, dtype=bool)
         mask[tuple((at - first_cell).T)] = True
         pieces, count = ndimage.label(mask, structure=np.ones((3, 3)))
-        passages[pair] = [np.argwhere(pieces == piece) + first_cell for piece in range(1, count + 1)]
-    return passages
+        out[pair] = [np.argwhere(pieces == piece) + first_cell for piece in range(1, count + 1)]
+    return out
 
 
-def _merged(labels: NDArray[np.int64], passages: dict[tuple[int, int], list[NDArray[np.int64]]]) -> NDArray[np.int64]:
-    """Returns the labels, one for what has several passages between its parts: furniture stands there, no wall."""
-    name = np.arange(int(labels.max()) + 1)
-    for (first, second), pieces in sorted(passages.items()):
+def _joined(labels: NDArray[np.int64], between: dict[tuple[int, int], list[NDArray[np.int64]]]) -> NDArray[np.int64]:
+    """Returns the labels (H, W), with one label for regions that several passages connect: furniture separates them, not a wall."""
+    joined = np.arange(int(labels.max()) + 1)
+    for (first, second), pieces in sorted(between.items()):
         if len(pieces) > 1:
-            name[name == name[second]] = name[first]
-    return np.asarray(name[labels])
+            joined[joined == joined[second]] = joined[first]
+    return np.asarray(joined[labels])
 
 
 def door_at(
     floor: FloorMap, labels: NDArray[np.int64], cells: NDArray[np.int64], sides: tuple[int, int], rooms: tuple[int, int]
 ) -> Door:
-    """Returns the door whose threshold is ``cells`` (N, 2), between two labels."""
+    """Returns the door whose threshold are ``cells`` (N, 2), as row and column.
+
+    Args:
+        floor: the map.
+        labels: (H, W), label of each cell.
+        cells: of the passage, as ``passages`` returns it.
+        sides: the two labels.
+        rooms: indices of their rooms.
+    """
     clearance = floor.distance_to_obstacle[tuple(cells.T)]
     row, column = (int(i) for i in cells[int(clearance.argmax())])
     x, y = floor.centers(np.array([row, column]))
-    # The way through: from the middle of the near floor of one room to that of the other.
+    # The yaw leads from the centroid of the near floor of one room to that of the other.
     reach = math.ceil(WIDEST_DOOR / floor.resolution)
     near = labels[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
     here, there = (np.argwhere(near == side).mean(axis=0) for side in sides)

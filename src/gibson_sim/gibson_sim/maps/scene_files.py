@@ -1,4 +1,4 @@
-"""The maps and free poses that a finished scene carries in its folder, made of the scene as it is loaded from there."""
+"""Maps and free poses in the folder of a finished scene, made from the scene as it is loaded from there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim.maps.export import write_gibson_maps
-from gibson_sim.maps.floor_map import FLOOR_CLEARANCE, FLOOR_TOLERANCE, FloorMap
+from gibson_sim.maps.floor_map import FLOOR_CLEARANCE, FLOOR_TOLERANCE, FloorMap, has_ground_at
 from gibson_sim.maps.free_poses import FREE_POSES, FreePose, random_free_poses, write_free_poses
 from gibson_sim.maps.traversability import RobotSize, floor_maps, scene_triangles
 from gibson_sim.scenes.load import DESCRIPTION, load_scene
@@ -22,35 +22,33 @@ from gibson_sim.scenes.spec import SceneSpec
 F64 = NDArray[np.float64]
 
 USUAL_ROBOT = RobotSize(radius=0.22, height=1.5)
-"""The one that the files are made for: nothing lies above a free place up to the height of a robot with an arm."""
+"""Robot that the files are made for, as high as one with an arm."""
 POSES = 100
-"""On each floor."""
+"""Number of free poses on each floor."""
 SPARE = 0.03
-"""Metres between a robot at a free pose and the nearest thing."""
+"""Clearance between a robot at a free pose and the nearest obstacle, metres."""
 _POSES_IN_A_ROOM = 5
-"""At least, where a room has a place that can be reached."""
+"""Least number of free poses in a room that a robot can reach."""
 _RESOLUTION = 0.02
+"""Cell size of the maps, metres."""
 
 
 def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int = 0) -> tuple[Path, ...]:
-    """Writes ``floor_trav_N.png`` and ``floors.txt``, as Gibson's scenes have them, and ``free_poses.csv`` into a scene's folder.
+    """Writes ``floor_trav_N.png``, ``floors.txt`` and ``free_poses.csv`` to a scene's folder, and returns their paths.
 
-    Bodies count where they stand at load. All poses of a floor can be reached from each other; the same scene and seed give the same
+    Bodies count where they stand at load. All poses of a floor can be reached from each other. The same scene and seed give the same
     files.
 
     Args:
-        folder: of the scene, with its scene.yaml.
-        robot: that has room at every pose.
-        seed: decides the poses.
-
-    Returns:
-        The files.
+        folder: folder of the scene, with its scene.yaml.
+        robot: size of the robot, which fits at every pose.
+        seed: seed of the poses.
 
     Raises:
         SceneError: there is no scene, a file cannot be written, or a floor has no room for the robot.
     """
     if not (folder / DESCRIPTION).is_file():
-        raise SceneError(f"{folder}: holds no {DESCRIPTION}; maps are kept with scenes of ours: import it first")
+        raise SceneError(f"{folder}: holds no {DESCRIPTION}; only a scene with one can hold maps: import it first")
     scene = load_scene(folder)
     floors = floor_maps(scene, robot, resolution=_RESOLUTION, floors=scene.floors)
     rng = np.random.default_rng(seed)
@@ -58,7 +56,7 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
     poses = [pose for number, floor in enumerate(floors) for pose in _poses(scene, number, floor, triangles, robot.radius, rng)]
     paths = write_gibson_maps(floors, folder)
     write_free_poses(folder / FREE_POSES, poses)
-    # Of floors that the scene no longer has.
+    # Maps of floors that the scene no longer has.
     for old in sorted(set(folder.glob("floor_trav_*.png")) - set(paths)):
         old.unlink()
     return (*paths, folder / FREE_POSES)
@@ -67,7 +65,16 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
 def _poses(
     scene: SceneSpec, number: int, floor: FloorMap, triangles: F64, radius: float, rng: np.random.Generator
 ) -> list[FreePose]:
-    """Returns the poses of one floor: some in every room, the others anywhere, in any order."""
+    """Returns the poses of one floor in random order: some in every room, and others anywhere.
+
+    Args:
+        scene: the scene.
+        number: number of the floor.
+        floor: its map.
+        triangles: (F, 3, 3), collision shapes, world metres.
+        radius: radius of the robot, metres.
+        rng: source of randomness.
+    """
     clearance = radius + SPARE
     region = floor.largest_free_region(clearance)
     poses = [
@@ -78,11 +85,11 @@ def _poses(
     ][:POSES]
     poses += random_free_poses(floor, POSES - len(poses), rng, clearance=clearance, region=region)
     heights = _surface(floor, triangles)
-    if scene.ground_z is not None and abs(scene.ground_z - floor.floor_z) <= FLOOR_TOLERANCE:
+    if scene.ground_z is not None and has_ground_at(scene, floor.floor_z):
         heights = np.maximum(heights, scene.ground_z)
     out = []
     for index in rng.permutation(len(poses)):
-        # As the file will have them, so that the room is that of the place in the file.
+        # Rounded as in the file, so that the room is that of the rounded position.
         x, y = (round(c, 3) for c in poses[index].position[:2])
         z = _height(floor, heights, (x, y), radius)
         room = room_at(scene.rooms, x, y, number)
@@ -92,7 +99,7 @@ def _poses(
 
 
 def _cells(floor: FloorMap, room: RoomSpec) -> NDArray[np.bool_]:
-    """Returns (H, W): cells that lie in a room as wholes."""
+    """Returns (H, W): cells that lie completely in a room."""
     rows, columns = np.indices(floor.shape)
     middles = floor.centers(np.stack([rows, columns], axis=-1))
     half = floor.resolution / 2
@@ -103,7 +110,7 @@ def _cells(floor: FloorMap, room: RoomSpec) -> NDArray[np.bool_]:
 
 
 def _surface(floor: FloorMap, triangles: F64) -> F64:
-    """Returns (H, W): how high what a robot stands on lies, metres; -inf = there is nothing."""
+    """Returns (H, W): height of the surface that a robot stands on, world metres, from triangles (F, 3, 3); -inf = there is none."""
     low, high = floor.floor_z - FLOOR_TOLERANCE, floor.floor_z + FLOOR_CLEARANCE
     near = triangles[(triangles[:, :, 2].min(axis=1) >= low) & (triangles[:, :, 2].max(axis=1) <= high)]
     level = near[np.abs(unit_normals(near)[:, 2]) > 0.9]
@@ -111,7 +118,7 @@ def _surface(floor: FloorMap, triangles: F64) -> F64:
 
 
 def _height(floor: FloorMap, heights: F64, xy: tuple[float, float], radius: float) -> float:
-    """Returns the greatest of the heights (H, W) below a disc, metres; that of the floor where there are none."""
+    """Returns the greatest of the heights (H, W) below a disc about a point, world metres; the floor's where there are none."""
     row, column = (int(i) for i in floor.cells(xy))
     reach = math.ceil(radius / floor.resolution)
     rows = slice(max(0, row - reach), row + reach + 1)

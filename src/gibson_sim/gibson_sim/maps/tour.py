@@ -1,4 +1,4 @@
-"""Plans where a robot can drive to see a scene: a good place to start and a tour. Pure and deterministic."""
+"""Plans tours of a scene for a robot: where to start, and a path past places far apart. Pure and deterministic."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+from scipy import ndimage
 
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.grid_graph import GridGraph
+from gibson_sim.maps.paths import path_length
 from gibson_sim.quoting import quoted
 
 F64 = NDArray[np.float64]
@@ -18,24 +19,27 @@ I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 PREFERRED_CLEARANCE = 0.35
-"""Beyond the robot's radius: the planner pays for coming nearer to obstacles than this, metres."""
+"""Distance to obstacles, beyond the robot's radius, below which a path costs more, metres."""
 CLEARANCE_WEIGHT = 4.0
-"""A metre beside an obstacle costs as much as 1 + this many metres in the open."""
+"""Extra cost of a metre of path right beside an obstacle, metres of path in the open."""
 SEEN_WITHIN = 0.8
-"""Places nearer to the tour than this count as visited, metres."""
+"""A tour counts places nearer to it than this as visited, metres."""
 SPACING = 0.1
-"""Between the points of a tour, metres."""
+"""Largest distance between neighbouring points of a tour, metres."""
 START_TOLERANCE = 0.15
-"""A start may be this far from a place that the planner calls free, metres."""
-_ROUNDINGS = 3
+"""Largest distance of a start from a cell that is free for the planner, metres."""
+_SMOOTHING_PASSES = 3
 _CORNER_CUT = 0.3
+"""Distance from a corner at which smoothing cuts it, metres; at most a quarter of the segment."""
+_HEADINGS = 16
+"""Headings that are compared for a start."""
 
 
 def choose_start(floor_map: FloorMap, radius: float) -> tuple[float, float, float]:
-    """Returns x, y, yaw (metres, radians) of the most open place of the largest free region, looking along its longest free way.
+    """Returns x, y, yaw (world frame, metres, radians) of the most open place of the largest free region, facing its longest free line.
 
     Args:
-        floor_map: where the floor is free.
+        floor_map: the map.
         radius: of the robot, metres.
 
     Raises:
@@ -50,35 +54,35 @@ def choose_start(floor_map: FloorMap, radius: float) -> tuple[float, float, floa
     openness = np.where(region, floor_map.distance_to_obstacle, -1.0)
     cell = np.array(np.unravel_index(int(openness.argmax()), openness.shape))
     x, y = floor_map.centers(cell)
-    headings = np.arange(16) * (math.pi / 8)
-    reach = [_free_run(floor_map, np.array([x, y]), float(heading)) for heading in headings]
-    yaw = float(headings[int(np.argmax(reach))])
+    headings = np.arange(_HEADINGS) * (2.0 * math.pi / _HEADINGS)
+    lengths = [_free_length(floor_map, np.array([x, y]), float(heading)) for heading in headings]
+    yaw = float(headings[int(np.argmax(lengths))])
     return float(x), float(y), yaw if yaw <= math.pi else yaw - 2 * math.pi
 
 
 def plan_tour(floor_map: FloorMap, start_xy: tuple[float, float], radius: float, length_m: float) -> F64:
-    """Returns a path that starts at ``start_xy`` and visits places far apart, shape (N, 2), metres, world frame.
+    """Returns a path (N, 2) that starts at ``start_xy`` and visits places far apart, world metres.
 
-    The next goal is always the open place farthest from where the tour has been; once all is seen the round begins anew. A disc of
-    ``radius`` about any point of the path lies in free space (but for the first ``START_TOLERANCE``, if it starts beside something).
+    The next goal is always the open place farthest from the tour so far; the tour begins again once it has visited every place. A disc
+    of ``radius`` about any point of the path lies in free space, except within ``START_TOLERANCE`` of a start beside an obstacle.
 
     Args:
-        floor_map: where the floor is free.
-        start_xy: metres.
+        floor_map: the map.
+        start_xy: world metres.
         radius: of the robot, metres.
-        length_m: wanted length; the path is that long to within 1 m.
+        length_m: length of the path, metres, met to within 1 m.
 
     Raises:
-        ConfigError: a length or radius is not above 0, or the start is not free; the text names the nearest free place.
-        SceneError: the start is walled in.
+        ConfigError: a length or radius is not above 0, or the start is not free; the message names the nearest free place.
+        SceneError: the start is enclosed by obstacles.
     """
     if not (math.isfinite(length_m) and length_m > 0 and math.isfinite(radius) and radius > 0):
         raise ConfigError(f"tour: length is {quoted(length_m)} m and radius {quoted(radius)} m, both must be finite and above 0")
-    graph = _Graph(floor_map, radius, start_xy)
-    pieces: list[F64] = [np.array([start_xy], dtype=np.float64)]
+    graph = _TourGraph(floor_map, radius, start_xy)
+    legs: list[F64] = [np.array([start_xy], dtype=np.float64)]
     visited: list[I64] = []
-    here, length, smoothed = graph.start, 0.0, pieces[0]
-    # Smoothing shortens; plan a little more and cut.
+    here, length, path = graph.start, 0.0, legs[0]
+    # Smoothing shortens a path, so plan half a metre more and cut it.
     while length < length_m + 0.5:
         nodes = graph.next_leg(here, visited)
         if len(nodes) < 2:
@@ -87,82 +91,49 @@ def plan_tour(floor_map: FloorMap, start_xy: tuple[float, float], radius: float,
             )
         visited.append(nodes)
         here = int(nodes[-1])
-        leg = _round_corners(graph, _pull_string(graph, graph.points[nodes]))
-        pieces.append(leg)
-        smoothed = np.concatenate(pieces)
-        length = float(np.linalg.norm(np.diff(smoothed, axis=0), axis=1).sum())
-    return _resample(smoothed, length_m)
+        legs.append(_smoothed(graph, _taut(graph, graph.points[nodes])))
+        path = np.concatenate(legs)
+        length = path_length(path)
+    return _resample(path, length_m)
 
 
-class _Graph:
-    """The places that the robot can reach from its start, as an 8-connected grid weighted by clearance."""
+class _TourGraph:
+    """The cells that the robot can reach from its start, 8-connected, in which a metre costs more near obstacles."""
 
     def __init__(self, floor_map: FloorMap, radius: float, start_xy: tuple[float, float]) -> None:
         self.floor_map, self.radius = floor_map, radius
         self.allowed = floor_map.inflate(radius)
-        start_cell = _start_cell(floor_map, self.allowed, start_xy, radius)
-        labels = _regions(self.allowed)
-        self.cells: I64 = np.argwhere(labels == labels[tuple(start_cell)])
-        number = np.full(floor_map.shape, -1, dtype=np.int64)
-        number[tuple(self.cells.T)] = np.arange(len(self.cells))
-        self.start = int(number[tuple(start_cell)])
-        self.points = floor_map.centers(self.cells)
-        self.clearance = floor_map.distance_to_obstacle[tuple(self.cells.T)]
-        self.costs = self._edges(number)
-
-    def _edges(self, number: I64) -> sparse.csr_matrix:
-        near = np.clip((self.radius + PREFERRED_CLEARANCE - self.clearance) / PREFERRED_CLEARANCE, 0.0, 1.0)
-        price = 1.0 + CLEARANCE_WEIGHT * near**2
-        padded = np.pad(number, 1, constant_values=-1)
-        rows, columns, costs = [], [], []
-        for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
-            other = padded[self.cells[:, 0] + 1 + dr, self.cells[:, 1] + 1 + dc]
-            a = np.flatnonzero(other >= 0)
-            b = other[a]
-            step = math.hypot(dr, dc) * self.floor_map.resolution
-            rows.append(a)
-            columns.append(b)
-            costs.append(step * (price[a] + price[b]) / 2)
-        n = len(self.cells)
-        return sparse.csr_matrix((np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+        start_cell = tuple(_start_cell(floor_map, self.allowed, start_xy, radius))
+        regions, _ = ndimage.label(self.allowed, np.ones((3, 3)))
+        reachable = np.asarray(regions == regions[start_cell])
+        self.clearance = floor_map.distance_to_obstacle[reachable]
+        near = np.clip((radius + PREFERRED_CLEARANCE - self.clearance) / PREFERRED_CLEARANCE, 0.0, 1.0)
+        self._grid = GridGraph(reachable, floor_map.resolution, price=1.0 + CLEARANCE_WEIGHT * near**2)
+        self.start = int(self._grid.numbers[start_cell])
+        self.points = floor_map.centers(self._grid.cells)
 
     def next_leg(self, here: int, visited: list[I64]) -> I64:
-        """Returns the nodes from ``here`` to the open place farthest from what is visited; forgets all once everything is seen."""
+        """Returns the nodes from ``here`` to the open place farthest from ``visited``; clears that list if every place is near to it."""
         for _ in range(2):
-            sources = np.unique(np.concatenate([*visited, [here]]))
-            seen = csgraph.dijkstra(self.costs, directed=False, indices=sources, min_only=True)
+            away = self._grid.distances(np.unique(np.concatenate([*visited, [here]])))
             openness = np.clip((self.clearance - self.radius) / PREFERRED_CLEARANCE, 0.2, 1.0)
-            worth = seen * openness
-            goal = int(worth.argmax())
-            if seen[goal] > SEEN_WITHIN or not visited:
+            goal = int((away * openness).argmax())
+            if away[goal] > SEEN_WITHIN or not visited:
                 break
             visited.clear()
-        _, before = csgraph.dijkstra(self.costs, directed=False, indices=here, return_predecessors=True)
-        nodes = [goal]
-        while nodes[-1] != here:
-            nodes.append(int(before[nodes[-1]]))
-        return np.array(nodes[::-1], dtype=np.int64)
+        return self._grid.shortest_paths(here).nodes(0, goal)
 
     def is_free(self, points: F64) -> Bools:
-        """Returns (N,): the robot may be at these points (N, 2)."""
-        cells = self.floor_map.cells(points)
-        inside = np.asarray(((cells >= 0) & (cells < np.array(self.floor_map.shape))).all(axis=1))
-        safe = np.where(inside[:, None], cells, 0)
-        return np.asarray(inside & self.allowed[safe[:, 0], safe[:, 1]])
+        """Returns (N,): whether the robot fits at points (N, 2), world metres."""
+        return self.floor_map.look_up(self.allowed, points, outside=False)
 
     def samples(self, points: F64) -> F64:
-        """Returns points (M, 2) along a polyline, a quarter of a cell apart."""
+        """Returns points (M, 2) along a polyline (N, 2), a quarter of a cell apart, world metres."""
         return _resample(points, math.inf, self.floor_map.resolution / 4)
 
 
-def _regions(allowed: Bools) -> I64:
-    """Returns (H, W): numbers of the 8-connected regions, 0 = not allowed."""
-    labels, _ = ndimage.label(allowed, np.ones((3, 3)))
-    return np.asarray(labels, dtype=np.int64)
-
-
 def _start_cell(floor_map: FloorMap, allowed: Bools, start_xy: tuple[float, float], radius: float) -> I64:
-    """Returns row and column of the start, or of the allowed cell beside it."""
+    """Returns row and column (2,) of the start, or of the nearest allowed cell where the start is not free."""
     nearest = floor_map.nearest_free(start_xy, radius)
     if nearest is None:
         raise SceneError(f"tour: no place on the floor is free for a robot of radius {radius:g} m; check floor_z of the scene")
@@ -177,12 +148,12 @@ def _start_cell(floor_map: FloorMap, allowed: Bools, start_xy: tuple[float, floa
     return floor_map.cells(nearest)
 
 
-def _pull_string(graph: _Graph, points: F64) -> F64:
-    """Returns the corners (M, 2) of a path (N, 2) once it is pulled tight where that loses little clearance."""
+def _taut(graph: _TourGraph, points: F64) -> F64:
+    """Returns the corners (M, 2) of a path (N, 2) that is pulled taut wherever that loses little clearance, world metres."""
     corners = [0]
     while corners[-1] < len(points) - 1:
         first = corners[-1]
-        # Halve the reach until the shortcut is good; then grow it again, so that few shortcuts are tried.
+        # Doubling the step after each good shortcut and halving it otherwise keeps the number of trials low.
         good, step = first + 1, 1
         while step:
             last = min(good + step, len(points) - 1)
@@ -194,20 +165,19 @@ def _pull_string(graph: _Graph, points: F64) -> F64:
     return points[corners]
 
 
-def _shortcut_is_good(graph: _Graph, points: F64) -> bool:
+def _shortcut_is_good(graph: _TourGraph, points: F64) -> bool:
+    """Returns whether the line between the ends of a path (N, 2), world metres, is free and loses little clearance."""
     line = graph.samples(points[[0, -1]])
     if not graph.is_free(line).all():
         return False
     enough = graph.radius + PREFERRED_CLEARANCE
-    way = np.minimum(graph.floor_map.clearance(points), enough)
-    return bool(np.minimum(graph.floor_map.clearance(line), enough).min() >= way.min() - 1e-9) and bool(
-        np.minimum(graph.floor_map.clearance(line), enough).mean() >= way.mean() - 0.05
-    )
+    before, after = (np.minimum(graph.floor_map.clearance(xy), enough) for xy in (points, line))
+    return bool(after.min() >= before.min() - 1e-9) and bool(after.mean() >= before.mean() - 0.05)
 
 
-def _round_corners(graph: _Graph, corners: F64) -> F64:
-    """Returns the path with its corners cut off, again and again, wherever the cut is free."""
-    for _ in range(_ROUNDINGS):
+def _smoothed(graph: _TourGraph, corners: F64) -> F64:
+    """Returns the path (M, 2) with its corners (N, 2) cut off repeatedly wherever the cut is free, world metres."""
+    for _ in range(_SMOOTHING_PASSES):
         if len(corners) < 3:
             break
         points = [corners[:1]]
@@ -219,12 +189,13 @@ def _round_corners(graph: _Graph, corners: F64) -> F64:
 
 
 def _towards(corner: F64, neighbour: F64) -> F64:
+    """Returns the point (2,) at which a corner (2,) is cut on the side of its neighbour (2,)."""
     away = neighbour - corner
     return np.asarray(corner + away * min(0.25, _CORNER_CUT / max(float(np.linalg.norm(away)), 1e-9)))
 
 
 def _resample(points: F64, length_m: float, spacing: float = SPACING) -> F64:
-    """Returns a polyline (M, 2) cut at ``length_m``: its corners, and points between them at most ``spacing`` apart."""
+    """Returns a polyline (M, 2) cut at ``length_m``: the corners ``points`` (N, 2), and points between at most ``spacing`` metres apart."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     total = min(float(arc[-1]), length_m)
@@ -234,8 +205,8 @@ def _resample(points: F64, length_m: float, spacing: float = SPACING) -> F64:
     return np.stack([np.interp(where, arc, points[:, k]) for k in range(2)], axis=1)
 
 
-def _free_run(floor_map: FloorMap, start: F64, heading: float) -> float:
-    """Returns how far one can look from ``start`` before something stands in the way, metres, at most 10."""
+def _free_length(floor_map: FloorMap, start: F64, heading: float) -> float:
+    """Returns the length of the free line from ``start`` (2,), world metres, along a heading in radians; metres, at most 10."""
     distances = np.arange(0.0, 10.0, floor_map.resolution)
     line = start + distances[:, None] * np.array([math.cos(heading), math.sin(heading)])
     blocked = np.flatnonzero(floor_map.clearance(line) <= 0.0)

@@ -1,8 +1,8 @@
-"""Which bodies were active in the last steps, from the sizes of the islands that the engine solved.
+"""Active and sleeping bodies of an engine: how many were active in the last steps, and which sleeping ones must wake.
 
-In every step Bullet gathers what may touch, or is held together, in islands; it solves those with an active body, and nothing in any
-other one moves. With its reports on, a step tells how many parts of bodies each solved island has: every link of a body is a part, and so is
-a root that is not fixed. If the bodies known to be active have exactly that many links, no other body was active.
+In every step Bullet gathers bodies that may touch, or are held together, in islands. It solves the islands with an active body; nothing in any
+other one moves. With its reports on, a step tells how many *solver bodies* each solved island has: every link of a body is one, and so is a root that
+is not fixed. If the bodies known to be active have exactly that many solver bodies, no other body was active.
 """
 
 from __future__ import annotations
@@ -14,22 +14,68 @@ from typing import Any
 from gibson_sim.physics.engine import pybullet as p
 from gibson_sim.physics.engine_types import BulletBody
 
+_MAX_ISLANDS = 64
+"""Number of islands for which PyBullet has room in its reports; with more, it reads beyond their end."""
 _SLEEP_THRESHOLD = 5e-5
 """Sum of the squares of all speeds (m/s, rad/s) of a body below which it falls asleep after 2 s: a few millimetres a second."""
 _BESIDE = 0.02
-"""Metres between the boxes about two bodies that may rest on each other."""
+"""Distance between the bounding boxes of two bodies that may rest on each other, metres."""
 
 
-class Sleepers:
+class ActiveBodies:
+    """Counts active solver bodies step by step."""
+
+    def __init__(self, client: int) -> None:
+        self._client = client
+        self._reports = False
+        self._peak, self._steps = 0.0, 0
+
+    def change_bodies(self, count: int) -> None:
+        """Turns the reports on or off for ``count`` bodies, static shapes not counted: there are at most as many islands."""
+        reports = count <= _MAX_ISLANDS
+        if reports != self._reports:
+            p.setPhysicsEngineParameter(reportSolverAnalytics=int(reports), physicsClientId=self._client)
+        self._reports = reports
+
+    def add_step(self, islands: Sequence[dict[str, Any]]) -> None:
+        """Adds the report of a step."""
+        active = sum([island["numBodies"] for island in islands]) if self._reports else math.inf
+        self._steps += 1
+        if active > self._peak:
+            self._peak = active
+
+    def pop_peak(self) -> tuple[float, int]:
+        """Returns the most solver bodies that were active in a step since the last call, inf = unknown, and the number of these steps."""
+        found = self._peak, self._steps
+        self._peak, self._steps = 0.0, 0
+        return found
+
+
+def count_solver_bodies(uid: int, links: int, client: int) -> float:
+    """Returns how many solver bodies a body is; NaN = unknown.
+
+    Args:
+        uid: The engine's number of the body.
+        links: Number of links below its root.
+        client: The engine's client.
+    """
+    if p.getDynamicsInfo(uid, -1, client)[0] > 0.0:
+        return links + 1
+    # The root is fixed, and so may be links that fixed joints hold to it.
+    fixed = any(p.getJointInfo(uid, i, client)[2] == p.JOINT_FIXED for i in range(links))
+    return math.nan if fixed else links
+
+
+class SleepingBodies:
     """The bodies of one engine that may fall asleep, by the engine's numbers."""
 
     def __init__(self, client: int) -> None:
         self._client = client
         self._may_sleep: set[int] = set()
         self._waking: set[int] = set()
-        """Those that must not sleep on in the next step."""
-        self._thrown: dict[int, tuple[list[float], list[float]]] = {}
-        """Those that were given a velocity since the last step, with that of the centre of mass (m/s) and the angular one (rad/s)."""
+        """Bodies to wake before the next step."""
+        self._velocities: dict[int, tuple[list[float], list[float]]] = {}
+        """Velocities set since the last step: of the centre of mass (m/s), and angular (rad/s)."""
 
     def add(self, body: BulletBody) -> None:
         """Lets a body fall asleep when it rests."""
@@ -43,19 +89,19 @@ class Sleepers:
         )
 
     def remove(self, body: BulletBody) -> None:
-        """Forgets a body that is about to be taken away, and wakes what lies beside it."""
+        """Forgets a body that is about to be removed, and wakes what lies beside it."""
         self.wake_beside(body)
         self._may_sleep.discard(body.uid)
         self._waking.discard(body.uid)
-        self._thrown.pop(body.uid, None)
+        self._velocities.pop(body.uid, None)
 
     def wake(self, body: BulletBody) -> None:
-        """Lets the body not sleep on in the next step."""
+        """Wakes a body before the next step."""
         if body.uid in self._may_sleep:
             self._waking.add(body.uid)
 
     def wake_beside(self, body: BulletBody) -> None:
-        """The same for the body and for what lies beside it where it is now."""
+        """Wakes a body, and what lies beside it where it is now, before the next step."""
         if not self._may_sleep:
             return
         self.wake(body)
@@ -65,69 +111,21 @@ class Sleepers:
             found = p.getOverlappingObjects(low, high, physicsClientId=self._client) or ()
             self._waking.update(uid for uid, _ in found if uid in self._may_sleep)
 
-    def throw(self, body: BulletBody, linear: list[float], angular: list[float]) -> None:
-        """Wakes a body that was just given velocities: of its centre of mass (m/s), and angular (rad/s), world frame."""
+    def wake_moving(self, body: BulletBody, linear: list[float], angular: list[float]) -> None:
+        """Wakes a body whose velocities were just set: of its centre of mass (m/s), and angular (rad/s), world frame."""
         if body.uid in self._may_sleep:
             self._waking.add(body.uid)
-            self._thrown[body.uid] = (linear, angular)
+            self._velocities[body.uid] = (linear, angular)
 
-    def wake_what_must(self) -> None:
-        """Call it before a step."""
+    def before_step(self) -> None:
+        """Wakes the bodies that must wake; call it before every step."""
         for uid in sorted(self._waking):
             p.changeDynamics(uid, -1, activationState=p.ACTIVATION_STATE_WAKE_UP, physicsClientId=self._client)
         self._waking.clear()
 
-    def throw_again(self) -> None:
-        """Call it after a step: who slept stands still in the step that wakes it, and forgets how it was thrown."""
-        for uid, (linear, angular) in self._thrown.items():
+    def after_step(self) -> None:
+        """Sets velocities again that the step lost: a sleeping body stands still in the step that wakes it. Call it after every step."""
+        for uid, (linear, angular) in self._velocities.items():
             if not any(map(any, p.getBaseVelocity(uid, physicsClientId=self._client))):
                 p.resetBaseVelocity(uid, linear, angular, physicsClientId=self._client)
-        self._thrown.clear()
-
-
-_MOST_ISLANDS = 64
-"""PyBullet has room for the reports of so many, and reads beyond it where there are more."""
-
-
-def parts_of(uid: int, links: int, client: int) -> float:
-    """Returns how many parts of a body can be awake; NaN = nobody knows.
-
-    Args:
-        uid: its number.
-        links: how many it has below its root.
-        client: whose it is.
-    """
-    if p.getDynamicsInfo(uid, -1, client)[0] > 0.0:
-        return links + 1
-    # The root is fixed, and so may be what hangs on it by joints that do not move.
-    fixed = any(p.getJointInfo(uid, i, client)[2] == p.JOINT_FIXED for i in range(links))
-    return math.nan if fixed else links
-
-
-class ActiveBodies:
-    """Counts awake parts step by step."""
-
-    def __init__(self, client: int) -> None:
-        self._client = client
-        self._reports = False
-        self._most, self._steps = 0.0, 0
-
-    def change_bodies(self, count: int) -> None:
-        """Call it when there are ``count`` bodies, not counting static shapes: each is in one island only."""
-        reports = count <= _MOST_ISLANDS
-        if reports != self._reports:
-            p.setPhysicsEngineParameter(reportSolverAnalytics=int(reports), physicsClientId=self._client)
-        self._reports = reports
-
-    def add_step(self, islands: Sequence[dict[str, Any]]) -> None:
-        """Takes in what a step reported."""
-        parts = sum([island["numBodies"] for island in islands]) if self._reports else math.inf
-        self._steps += 1
-        if parts > self._most:
-            self._most = parts
-
-    def take(self) -> tuple[float, int]:
-        """Returns how many parts were awake in that step since the last call in which most were, and the number of these steps."""
-        taken = self._most, self._steps
-        self._most, self._steps = 0.0, 0
-        return taken
+        self._velocities.clear()

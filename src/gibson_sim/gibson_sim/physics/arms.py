@@ -1,6 +1,14 @@
-"""The arms of all robots of a world: their grippers, their servos, and what robots run into.
+"""The arms of all robots in a world: grippers, tools, Cartesian servos, and the collisions of their robots.
 
-``PhysicsWorld`` calls this around every step; what users call is in ``arm_commands.py``.
+    world.arms.grasp(robot, arm)             grasps what is in reach, by the rules of ``robots.joints.grasping``: returns a GraspState
+    world.arms.release(robot, arm)           releases it
+    world.arms.grasp_state(robot, arm)       what the gripper holds, and the force
+    world.arms.move_gripper(robot, opening)  0 = closed, 1 = open; closing grasps and opening releases, as with any command to its joints
+    world.arms.tool_pose(robot, arm)         T_world_tool
+    world.arms.solve_arm(robot, target)      joints of the arm that bring the tool to T_world_tool: a ChainSolution
+    world.arms.servo(robot, ToolTwist(...))  moves the tool at a velocity until the time-out of ``ServoSettings``
+
+``arm`` is a name from the robot's file; empty or left out, it is the robot's first. The topics of ``docs/manipulation.md`` do the same.
 """
 
 from __future__ import annotations
@@ -14,33 +22,38 @@ from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.grasper import Grasper
+from gibson_sim.physics.link_poses import link_pose
 from gibson_sim.physics.proximity import Reach
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.physics.tool_servo import ToolServo
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import STANDING_HEIGHT, STANDING_NORMAL, CollisionCount, CollisionCounter
-from gibson_sim.robots.joints.commands import JointCommand
-from gibson_sim.robots.joints.grasping import GraspSettings, gripper_move
-from gibson_sim.robots.joints.servo import ServoSettings
-from gibson_sim.robots.spec import ManipulatorSpec
+from gibson_sim.robots.joints.commands import JointCommand, JointPositions
+from gibson_sim.robots.joints.grasping import GraspSettings, GraspState, gripper_move
+from gibson_sim.robots.joints.kinematics import ChainSolution
+from gibson_sim.robots.joints.servo import ServoSettings, ToolTwist
+from gibson_sim.robots.spec import GripperSpec, ManipulatorSpec
+from gibson_sim.types import Pose, SceneState
 
 
 @dataclass(slots=True)
-class _Robot:
-    """What one robot has more than joints."""
+class _RobotArms:
+    """The arms of one robot."""
 
-    one: RobotInWorld
+    robot: RobotInWorld
     graspers: dict[str, Grasper]
+    """By the names of the arms; those without a gripper are missing."""
     servos: dict[str, ToolServo]
+    """By the names of the arms."""
     hands: frozenset[int]
-    """The engine's numbers of links whose touches are no collisions."""
+    """Engine numbers of the links whose contacts are no collisions."""
     base_height: float
-    """Metres from what the engine moves as its root up to its base frame, upright."""
+    """Height of the base frame above the inertial frame of the root link, metres, with the robot upright."""
     counter: CollisionCounter | None
-    """None = nobody asked."""
+    """None = the collisions of this robot are not counted."""
 
 
-class Arms:
+class ArmsInWorld:
     """Arms of the robots that are in the world now."""
 
     def __init__(
@@ -49,145 +62,235 @@ class Arms:
         robots: Mapping[str, RobotInWorld],
         bodies: Callable[[], Sequence[BodyInWorld]],
         attachments: Attachments,
+        *,
+        state_of: Callable[[str], SceneState],
+        now_ns: Callable[[], int],
         grasping: GraspSettings,
         servo: ServoSettings,
     ) -> None:
-        """Knows the robots by the mapping that the world keeps; they come and go.
+        """Reads the robots from a mapping that the world owns: robots may come and go.
 
         Args:
             bullet: The engine.
-            robots: By name; it may change.
+            robots: The robots by name; the mapping may change.
             bodies: Returns all robots and bodies.
-            attachments: What holds links together.
-            grasping: How grippers hold.
-            servo: How servos move.
+            attachments: The joints between grippers and what they hold.
+            state_of: Returns the poses of at least the links of one robot, by its name.
+            now_ns: Returns the simulation time.
+            grasping: Settings of all grippers.
+            servo: Settings of all servos.
         """
         self._bullet, self._robots, self._bodies, self._attachments = bullet, robots, bodies, attachments
+        self._state_of, self._now_ns = state_of, now_ns
         self._grasping, self._servo = grasping, servo
         self._reach = Reach(bullet)
-        self._known: dict[str, _Robot] = {}
+        self._by_robot: dict[str, _RobotArms] = {}
+        """Filled when the arms of a robot are first used."""
         self._counted: set[str] = set()
-        """Robots whose collisions somebody wants to know: it costs a few percent of a step."""
+        """Robots whose collisions are counted, which costs a few percent of a step."""
 
-    def arm(self, robot: str, name: str) -> ManipulatorSpec:
-        """Returns an arm; an empty name = the first one. CommandError where there is none."""
-        if robot not in self._robots:
-            raise CommandError(f"no robot {quoted(robot)} in this world; known: {', '.join(self._robots) or 'none'}")
-        try:
-            return self._robots[robot].spec.manipulator(name)
-        except RobotError as error:
-            raise CommandError(str(error)) from error
+    def grasp(self, robot: str, arm: str = "", *, target: str = "") -> GraspState:
+        """Grasps what is in reach, at once; nothing changes if the gripper holds something already.
 
-    def rest(self, robot: str, arm: ManipulatorSpec) -> dict[str, float]:
-        """Returns where the joints of an arm start, radians or metres: where they shall be as far as a task leaves them free."""
-        start = dict(self._robots[robot].spec.joints)
-        return {name: start.get(name, 0.0) for name in arm.joints}
+        assisted: the nearest handle or knob that can move, else the nearest link that can move, within the set distance of the tool.
+        sticky: what the hand touches, now or within a second. physical: nothing; the fingers hold by friction.
 
-    def grasper(self, robot: str, name: str) -> Grasper:
-        """Returns the gripper of an arm."""
-        arm = self.arm(robot, name)
-        if arm.gripper is None:
-            raise CommandError(f"arm {quoted(arm.name)} of robot {quoted(robot)} has no gripper; give it one in its robot.yaml")
-        return self._of(robot).graspers[arm.name]
+        Args:
+            robot: Name of the robot.
+            arm: Name of the arm.
+            target: The only robot or body that may be grasped; empty = any.
 
-    def tool_servo(self, robot: str, name: str) -> ToolServo:
-        """Returns the servo of an arm."""
-        return self._of(robot).servos[self.arm(robot, name).name]
+        Returns:
+            What the gripper holds now; ``reason`` says why if that is nothing.
 
-    def collisions(self, robot: str, step_hz: int) -> CollisionCount:
-        """Returns what a robot ran into since the first such question, or since it was reset."""
-        known = self._of(robot)
-        if known.counter is None:
-            self._counted.add(robot)
-            known.counter = CollisionCounter()
-        return known.counter.total(step_hz)
-
-    def notice(self, robot: str, command: JointCommand, now_ns: int) -> None:
-        """Takes note of a joint command before it is obeyed: one that closes a gripper grasps, and one that opens it lets go.
-
-        A servo whose joints it names stops.
+        Raises:
+            CommandError: there is no such robot, arm, gripper or target.
         """
-        known = self._of(robot)
-        if not known.one.spec.manipulators or known.one.motors is None:
+        grasper = self._grasper(robot, arm)
+        grasper.grasp(self._now_ns(), target)
+        return grasper.state()
+
+    def release(self, robot: str, arm: str = "") -> GraspState:
+        """Releases what a gripper holds, if anything; CommandError if there is no such robot, arm or gripper."""
+        grasper = self._grasper(robot, arm)
+        grasper.release()
+        return grasper.state()
+
+    def grasp_state(self, robot: str, arm: str = "") -> GraspState:
+        """Returns what a gripper holds; CommandError if there is no such robot, arm or gripper."""
+        return self._grasper(robot, arm).state()
+
+    def move_gripper(self, robot: str, opening: float, arm: str = "", *, max_effort: float = 0.0) -> None:
+        """Moves the fingers together.
+
+        Args:
+            robot: Name of the robot.
+            opening: 0 = closed, 1 = open.
+            arm: Name of the arm.
+            max_effort: Limit for each finger, N or N m; 0 = that of the robot's file.
+
+        Raises:
+            CommandError: there is no such robot, arm or gripper, or a number is out of its range.
+        """
+        gripper = _gripper(robot, self._spec(robot, arm))
+        if not 0.0 <= opening <= 1.0:
+            raise CommandError(f"opening of a gripper is {opening}, must be 0 (closed) to 1 (open)")
+        position = gripper.closed + opening * (gripper.open - gripper.closed)
+        efforts = (max_effort or gripper.max_effort,) * len(gripper.joints)
+        self.command_joints(robot, JointPositions((position,) * len(gripper.joints), gripper.joints, efforts))
+
+    def tool_pose(self, robot: str, arm: str = "") -> Pose:
+        """Returns T_world_tool; CommandError if there is no such robot or arm."""
+        tip = self._spec(robot, arm).tip_link
+        return link_pose(self._state_of(robot), f"{robot}/{tip}")
+
+    def solve_arm(self, robot: str, target: Pose, arm: str = "", *, orientation: bool = True) -> ChainSolution:
+        """Returns the joints of an arm that bring its tool to ``target`` (T_world_tool), the robot standing where it is; nothing moves.
+
+        ``JointPositions(solution.positions, solution.names)`` moves the arm there. Joints that the target leaves free go towards the pose
+        in which the robot starts. Check ``solution.within(...)``: a target out of reach has a solution, too, but one with an error.
+
+        Args:
+            robot: Name of the robot.
+            target: Pose that the tool is to reach.
+            arm: Name of the arm.
+            orientation: Whether the orientation of the target counts.
+
+        Raises:
+            CommandError: there is no such robot or arm.
+        """
+        spec, start = self._spec(robot, arm), dict(self._robots[robot].spec.joints)
+        rest = {name: start.get(name, 0.0) for name in spec.joints}
+        return self._robots[robot].solve_chain(
+            self._bullet, spec.tip_link, target, joints=spec.joints, rest=rest, orientation=orientation
+        )
+
+    def servo(self, robot: str, twist: ToolTwist, arm: str = "") -> None:
+        """Moves a tool at a velocity relative to the robot's base, from the next step on, until the time-out of ``ServoSettings``.
+
+        Raises:
+            CommandError: there is no such robot, arm or frame.
+        """
+        self._arms_of(robot).servos[self._spec(robot, arm).name].command(twist, self._now_ns())
+
+    def command_joints(self, robot: str, command: JointCommand) -> None:
+        """Moves joints of a robot from the next step on; see ``PhysicsWorld.command_joints``.
+
+        A command that closes a gripper grasps, one that opens it releases, and one that names joints of an arm stops its servo.
+        """
+        arms, now_ns = self._arms_of(robot), self._now_ns()
+        arms.robot.command_joints(self._bullet, command, now_ns)
+        if not arms.robot.spec.manipulators or arms.robot.motors is None:
             return
-        positions = known.one.joint_positions(self._bullet)
-        named = {name: positions[name] for name in known.one.motors.names}
-        for arm in known.one.spec.manipulators:
+        positions = arms.robot.joint_positions(self._bullet)
+        commandable = {name: positions[name] for name in arms.robot.motors.names}
+        for arm in arms.robot.spec.manipulators:
             if not command.names or set(command.names) & set(arm.joints):
-                known.servos[arm.name].forget()
+                arms.servos[arm.name].stop()
             if arm.gripper is None:
                 continue
-            move = gripper_move(arm.gripper, command, named)
+            move = gripper_move(arm.gripper, command, commandable)
             if move == "closes":
-                known.graspers[arm.name].grasp(now_ns)
+                arms.graspers[arm.name].grasp(now_ns)
             elif move == "opens":
-                known.graspers[arm.name].release("let go: the gripper opened")
+                arms.graspers[arm.name].release("let go: the gripper opened")
+
+    def collision_count(self, robot: str, step_hz: int) -> CollisionCount:
+        """Returns the collisions of a robot since the first such call, or since a reset; see ``PhysicsWorld.collisions``."""
+        arms = self._arms_of(robot)
+        if arms.counter is None:
+            self._counted.add(robot)
+            arms.counter = CollisionCounter()
+        return arms.counter.total(step_hz)
+
+    # Called by the world
 
     def before_step(self, now_ns: int, step_ns: int) -> None:
-        """Tells the joints of servos how fast to move in the step that begins at ``now_ns``."""
-        for known in self._known.values():
-            for servo in known.servos.values():
+        """Sets the joint velocities of the servos for the step that begins at ``now_ns``."""
+        for arms in self._by_robot.values():
+            for servo in arms.servos.values():
                 servo.before_step(now_ns, step_ns)
 
     def after_step(self, now_ns: int) -> None:
-        """Follows up the step that ended at ``now_ns``."""
-        for known in self._known.values():
-            busy = [grasper for grasper in known.graspers.values() if grasper.is_busy]
-            if not busy and known.counter is None:
+        """Counts collisions and updates the grippers after the step that ended at ``now_ns``."""
+        for arms in self._by_robot.values():
+            busy = [grasper for grasper in arms.graspers.values() if grasper.is_busy]
+            if not busy and arms.counter is None:
                 continue
-            contacts = self._bullet.contacts(known.one.body)
-            if known.counter is not None:
-                known.counter.add_step(now_ns, self._touches(known, contacts))
+            contacts = self._bullet.contacts(arms.robot.engine_body)
+            if arms.counter is not None:
+                arms.counter.add_step(now_ns, self._collisions(arms, contacts))
             for grasper in busy:
                 grasper.after_step(now_ns, contacts)
 
     def remove(self, robot: str) -> None:
-        """Forgets a robot that is about to go."""
-        self._known.pop(robot, None)
+        """Forgets a robot that is about to be removed."""
+        self._by_robot.pop(robot, None)
         self._counted.discard(robot)
 
     def reset(self) -> None:
-        """Forgets everything but whose collisions are counted; call it when all stand where they started."""
-        self._known.clear()
+        """Forgets everything but which robots' collisions are counted; call it once all robots stand where they started."""
+        self._by_robot.clear()
         for robot in self._counted:
-            self._of(robot)
+            self._arms_of(robot)
 
     def forget_commands(self) -> None:
-        """Stops servos, whose commands are of another time; grippers hold on."""
-        for known in self._known.values():
-            for servo in known.servos.values():
-                servo.forget()
-            for grasper in known.graspers.values():
+        """Stops the servos, whose commands belong to another time; grippers keep what they hold."""
+        for arms in self._by_robot.values():
+            for servo in arms.servos.values():
+                servo.stop()
+            for grasper in arms.graspers.values():
                 grasper.stop_closing()
 
-    def _of(self, robot: str) -> _Robot:
-        if robot not in self._robots:
-            raise CommandError(f"no robot {quoted(robot)} in this world; known: {', '.join(self._robots) or 'none'}")
-        one = self._robots[robot]
-        known = self._known.get(robot)
-        if known is None:
-            arms = one.spec.manipulators
+    # Inside
+
+    def _spec(self, robot: str, arm: str) -> ManipulatorSpec:
+        """Returns an arm; an empty name = the first one. CommandError if there is none."""
+        try:
+            return self._robot(robot).spec.manipulator(arm)
+        except RobotError as error:
+            raise CommandError(str(error)) from error
+
+    def _grasper(self, robot: str, arm: str) -> Grasper:
+        spec = self._spec(robot, arm)
+        _gripper(robot, spec)
+        return self._arms_of(robot).graspers[spec.name]
+
+    def _robot(self, name: str) -> RobotInWorld:
+        if name not in self._robots:
+            raise CommandError(f"no robot {quoted(name)} in this world; known: {', '.join(self._robots) or 'none'}")
+        return self._robots[name]
+
+    def _arms_of(self, name: str) -> _RobotArms:
+        robot = self._robot(name)
+        if name not in self._by_robot:
             graspers = {
-                arm.name: Grasper(self._bullet, one, arm, self._attachments, self._reach, self._bodies, self._grasping)
-                for arm in arms
+                arm.name: Grasper(self._bullet, robot, arm, self._attachments, self._reach, self._bodies, self._grasping)
+                for arm in robot.spec.manipulators
                 if arm.gripper is not None
             }
-            servos = {arm.name: ToolServo(self._bullet, one, arm, self._servo) for arm in arms}
+            servos = {arm.name: ToolServo(self._bullet, robot, arm, self._servo) for arm in robot.spec.manipulators}
             hands = frozenset(row for grasper in graspers.values() for row in grasper.rows)
-            counter = CollisionCounter() if robot in self._counted else None
-            height = one.root_state(self._bullet)[0].position[2] - self._bullet.raw_root(one.body)[2]
-            known = self._known[robot] = _Robot(one, graspers, servos, hands, height, counter)
-        return known
+            height = robot.root_state(self._bullet)[0].position[2] - self._bullet.raw_root(robot.engine_body)[2]
+            counter = CollisionCounter() if name in self._counted else None
+            self._by_robot[name] = _RobotArms(robot, graspers, servos, hands, height, counter)
+        return self._by_robot[name]
 
-    def _touches(self, known: _Robot, contacts: Sequence[EngineContact]) -> dict[tuple[str, str], float]:
-        """Returns what of its contacts are collisions: not the floor below it, nor what its hands touch or hold."""
-        floor = self._bullet.raw_root(known.one.body)[2] + known.base_height + STANDING_HEIGHT
+    def _collisions(self, arms: _RobotArms, contacts: Sequence[EngineContact]) -> dict[tuple[str, str], float]:
+        """Returns (link, other) -> force, N, of the contacts that are collisions: all but those with the floor, of hands, and with what they hold."""
+        floor = self._bullet.raw_root(arms.robot.engine_body)[2] + arms.base_height + STANDING_HEIGHT
         out: dict[tuple[str, str], float] = {}
         for contact in contacts:
-            if contact.link in known.hands or (contact.normal[2] > STANDING_NORMAL and contact.position[2] < floor):
+            if contact.link in arms.hands or (contact.normal[2] > STANDING_NORMAL and contact.position[2] < floor):
                 continue
-            if any(grasper.held == contact.other for grasper in known.graspers.values()):
+            if any(grasper.held == contact.other for grasper in arms.graspers.values()):
                 continue
-            key = known.one.link_of_row(contact.link), contact.other
+            key = arms.robot.link_of_row(contact.link), contact.other
             out[key] = max(out.get(key, 0.0), contact.force)
         return out
+
+
+def _gripper(robot: str, arm: ManipulatorSpec) -> GripperSpec:
+    if arm.gripper is None:
+        raise CommandError(f"arm {quoted(arm.name)} of robot {quoted(robot)} has no gripper; give it one in its robot.yaml")
+    return arm.gripper

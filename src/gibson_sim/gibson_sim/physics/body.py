@@ -1,11 +1,16 @@
-"""One body in the engine: its joints, its shapes, the frames of its links."""
+"""One body in the engine: its joints, its shapes, the frames of its links.
+
+``BodyInWorld`` is any body, and what a robot has in common with it. Below it: which link a point on a rigid group belongs to, bounding boxes of
+shapes, and collision meshes as the engine reads them. Of a body that can move, the engine gets the convex hull of each mesh; of a static one,
+all triangles.
+"""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
@@ -25,74 +30,25 @@ from gibson_sim.geometry.transforms import Mat4, invert, matrices_from_poses, ma
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_files import to_obj
 from gibson_sim.physics.engine_types import BulletBody
-from gibson_sim.physics.frames import FrameTable, right_multiplication
+from gibson_sim.physics.frames import F64, FrameTable, right_multiplication
 from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.joints.commands import JointCommand
-from gibson_sim.robots.joints.kinematics import Chain
+from gibson_sim.robots.joints.kinematics import Chain, ChainSolution
 from gibson_sim.types import Pose, Vec3
 
-F64 = NDArray[np.float64]
-
-
-class LinkShapes:
-    """The collision shapes of one rigid part, by link."""
-
-    def __init__(self, model: UrdfModel, group: RigidGroup) -> None:
-        """Takes the shapes of all links of the group."""
-        self._first = group.name
-        self._shapes = [
-            (name, invert(T_group_link @ matrix_from_pose(item.pose)), item.shape, _planes(item.shape))
-            for name, T_group_link in group.members.items()
-            for item in model.link(name).collisions
-        ]
-
-    def nearest(self, point: F64) -> str:
-        """Returns the link whose shape a point, (3,), metres, group's frame, is nearest to; the group's first where none has any."""
-        if len({name for name, *_ in self._shapes}) < 2:
-            return self._shapes[0][0] if self._shapes else self._first
-        return min(self._shapes, key=lambda entry: _distance(entry[1], entry[2], entry[3], point))[0]
-
-
-def _planes(shape: Shape) -> F64:
-    """Returns the planes, (P, 4), outward, of the convex hull of a mesh; none for what is no mesh, or flat."""
-    if shape.kind != "mesh":
-        return np.zeros((0, 4))
-    vertices, _ = load_shape(shape).merged()
-    try:
-        return np.asarray(ConvexHull(vertices).equations)
-    except (QhullError, ValueError):
-        return np.zeros((0, 4))
-
-
-def _distance(T_shape_group: Mat4, shape: Shape, planes: F64, point: F64) -> float:
-    """Returns how far a point in the group's frame is outside a shape, metres; below 0 inside."""
-    local = T_shape_group[:3, :3] @ point + T_shape_group[:3, 3]
-    if shape.kind == "sphere":
-        return float(np.linalg.norm(local)) - shape.size[0]
-    if shape.kind == "box":
-        return _outside([abs(c) - size / 2 for c, size in zip(local.tolist(), shape.size, strict=True)])
-    if shape.kind == "cylinder":
-        return _outside([math.hypot(local[0], local[1]) - shape.size[0], abs(float(local[2])) - shape.size[1] / 2])
-    return float((planes[:, :3] @ local + planes[:, 3]).max()) if len(planes) else math.inf
-
-
-def _outside(beyond: Sequence[float]) -> float:
-    """Returns the distance to a box, or to a cylinder, from how far a point is beyond each pair of sides."""
-    return math.hypot(*(max(c, 0.0) for c in beyond)) + min(max(beyond), 0.0)
-
-
 _ENGINE_MESHES = (".obj",)
-"""Formats that the engine reads by itself, as a convex hull of each object in the file."""
-_ENGINE_BYTES = 2_000_000
-"""Of a file: the engine takes a tenth of a second for so many, while time stands; hulls of larger ones are made beside time."""
+"""Formats that the engine reads itself, as one convex hull for each object in the file."""
+_MAX_ENGINE_BYTES = 2_000_000
+"""Largest file that the engine reads itself: it takes a tenth of a second, in which time stands still. ``prepare_meshes`` makes the hulls of larger
+ones in another thread."""
 
 
 class BodyInWorld:
     """A tree of links in the engine."""
 
     sleeps = True
-    """It costs nothing while it rests."""
+    """Whether the engine lets it sleep while it rests, which costs nothing."""
 
     def __init__(
         self,
@@ -114,63 +70,67 @@ class BodyInWorld:
         """Names, in the order of the URDF."""
         groups, warnings = rigid_groups(model, fixed_root=static)
         self.warnings = [*model.warnings, *warnings]
-        self._groups = tuple(self._readable(bullet, group) for group in groups)
+        self._groups = tuple(self._with_engine_meshes(bullet, group) for group in groups)
         self._urdf = physics_urdf(model, self._groups, concave=static)
         self.load(bullet)
         self._names_of_rows = {self._row(group) - 1: group.name for group in self._groups}
         self.table = self._frame_table()
         self._root_table = self.table.root
         self._chains: dict[tuple[str, tuple[str, ...] | None], Chain] = {}
-        self._link_shapes: dict[int, LinkShapes] = {}
-        self._outlines: list[tuple[int, Shape, Mat4, NDArray[np.float64]]] | None = None
+        self._link_shapes: dict[int, _LinkShapes] = {}
+        self._outlines: list[tuple[int, Shape, Mat4, F64]] | None = None
+        """Row, shape, T_group_shape and ``_corners`` of each collision shape; None = not needed yet."""
 
     def load(self, bullet: Bullet) -> None:
-        """Puts the body at its start, at rest, its joints where they start."""
-        self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static, sleeps=self.sleeps)
+        """Puts the body at its start, at rest, with its joints at their start positions."""
+        self.engine_body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static, sleeps=self.sleeps)
+        indices = self.engine_body.joint_indices
         for name, position in self.model.with_followers(self._start_joints).items():
-            if name not in self.body.joint_indices:
+            if name not in indices:
                 known = ", ".join(self.moving_joints) or "none"
                 raise PhysicsError(f"{quoted(self.name)} has no joint {quoted(name)} that moves; known: {known}")
-            bullet.place_joint(self.body, self.body.joint_indices[name], position)
+            bullet.place_joint(self.engine_body, indices[name], position)
         for joint in self.model.joints:
             if joint.mimic is not None:
-                index = self.body.joint_indices
-                bullet.gear_joints(self.body, index[joint.name], index[joint.mimic.leader], joint.mimic)
+                bullet.gear_joints(self.engine_body, indices[joint.name], indices[joint.mimic.leader], joint.mimic)
         self.motors: JointMotors | None = None
         """None = no joint was ever commanded."""
-        self._ready_motors(bullet)
+        self._set_up_motors(bullet)
 
-    def _ready_motors(self, bullet: Bullet) -> None:
-        """A body without motors: doors and drawers swing freely, slowed by what friction and damping its joints have."""
+    def _set_up_motors(self, bullet: Bullet) -> None:
+        """Lets the joints of a body without motors, such as doors and drawers, swing freely but for their own friction and damping."""
         for joint in self.model.joints:
             if joint.kind not in ("revolute", "prismatic", "continuous"):
                 continue
-            index = self.body.joint_indices[joint.name]
+            index = self.engine_body.joint_indices[joint.name]
             if joint.damping:
-                bullet.damp_joint(self.body, index, joint.damping)
+                bullet.damp_joint(self.engine_body, index, joint.damping)
             if joint.friction:
-                # A weak motor that wants to stand still is what dry friction is.
-                bullet.drive_joints(self.body, [index], [0.0], [joint.friction])
+                # Dry friction is a weak motor with target velocity 0.
+                bullet.drive_joints(self.engine_body, [index], [0.0], [joint.friction])
+
+    # Joints
 
     def command_joints(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
-        """Obeys ``command`` from the next step on; see ``JointMotors.command``."""
+        """Applies ``command`` from the next step on; see ``JointMotors.command``."""
         if self.motors is None:
-            self.motors = JointMotors(self.body, [joint for joint in self.model.joints if joint.has_motor])
+            self.motors = JointMotors(self.engine_body, [joint for joint in self.model.joints if joint.has_motor])
         self.motors.command(bullet, command, now_ns)
 
     def forget_commands(self, bullet: Bullet, now_ns: int) -> None:
-        """Lets joints that move stand still, until they are told something new."""
+        """Stops joints that move, until the next command."""
         if self.motors is not None:
             self.motors.stop(bullet, now_ns)
 
     def actuate_joints(self, bullet: Bullet, now_ns: int, dt: float) -> None:
-        """Sets the motors of the joints for the step that begins at ``now_ns`` and lasts ``dt`` seconds."""
+        """Sets the joint motors for the step that begins at ``now_ns`` and lasts ``dt`` seconds."""
         if self.motors is not None:
             self.motors.actuate(bullet, now_ns, dt)
 
     def joint_positions(self, bullet: Bullet) -> dict[str, float]:
         """Returns the positions of all joints that move, radians or metres."""
-        angles = bullet.joint_angles(self.body, [self.body.joint_indices[name] for name in self.moving_joints])
+        indices = self.engine_body.joint_indices
+        angles = bullet.joint_angles(self.engine_body, [indices[name] for name in self.moving_joints])
         return dict(zip(self.moving_joints, angles, strict=True))
 
     def chain(self, tip: str, joints: Sequence[str] | None = None) -> Chain:
@@ -180,9 +140,25 @@ class BodyInWorld:
             self._chains[key] = Chain(self.model, tip, joints)
         return self._chains[key]
 
-    def root_state(self, bullet: Bullet) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
+    def solve_chain(
+        self,
+        bullet: Bullet,
+        link: str,
+        target: Pose,
+        *,
+        joints: Sequence[str] | None = None,
+        rest: Mapping[str, float] | None = None,
+        orientation: bool = True,
+    ) -> ChainSolution:
+        """Returns the joints that bring a link to ``target`` (T_world_link); see ``PhysicsWorld.solve_chain``."""
+        T_root_target = invert(matrix_from_pose(self.root_state(bullet)[0])) @ matrix_from_pose(target)
+        return self.chain(link, joints).solve(T_root_target, self.joint_positions(bullet), rest=rest, orientation=orientation)
+
+    # Poses
+
+    def root_state(self, bullet: Bullet) -> tuple[Pose, F64, F64]:
         """Returns T_world_root, linear (m/s) and angular (rad/s) velocity of the root link's origin, world frame."""
-        raw = np.array([bullet.raw_root(self.body)])
+        raw = np.array([bullet.raw_root(self.engine_body)])
         positions, quats, linear, angular = self._root_table.groups(raw)
         x, y, z = positions[0].tolist()
         qx, qy, qz, qw = quats[0].tolist()
@@ -190,21 +166,21 @@ class BodyInWorld:
 
     def set_state(self, bullet: Bullet, pose: Pose | None, linear: Vec3 | None, angular: Vec3 | None) -> None:
         """Moves the root, or changes its velocity; what is None stays."""
-        now, linear_now, angular_now = self.root_state(bullet)
+        pose_now, linear_now, angular_now = self.root_state(bullet)
         if pose is not None:
-            bullet.place(self.body, pose)
+            bullet.place(self.engine_body, pose)
         if self.static:
             return
         spin = np.asarray(angular_now if angular is None else angular, dtype=np.float64)
         speed = np.asarray(linear_now if linear is None else linear, dtype=np.float64)
-        bullet.set_velocity(self.body, (pose or now).quat_xyzw, speed, spin)
+        bullet.set_velocity(self.engine_body, (pose or pose_now).quat_xyzw, speed, spin)
 
-    def bounds(self, bullet: Bullet, T_frame_world: Mat4) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns the lowest and highest corner, each (3,), metres, in a frame, of the box about all collision shapes.
+    def bounds(self, bullet: Bullet, T_frame_world: Mat4) -> tuple[F64, F64]:
+        """Returns the lowest and the highest corner, each (3,), metres, in a frame, of the bounding box of all collision shapes.
 
-        A body without any has its root's origin as both corners.
+        For a body without any, both are the origin of its root.
         """
-        positions, quats, _, _ = self.table.groups(bullet.raw_states(self.body))
+        positions, quats, _, _ = self.table.groups(bullet.raw_states(self.engine_body))
         world_from_group = matrices_from_poses(positions, quats)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         if self._outlines is None:
@@ -217,38 +193,11 @@ class BodyInWorld:
             return root, root.copy()
         return low, high
 
-    def _row(self, group: RigidGroup) -> int:
-        return 0 if group.joint is None else 1 + self.body.joint_indices[group.joint.name]
+    # Links, and the rows of ``Bullet.raw_states`` that move them
 
     def row_of_link(self, link: str) -> int:
         """Returns which row of ``Bullet.raw_states`` moves a link: 0 = the root; the engine's own number is one less."""
-        return int(self.table.rows[self._number(link)])
-
-    def link_position(self, bullet: Bullet, link: str) -> Vec3:
-        """Returns the origin of a link, world frame, metres."""
-        positions, _, _ = self.table.links(bullet.raw_states(self.body))
-        x, y, z = positions[self._number(link)].tolist()
-        return x, y, z
-
-    def link_at(self, bullet: Bullet, row: int, point: Vec3) -> str:
-        """Returns the link to which a point on the surface of the engine's link ``row`` (-1 = the root) belongs.
-
-        Args:
-            bullet: The engine.
-            row: Its number.
-            point: World frame, metres.
-        """
-        group = next(group for group in self._groups if self._row(group) == row + 1)
-        if row not in self._link_shapes:
-            self._link_shapes[row] = LinkShapes(self.model, group)
-        positions, quats, _, _ = self.table.groups(bullet.raw_states(self.body))
-        T_group_world = invert(matrices_from_poses(positions, quats)[row + 1])
-        return self._link_shapes[row].nearest(T_group_world[:3, :3] @ np.array(point) + T_group_world[:3, 3])
-
-    def _number(self, link: str) -> int:
-        if link not in self.links:
-            raise PhysicsError(f"{quoted(self.name)} has no link {quoted(link)}; known: {', '.join(self.links)}")
-        return self.links.index(link)
+        return int(self.table.rows[self._index_of_link(link)])
 
     def link_of_row(self, row: int) -> str:
         """Returns the name of the link whose rigid group is the engine's link ``row`` (-1 = the root)."""
@@ -256,85 +205,195 @@ class BodyInWorld:
             raise PhysicsError(f"body {quoted(self.name)} has no link number {row}")
         return self._names_of_rows[row]
 
-    def _readable(self, bullet: Bullet, group: RigidGroup) -> RigidGroup:
-        """Returns the group with meshes in files that the engine reads; a mesh that cannot be read is left out, with a warning."""
-        collisions = []
-        for shape, pose in group.collisions:
-            try:
-                collisions.append((self._readable_shape(bullet, shape), pose))
-            except MeshError as error:
-                self.warnings.append(f"{self.name}: collision of link {quoted(group.name)} is left out: {error}")
-        return replace(group, collisions=collisions)
+    def link_position(self, bullet: Bullet, link: str) -> Vec3:
+        """Returns the origin of a link, world frame, metres."""
+        positions, _, _ = self.table.links(bullet.raw_states(self.engine_body))
+        x, y, z = positions[self._index_of_link(link)].tolist()
+        return x, y, z
 
-    def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
-        if shape.kind != "mesh":
-            return shape
-        if not self.static and _is_for_engine(shape.mesh):
-            return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh)))
-        text = mesh_text(shape) if self.static else to_obj(*hull_of(shape)).encode()
-        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_obj(text)))
+    def link_at(self, bullet: Bullet, row: int, point: Vec3) -> str:
+        """Returns the link to which a point on the surface of the engine's link ``row`` (-1 = the root) belongs.
+
+        Args:
+            bullet: The engine.
+            row: The engine's number of the link.
+            point: World frame, metres.
+        """
+        group = next(group for group in self._groups if self._row(group) == row + 1)
+        if row not in self._link_shapes:
+            self._link_shapes[row] = _LinkShapes(self.model, group)
+        positions, quats, _, _ = self.table.groups(bullet.raw_states(self.engine_body))
+        T_group_world = invert(matrices_from_poses(positions, quats)[row + 1])
+        return self._link_shapes[row].nearest(T_group_world[:3, :3] @ np.array(point) + T_group_world[:3, 3])
+
+    def _row(self, group: RigidGroup) -> int:
+        return 0 if group.joint is None else 1 + self.engine_body.joint_indices[group.joint.name]
+
+    def _index_of_link(self, link: str) -> int:
+        if link not in self.links:
+            raise PhysicsError(f"{quoted(self.name)} has no link {quoted(link)}; known: {', '.join(self.links)}")
+        return self.links.index(link)
 
     def _frame_table(self) -> FrameTable:
-        """Returns how the links lie in what the engine moves."""
+        """Returns the poses of the links relative to the inertial frames that the engine moves."""
         home: dict[str, tuple[RigidGroup, Mat4]] = {
             link: (group, T_group_link) for group in self._groups for link, T_group_link in group.members.items()
         }
-        rows, offsets, turns = [], [], []
+        rows, offsets, rotations = [], [], []
         for link in self.links:
             group, T_group_link = home[link]
             rows.append(self._row(group))
             offsets.append(T_group_link[:3, 3])
-            turns.append(right_multiplication(quat_from_matrix(T_group_link[:3, :3])))
+            rotations.append(right_multiplication(quat_from_matrix(T_group_link[:3, :3])))
         return FrameTable(
-            self.body.links_in_inertial,
-            self.body.link_turns,
+            self.engine_body.links_in_inertial,
+            self.engine_body.link_rotations,
             np.array(rows, dtype=np.intp),
             np.array(offsets),
-            np.array(turns),
+            np.array(rotations),
         )
 
+    def _with_engine_meshes(self, bullet: Bullet, group: RigidGroup) -> RigidGroup:
+        """Returns the group with meshes in files that the engine reads; a mesh that cannot be read is left out, with a warning."""
+        collisions = []
+        for shape, pose in group.collisions:
+            try:
+                collisions.append((self._engine_shape(bullet, shape), pose))
+            except MeshError as error:
+                self.warnings.append(f"{self.name}: collision of link {quoted(group.name)} is left out: {error}")
+        return replace(group, collisions=collisions)
 
-def read_meshes(spec: BodySpec) -> None:
-    """Makes, in any thread, what the engine is to read of a body's collision meshes: the body itself is then there at once."""
+    def _engine_shape(self, bullet: Bullet, shape: Shape) -> Shape:
+        if shape.kind != "mesh":
+            return shape
+        if not self.static and _engine_reads(shape.mesh):
+            return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh)))
+        text = mesh_obj(shape) if self.static else to_obj(*hull_of(shape)).encode()
+        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_obj(text)))
+
+
+# Which link of a rigid group a point belongs to
+
+
+class _LinkShapes:
+    """The collision shapes of one rigid group, by link."""
+
+    def __init__(self, model: UrdfModel, group: RigidGroup) -> None:
+        """Collects the shapes of all links of the group."""
+        self._first = group.name
+        self._shapes = [
+            (name, invert(T_group_link @ matrix_from_pose(item.pose)), item.shape, _planes(item.shape))
+            for name, T_group_link in group.members.items()
+            for item in model.link(name).collisions
+        ]
+
+    def nearest(self, point: F64) -> str:
+        """Returns the link whose shape is nearest to a point, (3,), metres, group's frame; the group's first link if none has a shape."""
+        if len({name for name, *_ in self._shapes}) < 2:
+            return self._shapes[0][0] if self._shapes else self._first
+        return min(self._shapes, key=lambda entry: _distance(entry[1], entry[2], entry[3], point))[0]
+
+
+def _planes(shape: Shape) -> F64:
+    """Returns the planes, (P, 4), outward, of the convex hull of a mesh; none for other shapes and for flat meshes."""
+    if shape.kind != "mesh":
+        return np.zeros((0, 4))
+    vertices, _ = load_shape(shape).merged()
+    try:
+        return np.asarray(ConvexHull(vertices).equations)
+    except (QhullError, ValueError):
+        return np.zeros((0, 4))
+
+
+def _distance(T_shape_group: Mat4, shape: Shape, planes: F64, point: F64) -> float:
+    """Returns the distance of a point in the group's frame from a shape, metres; negative inside."""
+    local = T_shape_group[:3, :3] @ point + T_shape_group[:3, 3]
+    if shape.kind == "sphere":
+        return float(np.linalg.norm(local)) - shape.size[0]
+    if shape.kind == "box":
+        return _outside([abs(c) - size / 2 for c, size in zip(local.tolist(), shape.size, strict=True)])
+    if shape.kind == "cylinder":
+        return _outside([math.hypot(local[0], local[1]) - shape.size[0], abs(float(local[2])) - shape.size[1] / 2])
+    return float((planes[:, :3] @ local + planes[:, 3]).max()) if len(planes) else math.inf
+
+
+def _outside(beyond: Sequence[float]) -> float:
+    """Returns the signed distance to a box or a cylinder, from the signed distances of a point beyond each pair of sides."""
+    return math.hypot(*(max(c, 0.0) for c in beyond)) + min(max(beyond), 0.0)
+
+
+# Bounding boxes of shapes
+
+
+def _corners(shape: Shape) -> F64:
+    """Returns the points, (N, 3), that decide how far a shape reaches; none for round shapes."""
+    if shape.kind == "box":
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        return np.asarray(signs * np.array(shape.size) / 2)
+    if shape.kind == "mesh":
+        vertices, _ = load_shape(shape).merged()
+        return vertices
+    return np.zeros((0, 3))
+
+
+def _extent(shape: Shape, T_frame_shape: Mat4, points: F64) -> tuple[F64, F64]:
+    """Returns the lowest and the highest corner, each (3,), of a shape in a frame."""
+    if len(points):
+        corners = transform_points(T_frame_shape, points)
+        return corners.min(axis=0), corners.max(axis=0)
+    center, radius = T_frame_shape[:3, 3], shape.size[0]
+    if shape.kind == "sphere":
+        reach = np.full(3, radius)
+    else:
+        axis = T_frame_shape[:3, 2]
+        reach = np.abs(axis) * shape.size[1] / 2 + radius * np.sqrt(np.maximum(0.0, 1.0 - axis**2))
+    return center - reach, center + reach
+
+
+# Meshes for the engine
+
+
+def prepare_meshes(spec: BodySpec) -> None:
+    """Converts a body's collision meshes for the engine, in any thread, so that adding the body takes no time later."""
     groups, _ = rigid_groups(spec.model, fixed_root=spec.static)
     for shape, _ in (collision for group in groups for collision in group.collisions):
-        if shape.kind == "mesh" and (spec.static or not _is_for_engine(shape.mesh)):
-            with suppress(MeshError):  # said by the body itself
-                (mesh_text if spec.static else hull_of)(shape)
+        if shape.kind == "mesh" and (spec.static or not _engine_reads(shape.mesh)):
+            with suppress(MeshError):  # the body itself warns of it
+                (mesh_obj if spec.static else hull_of)(shape)
 
 
-def _is_for_engine(mesh: str) -> bool:
-    """Returns whether the engine reads the mesh of a body that moves by itself."""
+def _engine_reads(mesh: str) -> bool:
+    """Returns whether the engine itself reads the mesh of a body that can move."""
     if not mesh.lower().endswith(_ENGINE_MESHES):
         return False
     try:
-        if os.path.getsize(mesh) <= _ENGINE_BYTES:
+        if os.path.getsize(mesh) <= _MAX_ENGINE_BYTES:
             return True
-        # Each object of an OBJ has a hull of its own there: convex parts of a thing come like this.
+        # The engine makes one hull for each object of an OBJ: files of convex parts have several objects.
         return len(re.findall(rb"^[og]\s", Path(mesh).read_bytes(), re.MULTILINE)) > 1
     except OSError:
-        return True  # which says what is wrong
+        return True  # which then reports the error
 
 
-def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale; a file that changed is read anew.
+def hull_of(shape: Shape) -> tuple[F64, NDArray[np.int64]]:
+    """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale; reads a changed file again.
 
     Raises:
         MeshError: the mesh cannot be read, or is flat.
     """
-    return _hull(shape, _version(shape.mesh))
+    return _hull(shape, _file_version(shape.mesh))
 
 
-def mesh_text(shape: Shape) -> bytes:
-    """Returns the text of an OBJ file with all triangles of a mesh under its scale, equal corners once; a file that changed is read anew.
+def mesh_obj(shape: Shape) -> bytes:
+    """Returns an OBJ file with all triangles of a mesh under its scale, equal corners merged; reads a changed file again.
 
     Raises:
         MeshError: the mesh cannot be read.
     """
-    return _mesh_text(shape, _version(shape.mesh))
+    return _mesh_obj(shape, _file_version(shape.mesh))
 
 
-def _version(file: str) -> tuple[int, ...]:
+def _file_version(file: str) -> tuple[int, ...]:
     try:
         state = os.stat(file)
     except (OSError, ValueError):
@@ -343,17 +402,16 @@ def _version(file: str) -> tuple[int, ...]:
 
 
 @lru_cache(maxsize=16)
-def _mesh_text(shape: Shape, version: tuple[int, ...]) -> bytes:
+def _mesh_obj(shape: Shape, version: tuple[int, ...]) -> bytes:
     del version
     vertices, triangles = load_shape(shape).merged()
-    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()  # + 0.0: -0 is 0
+    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()  # + 0.0: -0 becomes 0
     _, first, same = np.unique(rows, return_index=True, return_inverse=True)
     return to_obj(vertices[first], same[triangles]).encode()
 
 
 @lru_cache(maxsize=256)
-def _hull(shape: Shape, version: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Returns the hull of a version of a file."""
+def _hull(shape: Shape, version: tuple[int, ...]) -> tuple[F64, NDArray[np.int64]]:
     del version
     vertices, _ = load_shape(shape).merged()
     try:
@@ -367,28 +425,3 @@ def _hull(shape: Shape, version: tuple[int, ...]) -> tuple[NDArray[np.float64], 
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     triangles[inward] = triangles[inward][:, ::-1]
     return corners, triangles
-
-
-def _corners(shape: Shape) -> NDArray[np.float64]:
-    """Returns the points, (N, 3), that decide how far a shape reaches; none for round ones."""
-    if shape.kind == "box":
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return np.asarray(signs * np.array(shape.size) / 2)
-    if shape.kind == "mesh":
-        vertices, _ = load_shape(shape).merged()
-        return vertices
-    return np.zeros((0, 3))
-
-
-def _extent(shape: Shape, T_frame_shape: Mat4, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Returns the lowest and the highest corner, each (3,), of a shape in a frame."""
-    if len(points):
-        corners = transform_points(T_frame_shape, points)
-        return corners.min(axis=0), corners.max(axis=0)
-    center, radius = T_frame_shape[:3, 3], shape.size[0]
-    if shape.kind == "sphere":
-        reach = np.full(3, radius)
-    else:
-        axis = T_frame_shape[:3, 2]
-        reach = np.abs(axis) * shape.size[1] / 2 + radius * np.sqrt(np.maximum(0.0, 1.0 - axis**2))
-    return center - reach, center + reach

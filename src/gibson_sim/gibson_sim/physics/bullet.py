@@ -1,8 +1,7 @@
 """PyBullet behind one class.
 
-What callers may rely on: every call goes to its own client; poses are those of URDF LINK FRAMES and velocities those of their
-origins (PyBullet speaks of centres of mass); quaternions are (x, y, z, w); nothing is written to the terminal.
-Not thread-safe: one owner thread for each client.
+Guarantees: every call goes to its own client; poses are those of URDF LINK FRAMES and velocities those of their origins (PyBullet's are those of
+centres of mass); quaternions are (x, y, z, w); nothing is written to the terminal. Not thread-safe: one owner thread for each client.
 """
 
 from __future__ import annotations
@@ -17,25 +16,26 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.mimic import Mimic
 from gibson_sim.errors import PhysicsError
-from gibson_sim.physics.active_bodies import ActiveBodies, Sleepers, parts_of
+from gibson_sim.physics.active_bodies import ActiveBodies, SleepingBodies, count_solver_bodies
 from gibson_sim.physics.engine import pybullet as p, quiet
 from gibson_sim.physics.engine_files import EngineFiles, mesh_pieces
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
-from gibson_sim.physics.frames import cross, product, turn
+from gibson_sim.physics.frames import cross, quat_product, rotate
 from gibson_sim.quoting import quoted
 from gibson_sim.types import Pose, Quat, Vec3
 
 _RAYS_PER_CALL = 16_000
-"""PyBullet refuses batches above 16,384."""
+"""Rays in a batch; PyBullet refuses more than 16,384."""
 _FIRST_RAY_BIT = 6
+"""Lowest bit of the collision group that Bullet does not use itself."""
 _GEAR_ERP = 0.5
-"""Part of its error by which a gear corrects itself in a step."""
+"""Fraction of its error that a gear constraint corrects in a step."""
 _GEAR_FORCE = 1e5
-"""N or N m: more than any motor has."""
+"""Greatest force of a gear constraint, N or N m: more than any motor has."""
 _RAYS_FOR_THREADS = 2_000
-"""Rays that are worth starting threads for; a level scan is quicker in one."""
+"""Number of rays above which several threads are faster; a planar scan is faster in one."""
 MAX_BODIES_WITH_RAYS = 24
-"""Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
+"""Bodies that rays can ignore: each needs a bit of the 32-bit collision group, whose lowest six are Bullet's."""
 
 
 class Bullet:
@@ -43,27 +43,27 @@ class Bullet:
 
     def __init__(self, step_hz: int, gravity: Vec3) -> None:
         self.files = EngineFiles()
-        """What it reads; they go with it."""
+        """Files that the engine reads; ``close`` deletes them."""
         with quiet():
             self._client: int | None = p.connect(p.DIRECT)
         if self._client < 0:
             self._client = None
             raise PhysicsError("PyBullet gives no more clients; close worlds that are no longer used")
         self._names: dict[int, str] = {}
-        """The engine's number of a body -> its name."""
+        """Engine number of a body -> its name."""
         self._static: set[int] = set()
-        """Those of static shapes."""
+        """Engine numbers of static shapes."""
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._ray_threads = min(4, os.cpu_count() or 1)
-        self._sleepers = Sleepers(self._client)
-        self.awake = ActiveBodies(self._client)
-        """Of all bodies, step by step."""
+        self._sleeping = SleepingBodies(self._client)
+        self.active_bodies = ActiveBodies(self._client)
+        """How many were active in the last steps."""
         p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
         p.setGravity(*gravity, physicsClientId=self._client)
         p.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1,
             numSolverIterations=50,
-            # The cache goes by file name alone: within one client a changed file would keep its first shape.
+            # Its key is the file name alone: within one client a changed file would keep its first shape.
             enableFileCaching=0,
             physicsClientId=self._client,
         )
@@ -91,14 +91,14 @@ class Bullet:
     def step(self) -> None:
         """Advances by one time step."""
         client = self.client
-        self._sleepers.wake_what_must()
-        self.awake.add_step(p.stepSimulation(client))
-        self._sleepers.throw_again()
+        self._sleeping.before_step()
+        self.active_bodies.add_step(p.stepSimulation(client))
+        self._sleeping.after_step()
 
     # Static shapes
 
     def plane_shape(self) -> list[int]:
-        """Returns an endless plane z = 0 that faces up."""
+        """Returns the infinite plane z = 0, facing up."""
         return [self._checked(p.createCollisionShape(p.GEOM_PLANE, planeNormal=[0, 0, 1], physicsClientId=self.client), "plane")]
 
     def box_shape(self, size: Vec3) -> list[int]:
@@ -116,12 +116,12 @@ class Bullet:
         return [self._checked(uid, "cylinder")]
 
     def mesh_shape(self, vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str) -> list[int]:
-        """Returns a triangle mesh, hollow and as fine as given, in as many pieces as PyBullet's limits ask for.
+        """Returns a triangle mesh, hollow and with all its triangles, in as many pieces as PyBullet's limits require.
 
         Args:
             vertices: (V, 3), metres.
             triangles: (T, 3) indices into ``vertices``.
-            name: for error messages.
+            name: Name for error messages.
         """
         shapes = []
         for points, corners in mesh_pieces(vertices, triangles):
@@ -134,9 +134,9 @@ class Bullet:
         return shapes
 
     def add_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
-        """Puts shapes into the world for good; shapes may be used many times."""
+        """Adds shapes to the world for good; a shape may be added many times."""
         for shape in shapes:
-            # Rigid bodies, not multi-bodies: Bullet visits every multi-body in every step, static ones too.
+            # Rigid bodies, not multi-bodies: Bullet visits every multi-body in every step, even static ones.
             uid = p.createMultiBody(
                 0,
                 shape,
@@ -152,7 +152,7 @@ class Bullet:
                 -1,
                 lateralFriction=1.0,
                 restitution=0.0,
-                # PyBullet leaves it awake, and then Bullet looks anew in every step where sleepers touch it.
+                # PyBullet leaves it active, and then Bullet checks in every step where sleeping bodies touch it.
                 activationState=p.ACTIVATION_STATE_SLEEP,
                 physicsClientId=self.client,
             )
@@ -166,8 +166,8 @@ class Bullet:
     # Bodies with joints
 
     def wake(self, body: BulletBody) -> None:
-        """Lets the body not sleep on in the next step; what moves by itself wakes what it touches."""
-        self._sleepers.wake(body)
+        """Wakes a body before the next step; a body that moves wakes what it touches."""
+        self._sleeping.wake(body)
 
     def load_urdf(self, text: str, pose: Pose, name: str, *, static: bool = False, sleeps: bool = False) -> BulletBody:
         """Adds a body whose root link frame is at ``pose``; its motors are off.
@@ -175,9 +175,9 @@ class Bullet:
         Args:
             text: URDF with absolute mesh paths (``description.rigid_groups.physics_urdf``).
             pose: T_world_root.
-            name: for error messages.
-            static: its root never moves by itself.
-            sleeps: costs nothing while it rests, until something that moves touches it.
+            name: Name for error messages.
+            static: Whether the root is fixed.
+            sleeps: Whether the body sleeps while it rests, which costs nothing, until something that moves touches it.
         """
         path = self.files.write_urdf(text)
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_MAINTAIN_LINK_ORDER | p.URDF_USE_IMPLICIT_CYLINDER
@@ -194,9 +194,9 @@ class Bullet:
         count = p.getNumJoints(uid, physicsClientId=self.client)
         joints = {p.getJointInfo(uid, i, physicsClientId=self.client)[1].decode(): i for i in range(count)}
         inertial = [p.getDynamicsInfo(uid, i, physicsClientId=self.client)[3:5] for i in range(-1, count)]
-        body = BulletBody(uid, joints, inertial, parts_of(uid, count, self.client))
+        body = BulletBody(uid, joints, inertial, count_solver_bodies(uid, count, self.client))
         self._names[uid] = name
-        self.awake.change_bodies(len(self._names) - len(self._static))
+        self.active_bodies.change_bodies(len(self._names) - len(self._static))
         for i in range(-1, count):
             # Bullet's default drag would slow a freely rolling wheel.
             p.changeDynamics(uid, i, linearDamping=0.0, angularDamping=0.0, restitution=0.0, physicsClientId=self.client)
@@ -205,12 +205,12 @@ class Bullet:
             if p.getJointInfo(uid, i, physicsClientId=self.client)[2] != p.JOINT_FIXED:
                 p.setJointMotorControl2(uid, i, p.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client)
         if sleeps:
-            self._sleepers.add(body)
-        self._sleepers.wake_beside(body)
+            self._sleeping.add(body)
+        self._sleeping.wake_beside(body)
         return body
 
-    def let_rays_pass(self, body: BulletBody, name: str) -> None:
-        """Lets ``cast_rays`` leave this body out."""
+    def let_rays_ignore(self, body: BulletBody, name: str) -> None:
+        """Lets ``cast_rays`` ignore this body."""
         if not self._ray_bits:
             raise PhysicsError(f"cannot add {quoted(name)}: a world holds at most {MAX_BODIES_WITH_RAYS} robots")
         body.ray_bit = min(self._ray_bits)
@@ -219,44 +219,44 @@ class Bullet:
             p.setCollisionFilterGroupMask(body.uid, i, 1 << body.ray_bit, -1, physicsClientId=self.client)
 
     def remove(self, body: BulletBody) -> None:
-        """Takes a body out of the world."""
-        self._sleepers.remove(body)
+        """Removes a body."""
+        self._sleeping.remove(body)
         p.removeBody(body.uid, physicsClientId=self.client)
         del self._names[body.uid]
-        self.awake.change_bodies(len(self._names) - len(self._static))
+        self.active_bodies.change_bodies(len(self._names) - len(self._static))
         if body.ray_bit:
             self._ray_bits.add(body.ray_bit)
 
     def place(self, body: BulletBody, pose: Pose) -> None:
-        """Puts the root link's frame at ``pose`` (T_world_root); joints and velocities stay."""
-        quat = product(pose.quat_xyzw, body.root_inertial[1])
-        center = np.array(pose.position) - turn(np.array([quat]), body.links_in_inertial[:1])[0]
-        self._sleepers.wake_beside(body)
+        """Moves the root link's frame to ``pose`` (T_world_root); joint positions and velocities stay."""
+        quat = quat_product(pose.quat_xyzw, body.root_inertial[1])
+        center = np.array(pose.position) - rotate(np.array([quat]), body.links_in_inertial[:1])[0]
+        self._sleeping.wake_beside(body)
         p.resetBasePositionAndOrientation(body.uid, center.tolist(), quat, physicsClientId=self.client)
-        self._sleepers.wake_beside(body)
+        self._sleeping.wake_beside(body)
 
     def set_velocity(self, body: BulletBody, quat_xyzw: Quat, linear: NDArray[np.float64], angular: NDArray[np.float64]) -> None:
         """Sets the velocity of the root link's origin.
 
         Args:
-            body: whose.
-            quat_xyzw: orientation of the root link's frame now.
+            body: The body.
+            quat_xyzw: Orientation of the root link's frame now.
             linear: (3,), m/s, world frame.
             angular: (3,), rad/s, world frame.
         """
-        to_frame = turn(np.array([product(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
+        to_frame = rotate(np.array([quat_product(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
         center = linear - cross(angular[None], to_frame[None])[0]
         p.resetBaseVelocity(body.uid, center.tolist(), angular.tolist(), physicsClientId=self.client)
-        self._sleepers.throw(body, center.tolist(), angular.tolist())
+        self._sleeping.wake_moving(body, center.tolist(), angular.tolist())
 
     def place_joint(self, body: BulletBody, index: int, position: float) -> None:
-        """Puts a joint at ``position`` (radians or metres), at rest."""
-        self._sleepers.wake_beside(body)
+        """Moves a joint to ``position`` (radians or metres), at rest."""
+        self._sleeping.wake_beside(body)
         p.resetJointState(body.uid, index, position, 0.0, physicsClientId=self.client)
-        self._sleepers.wake_beside(body)
+        self._sleeping.wake_beside(body)
 
     def gear_joints(self, body: BulletBody, follower: int, leader: int, mimic: Mimic) -> None:
-        """Lets a joint follow another one of its body as if gears connected them; either can push the other. They go with the body."""
+        """Couples two joints of a body as by gears, so that either can push the other; the gear is removed with the body."""
         ends = ([0.0, 0.0, 0.0],) * 3
         gear = p.createConstraint(body.uid, follower, body.uid, leader, p.JOINT_GEAR, *ends, physicsClientId=self.client)
         p.changeConstraint(
@@ -269,11 +269,11 @@ class Bullet:
         )
 
     def damp_joint(self, body: BulletBody, index: int, damping: float) -> None:
-        """Slows a joint by ``damping`` (N m s/rad or N s/m) times its speed."""
+        """Sets the damping of a joint, N m s/rad or N s/m."""
         p.changeDynamics(body.uid, index, jointDamping=damping, physicsClientId=self.client)
 
     def contacts(self, body: BulletBody | None = None) -> list[EngineContact]:
-        """Returns what touched the body in the last step; None = what touched any body, each point once, static shapes as the other."""
+        """Returns the contacts of a body in the last step; None = of all bodies, each point once, with static shapes as the other."""
         if body is None:
             points = p.getContactPoints(physicsClientId=self.client) or ()
             found = [self._contact(point, point[2] if point[1] in self._static else point[1]) for point in points]
@@ -282,44 +282,44 @@ class Bullet:
             found = [self._contact(point, body.uid) for point in points]
         return [contact for contact in found if contact.force > 0.0 or contact.distance <= 0.0]
 
-    def beside(self, body: BulletBody, link: int, radius: float) -> set[int]:
-        """Returns the engine's numbers of bodies whose boxes are within ``radius`` metres of that of a link (-1 = the root)."""
+    def bodies_near(self, body: BulletBody, link: int, radius: float) -> set[int]:
+        """Returns the engine numbers of bodies whose bounding boxes are within ``radius`` metres of that of a link (-1 = the root)."""
         low, high = p.getAABB(body.uid, link, physicsClientId=self.client)
         low, high = [c - radius for c in low], [c + radius for c in high]
         return {uid for uid, _ in p.getOverlappingObjects(low, high, physicsClientId=self.client) or ()}
 
-    def gaps(self, body: BulletBody, link: int, other: BulletBody, radius: float) -> list[EngineContact]:
-        """Returns where a link (-1 = the root) and the links of another body are nearest, if within ``radius`` metres; no forces."""
+    def closest_points(self, body: BulletBody, link: int, other: BulletBody, radius: float) -> list[EngineContact]:
+        """Returns where a link (-1 = the root) and the links of another body are closest, if within ``radius`` metres; without forces."""
         points = p.getClosestPoints(body.uid, other.uid, radius, linkIndexA=link, physicsClientId=self.client) or ()
         return [self._contact(point, body.uid) for point in points]
 
     def overlaps(self, body: BulletBody, others: Sequence[BulletBody]) -> list[EngineContact]:
-        """Returns where a body is inside of static shapes or of other bodies as they stand now; no forces, and nothing is remembered."""
+        """Returns where a body overlaps static shapes or other bodies now; without forces, and without a trace in the engine."""
         client, uids = self.client, [*self._static, *(other.uid for other in others)]
         points = (p.getClosestPoints(body.uid, uid, 0.0, physicsClientId=client) or () for uid in uids)
         return [self._contact(point, body.uid) for point in chain.from_iterable(points)]
 
     def _contact(self, point: tuple[Any, ...], uid: int) -> EngineContact:
-        """Returns a point as PyBullet gives it, as seen by the body ``uid``."""
+        """Returns a contact point of PyBullet from the side of the body ``uid``."""
         _, a, b, link_a, link_b, on_a, on_b, normal, distance, force = point[:10]
         if a != uid:
             a, b, link_a, link_b, on_a, on_b, normal = b, a, link_b, link_a, on_b, on_a, tuple(-c for c in normal)
         return EngineContact(self._names.get(a, ""), link_a, self._names.get(b, ""), link_b, on_b, on_a, normal, force, distance)
 
     def raw_states(self, *bodies: BulletBody) -> NDArray[np.float64]:
-        """Returns 13 numbers of the root and of every link below it, body by body: see ``frames.FrameTable.groups``."""
+        """Returns a row of 13 numbers for the root and every link below it, body by body: see ``frames.FrameTable.groups``."""
         client, parts = self.client, []
         for body in bodies:
             parts += p.getBasePositionAndOrientation(body.uid, client)
             parts += p.getBaseVelocity(body.uid, client)
             if body.link_count:
                 for state in p.getLinkStates(body.uid, body.link_indices, 1, 1, client):
-                    # 0, 1: centre of mass; 6, 7: its velocities, for which the first 1 asks. The frames at 4, 5 have 32 bits only.
+                    # 0, 1: centre of mass; 6, 7: its velocities, requested by the first 1. The frames at 4, 5 have 32 bits only.
                     parts += state[0], state[1], state[6], state[7]
         return np.fromiter(chain.from_iterable(parts), np.float64).reshape(-1, 13)
 
-    def still(self, bodies: Sequence[BulletBody]) -> list[bool]:
-        """Returns of each whether it stands perfectly still, as only what sleeps does."""
+    def at_rest(self, bodies: Sequence[BulletBody]) -> list[bool]:
+        """Returns for each body whether all its velocities are exactly 0, as only those of sleeping bodies are."""
         client = self.client
         return [
             not (self.raw_states(body)[:, 7:].any() if body.link_count else any(map(any, p.getBaseVelocity(body.uid, client))))
@@ -327,7 +327,7 @@ class Bullet:
         ]
 
     def raw_root(self, body: BulletBody) -> tuple[float, ...]:
-        """Returns the first of ``raw_states``."""
+        """Returns the first row of ``raw_states``."""
         client = self.client
         parts = *p.getBasePositionAndOrientation(body.uid, client), *p.getBaseVelocity(body.uid, client)
         return tuple(chain.from_iterable(parts))
@@ -339,11 +339,11 @@ class Bullet:
         return JointReading(data[:, 0], data[:, 1], data[:, 2])
 
     def joint_angles(self, body: BulletBody, indices: Sequence[int]) -> list[float]:
-        """Returns the positions alone: radians or metres."""
+        """Returns the positions of the joints, radians or metres."""
         return [s[0] for s in p.getJointStates(body.uid, indices, self.client)] if indices else []
 
     def drive_joints(self, body: BulletBody, indices: Sequence[int], speeds: Sequence[float], efforts: Sequence[float]) -> None:
-        """Lets motors hold ``speeds`` (rad/s) with at most ``efforts`` (N m)."""
+        """Lets motors hold ``speeds`` (rad/s or m/s) with at most ``efforts`` (N m or N)."""
         p.setJointMotorControlArray(
             body.uid, indices, p.VELOCITY_CONTROL, targetVelocities=speeds, forces=efforts, physicsClientId=self.client
         )

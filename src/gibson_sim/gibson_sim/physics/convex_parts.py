@@ -13,7 +13,7 @@ from gibson_sim.physics.engine import pybullet, quiet
 from gibson_sim.physics.engine_files import objects_of_obj, to_obj
 
 _VOXELS = 50_000
-"""That V-HACD cuts a mesh into."""
+"""Resolution of V-HACD, voxels per mesh."""
 
 
 def convex_parts(
@@ -33,7 +33,7 @@ def convex_parts(
         whole.write_text(to_obj(vertices, triangles), encoding="ascii")
         with quiet():
             pybullet.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=_VOXELS)
-        out = objects_of_obj(parts.read_text(encoding="ascii").splitlines()) if parts.is_file() else []
+        out = objects_of_obj(parts.read_bytes()) if parts.is_file() else []
     if not out:
         raise PhysicsError(f"V-HACD makes no convex parts of a mesh with {len(triangles)} triangles; is it flat, or empty?")
     return out

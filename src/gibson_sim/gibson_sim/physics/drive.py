@@ -1,4 +1,4 @@
-"""The drive of one robot in the engine: motors of wheels and steering, the servo of a base on rollers, odometry."""
+"""The drive of one robot in the engine: motors of wheels and steering, the servo of a base on rollers, wheel odometry."""
 
 from __future__ import annotations
 
@@ -17,45 +17,47 @@ from gibson_sim.robots.joints.control import ARRIVED, servo_speed
 from gibson_sim.types import NS_PER_S
 
 _SETTLING = 0.1
-"""Part of its error by which a servo corrects itself in a step."""
+"""Fraction of its error that a servo corrects in a step."""
 _FLOOR = 0.5
-"""Wheels stand on what is flatter than 60 degrees; pressing against a wall gives no grip."""
+"""Least vertical component of the normal of a floor, 60 degrees: a wall gives wheels no grip."""
 _G = 9.81
-"""m/s^2: no slope takes more speed than this."""
+"""Greatest acceleration by a slope, m/s^2."""
 
 
 class DriveInWorld:
-    """Tells the motors of one body what its drive wants, and counts what its wheels turn."""
+    """Sets the motors of wheels and steering of one body, and adds up its odometry."""
 
-    def __init__(self, drive: Drive, one: BodyInWorld, odometry: WheelOdometry) -> None:
+    def __init__(self, drive: Drive, body: BodyInWorld, odometry: WheelOdometry) -> None:
         """Starts at rest.
 
         Args:
-            drive: Its kinematics.
-            one: Has been loaded, with all joints at 0.
-            odometry: Of this drive; it counts what the wheels turn.
+            drive: Kinematics of the drive.
+            body: The body, loaded, with all joints at 0.
+            odometry: Wheel odometry of this drive.
         """
-        self._drive, self._one = drive, one
+        self._drive, self._body = drive, body
         self.wheel_odometry = odometry
-        """Where the wheels say that the base is."""
-        self._wheels = [one.body.joint_indices[joint.name] for joint in drive.wheels]
-        self._steering = [one.body.joint_indices[joint.name] for joint in drive.steering]
-        self._read = self._wheels + self._steering
+        self._wheels = [body.engine_body.joint_indices[joint.name] for joint in drive.wheels]
+        self._steering = [body.engine_body.joint_indices[joint.name] for joint in drive.steering]
+        self._joints = self._wheels + self._steering
+        """Engine numbers of the joints."""
         self._wheel_signs = [joint.sign for joint in drive.wheels]
         self._steering_signs = [joint.sign for joint in drive.steering]
         self._torques = [drive.wheel_torque] * len(self._wheels)
         self._angles = [0.0] * len(self._wheels)
+        """Angles of the wheel joints after the last step, radians."""
         self._speeds: list[float] | None = None
+        """Target velocities of the wheel joints, rad/s; None = none was set yet."""
         self._steered = [0.0] * len(self._steering)
-        """Where the steering joints were last seen."""
-        self._wanted = self._steered
-        self._holds = False
-        self._servo = None if drive.servo is None else _Servo(drive.servo, one, frozenset(self._wheels))
+        """Angles of the steering joints after the last step, radians."""
+        self._steering_targets = self._steered
+        self._holds_steering = False
+        self._servo = None if drive.servo is None else _Servo(drive.servo, body, frozenset(self._wheels))
 
-    def actuate(self, bullet: Bullet, wanted: PlanarVelocity, dt: float) -> None:
+    def actuate(self, bullet: Bullet, commanded: PlanarVelocity, dt: float) -> None:
         """Sets the motors for the next step, which lasts ``dt`` seconds."""
-        drive, body = self._drive, self._one.body
-        targets = drive.targets(wanted, dt)
+        drive, body = self._drive, self._body.engine_body
+        targets = drive.targets(commanded, dt)
         if self._servo is not None:
             self._servo.push(bullet, drive.base_velocity, dt)
         if self._steering:
@@ -67,26 +69,26 @@ class DriveInWorld:
         if any(speeds):
             bullet.drive_joints(body, self._wheels, speeds, self._torques)
         else:
-            # A motor that holds speed 0 lets the wheel creep by the solver's residual, 0.1 m in an hour.
+            # With target velocity 0, the wheel would creep by the solver's residual, 0.1 m in an hour.
             bullet.hold_joints(body, self._wheels, self._angles, self._torques)
 
-    def _steer(self, bullet: Bullet, wanted: list[float], dt: float) -> None:
-        """Lets the steering joints follow ``wanted``, radians, and hold it when they are there."""
-        body, torques, before = self._one.body, [self._drive.steering_torque] * len(wanted), self._wanted
-        self._wanted = wanted
-        if wanted == before and max(abs(w - s) for w, s in zip(wanted, self._steered, strict=True)) < ARRIVED:
-            if not self._holds:
-                bullet.hold_joints(body, self._steering, wanted, torques)
-            self._holds = True
+    def _steer(self, bullet: Bullet, angles: list[float], dt: float) -> None:
+        """Moves the steering joints to ``angles``, radians, and holds them there."""
+        body, torques = self._body.engine_body, [self._drive.steering_torque] * len(angles)
+        before, self._steering_targets = self._steering_targets, angles
+        if angles == before and max(abs(a - s) for a, s in zip(angles, self._steered, strict=True)) < ARRIVED:
+            if not self._holds_steering:
+                bullet.hold_joints(body, self._steering, angles, torques)
+            self._holds_steering = True
             return
-        self._holds = False
+        self._holds_steering = False
         step_ns = round(dt * NS_PER_S)
-        speeds = [servo_speed(b, w, s, step_ns, math.inf) for b, w, s in zip(before, wanted, self._steered, strict=True)]
+        speeds = [servo_speed(b, a, s, step_ns, math.inf) for b, a, s in zip(before, angles, self._steered, strict=True)]
         bullet.drive_joints(body, self._steering, speeds, torques)
 
     def read(self, bullet: Bullet, stamp_ns: int, dt: float) -> None:
-        """Adds what the wheels turned in the last step, of ``dt`` seconds, to the odometry; ``stamp_ns`` decides its noise."""
-        read = bullet.joint_angles(self._one.body, self._read)
+        """Adds the turns of the wheels in the last step, of ``dt`` seconds, to the odometry; ``stamp_ns`` determines its noise."""
+        read = bullet.joint_angles(self._body.engine_body, self._joints)
         angles, self._steered = read[: len(self._wheels)], read[len(self._wheels) :]
         rolled = [(now - before) * sign for now, before, sign in zip(angles, self._angles, self._wheel_signs, strict=True)]
         increments = self._drive.encoder_turns(rolled)
@@ -96,20 +98,20 @@ class DriveInWorld:
 
 
 class _Servo:
-    """Moves a base at the wanted velocity with what force the floor lends its wheels, as if rollers touched it."""
+    """Moves a base at a velocity by as much force as friction gives its wheels, as if they had rollers."""
 
-    def __init__(self, servo: BaseServo, one: BodyInWorld, wheels: frozenset[int]) -> None:
-        self._servo, self._one, self._wheels = servo, one, wheels
-        self._mass, self._inertia = mass_and_inertia(one.model)
+    def __init__(self, servo: BaseServo, body: BodyInWorld, wheels: frozenset[int]) -> None:
+        self._servo, self._body, self._wheels = servo, body, wheels
+        self._mass, self._inertia = mass_and_inertia(body.model)
         self._lost = [0.0, 0.0]
-        """What slopes take of the speed within a step, m/s, to be given in advance: else a robot that stands would creep down."""
+        """Speed that a slope takes in a step, (x, y) m/s, added in advance: without it, a robot that stands would creep down."""
 
     def push(self, bullet: Bullet, velocity: PlanarVelocity, dt: float) -> None:
-        """Changes the base's velocity in its plane, in the next step at most by what friction allows."""
-        pose, linear, angular = self._one.root_state(bullet)
+        """Changes the base's velocity in its plane in the next step, by at most what friction allows."""
+        pose, linear, angular = self._body.root_state(bullet)
         R_world_base = matrix_from_quat(pose.quat_xyzw)
         speed, spin = linear @ R_world_base, angular @ R_world_base
-        touching = (contact for contact in bullet.contacts(self._one.body) if contact.link in self._wheels)
+        touching = (contact for contact in bullet.contacts(self._body.engine_body) if contact.link in self._wheels)
         load = sum(contact.force for contact in touching if contact.normal[2] > _FLOOR)
         grip = self._servo.traction * load * dt
         change = [velocity.linear - float(speed[0]), velocity.lateral - float(speed[1])]
@@ -121,7 +123,7 @@ class _Servo:
         most_spin = grip * self._servo.reach / self._inertia
         speed += (change[0] * part, change[1] * part, 0.0)
         spin[2] += min(max(velocity.angular - float(spin[2]), -most_spin), most_spin)
-        bullet.set_velocity(self._one.body, pose.quat_xyzw, R_world_base @ speed, R_world_base @ spin)
+        bullet.set_velocity(self._body.engine_body, pose.quat_xyzw, R_world_base @ speed, R_world_base @ spin)
 
 
 def mass_and_inertia(model: UrdfModel) -> tuple[float, float]:
@@ -138,7 +140,7 @@ def mass_and_inertia(model: UrdfModel) -> tuple[float, float]:
 
 
 def without_friction(model: UrdfModel, joints: Sequence[str]) -> UrdfModel:
-    """Returns the model whose links below ``joints`` slide on everything."""
+    """Returns the model with friction 0 for the links below ``joints``."""
     parents = {joint.child: joint.parent for joint in model.joints}
     smooth = {model.joint(name).child for name in joints}
     links = []

@@ -1,4 +1,4 @@
-"""Loads PyBullet, and keeps it quiet: the only file that imports it.
+"""Imports PyBullet without output; no other file imports it.
 
 PyBullet writes its build date, and every warning of its file readers, straight to the file descriptors.
 """
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Takes what C code writes to stdout and stderr in the meantime and logs it at DEBUG."""
+    """Redirects what C code writes to stdout and stderr to the log, at DEBUG."""
     libc = ctypes.CDLL(None)
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(tempfile.TemporaryFile())
@@ -30,7 +30,7 @@ def quiet() -> Iterator[None]:
         libc.fflush(None)
         try:
             saved = [(fd, os.dup(fd)) for fd in (1, 2)]
-        except OSError:  # a process without stdout or stderr (a daemon) has nothing to protect
+        except OSError:  # a process without stdout or stderr (a daemon) has nothing to redirect
             saved = []
         for fd, _ in saved:
             os.dup2(sink.fileno(), fd)

@@ -1,11 +1,12 @@
-"""Files that an engine reads: they lie in a folder of their own and go with it."""
+"""Files for the engine: the temporary folder that holds them, OBJ text that the engine reads and writes, and meshes cut to its limits."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,128 @@ from gibson_sim.errors import MeshError
 _VERTEX_LIMIT = 131_000
 """Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
+"""Triangles of one collision shape, for the same reason."""
+
+
+class EngineFiles:
+    """The files of one engine, in a folder of their own, which ``close`` deletes."""
+
+    def __init__(self) -> None:
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+
+    @property
+    def folder(self) -> Path:
+        """The folder; made when first used."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="gibson_sim_physics_")
+        return Path(self._folder.name)
+
+    def close(self) -> None:
+        """Deletes the files; a second call does nothing."""
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def write_urdf(self, text: str) -> Path:
+        """Returns a file with the text; the next call overwrites it."""
+        path = self.folder / "body.urdf"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    def copy_obj(self, path: str) -> Path:
+        """Returns a copy of an OBJ file with its shapes alone: the engine would also read its textures, and crash on wrong references.
+
+        Raises:
+            MeshError: the file cannot be read.
+        """
+        try:
+            text = Path(path).read_bytes()
+        except OSError as error:
+            raise MeshError(f"{path}: cannot be read: {error.strerror}") from error
+        return self.write_obj(shapes_alone(text))
+
+    def write_obj(self, text: bytes) -> Path:
+        """Returns an OBJ file with this text; equal texts share a file."""
+        path = self.folder / f"{hashlib.sha256(text).hexdigest()[:32]}.obj"
+        if not path.is_file():
+            path.write_bytes(text)
+        return path
+
+
+def to_obj(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> str:
+    """Returns the text of an OBJ file that holds vertices, (V, 3), metres, exactly, and triangles, (T, 3), indices into them."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def shapes_alone(text: bytes) -> bytes:
+    """Returns the vertices, objects and faces of an OBJ file, and nothing else that might crash the engine.
+
+    Corners are counted from 1 and have neither textures nor normals, whose references may be wrong. Faces are left out if they have fewer than three
+    corners, or name one that is not defined yet.
+    """
+    vertices, objects = _parsed(text)
+    lines = [b" ".join((b"v", *vertex)) for vertex in vertices]
+    for each in objects:
+        lines += [each.header] if each.header else []
+        lines += [b"f " + b" ".join(b"%d" % corner for corner in face) for face in each.faces]
+    return b"\n".join(lines) + b"\n"
+
+
+def objects_of_obj(text: bytes) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Returns vertices, (V, 3), and triangles, (T, 3), of each object with faces in an OBJ file of triangles."""
+    vertices, objects = _parsed(text)
+    points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    out = []
+    for faces in (each.faces for each in objects if each.faces):
+        used, corners = np.unique(np.array(faces, dtype=np.int64) - 1, return_inverse=True)
+        out.append((points[used], corners.reshape(-1, 3)))
+    return out
+
+
+@dataclass(slots=True)
+class _Object:
+    """One object or group of an OBJ file."""
+
+    header: bytes = b""
+    """The line that begins it, such as ``o lid``; empty = faces before the first such line."""
+    faces: list[list[int]] = field(default_factory=list)
+    """Corners of each face, numbers of vertices from 1."""
+
+
+def _parsed(text: bytes) -> tuple[list[list[bytes]], list[_Object]]:
+    """Returns the coordinates of the vertices of an OBJ file, three words each, and its objects, without what is wrong."""
+    vertices: list[list[bytes]] = []
+    objects = [_Object()]
+    for line in text.splitlines():
+        key, *words = line.split() or [b""]
+        if key == b"v" and len(words) >= 3 and all(map(_is_number, words[:3])):
+            vertices.append(words[:3])
+        elif key in (b"o", b"g"):
+            objects.append(_Object(b" ".join((key, *words[:1]))))
+        elif key == b"f":
+            face = [_corner(word, len(vertices)) for word in words]
+            if len(face) >= 3 and all(face):
+                objects[-1].faces.append(face)
+    return vertices, objects
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _corner(word: bytes, count: int) -> int:
+    """Returns the number of the vertex that a corner names, from 1; 0 if it is none of the ``count`` vertices so far."""
+    try:
+        number = int(word.split(b"/", 1)[0])
+    except ValueError:
+        return 0
+    number = count + 1 + number if number < 0 else number
+    return number if 1 <= number <= count else 0
 
 
 def mesh_pieces(
@@ -34,110 +157,3 @@ def mesh_pieces(
     half = len(order) // 2
     yield from mesh_pieces(vertices, triangles[order[:half]])
     yield from mesh_pieces(vertices, triangles[order[half:]])
-
-
-def to_obj(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> str:
-    """Returns the text of an OBJ file that holds vertices, (V, 3), metres, exactly, and triangles, (T, 3), indices into them."""
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def shapes_alone(text: bytes) -> bytes:
-    """Returns the vertices, objects and faces of an OBJ file, and nothing else that an engine could stumble over.
-
-    Corners are counted from 1 and have neither textures nor normals, whose references may be wrong; faces that name a corner that is not
-    there yet, or fewer than three, are left out.
-    """
-    out: list[bytes] = []
-    count = 0
-    for line in text.splitlines():
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == b"v" and len(words) >= 4 and all(map(_is_number, words[1:4])):
-            count += 1
-            out.append(b" ".join(words[:4]))
-        elif words[0] in (b"o", b"g"):
-            out.append(b" ".join((words[0], *words[1:2])))
-        elif words[0] == b"f":
-            corners = [_corner(word, count) for word in words[1:]]
-            if len(corners) >= 3 and all(corners):
-                out.append(b"f " + b" ".join(b"%d" % corner for corner in corners))
-    return b"\n".join(out) + b"\n"
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _corner(word: bytes, count: int) -> int:
-    """Returns the number of a corner, from 1; 0 where there are only ``count`` others."""
-    try:
-        number = int(word.split(b"/", 1)[0])
-    except ValueError:
-        return 0
-    number = count + 1 + number if number < 0 else number
-    return number if 1 <= number <= count else 0
-
-
-def objects_of_obj(lines: Sequence[str]) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Returns vertices, (V, 3), and triangles, (T, 3), of each object that has any in the lines of an OBJ file."""
-    points = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64).reshape(-1, 3)
-    out, faces = [], []
-    for line in [*lines, "o end"]:
-        if line.startswith("f "):
-            faces.append([int(corner) - 1 for corner in line.split()[1:4]])
-        elif line.startswith("o ") and faces:
-            used, corners = np.unique(np.array(faces, dtype=np.int64), return_inverse=True)
-            out.append((points[used], corners.reshape(-1, 3)))
-            faces = []
-    return out
-
-
-class EngineFiles:
-    """Writes them; a second ``close`` does nothing."""
-
-    def __init__(self) -> None:
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-
-    @property
-    def folder(self) -> Path:
-        """Where they are."""
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="gibson_sim_physics_")
-        return Path(self._folder.name)
-
-    def close(self) -> None:
-        """Deletes all of them."""
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
-
-    def write_urdf(self, text: str) -> Path:
-        """Returns a file with the text; the next one takes its place."""
-        path = self.folder / "body.urdf"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    def copy_obj(self, path: str) -> Path:
-        """Returns an OBJ file with the shapes of another one alone: the engine would read its textures, too, and crash on wrong references.
-
-        Raises:
-            MeshError: it cannot be read.
-        """
-        try:
-            text = Path(path).read_bytes()
-        except OSError as error:
-            raise MeshError(f"{path}: cannot be read: {error.strerror}") from error
-        return self.write_obj(shapes_alone(text))
-
-    def write_obj(self, text: bytes) -> Path:
-        """Returns an OBJ file with this text; equal ones share a file."""
-        path = self.folder / f"{hashlib.sha256(text).hexdigest()[:32]}.obj"
-        if not path.is_file():
-            path.write_bytes(text)
-        return path

@@ -1,4 +1,4 @@
-"""What the engine's class hands out and knows of its bodies. Pure values."""
+"""What ``Bullet`` returns, and what it knows of its bodies. Pure values."""
 
 from __future__ import annotations
 
@@ -8,73 +8,78 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.physics.frames import right_multiplication, turn
+from gibson_sim.physics.frames import right_multiplication, rotate
 from gibson_sim.types import Quat, Vec3
 
 
 @dataclass(frozen=True, slots=True)
 class JointReading:
-    """Joints of one body, in the order asked for."""
+    """States of joints of one body, in the requested order."""
 
     positions: NDArray[np.float64]
+    """Radians or metres."""
     velocities: NDArray[np.float64]
+    """rad/s or m/s."""
     efforts: NDArray[np.float64]
+    """N m or N, of the motors."""
 
 
 @dataclass(frozen=True, slots=True)
 class EngineContact:
-    """A point at which a body touches another one, or is next to it."""
+    """A point at which a body touches another one, or is closest to it."""
 
     name: str
-    """Of the body asked about."""
+    """Name of the queried body."""
     link: int
-    """Of that body; -1 = the root."""
+    """Link of that body; -1 = the root."""
     other: str
     """Name of the other body, or of the static shape."""
     other_link: int
+    """Link of the other body; -1 = the root."""
     position: Vec3
-    """On the other body, world frame, metres."""
+    """The point on the other body, world frame, metres."""
     own_position: Vec3
-    """On the body itself."""
+    """The point on the queried body, world frame, metres."""
     normal: Vec3
-    """From the other body to this one, unit vector, world frame."""
+    """From the other body to the queried one, unit vector, world frame."""
     force: float
-    """N, along the normal."""
+    """Along the normal, N."""
     distance: float
-    """Metres between the two surfaces; negative = they overlap."""
+    """Between the two surfaces, metres; negative = they overlap."""
 
 
 class BulletBody:
-    """What was found out once about a body with joints."""
+    """A body with joints in the engine, and what is constant about it."""
 
     __slots__ = (
         "joint_indices",
         "link_count",
         "link_indices",
-        "link_turns",
+        "link_rotations",
         "links_in_inertial",
-        "parts",
         "ray_bit",
         "root_inertial",
+        "solver_bodies",
         "uid",
     )
 
     def __init__(
-        self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]], parts: float
+        self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]], solver_bodies: float
     ) -> None:
         self.uid = uid
-        self.parts = parts
-        """How many of its links can be awake, see ``awake``; NaN = nobody knows."""
+        self.solver_bodies = solver_bodies
+        """Its number of solver bodies, see ``active_bodies``; NaN = unknown."""
         self.joint_indices = joint_indices
+        """Joint name -> the engine's number of the joint, and of the link below it."""
         self.link_count = len(inertial_poses) - 1
-        """Links below the root."""
+        """Number of links below the root."""
         self.link_indices = tuple(range(self.link_count))
         conjugates = [(-x, -y, -z, w) for _, (x, y, z, w) in inertial_poses]
-        self.links_in_inertial = -turn(np.array(conjugates), np.array([position for position, _ in inertial_poses]))
-        """(N, 3): origins of the link frames in the frame that Bullet moves: centre of mass and principal axes."""
-        self.link_turns = np.array([right_multiplication(quat) for quat in conjugates])
-        """(N, 4, 4): multiply a quaternion of the principal axes to that of the link frame."""
+        self.links_in_inertial = -rotate(np.array(conjugates), np.array([position for position, _ in inertial_poses]))
+        """(N, 3): origins of the link frames in their inertial frames (centre of mass, principal axes), which Bullet moves."""
+        self.link_rotations = np.array([right_multiplication(quat) for quat in conjugates])
+        """(N, 4, 4): matrices that take a quaternion of the inertial frame to that of the link frame."""
         self.root_inertial = inertial_poses[0]
-        """Position and quaternion of what Bullet moves in the root link's frame."""
+        """Position and quaternion of the root's inertial frame in the root link's frame."""
         self.ray_bit = 0
-        """Bit of the collision group that rays can leave out; 0 = rays always hit it."""
+        """Bit of the collision group that rays can ignore; 0 = rays always hit the body."""

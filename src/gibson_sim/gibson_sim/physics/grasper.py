@@ -1,4 +1,4 @@
-"""One gripper in the engine: what it takes hold of, what it holds, and when it lets go."""
+"""One gripper in the engine: what it grasps, what it holds, and when it releases it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.proximity import Reach
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, GraspState, best_candidate, hinge_of, reason_to_let_go
+from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, GraspState, best_candidate, hinge_of, release_reason
 from gibson_sim.robots.spec import ManipulatorSpec
 from gibson_sim.types import NS_PER_S, Vec3
 
 CLOSING_NS = NS_PER_S
-"""So long after it was told to close, simulation time, a sticky gripper takes hold of what its fingers touch."""
-_FAR = 1.0
-"""Metres within which what is nearest is named where nothing is in reach."""
-_LET_GO = "let go: it was told to"
+"""Time after the command to close in which a sticky gripper grasps what its fingers touch, simulation time, ns."""
+_NEAREST_WITHIN = 1.0
+"""Distance, metres, within which the nearest link is named if none is in reach."""
+_RELEASED = "let go: it was told to"
 
 
 class Grasper:
@@ -36,23 +36,25 @@ class Grasper:
         bodies: Callable[[], Sequence[BodyInWorld]],
         settings: GraspSettings,
     ) -> None:
-        """Holds nothing.
+        """Starts without holding anything.
 
         Args:
             bullet: The engine.
-            robot: Whose gripper it is.
-            arm: At whose end it is.
-            attachments: That hold things together.
-            reach: Finds what is near.
+            robot: The robot of the gripper.
+            arm: The arm of the gripper.
+            attachments: The joints to what is held.
+            reach: Finds links near a point.
             bodies: Returns all robots and bodies of the world.
-            settings: The rules.
+            settings: The rules of grasping.
         """
         self._bullet, self._robot, self._arm, self._attachments, self._reach = bullet, robot, arm, attachments, reach
         self._bodies, self._settings = bodies, settings
         self.rows = hand_rows(robot, arm.tip_link)
-        """The engine's numbers of the links of the hand: of the rigid part with the tool, and of all that it carries."""
+        """Engine numbers of the links of the hand: of the rigid group with the tool, and of all links below it."""
         self._handle: int | None = None
+        """Handle of the attachment to what is held."""
         self._hinge: tuple[BodyInWorld, str] | None = None
+        """Body and joint of the door that is held."""
         self._closes_until_ns = -1
         self._reason = ""
 
@@ -63,22 +65,22 @@ class Grasper:
 
     @property
     def held(self) -> str:
-        """What a joint holds; empty = nothing."""
+        """Name of the body that is held by a joint; empty = none."""
         return next((a.child for a in self._attachments.all if a.handle == self._handle), "")
 
     def grasp(self, now_ns: int, target: str = "") -> None:
-        """Takes hold, if it can; ``state`` tells.
+        """Grasps what is in reach; ``state`` says what that was.
 
         Args:
             now_ns: Simulation time.
-            target: The one thing that it may take; empty = anything.
+            target: The only robot or body that may be grasped; empty = any.
 
         Raises:
-            CommandError: there is no such thing in the world, or it is the robot itself.
+            CommandError: there is no such robot or body in the world, or it is the robot itself.
         """
-        others = [one for one in self._bodies() if one is not self._robot and target in ("", one.name)]
+        others = [body for body in self._bodies() if body is not self._robot and target in ("", body.name)]
         if target and not others:
-            known = ", ".join(one.name for one in self._bodies() if one is not self._robot) or "nothing"
+            known = ", ".join(body.name for body in self._bodies() if body is not self._robot) or "nothing"
             raise CommandError(
                 f"arm {quoted(self._arm.name)} cannot grasp {quoted(target)}: it is not in this world; there are: {known}"
             )
@@ -89,46 +91,42 @@ class Grasper:
         if mode == "physical":
             self._reason = "friction alone holds"
         elif mode == "assisted":
-            self._take_what_is_near(others)
-        elif not self._take_what_touches(self._bullet.contacts(self._robot.body), others):
+            self._grasp_nearest(others)
+        elif not self._grasp_touched(self._bullet.contacts(self._robot.engine_body), others):
             self._closes_until_ns = now_ns + CLOSING_NS
 
-    def release(self, reason: str = _LET_GO) -> None:
-        """Lets go, for a reason in words, which is kept if it held something or was about to."""
+    def release(self, reason: str = _RELEASED) -> None:
+        """Releases what it holds; ``reason`` is kept if it held something or was about to."""
         reason = reason if self.is_busy else ""
         if self.held and self._handle is not None:
             self._attachments.detach(self._handle)
         self._handle, self._hinge, self._closes_until_ns, self._reason = None, None, -1, reason
 
-    def forget(self) -> None:
-        """Lets go, as if it had never been told anything."""
-        self.release("")
-
     def stop_closing(self) -> None:
-        """Does not take hold of what its fingers touch later."""
+        """Ends the time in which a sticky gripper grasps what its fingers touch."""
         self._closes_until_ns = -1
 
     def after_step(self, now_ns: int, contacts: Sequence[EngineContact]) -> None:
-        """Takes hold of what the fingers touch, and lets go of what pulls too hard, or is open too far.
+        """Grasps what the fingers touch, and releases what pulls too hard or is a door open too far.
 
         Args:
             now_ns: Simulation time.
-            contacts: Of the robot, in the step that ended then.
+            contacts: Contacts of the robot in the step that ended then.
         """
         if self._handle is None:
-            if not self._take_what_touches(contacts, self._bodies()) and now_ns >= self._closes_until_ns:
+            if not self._grasp_touched(contacts, self._bodies()) and now_ns >= self._closes_until_ns:
                 self._closes_until_ns, self._reason = -1, "the fingers closed and touched nothing that moves"
             return
         if not self.held:
             self.release("what it held was taken away")
             return
         force = self._attachments.load(self._handle).force
-        reason = reason_to_let_go(self._settings, force, self._opening())
+        reason = release_reason(self._settings, force, self._opening())
         if reason:
             self.release(reason)
 
     def state(self) -> GraspState:
-        """Returns what it holds now."""
+        """Returns what the gripper holds now."""
         mode, name = self._settings.mode, self._arm.name
         for attachment in self._attachments.all:
             if attachment.handle == self._handle:
@@ -138,29 +136,25 @@ class Grasper:
             return self._friction()
         return GraspState(name, mode, reason="what it held was taken away" if self._handle is not None else self._reason)
 
-    def tool_position(self) -> Vec3:
-        """Returns the origin of the tool, world frame, metres."""
-        return self._robot.link_position(self._bullet, self._arm.tip_link)
-
-    def _take_what_is_near(self, others: Sequence[BodyInWorld]) -> None:
-        settings, point = self._settings, self.tool_position()
+    def _grasp_nearest(self, others: Sequence[BodyInWorld]) -> None:
+        settings, point = self._settings, self._robot.link_position(self._bullet, self._arm.tip_link)
         found = best_candidate(self._reach.movable_links(point, others, settings.distance), settings.distance)
         if found is not None:
             self._attach(found, None)
             return
-        beyond = best_candidate(self._reach.movable_links(point, others, _FAR), _FAR)
+        beyond = best_candidate(self._reach.movable_links(point, others, _NEAREST_WITHIN), _NEAREST_WITHIN)
         nearest = "" if beyond is None else f"; {beyond.body}/{beyond.link} is at {beyond.distance:.3f} m"
         self._reason = f"nothing that moves is within {settings.distance:g} m of {self._arm.tip_link}{nearest}"
 
-    def _take_what_touches(self, contacts: Sequence[EngineContact], others: Sequence[BodyInWorld]) -> bool:
-        """Returns whether the hand touched something that can move, and thus holds it."""
-        by_name = {one.name: one for one in others if one is not self._robot}
+    def _grasp_touched(self, contacts: Sequence[EngineContact], others: Sequence[BodyInWorld]) -> bool:
+        """Grasps what the hand touches and can move, and returns whether there was any."""
+        by_name = {body.name: body for body in others if body is not self._robot}
         points: dict[Candidate, Vec3] = {}
         for contact in contacts:
             other = by_name.get(contact.other)
             if contact.link in self.rows and other is not None and not (other.static and contact.other_link == -1):
                 link = other.link_at(self._bullet, contact.other_link, contact.position)
-                # Of what touches, what is pressed hardest is best.
+                # The candidate that is pressed hardest is best.
                 points[Candidate(other.name, link, -contact.force)] = contact.position
         found = best_candidate(points, 1.0)
         if found is not None:
@@ -168,31 +162,32 @@ class Grasper:
         return found is not None
 
     def _attach(self, found: Candidate, point: Vec3 | None) -> None:
-        """Joins the tool to a link: a ball at the tool's origin, or rigid at the point where they touch."""
+        """Joins the tool to a link: by a ball joint at the tool's origin, or rigidly at the point where they touch."""
         kind: AttachmentKind = "ball" if point is None else "fixed"
         self._handle = self._attachments.attach(
             self._robot.name, self._arm.tip_link, found.body, found.link, kind=kind, max_force=self._settings.max_force, point=point
         )  # fmt: skip
         self._closes_until_ns, self._reason = -1, ""
-        body = next(one for one in self._bodies() if one.name == found.body)
+        body = next(body for body in self._bodies() if body.name == found.body)
         hinge = None if isinstance(body, RobotInWorld) else hinge_of(body.model, found.link)
         self._hinge = None if hinge is None else (body, hinge)
 
     def _opening(self) -> float | None:
+        """Returns the angle of the door that is held, radians; None = no door."""
         if self._hinge is None:
             return None
         body, joint = self._hinge
-        return self._bullet.joint_angles(body.body, [body.body.joint_indices[joint]])[0]
+        return self._bullet.joint_angles(body.engine_body, [body.engine_body.joint_indices[joint]])[0]
 
     def _friction(self) -> GraspState:
-        """Returns what fingers press: what touches at least two links of the hand, of several such that which is pressed hardest."""
+        """Returns what the fingers hold by friction: what touches at least two links of the hand; of several, the one that is pressed hardest."""
         touched: dict[str, set[int]] = {}
         forces: dict[tuple[str, str], float] = {}
-        names = {one.name: one for one in self._bodies() if one is not self._robot}
-        for contact in self._bullet.contacts(self._robot.body):
-            if contact.link in self.rows and contact.other in names and contact.force > 0.0:
+        bodies = {body.name: body for body in self._bodies() if body is not self._robot}
+        for contact in self._bullet.contacts(self._robot.engine_body):
+            if contact.link in self.rows and contact.other in bodies and contact.force > 0.0:
                 touched.setdefault(contact.other, set()).add(contact.link)
-                link = names[contact.other].link_at(self._bullet, contact.other_link, contact.position)
+                link = bodies[contact.other].link_at(self._bullet, contact.other_link, contact.position)
                 forces[contact.other, link] = forces.get((contact.other, link), 0.0) + contact.force
         held = {key: force for key, force in forces.items() if len(touched[key[0]]) > 1}
         if not held:
@@ -202,7 +197,7 @@ class Grasper:
 
 
 def hand_rows(robot: BodyInWorld, tool: str) -> frozenset[int]:
-    """Returns the engine's numbers of the rigid part that a link belongs to, and of all that joints fasten to it."""
+    """Returns the engine numbers of the rigid group that a link belongs to, and of all links below it."""
     hand = {link for link in robot.links if robot.row_of_link(link) == robot.row_of_link(tool)}
     parents = {joint.child: joint.parent for joint in robot.model.joints}
     hand |= {link for link in robot.links if _is_below(link, hand, parents)}

@@ -1,4 +1,4 @@
-"""The motors of one body's joints: what they are told, and what they do in each step."""
+"""The motors of one body's joints: from joint commands to motor setpoints in each step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gibson_sim.robots.joints.control import JointControl
 from gibson_sim.types import NS_PER_S
 
 _HOLD_EFFORT = 100.0
-"""N m or N: moves and holds a joint whose URDF gives no effort."""
+"""Effort limit of a joint whose URDF gives none, N m or N."""
 
 
 class JointMotors:
@@ -28,10 +28,10 @@ class JointMotors:
         """Commands nothing yet.
 
         Args:
-            body: Has been loaded.
-            joints: Those with motors.
-            others: Joints that move, but obey others: for error messages.
-            efforts: N m or N, of joints that use less than they may unless a command says otherwise.
+            body: The body, loaded.
+            joints: Joints with motors.
+            others: Joints that something else commands, for error messages.
+            efforts: Lower effort limits of joints, N m or N, unless a command gives one.
         """
         self._body = body
         self._control = JointControl(joints, others)
@@ -40,11 +40,11 @@ class JointMotors:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Those that obey commands, in the order of the URDF."""
+        """Names of the joints that obey commands, in the order of the URDF."""
         return self._control.names
 
     def setpoint(self, name: str, now_ns: int) -> float | None:
-        """Returns where a joint shall be by its trajectory, radians or metres; None = it follows none (any more)."""
+        """Returns the setpoint of a joint by its trajectory, radians or metres; None = it follows none (any more)."""
         return self._control.setpoint(name, now_ns)
 
     @property
@@ -53,10 +53,10 @@ class JointMotors:
         return bool(self._control.active)
 
     def command(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
-        """Obeys ``command`` from the next step on; joints that it does not name go on as they were told.
+        """Applies ``command`` from the next step on; joints that it does not name keep their commands.
 
         Raises:
-            CommandError: an unknown joint, a number beyond a limit, a trajectory that is over; nothing has changed then.
+            CommandError: a joint is unknown, a value exceeds a limit, or the trajectory is over; nothing has changed then.
         """
         names = self._control.names
         positions: dict[str, float] = {}
@@ -68,7 +68,7 @@ class JointMotors:
         self._control.command(command, now_ns, positions, velocities)
 
     def stop(self, bullet: Bullet, now_ns: int) -> None:
-        """Lets what moves stand still where it is."""
+        """Stops joints that move where they are."""
         if self._control.names:
             self.command(bullet, JointTrajectory((), ()), now_ns)
 
@@ -81,9 +81,9 @@ class JointMotors:
         positions = dict(zip(names, bullet.joint_angles(self._body, self._indices(names)), strict=True))
         targets = self._control.step(now_ns, round(dt * NS_PER_S), positions)
         if targets.speeds:
-            told = [self._rubbed(name, speed, targets.efforts.get(name)) for name, speed in targets.speeds.items()]
+            driven = [self._with_friction(name, speed, targets.efforts.get(name)) for name, speed in targets.speeds.items()]
             bullet.drive_joints(
-                self._body, self._indices(targets.speeds), [speed for speed, _ in told], [most for _, most in told]
+                self._body, self._indices(targets.speeds), [speed for speed, _ in driven], [most for _, most in driven]
             )
         if targets.held:
             self.hold(bullet, targets.held, targets.efforts)
@@ -93,8 +93,8 @@ class JointMotors:
         efforts = [(limits or {}).get(name, self._efforts[name]) for name in positions]
         bullet.hold_joints(self._body, self._indices(positions), list(positions.values()), efforts)
 
-    def _rubbed(self, name: str, speed: float, effort: float | None) -> tuple[float, float]:
-        """Returns speed and greatest effort of a motor whose ``effort`` was set: friction takes its part, and holds what pushes less."""
+    def _with_friction(self, name: str, speed: float, effort: float | None) -> tuple[float, float]:
+        """Returns speed and effort limit of a motor, less the joint's friction if ``effort`` was set; friction holds a joint that less pushes."""
         if effort is None:
             return speed, self._efforts[name]
         left = effort - self._friction[name]

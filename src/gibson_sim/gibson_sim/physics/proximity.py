@@ -1,4 +1,7 @@
-"""Which links of other bodies are near a link: what a hand could take hold of."""
+"""Links of other bodies near a point or a link.
+
+``neighbours`` finds those near a link; ``Reach`` those near a point that can move, which a gripper could grasp.
+"""
 
 from __future__ import annotations
 
@@ -12,32 +15,38 @@ from gibson_sim.robots.joints.grasping import Candidate
 from gibson_sim.types import Vec3
 
 _RADIUS = 1e-3
-"""Metres of the ball that stands for the point: the engine knows no points."""
+"""Radius of the sphere that stands for a point, metres: the engine has no points."""
 
 
 class Reach:
-    """Finds what is near a point, in one engine."""
+    """Finds links near a point, in one engine."""
 
     def __init__(self, bullet: Bullet) -> None:
         self._bullet = bullet
-        self._ball: int | None = None
+        self._sphere: int | None = None
+        """Engine number of its shape; made when first needed."""
 
     def movable_links(self, point: Vec3, others: Iterable[BodyInWorld], radius: float) -> list[Candidate]:
         """Returns the links that can move and whose surfaces are within ``radius`` metres of a point, each once.
 
         Args:
             point: World frame, metres.
-            others: Where to look. What a static body has fixed to its root cannot move.
-            radius: Metres from the point to a surface; a point inside is at a distance below 0.
+            others: Bodies to search. Links that a static body has fixed to its root cannot move.
+            radius: Greatest distance from the point to a surface, metres; inside of a shape it is negative.
         """
         client = self._bullet.client
-        if self._ball is None:
-            self._ball = p.createCollisionShape(p.GEOM_SPHERE, radius=_RADIUS, physicsClientId=client)
+        if self._sphere is None:
+            self._sphere = p.createCollisionShape(p.GEOM_SPHERE, radius=_RADIUS, physicsClientId=client)
         nearest: dict[tuple[str, str], float] = {}
         for other in others:
-            # Not only those whose boxes the engine knows to be near: it finds these in a step, and there may have been none.
+            # All of them, not only those whose bounding boxes overlap: the engine finds these in a step, and there may have been none.
             found = p.getClosestPoints(
-                other.body.uid, -1, radius, collisionShapeB=self._ball, collisionShapePositionB=point, physicsClientId=client
+                other.engine_body.uid,
+                -1,
+                radius,
+                collisionShapeB=self._sphere,
+                collisionShapePositionB=point,
+                physicsClientId=client,
             )
             for gap in found or ():
                 row, distance = gap[3], gap[8] + _RADIUS
@@ -49,37 +58,37 @@ class Reach:
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """A link near another one."""
+    """A link near the queried link."""
 
     body: str
     """Name of a robot or a body."""
     link: str
     distance: float
-    """Metres between the two surfaces; negative = they overlap."""
+    """Between the two surfaces, metres; negative = they overlap."""
     point: Vec3
-    """On its surface, where it is nearest, world frame, metres."""
+    """The closest point on its surface, world frame, metres."""
     own_point: Vec3
-    """On the surface of the link that was asked about."""
+    """The closest point on the queried link, world frame, metres."""
     normal: Vec3
-    """From its point to the own one, unit vector, world frame."""
+    """From ``point`` to ``own_point``, unit vector, world frame."""
 
 
 def neighbours(
-    bullet: Bullet, one: BodyInWorld, link: str, others: Iterable[BodyInWorld], radius: float
+    bullet: Bullet, body: BodyInWorld, link: str, others: Iterable[BodyInWorld], radius: float
 ) -> tuple[Neighbour, ...]:
     """Returns the links of ``others`` within ``radius`` metres of a link's surface, the nearest first, each once.
 
-    Links without a collision shape are nowhere; where ``link`` has none, the rigid part counts that fixed joints make of it and others.
+    Links without a collision shape have no surface. If ``link`` has none, the whole rigid group counts to which fixed joints join it.
     """
-    row = one.row_of_link(link) - 1
-    has_shape = bool(one.model.link(link).collisions)
-    beside = bullet.beside(one.body, row, radius)
+    row = body.row_of_link(link) - 1
+    has_shape = bool(body.model.link(link).collisions)
+    near = bullet.bodies_near(body.engine_body, row, radius)
     nearest: dict[tuple[str, str], Neighbour] = {}
     for other in others:
-        if other is one or other.body.uid not in beside:
+        if other is body or other.engine_body.uid not in near:
             continue
-        for gap in bullet.gaps(one.body, row, other.body, radius):
-            if has_shape and one.link_at(bullet, row, gap.own_position) != link:
+        for gap in bullet.closest_points(body.engine_body, row, other.engine_body, radius):
+            if has_shape and body.link_at(bullet, row, gap.own_position) != link:
                 continue
             key = other.name, other.link_at(bullet, gap.other_link, gap.position)
             if key not in nearest or gap.distance < nearest[key].distance:

@@ -14,7 +14,7 @@ from gibson_sim.types import VelocityCommand
 
 
 class RobotInWorld(BodyInWorld):
-    """One robot in the engine, and what it was told."""
+    """One robot in the engine, and its velocity command."""
 
     sleeps = False
 
@@ -28,13 +28,13 @@ class RobotInWorld(BodyInWorld):
             if drive.servo is not None:
                 model = without_friction(model, [joint.name for joint in drive.wheels])
         self._motorised = tuple(joint for joint in model.joints if joint.name not in self._driven and joint.has_motor)
-        """What ``command_joints`` moves."""
+        """Joints that ``command_joints`` moves."""
         super().__init__(bullet, spec.name, model, spec.start, joints=spec.joints)
 
     def load(self, bullet: Bullet) -> None:
-        """Puts the robot at its start, at rest."""
+        """Puts the robot at its start, at rest, without commands and with zero odometry."""
         super().load(bullet)
-        bullet.let_rays_pass(self.body, self.name)
+        bullet.let_rays_ignore(self.engine_body, self.name)
         self.command: VelocityCommand | None = None
         self.drive: DriveInWorld | None = None
         if self.spec.drive is not None:
@@ -43,11 +43,11 @@ class RobotInWorld(BodyInWorld):
             self.drive = DriveInWorld(drive, self, odometry)
         self._step_start_ns = 0
 
-    def _ready_motors(self, bullet: Bullet) -> None:
-        """Motors hold joints where they start, but those of the drive, and continuous ones that are of no arm: these turn freely."""
+    def _set_up_motors(self, bullet: Bullet) -> None:
+        """Lets motors hold the joints at their start positions; joints of the drive, and continuous joints of no arm, turn freely."""
         grippers = [arm.gripper for arm in self.spec.manipulators if arm.gripper is not None]
         efforts = {joint: gripper.max_effort for gripper in grippers for joint in gripper.joints}
-        motors = JointMotors(self.body, self._motorised, self._driven, efforts)
+        motors = JointMotors(self.engine_body, self._motorised, self._driven, efforts)
         held = {*self._start_joints, *(name for arm in self.spec.manipulators for name in arm.joints)}
         for joint in self._motorised:
             if joint.kind != "continuous" or joint.name in held:
@@ -55,7 +55,7 @@ class RobotInWorld(BodyInWorld):
         self.motors = motors
 
     def forget_commands(self, bullet: Bullet, now_ns: int) -> None:
-        """Stands still, until it is told something new."""
+        """Stops the robot, until the next command."""
         self.command = None
         super().forget_commands(bullet, now_ns)
 
@@ -67,6 +67,6 @@ class RobotInWorld(BodyInWorld):
         self.actuate_joints(bullet, now_ns, dt)
 
     def read_wheels(self, bullet: Bullet, dt: float) -> None:
-        """Adds what the wheels turned in the last step to the odometry."""
+        """Adds the turns of the wheels in the last step to the odometry."""
         if self.drive is not None:
             self.drive.read(bullet, self._step_start_ns, dt)

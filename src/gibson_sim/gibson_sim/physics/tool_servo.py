@@ -1,4 +1,4 @@
-"""The servo of one arm in the engine: a wanted velocity of its tool, obeyed step by step until it is too old."""
+"""The Cartesian servo of one arm in the engine: moves its tool at a commanded velocity until the command is stale."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from gibson_sim.robots.spec import ManipulatorSpec
 from gibson_sim.types import NS_PER_S
 
 _PERIOD_NS = NS_PER_S // 100
-"""How often, simulation time, the velocities of the joints are worked out anew."""
+"""Period at which the joint velocities are computed, simulation time, ns."""
 
 
 class ToolServo:
     """Moves the tool of one arm."""
 
     def __init__(self, bullet: Bullet, robot: RobotInWorld, arm: ManipulatorSpec, settings: ServoSettings) -> None:
-        """Stands still.
+        """Starts without a command.
 
         Args:
             bullet: The engine.
-            robot: Has been loaded.
+            robot: The robot, loaded.
             arm: One of its arms.
-            settings: How it moves.
+            settings: Limits and damping of the servo.
         """
         self._bullet, self._robot, self._arm, self._settings = bullet, robot, arm, settings
         self._chain = robot.chain(arm.tip_link, arm.joints)
@@ -42,7 +42,7 @@ class ToolServo:
         self._until_ns = self._next_ns = 0
 
     def command(self, twist: ToolTwist, now_ns: int) -> None:
-        """Obeys a velocity from the next step on, until it is too old.
+        """Applies a velocity from the next step on, until it is stale.
 
         Raises:
             CommandError: its frame is no link of the robot.
@@ -55,12 +55,12 @@ class ToolServo:
         self._twist, self._until_ns = twist, now_ns + round(self._settings.timeout * NS_PER_S)
         self._next_ns = now_ns
 
-    def forget(self) -> None:
-        """Leaves the joints to others."""
+    def stop(self) -> None:
+        """Drops the command; joints keep what they were last commanded."""
         self._twist = None
 
     def before_step(self, now_ns: int, step_ns: int) -> None:
-        """Sets the velocities of the joints, where that is due at ``now_ns``; stops the arm where its command is too old."""
+        """Sets the joint velocities if they are due at ``now_ns``; stops the arm if its command is stale."""
         if self._twist is None:
             return
         names = self._chain.names
@@ -73,7 +73,7 @@ class ToolServo:
         self._next_ns = now_ns + _PERIOD_NS
         positions = self._robot.joint_positions(self._bullet)
         T_root_tip, jacobian = self._chain.jacobian(positions)
-        twist = self._in_root(self._twist, T_root_tip)
+        twist = self._in_root_axes(self._twist, T_root_tip)
         speeds = servo_speeds(
             jacobian,
             limited_twist(twist, self._settings),
@@ -87,15 +87,15 @@ class ToolServo:
         )
         self._robot.command_joints(self._bullet, JointVelocities(tuple(speeds.tolist()), names), now_ns)
 
-    def _in_root(self, twist: ToolTwist, T_root_tip: F64) -> F64:
+    def _in_root_axes(self, twist: ToolTwist, T_root_tip: F64) -> F64:
         """Returns the twist, (6,), in the axes of the root."""
-        both = np.array([twist.linear, twist.angular])
+        vectors = np.array([twist.linear, twist.angular])
         if twist.frame in ("", self._robot.links[0]):
-            return both.ravel()
+            return vectors.ravel()
         if twist.frame == self._arm.tip_link:
-            turn = T_root_tip[:3, :3]
+            R_root_frame = T_root_tip[:3, :3]
         else:
-            _, quats, _ = self._robot.table.links(self._bullet.raw_states(self._robot.body))
+            _, quats, _ = self._robot.table.links(self._bullet.raw_states(self._robot.engine_body))
             root, link = (matrix_from_quat(quats[row]) for row in (0, self._robot.links.index(twist.frame)))
-            turn = root.T @ link
-        return np.asarray(both @ turn.T).ravel()
+            R_root_frame = root.T @ link
+        return np.asarray(vectors @ R_root_frame.T).ravel()

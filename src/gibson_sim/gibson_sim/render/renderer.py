@@ -18,20 +18,20 @@ from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
 from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
 from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
-from gibson_sim.render.batching.batches import Batches, Loader, Progress
-from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.batching.building import build_geometry
 from gibson_sim.render.batching.composition import Composition
+from gibson_sim.render.batching.scene_geometry import Loader, Progress, SceneGeometry
 from gibson_sim.render.cache import SceneCache
 from gibson_sim.render.context import LIBRARY, GlContext, open_context
 from gibson_sim.render.culling.visibility import world_from_links
-from gibson_sim.render.draw.camera_images import Drawing
+from gibson_sim.render.draw.camera_images import CameraImages
 from gibson_sim.render.draw.effects import EffectsPass, changes_colors
-from gibson_sim.render.draw.exposing import Exposing
 from gibson_sim.render.draw.gl_scene import GlScene
-from gibson_sim.render.draw.grouping import Remembered
-from gibson_sim.render.draw.target import Target
-from gibson_sim.render.readback.frames import Readback, Shot, needed
-from gibson_sim.render.readback.pixel_buffers import Pending, PixelBuffers
+from gibson_sim.render.draw.grouping import IdentityCache
+from gibson_sim.render.draw.shutter import Shutter
+from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.readback.frames import Readback, TargetImage, needed
+from gibson_sim.render.readback.pixel_buffers import PendingFrames, PixelBuffers
 from gibson_sim.render.readback.tensors import TensorFrame, Tensors
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
@@ -41,27 +41,27 @@ from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 class Renderer:
     """Draws a scene. One thread makes, uses and closes it; several may live side by side.
 
-    Materials: textures are mixed in linear light; unlit ones are drawn as they are, others by the sun and the ambient light of the
-    scene. Masked materials are solid where alpha reaches the cutoff. Blended ones are solid, with a depth, where alpha is at least
-    0.9; elsewhere they tint what is behind them, whose depth is reported.
+    Materials: textures are filtered in linear light; unlit ones are drawn as they are, others with the lights of the scene. Masked
+    materials are opaque where alpha reaches the cutoff. Blended ones are opaque, with a depth, where alpha is at least 0.9; elsewhere
+    they tint what is behind them, whose depth is reported.
 
     Args:
-        scene: what to draw: a scene as ``load_scene`` returns it, without what moves, or one with links (``drawn_scene``).
+        scene: what to draw: a scene from ``load_scene``, whose robots and bodies are left out, or one with links (``drawn_scene``).
         device: EGL device, by number or UUID (see ``gibson-sim doctor``); None = a GPU if one works, else software.
         library: name of the EGL library.
         loader: returns the mesh of a shape; None = reads the files.
         allowed_roots: folders that meshes and textures must lie in; None = the folders above those of the meshes.
-        detail_px: how far, pixels, levels of detail may put a surface from where it is, in scenes of 50,000 triangles and more; 0 =
-            draw every triangle.
-        compress_textures: keep the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours are
-            a little off.
+        detail_px: largest error, pixels, of levels of detail in the image, in scenes of 50,000 triangles and more; 0 = draw every
+            triangle.
+        compress_textures: keep the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours
+            change slightly.
         cull: leave out what is outside the image; off only to check that nothing else changes.
-        cache: folder that keeps what loading has made, for the next start (``render.cache.default_folder()``); None = none. Not used
-            with a ``loader``.
-        progress: told what is loaded and how much of it, 0 to 1.
+        cache: folder of loaded scenes for the next start (``render.cache.default_folder()``); None = none. Not used with a
+            ``loader``.
+        progress: called with the current stage of loading and its progress, 0 to 1.
 
     Raises:
-        GraphicsUnavailableError: nothing here can draw.
+        GraphicsUnavailableError: no device can draw.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class Renderer:
         self._context: GlContext | None = None
         self._scene: GlScene | None = None
         self._effects: EffectsPass | None = None
-        self._exposing: Exposing | None = None
+        self._shutter: Shutter | None = None
         self._pixel_buffers: PixelBuffers | None = None
         self._tensors: Tensors | None = None
-        self._drawing: Drawing | None = None
+        self._camera_images: CameraImages | None = None
         self._thread, self._process = threading.get_ident(), os.getpid()
         if isinstance(scene, SceneSpec):
             allowed_roots = scene_roots(scene) if allowed_roots is None else allowed_roots
@@ -93,9 +93,9 @@ class Renderer:
         self._own_loader: MeshLoader | None = None
         self._detail_px, self._compress, self._cull = detail_px, compress_textures, cull
         self.warnings: tuple[str, ...] = ()
-        """What was left out or replaced in the last load or update, since it could not be loaded; one line each."""
+        """What the last load or update could not load and left out or replaced, one line each."""
         self.info: dict[str, Any] = {}
-        """What draws, and how much."""
+        """The device, and sizes of the scene."""
         try:
             self._context = open_context(device, library=library)
             self._readback = Readback(self._context)
@@ -106,30 +106,30 @@ class Renderer:
             raise
 
     def _load(self, scene: DrawnScene, progress: Progress | None) -> None:
-        """Loads a scene in place of what there was, if anything."""
-        batches = _loaded(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
+        """Loads a scene and replaces the current one, if any."""
+        geometry = _loaded(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
         made = GlScene(
-            self.context, batches, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
+            self.context, geometry, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
         )  # fmt: skip
-        for part in (self._drawing, self._scene):
-            if part is not None:
-                part.close()
-        self._scene, self._drawing = made, Drawing(self.context, made)
-        self._composition = Composition(scene, batches, self._loader_of, coarser=self._detail_px > 0.0)
-        self._describe(scene, batches, (*batches.warnings, *made.warnings))
+        for old in (self._camera_images, self._scene):
+            if old is not None:
+                old.close()
+        self._scene, self._camera_images = made, CameraImages(self.context, made)
+        self._composition = Composition(scene, geometry, self._loader_of, coarser=self._detail_px > 0.0)
+        self._describe(scene, geometry, (*geometry.warnings, *made.warnings))
 
     def update(self, scene: DrawnScene, progress: Progress | None = None) -> bool:
-        """Takes another revision of the scene. Bodies that come and go cost little; any other change loads it anew, and returns True.
+        """Replaces the scene by another revision. A change of bodies costs little; any other change loads it anew, and returns True.
 
-        What could not be loaded of what is new stands in ``warnings``.
+        ``warnings`` lists what could not be loaded.
 
         Args:
             scene: what to draw from now on; states must be of its revision.
-            progress: as in the constructor, where it is loaded anew.
+            progress: as in the constructor, if it is loaded anew.
 
         Raises:
             RenderError: closed, or called from another thread.
-            GibsonSimError: the scene cannot be drawn; the one before still is.
+            GibsonSimError: the scene cannot be drawn; the previous one stays.
         """
         self._check_usable()
         assert self._scene is not None
@@ -138,11 +138,11 @@ class Renderer:
         if change is None:
             self._load(scene, progress)
             return True
-        self._scene.update(change.batches, change.same_vertices, change.same_indices)
-        self._describe(scene, change.batches, change.warnings)
+        self._scene.update(change.geometry, change.same_vertices, change.same_indices)
+        self._describe(scene, change.geometry, change.warnings)
         return False
 
-    def _describe(self, scene: DrawnScene, batches: Batches, warnings: tuple[str, ...]) -> None:
+    def _describe(self, scene: DrawnScene, geometry: SceneGeometry, warnings: tuple[str, ...]) -> None:
         assert self._scene is not None
         self._links, self._revision, self.warnings = tuple(scene.links), scene.revision, warnings
         self._link_rows = {name: row for row, name in enumerate(("", *self._links))}
@@ -153,15 +153,15 @@ class Renderer:
             "version": opened.version,
             "device": opened.index,
             "software": opened.software,
-            "triangles": batches.triangles,
-            "batches": len(batches.batches),
-            "chunks": len(batches.chunk_first),
-            "textures": len(batches.textures),
+            "triangles": geometry.triangles,
+            "batches": len(geometry.batches),
+            "clusters": len(geometry.cluster_first),
+            "textures": len(geometry.textures),
             "texture_mb": round(self._scene.texture_bytes / 1e6, 1),
         }
 
     def _loader_of(self, scene: DrawnScene) -> Loader:
-        """Returns what reads the meshes of bodies that come later, each file once."""
+        """Returns the loader for bodies that come later; it reads each file once."""
         if self._loader is not None:
             return self._loader
         roots = set(_roots(scene, self._allowed_roots))
@@ -173,57 +173,57 @@ class Renderer:
     def render(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> list[Frame]:
         """Returns one frame for each camera, with the stamp of the state; the arrays belong to the caller.
 
-        All cameras with the same outputs are drawn side by side and read back at once.
+        Cameras with the same outputs are drawn side by side and read back at once.
 
         Args:
-            state: where everything is.
+            state: poses of all links.
             cameras: what to draw.
             previous: the state before, for optical flow, motion blur and rolling shutters; None = nothing has moved.
 
         Raises:
             SceneMismatchError: a state belongs to another scene, or another revision of it.
-            ConfigError: a camera sits on a link that the scene does not have.
+            ConfigError: a camera is on a link that the scene does not have.
             RenderError: closed, called from another thread, or an image too large for the driver.
         """
         frames: dict[int, Frame] = {}
-        for target, shots, numbers in self.drawn(state, cameras, previous):
-            frames.update(zip(numbers, self._readback.frames(target, shots), strict=True))
+        for target, images, numbers in self.drawn(state, cameras, previous):
+            frames.update(zip(numbers, self._readback.frames(target, images), strict=True))
         return [frames[k] for k in range(len(cameras))]
 
-    def start(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> Pending:
-        """Draws and returns at once: call ``result`` on what it returns when the next frames are drawn. For arguments see ``render``."""
+    def start(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> PendingFrames:
+        """Draws and returns at once: call ``result`` on the returned object after the next frames are started. For arguments see ``render``."""
         reads = []
         buffers, context = self._pixel_buffers, self.context
         assert buffers is not None
-        for target, shots, numbers in self.drawn(state, cameras, previous):
-            reads.append((buffers.start(target, needed(target, shots)), shots, numbers))
-        return Pending(context, buffers, reads)
+        for target, images, numbers in self.drawn(state, cameras, previous):
+            reads.append((buffers.start(target, needed(target, images)), images, numbers))
+        return PendingFrames(context, buffers, reads)
 
     def render_tensors(
         self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
     ) -> list[TensorFrame]:
-        """Returns the frames as tensors: on the GPU that drew them where CUDA has it, else on the CPU. For arguments see ``render``."""
+        """Returns the frames as tensors: on the GPU that drew them if CUDA is available, else on the CPU. For arguments see ``render``."""
         tensors = self._tensors_of_context()
         if not tensors.on_gpu:
             return tensors.of_frames(self.render(state, cameras, previous))
         frames: dict[int, TensorFrame] = {}
-        for target, shots, numbers in self.drawn(state, cameras, previous):
-            frames.update(zip(numbers, tensors.of_target(target, shots), strict=True))
+        for target, images, numbers in self.drawn(state, cameras, previous):
+            frames.update(zip(numbers, tensors.of_target(target, images), strict=True))
         return [frames[k] for k in range(len(cameras))]
 
     @property
     def drawn_triangles(self) -> int:
-        """How many triangles the last picture took, or the last pictures that were drawn side by side."""
+        """Number of triangles drawn in the last picture, or in the last pictures that were drawn side by side."""
         return 0 if self._scene is None else self._scene.drawn_triangles
 
     @property
     def tensors_on(self) -> str:
-        """Where ``render_tensors`` puts its tensors, as PyTorch names it: ``cuda:0``, or ``cpu``."""
+        """Device of the tensors of ``render_tensors``, as PyTorch names it: ``cuda:0``, or ``cpu``."""
         return self._tensors_of_context().device
 
     @property
     def context(self) -> GlContext:
-        """Where it draws, for those who read targets themselves."""
+        """The OpenGL context, for callers that read targets themselves."""
         if self._context is None:
             raise RenderError("the renderer is closed; make a new one")
         return self._context
@@ -236,33 +236,34 @@ class Renderer:
 
     def drawn(
         self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
-    ) -> Iterator[tuple[Target, list[Shot], list[int]]]:
-        """Draws, and hands out each target with its images and the numbers of their cameras. Read it before asking for the next one.
+    ) -> Iterator[tuple[RenderTarget, list[TargetImage], list[int]]]:
+        """Draws, and yields each target with its images and the numbers of their cameras. Read it before advancing to the next one.
 
         For arguments and errors see ``render``.
         """
         self._check_usable()
-        assert self._drawing is not None and self._context is not None
+        assert self._camera_images is not None and self._context is not None
         T_world_links = self._link_matrices(state)
         before = T_world_links if previous is None else self._link_matrices(previous)
         poses = [self._camera_matrix(camera, T_world_links) for camera in cameras]
         plans = [exposures(camera, previous, state) for camera in cameras]
         self._context.make_current()
-        for group in self._drawing.groups(cameras):
-            target = self._drawing.target(group.width, group.height, group.features)
-            shots = [
-                Shot(cameras[k], state.stamp_ns, poses[k], x, y) for k, (x, y) in zip(group.numbers, group.places, strict=True)
+        for group in self._camera_images.groups(cameras):
+            target = self._camera_images.target(group.width, group.height, group.features)
+            images = [
+                TargetImage(cameras[k], state.stamp_ns, poses[k], x, y)
+                for k, (x, y) in zip(group.numbers, group.places, strict=True)
             ]
-            at_once = [
-                shot for k, shot in zip(group.numbers, shots, strict=True) if len(plans[k]) == 1 and plans[k][0].state is state
+            single = [
+                image for k, image in zip(group.numbers, images, strict=True) if len(plans[k]) == 1 and plans[k][0].state is state
             ]
-            self._draw(target, at_once, T_world_links, before)
-            for k, shot in zip(group.numbers, shots, strict=True):
-                self._develop(target, shot, plans[k] if shot not in at_once else (), before)
-            yield target, shots, list(group.numbers)
+            self._draw(target, single, T_world_links, before)
+            for k, image in zip(group.numbers, images, strict=True):
+                self._develop(target, image, plans[k] if image not in single else (), before)
+            yield target, images, list(group.numbers)
 
     def _check_usable(self) -> None:
-        if self._drawing is None or self._context is None:
+        if self._camera_images is None or self._context is None:
             raise RenderError("the renderer is closed; make a new one")
         if os.getpid() != self._process:
             raise RenderError("the renderer belongs to the process that was forked: make one here, or start processes by `spawn`")
@@ -270,36 +271,36 @@ class Renderer:
             raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
 
     def _draw(
-        self, target: Target, shots: Sequence[Shot], T_world_links: NDArray[np.float64], before: NDArray[np.float64]
+        self, target: RenderTarget, images: Sequence[TargetImage], T_world_links: NDArray[np.float64], before: NDArray[np.float64]
     ) -> None:
         """Clears a target and draws images into it."""
         assert self._scene is not None
-        assert self._drawing is not None
+        assert self._camera_images is not None
         self._scene.set_links(T_world_links, before)
         still = before is T_world_links
-        poses = [shot.T_world_camera if still else self._camera_matrix(shot.camera, before) for shot in shots]
-        self._drawing.draw(target, shots, poses)
+        poses = [image.T_world_camera if still else self._camera_matrix(image.camera, before) for image in images]
+        self._camera_images.draw(target, images, poses)
 
-    def _develop(self, target: Target, shot: Shot, plan: Sequence[Exposure], before: NDArray[np.float64]) -> None:
-        """Finishes an image in its place: draws it, if that takes several exposures, and applies the effects on colours."""
+    def _develop(self, target: RenderTarget, image: TargetImage, plan: Sequence[Exposure], before: NDArray[np.float64]) -> None:
+        """Finishes an image in place: draws it, if it has several exposures, and applies the effects on colours."""
         assert self._context is not None
-        camera, average = shot.camera, False
+        camera, average = image.camera, False
         changes = "rgb" in camera.outputs and changes_colors(camera.effects)
         if not plan and not changes:
             return
         if self._effects is None:
             self._effects = EffectsPass(self._context)
-            self._exposing = Exposing(self._context, self._effects)
+            self._shutter = Shutter(self._context, self._effects)
         if plan:
-            assert self._exposing is not None
+            assert self._shutter is not None
 
-            def draw(part: Target, rows: CameraSpec, state: SceneState) -> None:
+            def draw(picture: RenderTarget, rows: CameraSpec, state: SceneState) -> None:
                 links = self._link_matrices(state)
-                self._draw(part, [Shot(rows, shot.stamp_ns, self._camera_matrix(rows, links))], links, before)
+                self._draw(picture, [TargetImage(rows, image.stamp_ns, self._camera_matrix(rows, links))], links, before)
 
-            average = self._exposing.image(target, camera, plan, shot.x, shot.y, draw)
+            average = self._shutter.image(target, camera, plan, image.x, image.y, draw)
         if average or changes:
-            self._effects.apply(camera, shot.stamp_ns, target, shot.x, shot.y, average=average)
+            self._effects.apply(camera, image.stamp_ns, target, image.x, image.y, average=average)
 
     def _link_matrices(self, state: SceneState) -> NDArray[np.float64]:
         """Returns T_world_links, (L + 1, 4, 4), the world first."""
@@ -323,14 +324,16 @@ class Renderer:
         if row is None:
             known = ", ".join(self._links) or "none"
             raise ConfigError(f"camera {camera.name!r}: link {camera.link!r} is not in the scene; its links: {known}")
-        T_world_camera: Mat4 = T_world_links[row] @ _mount(camera.pose)
+        T_world_camera: Mat4 = T_world_links[row] @ _T_link_camera(camera.pose)
         return T_world_camera
 
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
         context = self._context
-        handles = (self._drawing, self._effects, self._exposing, self._pixel_buffers, self._tensors, self._scene)
-        self._context = self._scene = self._drawing = self._effects = self._exposing = self._pixel_buffers = self._tensors = None
+        handles = (self._camera_images, self._effects, self._shutter, self._pixel_buffers, self._tensors, self._scene)
+        self._context = self._scene = self._camera_images = self._effects = self._shutter = self._pixel_buffers = (
+            self._tensors
+        ) = None
         if context is None:
             return
         try:
@@ -348,8 +351,8 @@ class Renderer:
         self.close()
 
 
-_mount: Remembered[Pose, Mat4] = Remembered(matrix_from_pose)
-"""T_link_camera, (4, 4), of the pose of a camera."""
+_T_link_camera: IdentityCache[Pose, Mat4] = IdentityCache(matrix_from_pose)
+"""Returns T_link_camera, (4, 4), of the pose of a camera."""
 
 
 def _loaded(
@@ -359,24 +362,24 @@ def _loaded(
     coarser: bool,
     folder: Path | None,
     progress: Progress | None,
-) -> Batches:
-    """Returns the triangles of a scene, out of the cache if they are there."""
+) -> SceneGeometry:
+    """Returns the geometry of a scene, from the cache if it is there."""
     labels, roots = scene.labels(), _roots(scene, allowed_roots)
-    kept = SceneCache(folder) if folder is not None and loader is None else None
-    path = kept.path(scene.visuals, scene.links, labels, coarser, roots) if kept is not None else None
-    if kept is not None and path is not None:
-        found = kept.load(path)
+    cache = SceneCache(folder) if folder is not None and loader is None else None
+    path = cache.path(scene.visuals, scene.links, labels, coarser, roots) if cache is not None else None
+    if cache is not None and path is not None:
+        found = cache.load(path)
         if found is not None:
             return found
     load = loader or MeshLoader(roots).shape
-    batches = build_batches(scene.visuals, scene.links, load, labels, coarser=coarser, progress=progress)
-    if kept is not None and path is not None:
-        kept.store(path, batches)
-    return batches
+    geometry = build_geometry(scene.visuals, scene.links, load, labels, coarser=coarser, progress=progress)
+    if cache is not None and path is not None:
+        cache.store(path, geometry)
+    return geometry
 
 
 def _roots(scene: DrawnScene, allowed_roots: Sequence[Path] | None) -> list[Path]:
-    """Returns the folders that files may lie in. Models keep ``meshes/`` and ``materials/`` side by side, so one above the mesh."""
+    """Returns the folders that files may lie in: those above the meshes, since models have ``meshes/`` and ``materials/`` side by side."""
     if allowed_roots is not None:
         return list(allowed_roots)
     folders = mesh_folders(visual.shape for visual in scene.visuals)

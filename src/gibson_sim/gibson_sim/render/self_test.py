@@ -1,4 +1,4 @@
-"""Draws four plates whose every pixel is known beforehand and compares: the shortest proof that a device draws what it should.
+"""Self-test: draws four plates whose pixels are known in advance, and compares. It shows that a device draws correctly.
 
 The edges of the plates lie halfway between pixel centres, their textures are unlit, and nothing is behind them, so colours and labels
 must be right to the bit and depths to 0.1 mm, on every driver.
@@ -27,9 +27,9 @@ FOCAL = SIZE / 2.0
 """Pixels: the field of view is 90 degrees."""
 DEPTH_TOLERANCE = 1e-4
 """Metres."""
-_MIDDLE = (SIZE - 1) / 2.0
+_CENTRE = (SIZE - 1) / 2.0
 _BLEND_PX = 3
-"""Rows on either side of the border between two halves of a texture that may show a mixture."""
+"""Rows on either side of the border between the halves of a texture whose colours may be interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class _Plate:
 
     name: str
     columns: tuple[int, int]
-    """First column that it fills, and the first one beyond it."""
+    """First column that it covers, and the first one after it."""
     rows: tuple[int, int]
     distance: float
     """Metres."""
@@ -47,7 +47,7 @@ class _Plate:
     lower: tuple[int, int, int]
 
 
-# Their instances are 1 to 4 in this order; their classes have their names, which count alphabetically: east, north, south, west.
+# Their instances are 1 to 4 in this order; their classes are their names in alphabetical order: east, north, south, west.
 _PLATES = (
     _Plate("south", (8, 32), (8, 32), 2.0, (200, 30, 40), (220, 180, 20)),
     _Plate("north", (32, 60), (4, 32), 2.5, (10, 160, 90), (30, 60, 210)),
@@ -58,25 +58,25 @@ _CLASSES = ("east", "north", "south", "west")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
-    """What must come out."""
+class ExpectedFrame:
+    """The correct frame."""
 
     rgb: NDArray[np.uint8]
     depth: NDArray[np.float32]
     semantic: NDArray[np.uint16]
     instance: NDArray[np.uint16]
-    sure: NDArray[np.bool_]
-    """(H, W): where the colour is known to the bit."""
+    exact: NDArray[np.bool_]
+    """(H, W): whether the colour is known to the bit."""
 
 
 def self_test(device: int | str | None = None) -> str:
-    """Returns one line on what draws here.
+    """Returns one line on the device, which draws correctly.
 
     Args:
-        device: number or UUID; None = the one that is chosen where none is given.
+        device: number or UUID; None = the default device.
 
     Raises:
-        GraphicsUnavailableError: it cannot draw at all.
+        GraphicsUnavailableError: it cannot draw.
         RenderError: it draws something else.
     """
     eye = CameraSpec(
@@ -96,10 +96,10 @@ def self_test(device: int | str | None = None) -> str:
     return f"pixel-exact ({digest(frame)}) on {info['renderer']} ({kind}), OpenGL {info['version']}"
 
 
-def expected() -> Expected:
-    """Returns what must come out, computed without drawing."""
+def expected() -> ExpectedFrame:
+    """Returns the correct frame, computed without drawing."""
     shape = (SIZE, SIZE)
-    out = Expected(
+    out = ExpectedFrame(
         np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32), np.zeros(shape, np.uint16), np.zeros(shape, np.uint16),
         np.ones(shape, np.bool_),
     )  # fmt: skip
@@ -108,7 +108,7 @@ def expected() -> Expected:
         middle = sum(plate.rows) // 2
         out.rgb[plate.rows[0] : middle, columns] = plate.upper
         out.rgb[middle : plate.rows[1], columns] = plate.lower
-        out.sure[middle - _BLEND_PX : middle + _BLEND_PX, columns] = False
+        out.exact[middle - _BLEND_PX : middle + _BLEND_PX, columns] = False
         out.depth[rows, columns] = plate.distance
         out.semantic[rows, columns] = 1 + _CLASSES.index(plate.name)
         out.instance[rows, columns] = number
@@ -116,7 +116,7 @@ def expected() -> Expected:
 
 
 def compare(frame: Frame) -> list[str]:
-    """Returns what differs from ``expected``, one short text for each output; empty = nothing."""
+    """Returns the differences from ``expected``, one short text for each output."""
     assert frame.rgb is not None
     assert frame.depth is not None
     assert frame.semantic is not None
@@ -125,7 +125,7 @@ def compare(frame: Frame) -> list[str]:
     with np.errstate(invalid="ignore"):
         depth = (np.abs(frame.depth - right.depth) > DEPTH_TOLERANCE) | (np.isinf(frame.depth) != np.isinf(right.depth))
     wrong = {
-        "colours": (frame.rgb != right.rgb).any(axis=2) & right.sure,
+        "colours": (frame.rgb != right.rgb).any(axis=2) & right.exact,
         "depths": depth,
         "classes": frame.semantic != right.semantic,
         "instances": frame.instance != right.instance,
@@ -137,14 +137,14 @@ def compare(frame: Frame) -> list[str]:
 
 
 def digest(frame: Frame) -> str:
-    """Returns the first eight digits of a hash over all that must be the same everywhere: equal digits = equal images."""
+    """Returns the first eight digits of a hash of all that must be the same on every device: equal digits = equal images."""
     assert frame.rgb is not None
     assert frame.depth is not None
     assert frame.semantic is not None
     assert frame.instance is not None
-    sure = np.where(expected().sure[:, :, None], frame.rgb, 0)
+    exact = np.where(expected().exact[:, :, None], frame.rgb, 0)
     whole_mm = np.where(np.isinf(frame.depth), -1.0, np.round(frame.depth.astype(np.float64) * 1e3))
-    parts = (sure.astype(np.uint8), whole_mm.astype("<i4"), frame.semantic.astype("<u2"), frame.instance.astype("<u2"))
+    parts = (exact.astype(np.uint8), whole_mm.astype("<i4"), frame.semantic.astype("<u2"), frame.instance.astype("<u2"))
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:8]
 
 
@@ -159,12 +159,12 @@ def _mesh(plate: _Plate) -> Mesh:
     def at(column: int, row: int) -> Vec3:
         # The edge of a pixel is half a pixel before its centre.
         u, v = column - 0.5, row - 0.5
-        return (plate.distance, (_MIDDLE - u) / FOCAL * plate.distance, (_MIDDLE - v) / FOCAL * plate.distance)
+        return (plate.distance, (_CENTRE - u) / FOCAL * plate.distance, (_CENTRE - v) / FOCAL * plate.distance)
 
     (left, right), (top, bottom) = plate.columns, plate.rows
     pixels = np.empty((16, 16, 3), dtype=np.uint8)
     pixels[:8], pixels[8:] = plate.upper, plate.lower
-    low, high = 1 / 16, 15 / 16  # at the rim the lower half would show through from the other side
+    low, high = 1 / 16, 15 / 16  # at 0 and 1 the filter would wrap around to the other half
     return Mesh(
         (
             MeshPart(

@@ -1,4 +1,4 @@
-"""How often a robot ran into something: what counts as one collision. Pure; ``PhysicsWorld.collisions`` has the numbers."""
+"""Counts the collisions of a robot: what counts as one collision. Pure; ``PhysicsWorld.collisions`` returns the count."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from dataclasses import dataclass
 from gibson_sim.types import NS_PER_S
 
 PAUSE_NS = NS_PER_S // 10
-"""A touch that ended less than this before it began again, simulation time, is the same collision: bodies bounce and chatter."""
+"""Longest interruption of a contact within one collision, simulation time, ns: bodies bounce and chatter."""
 STANDING_HEIGHT = 0.05
-"""Metres above its base frame below which a robot stands on what it touches, instead of running into it."""
+"""Height above its base frame below which a robot stands on what it touches, instead of colliding with it, metres."""
 STANDING_NORMAL = 0.7
-"""Least vertical part of the normal of what a robot stands on: floors, ramps and thresholds up to 45 degrees."""
+"""Least vertical component of the normal of what a robot stands on: floors, ramps and thresholds up to 45 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class CollisionCount:
-    """What a robot ran into since it was loaded or reset."""
+    """Collisions of a robot since counting began, or since a reset."""
 
     count: int = 0
     """Collisions that began."""
     ongoing: int = 0
-    """Pairs of a link and a thing that touch now."""
+    """Pairs of a link and another body or shape that touch now."""
     duration: float = 0.0
-    """Seconds during which at least one pair touched."""
+    """Time during which at least one pair touched, s."""
     greatest_force: float = 0.0
-    """N, along the normal of one point."""
+    """Greatest normal force at one point, N."""
     last_link: str = ""
-    """Of the robot, in the last collision; empty = there was none."""
+    """Link of the robot in the last collision; empty = there was none."""
     last_body: str = ""
-    """What it ran into: a robot, a body, or a static shape."""
+    """Name of the robot, body or static shape in the last collision."""
 
 
 class CollisionCounter:
@@ -40,10 +40,10 @@ class CollisionCounter:
         self._count, self._steps, self._greatest, self._ongoing = 0, 0, 0.0, 0
         self._last = "", ""
         self._touched_ns: dict[tuple[str, str], int] = {}
-        """(link, thing) -> when they last touched, of those that did so just now."""
+        """(link, other) -> when they last touched, ns, of pairs that did so within ``PAUSE_NS``."""
 
     def add_step(self, now_ns: int, touches: Mapping[tuple[str, str], float]) -> None:
-        """Takes what touched in the step that ended at ``now_ns``: (link, thing) -> N, the greatest of all points."""
+        """Adds the step that ended at ``now_ns``; ``touches`` maps (link, other) to the greatest force of their contacts, N."""
         for pair, force in touches.items():
             if now_ns - self._touched_ns.get(pair, -PAUSE_NS - 1) > PAUSE_NS:
                 self._count += 1
@@ -56,5 +56,5 @@ class CollisionCounter:
         self._steps += bool(touches)
 
     def total(self, step_hz: int) -> CollisionCount:
-        """Returns the numbers now."""
+        """Returns the count now."""
         return CollisionCount(self._count, self._ongoing, self._steps / step_hz, self._greatest, *self._last)

@@ -1,6 +1,6 @@
-"""How a robot drives: pure values, one class for each way to steer.
+"""Specifications of drives: pure values, one class for each kind.
 
-All are in the frame of the base (x forward, y left). ``robots.drives`` has the arithmetic, ``robots.loading.drive`` reads the files.
+All are in the frame of the base (x forward, y left). ``robots.drives`` has the kinematics, ``robots.loading.drive`` reads the files.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DriveKind = Literal["differential", "skid_steer", "omni", "ackermann"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Limits:
-    """What all drives have."""
+    """Fields of all drives."""
 
     wheel_radius: float
     """Metres."""
@@ -30,33 +30,33 @@ class _Limits:
     max_angular: float = 2.0
     """rad/s."""
     max_linear_acceleration: float = 1.0
-    """m/s^2, speeding up and slowing down."""
+    """m/s^2, accelerating and braking."""
     max_wheel_torque: float = 10.0
-    """N m, of each driven wheel."""
+    """Torque limit of each driven wheel, N m."""
     command_delay: float = 0.0
-    """Seconds from a command's arrival until the motors obey it, in whole physics steps; 0 to 10."""
+    """Time from a command's arrival to its effect on the motors, s, 0 to 10; whole physics steps."""
     slip: float = 0.0
-    """Part of the way forward (or sideways) that the wheels roll and the base does not go; below 0 it goes farther; -0.5 to 0.9."""
+    """Fraction of the distance, forward or sideways, that the wheels roll and the base does not move; below 0 it moves farther; -0.5 to 0.9."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DifferentialSpec(_Limits):
-    """Wheels on the left and on the right, driven by velocity: one a side (differential) or more (skid steer)."""
+    """Wheels on the left and on the right, driven by velocity: one per side (differential) or more (skid steer)."""
 
     left_joints: tuple[str, ...]
     right_joints: tuple[str, ...]
     """As many as on the left."""
     wheel_separation: float
-    """Metres between the contact points of the wheels; skid steer: the distance at which wheels without slip would turn as it does."""
+    """Distance between the contact points of the wheels, metres; skid steer: that at which wheels without slip would turn as it does."""
     kind: DriveKind = "differential"
     max_angular_acceleration: float = 4.0
     """rad/s^2."""
     turn_slip: float = 0.0
-    """Part of the turn that the wheels roll and the base does not make, -0.5 to 0.9."""
+    """Fraction of the rotation that the wheels roll and the base does not make, -0.5 to 0.9."""
     traction: float = 0.8
-    """Skid steer: greatest force of all wheels together along the floor, as a fraction of what presses them onto it."""
+    """Skid steer: greatest force of all wheels together along the floor, as a fraction of the load on them."""
     left_signs: tuple[float, ...] = ()
-    """For each joint +1 when a positive turn rolls the robot forward, -1 when its axis points the other way; empty = all +1."""
+    """For each joint +1 if a positive turn rolls the robot forward, -1 if its axis points the other way; empty = all +1."""
     right_signs: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -81,12 +81,12 @@ class OmniWheel:
     heading: float
     """Direction in which a positive turn of the joint rolls it, radians from x, counter-clockwise."""
     roller: float = 0.0
-    """From ``heading`` to the axis of the roller that touches the floor, radians, counter-clockwise seen from above; 0: an omni wheel."""
+    """Angle from ``heading`` to the axis of the roller on the floor, radians, counter-clockwise seen from above; 0 = an omni wheel."""
 
     def speed_row(self, radius: float) -> Vec3:
-        """Returns what to multiply (x, y, yaw) velocities of the base with, and add, for the joint's speed, rad/s.
+        """Returns the factors of the base's velocities (x, y, yaw) whose sum is the joint's speed, rad/s.
 
-        Along its axis a roller cannot roll: there floor and rim move alike.
+        A roller cannot roll along its axis: floor and rim have equal velocities in that direction.
         """
         along_x, along_y = math.cos(self.heading + self.roller), math.sin(self.heading + self.roller)
         grip = radius * math.cos(self.roller)
@@ -106,9 +106,9 @@ class OmniSpec(_Limits):
     max_angular_acceleration: float = 4.0
     """rad/s^2."""
     turn_slip: float = 0.0
-    """Part of the turn that the wheels roll and the base does not make, -0.5 to 0.9."""
+    """Fraction of the rotation that the wheels roll and the base does not make, -0.5 to 0.9."""
     traction: float = 0.5
-    """Greatest force of all wheels together along the floor, as a fraction of what presses them onto it."""
+    """Greatest force of all wheels together along the floor, as a fraction of the load on them."""
 
     def __post_init__(self) -> None:
         _check_positive(
@@ -131,7 +131,7 @@ class OmniSpec(_Limits):
 
     @property
     def kind(self) -> DriveKind:
-        """What ``drive.type`` says in the file."""
+        """Value of ``drive.type`` in the file."""
         return "omni"
 
     def wheel_matrix(self) -> NDArray[np.float64]:
@@ -144,31 +144,31 @@ class AckermannSpec(_Limits):
     """A car: two driven wheels behind, two steered ones in front."""
 
     left_joint: str
-    """Of the driven wheels."""
+    """Joint of the left driven wheel."""
     right_joint: str
     left_steering_joint: str
     right_steering_joint: str
     wheelbase: float
-    """Metres from the rear axle forward to the steering joints."""
+    """Distance from the rear axle to the steering joints, metres."""
     wheel_separation: float
-    """Metres between the driven wheels."""
+    """Distance between the driven wheels, metres."""
     steering_separation: float
-    """Metres between the steering joints."""
+    """Distance between the steering joints, metres."""
     max_steering: float
-    """Radians, of the inner wheel."""
+    """Greatest angle of the inner wheel, radians."""
     max_steering_rate: float = 1.5
     """rad/s."""
     max_steering_torque: float = 20.0
-    """N m, of each steering joint."""
+    """Torque limit of each steering joint, N m."""
     min_turning_radius: float = 0.0
-    """Metres from the middle of the rear axle to the centre of the tightest turn; ``max_steering`` may make it larger."""
+    """Distance from the centre of the rear axle to that of the tightest turn, metres; ``max_steering`` may make it larger."""
     rear_axle_x: float = 0.0
-    """Metres: where in the base frame the rear axle is."""
+    """Position of the rear axle along x in the base frame, metres."""
     left_sign: float = 1.0
-    """+1 when a positive turn of the left joint rolls the car forward, -1 when its axis points the other way."""
+    """+1 if a positive turn of the left joint rolls the car forward, -1 if its axis points the other way."""
     right_sign: float = 1.0
     left_steering_sign: float = 1.0
-    """+1 when a positive turn of the joint steers to the left."""
+    """+1 if a positive turn of the joint steers to the left."""
     right_steering_sign: float = 1.0
 
     def __post_init__(self) -> None:
@@ -187,12 +187,12 @@ class AckermannSpec(_Limits):
 
     @property
     def kind(self) -> DriveKind:
-        """What ``drive.type`` says in the file."""
+        """Value of ``drive.type`` in the file."""
         return "ackermann"
 
     @property
     def max_curvature(self) -> float:
-        """1/m, of the path of the rear axle's middle in the tightest turn."""
+        """Curvature of the path of the rear axle's centre in the tightest turn, 1/m."""
         inner = math.tan(self.max_steering)
         tightest = inner / (self.wheelbase + inner * self.steering_separation / 2)
         return tightest if self.min_turning_radius == 0.0 else min(tightest, 1.0 / self.min_turning_radius)

@@ -13,6 +13,7 @@ from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, RobotError
+from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder
@@ -23,7 +24,6 @@ from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES, DerivedRobot,
 from gibson_sim.robots.loading.drive import read_drive
 from gibson_sim.robots.loading.manipulators import MANIPULATOR_KEYS, read_manipulators, read_poses
 from gibson_sim.robots.loading.sensors import SENSOR_KEYS, read_sensors
-from gibson_sim.robots.loading.settings import NAME, Settings, read_yaml
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.types import Pose
 
@@ -49,7 +49,7 @@ _NO_ROBOTS = {
     ".xml": "is no URDF by its name",
     ".zip": "is an archive: unpack it",
 }
-"""Suffixes of files that are taken for robots, and what they are."""
+"""Suffixes of files that users give as robots by mistake, and what to say of them."""
 
 
 def load_robot(
@@ -60,28 +60,28 @@ def load_robot(
     find: Callable[[str], Path] | None = None,
     points: MeshPoints | None = None,
 ) -> RobotSpec:
-    """Returns the robot that a ``robot.yaml`` describes, or a URDF or a xacro, for which it is guessed (``robots.loading.derive``).
+    """Returns the robot of a ``robot.yaml``, or of a URDF or a xacro, for which the rest is guessed (``robots.loading.derive``).
 
     Args:
-        path_or_name: A ``robot.yaml``, a URDF, a xacro, a folder that holds one, or the name of a robot that ``find`` knows.
+        path_or_name: A ``robot.yaml``, a URDF, a xacro, a folder that has one, or the name of a robot that ``find`` knows.
         name: Body name; its links become ``<name>/<link>``.
         start: T_world_base at load; None = the origin.
-        find: Takes a name to the robot's folder or file; None = ``config/robots/<name>`` of a share folder (see ``resources``).
-        points: Reads meshes; None = they do not count in radius and height, nor as wheels. ``scenes.robot_files`` has it.
+        find: Returns a robot's folder or file by its name; None = ``config/robots/<name>`` of a share folder (see ``resources``).
+        points: Reads meshes; None = they do not count in radius and height, nor as wheels. ``scenes.robot_files`` provides it.
 
     Raises:
         RobotError: a file is missing or broken; one line.
     """
-    if not NAME.fullmatch(name):
+    if not ROS_NAME.fullmatch(name):
         raise RobotError(f"robot name {quoted(name)} is not usable in ROS; use letters, digits and _, a letter first")
     path = find_robot_file(path_or_name, find)
     if path.suffix.lower() in DESCRIPTION_SUFFIXES:
         derived = derive_file(path, points)
         for note in derived.notes:
             logger.info("%s: no robot.yaml; guessed %s", path.name, note)
-        robot = Settings({"urdf": path.name, **derived.values}, str(path))
+        robot = YamlMap({"urdf": path.name, **derived.values}, str(path), error=RobotError)
     else:
-        robot = Settings(read_yaml(path), str(path))
+        robot = read_yaml_map(path, error=RobotError)
     robot.check_keys(_ROBOT_KEYS)
     model = _model(robot, path)
     for warning in model.warnings:
@@ -118,7 +118,7 @@ def load_robot(
 def derive_file(
     path: Path, points: MeshPoints | None = None, arguments: Mapping[str, str] | None = None, *, needs_drive: bool = True
 ) -> DerivedRobot:
-    """Returns what a ``robot.yaml`` for the URDF or xacro at ``path`` could say; the arguments are those of ``derive_robot``."""
+    """Returns a guess of the ``robot.yaml`` for the URDF or xacro at ``path``; see ``derive_robot``."""
     return derive_robot(read_urdf(plain_description(path, arguments or {})), points, needs_drive=needs_drive)
 
 
@@ -157,7 +157,7 @@ def _in_folder(folder: Path) -> Path:
     return inside[0] if inside else folder / ROBOT_FILE
 
 
-def _model(robot: Settings, path: Path) -> UrdfModel:
+def _model(robot: YamlMap, path: Path) -> UrdfModel:
     """Returns the links of a robot, whose root is the frame of odometry."""
     model = read_urdf(_description(robot, path))
     height = robot.numbers(("base_height",)).get("base_height", 0.0)
@@ -169,13 +169,13 @@ def _model(robot: Settings, path: Path) -> UrdfModel:
     return model if file == model.path else read_urdf(file)
 
 
-def _numbers_of(robot: Settings, key: str) -> dict[str, float]:
+def _numbers_of(robot: YamlMap, key: str) -> dict[str, float]:
     """Returns the numbers of a section by name."""
     section = robot.section(key)
     return {} if section is None else {str(name): section.number(name) for name in section.values}
 
 
-def _description(robot: Settings, path: Path) -> Path:
+def _description(robot: YamlMap, path: Path) -> Path:
     """Returns the plain URDF of a robot."""
     name, section = robot.text("urdf"), robot.section("xacro_args")
     arguments: dict[str, str] = {}
@@ -192,10 +192,10 @@ def _description(robot: Settings, path: Path) -> Path:
     return plain_description(file, arguments)
 
 
-def _size(model: UrdfModel, robot: Settings, joints: Mapping[str, float], points: MeshPoints | None) -> tuple[float, float]:
-    """Returns (radius about the base's z axis, height above the floor) of the collision shapes, or what the file gives.
+def _size(model: UrdfModel, robot: YamlMap, joints: Mapping[str, float], points: MeshPoints | None) -> tuple[float, float]:
+    """Returns (radius about the base's z axis, height above the floor), metres, from the file or from the collision shapes.
 
-    ``joints``: where they are at load, radians or metres.
+    ``joints`` has their positions at load, radians or metres.
     """
     given = robot.numbers(("radius", "height"))
     radius, height, meshes = 0.0, 0.0, 0

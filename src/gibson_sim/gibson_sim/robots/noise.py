@@ -1,4 +1,4 @@
-"""Random numbers that depend on a seed, a name and a stamp alone, whatever else runs and in which order. Pure."""
+"""Random numbers that depend only on seeds, a name and a stamp, whatever else runs and in which order. Pure."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 
 class NoiseSource:
-    """Draws of one sensor: equal seeds, name, stamp and purpose give equal bits."""
+    """Random numbers of one sensor: equal seeds, name, stamp and purpose give equal bits."""
 
     def __init__(self, name: str, *seeds: int) -> None:
         """Makes the key.
 
         Args:
-            name: Of the sensor, with that of its body, so that two of a kind differ.
+            name: Name of the sensor, with that of its body, so that two of a kind differ.
             seeds: 0 to 2^63 - 1 each.
         """
         entropy = [*seeds, len(seeds), *name.encode()]
@@ -24,13 +24,13 @@ class NoiseSource:
         self._unused = np.zeros(4, dtype=np.uint64)
 
     def at(self, stamp_ns: int, purpose: int = 0) -> np.random.Generator:
-        """Returns the numbers of one stamp and purpose, from their beginning; they end at the next call.
+        """Returns the numbers of one stamp and purpose, from their beginning; the generator is valid until the next call.
 
         Args:
             stamp_ns: 0 or more.
-            purpose: Keeps draws apart, so that one setting does not change what another one does.
+            purpose: Separates independent sequences, so that one setting does not change the noise of another.
         """
-        # Philox counts in 256 bits: the upper half says which numbers, the lower half runs through them.
+        # Philox has a counter of 256 bits: the upper half selects the sequence, the lower half runs through it.
         state: Any = {
             "bit_generator": "Philox",
             "state": {"counter": np.array([0, 0, purpose, stamp_ns], dtype=np.uint64), "key": self._key},

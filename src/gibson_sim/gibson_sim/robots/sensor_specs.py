@@ -1,4 +1,4 @@
-"""What sensors other than cameras a robot carries: pure values. Every noise is off unless it is given.
+"""Specifications of a robot's sensors other than cameras: pure values. Every noise is off unless it is given.
 
 ``name`` is the topic, relative to the robot's namespace; ``link`` is ``<body>/<link>``.
 """
@@ -14,9 +14,11 @@ from gibson_sim.quoting import quoted
 from gibson_sim.types import check_seed
 
 TOPIC = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
-"""Names that ROS can use as a relative topic."""
+"""Names that are valid as relative ROS topics."""
 MAX_RAYS = 1_000_000
+"""Rays of one scan."""
 TURN = 2.0 * math.pi
+"""One revolution, radians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,7 @@ class LidarSpec:
     range_min: float = 0.12
     """Metres; nearer returns are reported as -inf (REP 117)."""
     range_max: float = 12.0
-    """Metres; no return nearer than this is reported as +inf (REP 117)."""
+    """Metres; farther returns, and none, are reported as +inf (REP 117)."""
     rate_hz: float = 10.0
     name: str = "scan"
     angle_min: float = 0.0
@@ -41,12 +43,12 @@ class LidarSpec:
     resolution: float = 0.0
     """Ranges are multiples of this, metres; 0 = exact."""
     dropout: float = 0.0
-    """Part of the rays that do not return, at random, 0 to 1."""
+    """Fraction of the rays that do not return, at random, 0 to 1."""
     seed: int = 0
     range_noise_ratio: float = 0.0
-    """Standard deviation of a range as a part of it, on top of ``range_noise``; 0.01 = 1 % of the distance."""
+    """Standard deviation of a range as a fraction of it, in addition to ``range_noise``; 0.01 = 1 % of the distance."""
     range_scale: float = 0.0
-    """Standard deviation of a factor, near 1, by which this one device measures all distances wrong: drawn once for each seed."""
+    """Standard deviation of the scale error of this device, a factor near 1 on all distances, drawn once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -62,7 +64,7 @@ class LidarSpec:
 
     @property
     def is_full_turn(self) -> bool:
-        """Whether the ray after the last would be the first again."""
+        """Whether the rays span a whole revolution."""
         return self.fov >= TURN - 1e-9
 
     @property
@@ -73,19 +75,19 @@ class LidarSpec:
 
 @dataclass(frozen=True, slots=True)
 class Lidar3DSpec:
-    """A spinning lidar of many channels; all rays of a turn are cast at the same instant."""
+    """A spinning lidar of many channels; all rays of a revolution are cast at the same instant."""
 
     link: str
     """``<body>/<link>``; the rays leave from the origin of this link."""
     name: str = "lidar/points"
     channels: int = 16
-    """Rings, evenly between the two elevations."""
+    """Number of rings, evenly spaced between the two elevations."""
     samples: int = 720
-    """Rays of a ring in one turn, the first along the link's x axis, then counter-clockwise."""
+    """Rays of a ring in one revolution, the first along the link's x axis, then counter-clockwise."""
     elevation_min: float = math.radians(-15.0)
     """Lowest ring, radians above the link's x-y plane."""
     elevation_max: float = math.radians(15.0)
-    """Highest ring; the only one where there is one channel is in the middle."""
+    """Highest ring; a single channel is in the middle."""
     range_min: float = 0.3
     """Metres; nearer returns give no point."""
     range_max: float = 100.0
@@ -96,12 +98,12 @@ class Lidar3DSpec:
     resolution: float = 0.0
     """Ranges are multiples of this, metres; 0 = exact."""
     dropout: float = 0.0
-    """Part of the rays that do not return, at random, 0 to 1."""
+    """Fraction of the rays that do not return, at random, 0 to 1."""
     seed: int = 0
     range_noise_ratio: float = 0.0
-    """Standard deviation of a range as a part of it, on top of ``range_noise``; 0.01 = 1 % of the distance."""
+    """Standard deviation of a range as a fraction of it, in addition to ``range_noise``; 0.01 = 1 % of the distance."""
     range_scale: float = 0.0
-    """Standard deviation of a factor, near 1, by which this one device measures all distances wrong: drawn once for each seed."""
+    """Standard deviation of the scale error of this device, a factor near 1 on all distances, drawn once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -119,14 +121,14 @@ class Lidar3DSpec:
 
 @dataclass(frozen=True, slots=True)
 class ImuSpec:
-    """Gyroscopes, accelerometers and, unless told otherwise, an orientation (REP 145)."""
+    """Gyroscopes, accelerometers and, by default, an orientation (REP 145)."""
 
     link: str
-    """``<body>/<link>``: it measures at the origin of this link, along its axes."""
+    """``<body>/<link>``: the sensor measures at the origin of this link, along its axes."""
     name: str = "imu"
     rate_hz: float = 100.0
     gyro_noise: float = 0.0
-    """White noise density, rad/s/sqrt(Hz): the standard deviation of a sample is this times the root of the rate."""
+    """White noise density, rad/s/sqrt(Hz): the standard deviation of a sample is this times the square root of the rate."""
     accel_noise: float = 0.0
     """White noise density, m/s^2/sqrt(Hz)."""
     gyro_bias: float = 0.0
@@ -134,7 +136,7 @@ class ImuSpec:
     accel_bias: float = 0.0
     """Standard deviation of the bias at the start, m/s^2."""
     gyro_bias_walk: float = 0.0
-    """Random walk of the bias, rad/s/sqrt(s): its standard deviation after t seconds is this times the root of t."""
+    """Random walk of the bias, rad/s/sqrt(s): its standard deviation after t seconds is this times the square root of t."""
     accel_bias_walk: float = 0.0
     """Random walk of the bias, m/s^2/sqrt(s)."""
     orientation: bool = True
@@ -151,17 +153,17 @@ class ImuSpec:
 
 @dataclass(frozen=True, slots=True)
 class BumperSpec:
-    """Says when something presses against the robot from the side; what carries it, or lies on it, does not count."""
+    """Detects pressure on the robot from the side; what carries the robot, or lies on it, does not count."""
 
     link: str
     """``<body>/<link>`` in whose frame the force is reported."""
     links: tuple[str, ...] = ()
-    """Parts that feel, without the body name: the first link of each group that fixed joints hold together; () = the whole robot."""
+    """Sensitive links, without the body name: the first of each rigid group; () = the whole robot."""
     name: str = "bumper"
     threshold: float = 1.0
-    """N, above 0: less force than this, all contacts together, is not felt."""
+    """Least force that is detected, all contacts together, N, above 0."""
     max_slope: float = math.radians(45.0)
-    """Radians, in [0, pi/2): a contact whose normal is nearer to the vertical than this is a floor or a load."""
+    """Angle to the vertical below which the normal of a contact is that of a floor or a load, radians, in [0, pi/2)."""
     rate_hz: float = 30.0
 
     def __post_init__(self) -> None:
@@ -175,7 +177,7 @@ class BumperSpec:
 
 @dataclass(frozen=True, slots=True)
 class BatterySpec:
-    """A battery whose voltage falls evenly with its charge. It is never recharged, and an empty one does not stop the robot."""
+    """A battery whose voltage falls linearly with its charge. It is never recharged, and an empty one does not stop the robot."""
 
     name: str = "battery_state"
     capacity_ah: float = 5.2
@@ -185,17 +187,17 @@ class BatterySpec:
     voltage_empty: float = 9.9
     """V."""
     idle_w: float = 10.0
-    """Power that everything but the motors takes, W."""
+    """Power consumption of everything but the motors, W."""
     efficiency: float = 0.6
-    """Mechanical power of the joints over what their motors take, in (0, 1]; braking gives nothing back."""
+    """Ratio of the mechanical power of the joints to the power of their motors, in (0, 1]; braking recovers nothing."""
     torque_w: float = 0.0
-    """Power that motors take on top, moving or not, W for each N m."""
+    """Additional power of the motors, moving or not, W per N m."""
     start: float = 1.0
     """Charge at the start, 0 to 1 of the capacity."""
     warn_below: float = 0.2
     """Charge, 0 to 1 of the capacity, below which it is low."""
     rate_hz: float = 1.0
-    """Reports a second; the motors' power is sampled as often."""
+    """Reports per second; the motors' power is sampled at the same rate."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, "")
@@ -212,32 +214,32 @@ class BatterySpec:
         if not 0.0 < self.efficiency <= 1.0:
             raise ConfigError(f"{what}: efficiency is {self.efficiency:g}, must be in (0, 1]")
         for key in ("start", "warn_below"):
-            _part(what, key, getattr(self, key))
+            _fraction(what, key, getattr(self, key))
 
 
 @dataclass(frozen=True, slots=True)
 class WheelOdometrySpec:
-    """What is wrong with the odometry of the wheels.
+    """Errors of wheel odometry.
 
-    The alphas are those of the odometry model in Thrun, Burgard and Fox, "Probabilistic Robotics" (2005), for motions of 1 m and
-    1 rad: so long an error stays the same part of the motion. Longer motions add up as independent ones do (a random walk).
+    The alphas are those of the odometry model in Thrun, Burgard and Fox, "Probabilistic Robotics" (2005), for motions of 1 m and 1 rad, over which an
+    error is a constant fraction of the motion. The errors of longer motions add up as independent ones (a random walk).
     """
 
     encoder_ticks: int = 0
-    """Ticks of the encoder in one turn of a wheel; 0 = exact."""
+    """Encoder ticks per revolution of a wheel; 0 = exact."""
     left_radius_factor: float = 1.0
-    """Radius that the odometry takes the left wheels to have, over what they have."""
+    """Ratio of the radius of the left wheels in the odometry to their true radius."""
     right_radius_factor: float = 1.0
     separation_factor: float = 1.0
-    """Distance of the wheels that the odometry takes them to have, over what they have."""
+    """Ratio of the wheel separation in the odometry to the true separation."""
     alpha1: float = 0.0
-    """Variance of the measured rotation that comes of rotation, rad^2 for each rad."""
+    """Variance of the measured rotation due to rotation, rad^2 per rad."""
     alpha2: float = 0.0
-    """Variance of the measured rotation that comes of translation, rad^2 for each m."""
+    """Variance of the measured rotation due to translation, rad^2 per m."""
     alpha3: float = 0.0
-    """Variance of the measured translation that comes of translation, m^2 for each m."""
+    """Variance of the measured translation due to translation, m^2 per m."""
     alpha4: float = 0.0
-    """Variance of the measured translation that comes of rotation, m^2 for each rad."""
+    """Variance of the measured translation due to rotation, m^2 per rad."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -277,7 +279,7 @@ class SensorSpecs:
 
 
 def _name(name: str, link: str) -> str:
-    """Returns what a complaint begins with."""
+    """Returns how an error message begins; raises ConfigError for a name that is no topic."""
     what = f"sensor {quoted(name)} on {quoted(link)}" if link else f"sensor {quoted(name)}"
     if not TOPIC.fullmatch(name):
         raise ConfigError(f"{what}: the name is a topic; use letters, digits, _ and /, a letter first")
@@ -298,7 +300,7 @@ def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
             raise ConfigError(
                 f"{what}: {key} is {getattr(spec, key):g}, must be 0 to 0.2: a part of the distance, not a percentage"
             )
-    _part(what, "dropout", spec.dropout)
+    _fraction(what, "dropout", spec.dropout)
 
 
 def _rate(what: str, rate_hz: float) -> None:
@@ -311,6 +313,6 @@ def _not_negative(what: str, key: str, value: float) -> None:
         raise ConfigError(f"{what}: {key} is {value:g}, must be a finite number, 0 or more")
 
 
-def _part(what: str, key: str, value: float) -> None:
+def _fraction(what: str, key: str, value: float) -> None:
     if not 0.0 <= value <= 1.0:
         raise ConfigError(f"{what}: {key} is {value:g}, must be 0 to 1")

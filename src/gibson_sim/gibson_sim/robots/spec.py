@@ -1,4 +1,4 @@
-"""What a robot is: shapes on links, a drive, cameras and a lidar. Pure values; reading a URDF is in ``description.urdf``."""
+"""``RobotSpec``, what a robot is: shapes on links, a drive, cameras, sensors, arms. Pure values; ``robots.load`` reads them from files."""
 
 from __future__ import annotations
 
@@ -14,50 +14,8 @@ from gibson_sim.types import CameraSpec, Pose
 
 
 @dataclass(frozen=True, slots=True)
-class GripperSpec:
-    """Fingers that open and close together."""
-
-    joints: tuple[str, ...]
-    """One for each finger that has a motor; a finger that mimics another is not named."""
-    open: float
-    """Position of every joint where it is open, radians or metres."""
-    closed: float
-    """The same where it is closed, with nothing in it."""
-    max_effort: float
-    """N or N m of each joint: how hard it closes unless a command says less."""
-
-    @property
-    def links_apart(self) -> float:
-        """How far all joints together move between open and closed: the opening of a parallel gripper, metres."""
-        return abs(self.open - self.closed) * len(self.joints)
-
-
-@dataclass(frozen=True, slots=True)
-class ManipulatorSpec:
-    """A chain of joints that moves a tool."""
-
-    name: str
-    joints: tuple[str, ...]
-    """From the base to the tool; each moves what comes after it."""
-    tip_link: str
-    """Its frame is the tool's centre point: what inverse kinematics and Cartesian commands move."""
-    base_link: str
-    """Parent of the first joint."""
-    gripper: GripperSpec | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class NamedPose:
-    """Where some joints are in a pose that has a name."""
-
-    name: str
-    joints: tuple[tuple[str, float], ...]
-    """Names and positions, radians or metres."""
-
-
-@dataclass(frozen=True, slots=True)
 class RobotSpec:
-    """One robot, where it starts and what it carries."""
+    """One robot: its links, drive, sensors and arms, and where it starts."""
 
     name: str
     """Body name: its links are ``<name>/<link>``."""
@@ -68,12 +26,12 @@ class RobotSpec:
     """Names of all links, the root first, without the body name."""
     visuals: tuple[VisualSpec, ...]
     fixed_transforms: tuple[tuple[str, str, Pose], ...]
-    """(parent link, child link, T_parent_child) of every fixed joint: what goes to /tf_static."""
+    """(parent link, child link, T_parent_child) of every fixed joint, for /tf_static."""
     moving_joints: tuple[tuple[str, str, str], ...]
     """(joint, parent link, child link) of every other joint, in the order of the URDF."""
     drive: DriveSpec | None
     radius: float
-    """Metres: the smallest circle about the base that holds the robot's footprint."""
+    """Radius of the smallest circle about the base that contains the robot's footprint, metres."""
     height: float
     """Metres above the floor."""
     cameras: tuple[CameraSpec, ...] = ()
@@ -82,16 +40,16 @@ class RobotSpec:
     start: Pose = field(default_factory=Pose)
     """T_world_base at load and after a reset."""
     joints: tuple[tuple[str, float], ...] = ()
-    """Names of joints and where they are at load and after a reset, radians or metres; those that are not named are at 0."""
+    """Names and positions of joints at load and after a reset, radians or metres; missing joints are at 0."""
     named_poses: tuple[NamedPose, ...] = ()
     manipulators: tuple[ManipulatorSpec, ...] = ()
     """Arms, in the order of the file."""
     namespace: str = ""
-    """Of all its topics; empty = none."""
+    """Namespace of all its topics; empty = none."""
     frame_prefix: str = ""
-    """Stands before the names of its tf frames, e.g. ``left/``; empty = frames as in the URDF."""
+    """Prefix of the names of its tf frames, e.g. ``left/``; empty = frames as in the URDF."""
     own_tf: bool = False
-    """Its transforms are on ``tf`` and ``tf_static`` in its namespace, not on the common ``/tf``."""
+    """Whether its transforms are on ``tf`` and ``tf_static`` in its namespace, not on the common ``/tf``."""
 
     def named_pose(self, name: str) -> NamedPose:
         """Returns the pose of this name, or raises RobotError that lists the known ones."""
@@ -109,3 +67,45 @@ class RobotSpec:
                 return arm
         known = ", ".join(arm.name for arm in self.manipulators) or "none"
         raise RobotError(f"robot {quoted(self.name)} has no manipulator {quoted(name)}; known: {known}")
+
+
+@dataclass(frozen=True, slots=True)
+class ManipulatorSpec:
+    """A chain of joints that moves a tool."""
+
+    name: str
+    joints: tuple[str, ...]
+    """From the base to the tool; each moves those after it."""
+    tip_link: str
+    """Link whose frame is the tool centre point, which inverse kinematics and Cartesian commands move."""
+    base_link: str
+    """Parent of the first joint."""
+    gripper: GripperSpec | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GripperSpec:
+    """Fingers that open and close together."""
+
+    joints: tuple[str, ...]
+    """One for each finger with a motor; fingers that mimic another are left out."""
+    open: float
+    """Position of every joint when the gripper is open, radians or metres."""
+    closed: float
+    """The same when it is closed, with nothing in it."""
+    max_effort: float
+    """Effort limit of each joint, N or N m, unless a command gives a lower one."""
+
+    @property
+    def links_apart(self) -> float:
+        """Sum of the joints' motions between open and closed: the opening of a parallel gripper, metres."""
+        return abs(self.open - self.closed) * len(self.joints)
+
+
+@dataclass(frozen=True, slots=True)
+class NamedPose:
+    """Positions of some joints under a name."""
+
+    name: str
+    joints: tuple[tuple[str, float], ...]
+    """Names and positions, radians or metres."""

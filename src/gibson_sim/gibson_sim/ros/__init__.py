@@ -1,1 +1,1 @@
-"""The ROS 2 nodes: the only place that knows rclpy and message types. Each callback converts, calls the core, publishes."""
+"""The ROS 2 nodes; the only package that imports rclpy and message types. Each callback converts, calls the core, publishes."""

@@ -1,7 +1,7 @@
-"""Files of a scene that was loaded on another machine: where they lie here. Paths in a ``DrawnScene`` are those of the physics node.
+"""Maps the paths in a ``DrawnScene`` that was loaded on another machine, the physics node's, to files on this one.
 
-A path that exists is left alone. Otherwise, in this order: it begins with a folder that the user has mapped to one here; or it has a
-part ``scenes/<name>/``, ``robots/<name>/`` or ``objects/<name>/``, and something of that name is found here (``resources``).
+A path that exists is kept. Otherwise it is mapped by the user's table of folders or, if that has no match, by a part ``scenes/<name>/``,
+``robots/<name>/`` or ``objects/<name>/`` whose name is known here (``resources``).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
     """Returns the scene with paths of this machine, and warnings, one line each.
 
     Args:
-        scene: as it was sent.
-        folders: pairs of a folder there and the same folder here.
+        scene: the scene as it was received.
+        folders: pairs of a folder on the other machine and the same folder on this one.
 
     Raises:
-        SceneNotFoundError: a file is not to be found here; names it.
+        SceneNotFoundError: a file is not found on this machine.
     """
     found: dict[str, str] = {}
 
@@ -38,7 +38,7 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
             found[path] = path if exists(Path(path)) else str(_located(path, folders))
         return found[path] if path else path
 
-    visuals = tuple(_visual(visual, local(visual.shape.mesh), local(_picture(visual))) for visual in scene.visuals)
+    visuals = tuple(_with_files(visual, local(visual.shape.mesh), local(_pattern_image(visual))) for visual in scene.visuals)
     light = replace(scene.light, environment=local(scene.light.environment), backdrop=local(scene.light.backdrop))
     if all(there == here for there, here in found.items()):
         return scene, ()
@@ -46,18 +46,20 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
     return moved, _difference(scene, found)
 
 
-def _picture(visual: VisualSpec) -> str:
+def _pattern_image(visual: VisualSpec) -> str:
+    """Returns the path of the image in a visual's pattern, "" if it has none."""
     return visual.appearance.pattern.image if visual.appearance is not None and visual.appearance.pattern is not None else ""
 
 
-def _visual(visual: VisualSpec, mesh: str, picture: str) -> VisualSpec:
+def _with_files(visual: VisualSpec, mesh: str, image: str) -> VisualSpec:
     appearance = visual.appearance
-    if appearance is not None and appearance.pattern is not None and picture:
-        appearance = replace(appearance, pattern=replace(appearance.pattern, image=picture))
+    if appearance is not None and appearance.pattern is not None and image:
+        appearance = replace(appearance, pattern=replace(appearance.pattern, image=image))
     return replace(visual, shape=replace(visual.shape, mesh=mesh), appearance=appearance)
 
 
 def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
+    """Returns the path on this machine of a file of the other machine."""
     for there, here in folders:
         if PurePosixPath(path).is_relative_to(there):
             candidate = Path(here).expanduser() / PurePosixPath(path).relative_to(there)
@@ -77,7 +79,7 @@ def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
 
 
 def _named(path: str) -> list[tuple[str, str, PurePosixPath]]:
-    """Returns kind, name and what follows them of each part of a path that names a scene, a robot or an object; the last one first."""
+    """Returns kind, name and the rest after them for each part of a path that names a scene, a robot or an object; the last part first."""
     parts = PurePosixPath(path).parts
     return [
         (parts[k], parts[k + 1], PurePosixPath(*parts[k + 2 :])) for k in reversed(range(len(parts) - 2)) if parts[k] in _KINDS
@@ -92,8 +94,8 @@ def _folder(kind: str, name: str) -> Path:
 
 
 def _difference(scene: DrawnScene, found: dict[str, str]) -> tuple[str, ...]:
-    """Returns a warning where the scene here is another one than that of the physics node, as far as its digest tells."""
-    # Randomisation is part of the digest that is sent, and cannot be repeated here.
+    """Returns a warning if the scene on this machine has another digest than that of the physics node."""
+    # A randomised scene has a digest of its own, which cannot be computed here.
     if not scene.content_hash or any(visual.appearance is not None for visual in scene.visuals):
         return ()
     for there, here in found.items():

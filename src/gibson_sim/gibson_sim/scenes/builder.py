@@ -1,4 +1,4 @@
-"""Collects what a scene file names and makes the SceneSpec of it: unique names, one list of warnings, the digest, the floor."""
+"""Collects the contents of a scene while its file is read, and builds the SceneSpec: unique names, warnings, digest, height of the floor."""
 
 from __future__ import annotations
 
@@ -31,26 +31,28 @@ from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
 FAR_AWAY = 1e4
-"""Metres: whatever stands farther off is a mistake of the file."""
-_LONGEST_NAME = 200
+"""Largest coordinate in a scene, metres; a larger one is a mistake in the file."""
+_MAX_NAME = 200
 """Characters of a scene's name."""
-_LONGEST_CLASS = 200
-"""Characters of a model's name that its class is made of."""
+_MAX_CLASS = 200
+"""Characters of a model's name from which its class is derived."""
 _UP_FACING = 0.98
+"""Least cosine between the normal of a floor and the vertical."""
 _BIN = 0.02
+"""Width of the bins in which heights of triangles are counted, metres."""
 
 
 class SceneBuilder:
     """A scene while it is read.
 
     Args:
-        name: of the scene.
-        root: folder that its files lie in.
-        extra_roots: more folders that they may lie in; None = they may lie anywhere.
-        environment: they may lie in the folders of the user's environment, too, such as those of ``$GAZEBO_MODEL_PATH``.
-        description: the file in ``root`` that describes the scene; where it is a link, the folder that ``root`` mirrors may hold the
-            files, too. None = it is no file.
-        max_bytes: a larger mesh file is refused; None = any size.
+        name: name of the scene.
+        root: folder of its files.
+        extra_roots: further folders that its files may lie in; None = anywhere.
+        environment: whether its files may also lie in folders of the user's environment, such as those of ``$GAZEBO_MODEL_PATH``.
+        description: the file in ``root`` that describes the scene; if it is a symbolic link, files may also lie in the folder of its
+            target. None = it is no file.
+        max_bytes: largest size of a mesh file; None = any.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class SceneBuilder:
         self.roots: tuple[Path, ...] | None = None if extra_roots is None else (*self._places, *extra_roots, *found)
         """Folders that the files of the scene must lie in; None = anywhere."""
         self.loader = MeshLoader(self.roots, textures=False, max_bytes=max_bytes)
-        # Whoever read a body has checked where its files lie.
+        # The reader of a body has checked where its files lie.
         self._body_loader = MeshLoader(None, textures=False, max_bytes=max_bytes)
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
@@ -92,20 +94,20 @@ class SceneBuilder:
         self._texts: list[bytes] = []
 
     def warn(self, text: str, kind: OmissionKind | None = None) -> None:
-        """Keeps one line for the user, each only once; paths under the root are shortened.
+        """Adds one line to the warnings unless it is there already; paths below the root are shortened.
 
         Args:
             text: the line.
-            kind: why; None = as the line says, if it is an ``Omission``.
+            kind: why something is left out; None = the kind of ``text``, if it is an ``Omission``.
         """
         short = Omission(text.replace(f"{self.root}{os.sep}", ""), kind or kind_of(text))
         if short not in self.warnings:
             self.warnings.append(short)
 
     def admits(self, path: Path) -> bool:
-        """Returns whether a model or a mesh may be read: it lies in the roots, or it was named in a folder of the user's environment.
+        """Returns whether a model or a mesh may be read: it lies in the roots, or in a folder of the user's environment.
 
-        What is read there may name files of its own package, which then joins the roots.
+        In the second case its package joins the roots, so that it may name files of that package.
         """
         if self.roots is None or is_inside(path, self.roots):
             return True
@@ -119,11 +121,15 @@ class SceneBuilder:
             self.roots = self.loader.roots = tuple(dict.fromkeys((*self.roots, *roots)))
 
     def add_text(self, text: str) -> None:
-        """Makes a description that is no file part of the digest."""
+        """Adds a description that is no file to the digest."""
         self._texts.append(text.encode("utf-8", errors="replace"))
 
     def read_bytes(self, path: Path) -> bytes:
-        """Returns the content of a description file, which becomes part of the digest."""
+        """Returns the content of a description file, and adds it to the digest.
+
+        Raises:
+            SceneNotFoundError: the file cannot be read.
+        """
         try:
             data = read_file(path)
         except OSError as e:
@@ -132,7 +138,7 @@ class SceneBuilder:
         return data
 
     def add_body(self, body: BodySpec, description: Path) -> None:
-        """Adds something that moves; ``description`` and all its meshes become part of the digest.
+        """Adds a body; the file ``description`` and all its meshes become part of the digest.
 
         Raises:
             MeshError: a mesh cannot be read.
@@ -154,21 +160,21 @@ class SceneBuilder:
             path: the mesh file.
             matrix: T_world_object, (4, 4), rigid.
             scale: factors along the axes of the object (z up).
-            up_axis: which axis of the file is up; None = as the file or its format says.
-            unit_m: metres per unit of the file; None = as the file or its format says.
+            up_axis: up axis of the file; None = that of the file or its format.
+            unit_m: metres per unit of the file; None = that of the file or its format.
 
         Raises:
             MeshError: the mesh cannot be used.
         """
-        self.admits(path)  # the loader says what is wrong with a path that is not
+        self.admits(path)  # the loader raises for a path that is not admitted
         mesh = self.loader.mesh(path)
         for file in mesh.files:
             self._files[file] = None
         for warning in mesh.warnings:
             self.warn(warning)
         factor = 1.0 if unit_m is None else unit_m / mesh.unit_m
-        # The loader turned the file by its own up axis: undo that turn and do the wanted one. Both only swap axes, so
-        # the scale stays a scale.
+        # The loader rotated the mesh by the file's up axis: undo that rotation and apply the requested one. Both only swap axes, so
+        # the scale stays a scale along axes.
         turn = np.eye(3) if up_axis is None else TO_Z_UP[up_axis] @ TO_Z_UP[mesh.up_axis].T
         sizes = np.diag(turn.T @ np.diag(scale) @ turn) * factor
         turned = matrix.copy()
@@ -176,7 +182,7 @@ class SceneBuilder:
         return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(real_path(path))), turned
 
     def has_textures(self, shape: Shape) -> bool:
-        """Returns whether a mesh that was read has images, in files beside it or, as a GLB may, in its own."""
+        """Returns whether a mesh has images, in files beside it or possibly inside its GLB."""
         files = self.loader.mesh(Path(shape.mesh)).files if shape.kind == "mesh" else ()
         return any(file.suffix.lower() in (*IMAGE_SUFFIXES, ".glb") for file in files)
 
@@ -189,19 +195,19 @@ class SceneBuilder:
         semantic_class: str = "",
         appearance: Appearance | None = None,
     ) -> None:
-        """Adds something that is drawn, at T_world_shape."""
+        """Adds a visual at T_world_shape, ``matrix`` (4, 4); None as ``color`` = the colours of the mesh."""
         pose = pose_from_matrix(matrix)
         self.visuals.append(VisualSpec(_unique(name, self._visual_names), "", shape, pose, color, semantic_class, appearance))
 
     def environment_file(self, path: Path, where: str) -> str:
-        """Returns the absolute path of an image of the surroundings, which becomes part of the digest.
+        """Returns the absolute path of an environment image, and adds it to the digest.
 
         Args:
             path: the image.
             where: file and place that name it, for messages.
 
         Raises:
-            SceneError: it is missing or lies outside the scene's folders.
+            SceneError: the image is missing or lies outside the scene's folders.
         """
         real = Path(os.path.realpath(path))
         if not self.admits(path):
@@ -212,11 +218,11 @@ class SceneBuilder:
         return str(real)
 
     def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
-        """Adds a collision shape, at T_world_shape."""
+        """Adds a collision shape at T_world_shape, ``matrix`` (4, 4)."""
         self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
 
     def add_simplified_collision(self, name: str, shape: Shape, matrix: F64) -> None:
-        """Adds what stands for a scan, at T_world_shape: boxes for its floors, and few triangles for the rest, under one name.
+        """Adds simplified collision shapes of a scan at T_world_shape, under one name: boxes for its floors, few triangles for the rest.
 
         Raises:
             SceneError: the user's cache cannot be written.
@@ -225,14 +231,18 @@ class SceneBuilder:
         vertices, triangles = self.loader.shape(shape).merged()
         for simple, pose in scan_shapes(transform_points(matrix, vertices), triangles, f"{self.name}: {unique}"):
             if simple.kind == "mesh":
-                # It lies in the user's cache, where we have written it.
+                # It lies in the user's cache, which is trusted.
                 self._add_roots(Path(simple.mesh).parent)
             self.collisions.append(CollisionSpec(unique, simple, pose))
 
     def finish(self) -> SceneSpec:
-        """Returns the scene."""
-        if len(self.name) > _LONGEST_NAME or not self.name.isprintable():
-            raise SceneError(f"scene {quoted(self.name)}: its name must be one line of at most {_LONGEST_NAME} characters")
+        """Returns the scene.
+
+        Raises:
+            SceneError: it is empty, or its name is not usable.
+        """
+        if len(self.name) > _MAX_NAME or not self.name.isprintable():
+            raise SceneError(f"scene {quoted(self.name)}: its name must be one line of at most {_MAX_NAME} characters")
         if not self.visuals and not self.collisions and self.ground_z is None:
             reason = f": {self.warnings[0]}" if self.warnings else ""
             raise SceneError(f"scene {quoted(self.name)}: nothing in it can be drawn or collided with{reason}")
@@ -247,7 +257,7 @@ class SceneBuilder:
         )  # fmt: skip
 
     def digest(self) -> str:
-        """Returns the SHA-256 of the scene's name, its text, and all files that it uses: relative names, sizes, contents."""
+        """Returns the SHA-256 of the scene's name, its texts, and the relative names, sizes and contents of all its files."""
         total = hashlib.sha256(self.name.encode())
         for text in self._texts:
             total.update(f"\n{len(text)}\n".encode())
@@ -260,29 +270,29 @@ class SceneBuilder:
         return total.hexdigest()
 
     def _relative(self, path: Path) -> str:
-        """Returns what a file is called in the digest: its place in the scene, which is the same in an installation made of links."""
+        """Returns the name of a file in the digest: its path in the scene, which does not depend on symbolic links."""
         inside = next((place for place in self._places if path.is_relative_to(place)), None)
         return path.name if inside is None else os.path.relpath(path, inside)
 
 
-def _unique(name: str, taken: dict[str, int]) -> str:
-    """Returns the name, with _2, _3, ... if it is taken, and takes it; ``taken`` has the last number of every name."""
-    candidate, number = name, taken.get(name, 0)
-    while candidate in taken:
+def _unique(name: str, used: dict[str, int]) -> str:
+    """Returns the name, with _2, _3, ... if it is in ``used``, and adds it there; ``used`` holds the last number of every name."""
+    candidate, number = name, used.get(name, 0)
+    while candidate in used:
         number += 1
         candidate = f"{name}_{number}"
-    taken[name] = max(number, 1)
-    taken.setdefault(candidate, 1)
+    used[name] = max(number, 1)
+    used.setdefault(candidate, 1)
     return candidate
 
 
 def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float | None = None) -> float:
-    """Returns the height of the floor: where most up-facing area lies in the lowest metre.
+    """Returns the height of the floor, world metres: the height with the most up-facing area in the lowest metre.
 
     Args:
-        vertices: (V, 3), world frame, metres.
-        triangles: (F, 3).
-        ground_z: height of an endless ground plane; it is the floor unless a wide floor lies just above it.
+        vertices: (V, 3), world metres.
+        triangles: (F, 3), rows of ``vertices``.
+        ground_z: height of an infinite ground plane; it is the floor unless a wide floor lies just above it.
     """
     corners = vertices[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -294,7 +304,7 @@ def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float 
     if ground_z is not None:
         low, reach = ground_z - 0.01, 0.3
     else:
-        # A few stray triangles below the floor must not pull the search down: skip the lowest percent of the area.
+        # The lowest percent of the area is skipped: stray triangles below the floor must not shift the search.
         order = np.argsort(z)
         low = float(z[order][np.searchsorted(np.cumsum(area[order]), 0.01 * area.sum())]) - 0.5 * _BIN
         reach = 1.0
@@ -309,7 +319,7 @@ def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float 
         if best[peak] < 0.5 * float(spans[0] * spans[1]):
             return ground_z
     chosen = np.abs(bins - peak) <= 1
-    # The median is the floor itself; a mean would move with every carpet on it.
+    # The median is the height of the floor itself; a mean would depend on every carpet.
     z, area = z[near][chosen], area[near][chosen]
     order = np.argsort(z)
     middle = np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())
@@ -317,12 +327,11 @@ def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float 
 
 
 def class_from_model(name: str) -> str:
-    """Returns a class name made of a model's name: ``aws_robomaker_residential_KitchenTable_01`` gives ``kitchen_table``.
+    """Returns a class name derived from a model's name: ``aws_robomaker_residential_KitchenTable_01`` gives ``kitchen_table``.
 
-    Drops the vendor's prefix, trailing numbers and a trailing variant letter, and turns capitals into words. Nothing is
-    guessed beyond that.
+    Removes the vendor's prefix, trailing numbers and a trailing variant letter, and converts camel case to snake case.
     """
-    base = re.sub(r"^aws_robomaker_[a-z]+_", "", name[:_LONGEST_CLASS])
+    base = re.sub(r"^aws_robomaker_[a-z]+_", "", name[:_MAX_CLASS])
     base = re.sub(r"([_\- ]\d+)+$", "", base)
     base = re.sub(r"(?<=[a-z])[A-Z]$", "", base)
     base = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", base)

@@ -1,4 +1,4 @@
-"""Reads Drake's model directives (``*.dmd.yaml``): add_model, add_weld and add_frame; the others are left out with a warning."""
+"""Reads Drake's model directives (``*.dmd.yaml``): add_model, add_weld and add_frame; other directives are left out with a warning."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 
 
 class _Loader(YAML_LOADER):  # type: ignore[misc]
-    """YAML with Drake's ``!Rpy`` and ``!AngleAxis``, read as mappings under these names."""
+    """YAML loader that reads Drake's ``!Rpy`` and ``!AngleAxis`` as mappings with these keys."""
 
 
 def _tagged(loader: _Loader, suffix: str, node: yaml.Node) -> dict[str, Any]:
@@ -36,15 +36,19 @@ _Loader.add_multi_constructor("!", _tagged)
 
 
 def parse_directives(text: bytes) -> Any:
-    """Returns what a file of Drake's model directives holds, its own tags as mappings; TextError as ``parse_yaml``."""
+    """Returns the document of a model directives file, with Drake's tags as mappings.
+
+    Raises:
+        TextError: as ``parse_yaml``.
+    """
     return parse_yaml(text, _Loader)
 
 
 def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
-    """Puts all models of a directives file into the builder.
+    """Adds all models of a directives file to the builder.
 
     Raises:
-        SceneError: the file is no directives file.
+        SceneError: the file is no model directives file.
     """
     try:
         document = parse_directives(builder.read_bytes(path))
@@ -53,7 +57,7 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
     directives = document.get("directives") if isinstance(document, dict) else None
     if not isinstance(directives, list):
         raise SceneError(f"{path}: has no list `directives`; is it a Drake model directives file?")
-    reader = _Reader(builder, path)
+    reader = _DirectivesReader(builder, path)
     for directive in directives:
         if not isinstance(directive, dict) or len(directive) != 1:
             builder.warn(
@@ -65,7 +69,9 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
     reader.place_models()
 
 
-class _Reader:
+class _DirectivesReader:
+    """Collects models, welds and frames in the order of the file, and places the models afterwards."""
+
     def __init__(self, builder: SceneBuilder, path: Path) -> None:
         self.builder = builder
         self.path = path
@@ -76,6 +82,7 @@ class _Reader:
         self._frames: dict[str, F64] = {"world": np.eye(4)}
 
     def directive(self, name: str, content: dict[str, Any]) -> None:
+        """Handles one directive."""
         if name == "add_model":
             self._add_model(content)
         elif name == "add_weld":
@@ -90,7 +97,7 @@ class _Reader:
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
 
     def place_models(self) -> None:
-        """Adds every model where its weld put it, or at the origin of the world."""
+        """Adds every model at the pose of its weld, or at the origin of the world."""
         for name, (element, file) in self._elements.items():
             if name not in self._poses:
                 self.builder.warn(f"{self.path}: model {quoted(name)} is not welded to anything; it stands at the origin")
@@ -137,7 +144,7 @@ class _Reader:
         self._poses[model] = at if element is None else self.models.weld(element, at, frame, f"model {model}")
 
     def _frame(self, name: str) -> F64 | None:
-        """Returns T_world_frame, or None after a warning."""
+        """Returns T_world_frame (4, 4), or None after a warning."""
         if name in self._frames:
             return self._frames[name]
         model, _, frame = name.partition("::")
@@ -145,11 +152,11 @@ class _Reader:
             element = self._elements[model][0]
             within = np.eye(4) if element is None else self.models.frame(element, frame, f"model {model}")
             return self._poses.get(model, np.eye(4)) @ within
-        self.builder.warn(f"{self.path}: frame {quoted(name)} is unknown; what is fixed to it is left where it is")
+        self.builder.warn(f"{self.path}: frame {quoted(name)} is unknown; models fixed to it are not moved")
         return None
 
     def _transform(self, content: dict[str, Any]) -> F64:
-        """Returns the (4, 4) of a translation (metres) and a rotation (!Rpy or !AngleAxis, degrees)."""
+        """Returns the transform (4, 4) of a translation (metres) and a rotation (!Rpy or !AngleAxis, degrees)."""
         try:
             x, y, z = (float(c) for c in content.get("translation") or (0, 0, 0))
             rotation = content.get("rotation") or {}
@@ -161,7 +168,7 @@ class _Reader:
             if "AngleAxis" in rotation:
                 matrix[:3, :3] = _axis_angle(rotation["AngleAxis"])
             elif rotation:
-                text = f"{self.path}: rotation {quoted(rotation)} is not supported; taken as zero"
+                text = f"{self.path}: rotation {quoted(rotation)} is not supported; zero is used"
                 self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
             return matrix
         except (TypeError, ValueError, KeyError, AttributeError) as e:
@@ -169,6 +176,7 @@ class _Reader:
 
 
 def _axis_angle(content: dict[str, Any]) -> F64:
+    """Returns the rotation (3, 3) of an !AngleAxis, by Rodrigues' formula."""
     axis = np.asarray(content["axis"], dtype=np.float64)
     x, y, z = axis / np.linalg.norm(axis)
     angle = math.radians(float(content["angle_deg"]))

@@ -1,4 +1,4 @@
-"""Loads scenes: our own ``scene.yaml``, SDF worlds, Drake model directives, or a bare mesh."""
+"""Loads scenes from a ``scene.yaml``, an SDF world, Drake model directives, or a single mesh."""
 
 from __future__ import annotations
 
@@ -26,23 +26,26 @@ from gibson_sim.scenes.spec import SceneSpec
 
 _log = logging.getLogger(__name__)
 DESCRIPTION = "scene.yaml"
+"""Name of the project's own description of a scene."""
 _WORLD_TAG = re.compile(rb"<world[\s>]")
 _HEAD_BYTES = 64 * 1024
-"""Of an SDF file that is looked into for a world: it stands at the beginning."""
+"""Bytes of an SDF file that are searched for a world, which begins near the top."""
 _MAX_LISTED = 8
+"""Files that an error message names."""
 _MAX_ENTRIES = 50_000
+"""Files of a folder that are searched for worlds."""
 
 
 def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpec:
-    """Returns a scene without robots; what could not be used is in its ``warnings``.
+    """Returns a scene without robots; its ``warnings`` name everything that could not be used.
 
     Args:
         name_or_path: name of an installed scene; a folder with a scene.yaml, or with exactly one world; or a file: scene.yaml,
             SDF world, Drake model directives, glTF, GLB, OBJ, DAE, STL or PLY.
-        sdf_lamps: lamps of an SDF world light it; False = they count as light from everywhere.
+        sdf_lamps: whether the lamps of an SDF world are point lights; False = they count as ambient light.
 
     Raises:
-        SceneNotFoundError: there is nothing, or nothing that can be read.
+        SceneNotFoundError: there is no file or folder, or none that can be read.
         SceneError: the description or a mesh is broken.
     """
     given = find_scene(name_or_path)
@@ -50,11 +53,11 @@ def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpe
 
 
 def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuilder:
-    """Returns everything that a scene's description names, before it is put together.
+    """Returns a builder with everything that a scene's description names.
 
     Args:
         given: file or folder that the user named.
-        file: the description in it (``description_file``).
+        file: its description (``description_file``).
         sdf_lamps: as for ``load_scene``.
 
     Raises:
@@ -70,10 +73,10 @@ def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuil
 
 
 def finish(builder: SceneBuilder) -> SceneSpec:
-    """Returns the scene that was read, and logs what was left out.
+    """Returns the scene of a builder, and logs its warnings.
 
     Raises:
-        SceneError: it is empty.
+        SceneError: the scene is empty.
     """
     scene = builder.finish()
     for warning in scene.warnings:
@@ -122,6 +125,7 @@ def description_file(path: Path) -> Path:
 
 
 def _walk(path: Path) -> Iterable[tuple[str, str]]:
+    """Yields folder and name of all files below a folder that are not hidden."""
     count = 0
     for folder, folders, names in os.walk(path):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
@@ -148,7 +152,7 @@ def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Pa
     """Returns the reader of a description file, and the folder that all its files must lie in.
 
     Raises:
-        SceneNotFoundError: it is no description of a scene.
+        SceneNotFoundError: the file is no description of a scene.
     """
     suffix = file.suffix.lower()
     if file.name == DESCRIPTION:
@@ -168,13 +172,13 @@ def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Pa
 
 
 def _root(file: Path, given: Path) -> Path:
-    """Returns the folder given, or the nearest one above it that has ``models``: worlds and models lie side by side."""
+    """Returns the nearest folder at or above a path that has a folder ``models``, as worlds and models often lie side by side; else the path's."""
     start = given if is_folder(given) else file.parent
     return next((folder for folder in ancestors(start) if is_folder(folder / "models")), start)
 
 
 def _read_mesh(builder: SceneBuilder, path: Path) -> None:
-    """Puts a bare mesh into the builder, drawn and touched as it is."""
+    """Adds a single mesh to the builder as visual and collision shape."""
     shape, matrix = builder.mesh_shape(path, np.eye(4), (1.0, 1.0, 1.0))
     builder.add_visual(path.stem, shape, matrix)
     builder.add_collision(path.stem, shape, matrix)

@@ -1,4 +1,4 @@
-"""Reads views: from a list such as ``follow,top,orbit:left``, or from a file of cameras."""
+"""Reads views from a list such as ``follow,top,orbit:left`` or from a file of cameras."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.errors import ConfigError, RobotError
+from gibson_sim.formats.yaml_map import YamlMap
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.loading.cameras import camera_entries, load_cameras, read_camera
-from gibson_sim.robots.loading.settings import Settings
 from gibson_sim.scenes.views import Fixed, Follow, Motion, Orbit, Top, View
 from gibson_sim.settings import nearest
 from gibson_sim.types import WORLD_FRAME, CameraSpec, Pose
@@ -24,7 +24,7 @@ _NUMBERS = {
     "top": ("span", "cut"),
 }  # fmt: skip
 _FOV_Y_DEG = {"follow": 60.0, "orbit": 60.0, "top": 30.0}
-"""A narrow view from the top shows little of the sides of walls."""
+"""Default vertical field of view, degrees; narrow from the top, where the sides of walls would show otherwise."""
 _OPTICS = ("fov_y_deg", "fov_deg", "k", "projection")
 _FILES = (".yaml", ".yml")
 
@@ -33,14 +33,14 @@ def read_views(text: str, size: tuple[int, int] = (640, 480), rate_hz: float = 3
     """Returns the views that a list names, in its order.
 
     Args:
-        text: parts separated by commas: ``follow``, ``orbit`` and ``top``, also with what they go with (``follow:left``), or files
-            of cameras, each with a ``view`` or fixed to ``map``.
+        text: parts separated by commas: ``follow``, ``orbit`` or ``top``, also with a target (``follow:left``), or files of cameras,
+            each with a ``view`` or fixed to ``map``.
         size: default width and height of views, pixels.
-        rate_hz: images a second of the same.
+        rate_hz: default rate of views, images per second of simulation time.
 
     Raises:
-        ConfigError: a part is not understood, or two views have one name.
-        RobotError: a file is wrong.
+        ConfigError: a part is not valid, or two views have the same name.
+        RobotError: a file cannot be read, or a key or a value in it is wrong.
     """
     defaults = {"width": size[0], "height": size[1], "rate_hz": rate_hz}
     views: list[View] = []
@@ -70,30 +70,31 @@ def load_camera_file(path: Path, links: Collection[str]) -> tuple[tuple[CameraSp
 
 
 def _named_view(part: str, defaults: Mapping[str, Any]) -> View:
+    """Returns the view that one part of a list names."""
     kind, colon, target = (word.strip() for word in part.partition(":"))
     if kind not in _KINDS or bool(colon) != bool(target):
         known, hint = ", ".join(_KINDS), nearest(kind, tuple(_KINDS))
         raise ConfigError(
             f"view {quoted(part)} is not known; {f'{hint} ' if hint else ''}"
-            f"give {known}, one with what it goes with (follow:left), or a file of cameras (.yaml)"
+            f"give {known}, one with a target (follow:left), or a file of cameras (.yaml)"
         )
     name = "_".join(["view", kind, *re.findall(r"[A-Za-z0-9_]+", target)])
     values = {"name": name, "view": {"kind": kind, **({"target": target} if target else {})}}
-    return _view(Settings(values, f"view {quoted(part)}"), defaults)
+    return _view(YamlMap(values, f"view {quoted(part)}", error=RobotError), defaults)
 
 
-def _view(entry: Settings, defaults: Mapping[str, Any]) -> View:
+def _view(entry: YamlMap, defaults: Mapping[str, Any]) -> View:
     """Returns a view from an entry of a file of cameras."""
     if "view" not in entry.values:
         if entry.values.get("link") != WORLD_FRAME:
             raise RobotError(
-                f"{entry.where}: a view has the key 'view', or link: {WORLD_FRAME}; cameras on links stand in a robot.yaml"
+                f"{entry.where}: a view has the key 'view', or link: {WORLD_FRAME}; cameras on links belong in a robot.yaml"
             )
         camera = _camera(entry, {"outputs": ["rgb"], **defaults, **entry.values})
         return View(replace(camera, link=camera.name, pose=Pose()), Fixed(camera.pose), own_near=True)
     for key in ("link", "pose"):
         if key in entry.values:
-            raise RobotError(f"{entry.where}: a view takes no {key}: it is where its kind says; leave {key} or view out")
+            raise RobotError(f"{entry.where}: a view takes no {key}, its kind decides where it is; leave {key} or view out")
     section = _section(entry)
     kind = section.text("kind")
     values = {"outputs": ["rgb"], **defaults, **{k: v for k, v in entry.values.items() if k != "view"}, "link": WORLD_FRAME}
@@ -103,21 +104,22 @@ def _view(entry: Settings, defaults: Mapping[str, Any]) -> View:
     return View(replace(camera, link=camera.name, pose=Pose()), _motion(section, kind), own_near="near" in entry.values)
 
 
-def _camera(entry: Settings, values: Mapping[str, Any]) -> CameraSpec:
+def _camera(entry: YamlMap, values: Mapping[str, Any]) -> CameraSpec:
     """Returns a camera fixed to the world."""
     try:
-        return read_camera(Settings(values, entry.where), lambda link: "")
+        return read_camera(YamlMap(values, entry.where, error=RobotError), lambda link: "")
     except ConfigError as error:
         raise RobotError(f"{entry.where}: {error}") from error
 
 
-def _section(entry: Settings) -> Settings:
+def _section(entry: YamlMap) -> YamlMap:
+    """Returns the mapping under ``view``, whose value may be the kind alone."""
     given = entry.values["view"]
     values = {"kind": given} if isinstance(given, str) else given
-    return Settings(values, f"{entry.where}: view")
+    return entry.within(values, "view")
 
 
-def _motion(section: Settings, kind: str) -> Motion:
+def _motion(section: YamlMap, kind: str) -> Motion:
     if kind not in _KINDS:
         raise RobotError(f"{section.where}: kind is {quoted(kind)}, must be one of {', '.join(_KINDS)}")
     section.check_keys(("kind", "target", *(() if kind == "follow" else ("center",)), *_NUMBERS[kind], "yaw_deg"))

@@ -1,4 +1,4 @@
-"""Makes a rigid body of a mesh file: mass and inertia are those of its convex hull, filled evenly."""
+"""Makes a rigid body from a mesh file, with the mass and inertia of its convex hull at uniform density."""
 
 from __future__ import annotations
 
@@ -16,40 +16,41 @@ from gibson_sim.types import Pose
 
 F64 = NDArray[np.float64]
 DENSITY = 300.0
-"""kg/m^3 of the hull: furniture and vessels, which are hollow, come out about right."""
+"""Density of the hull, kg/m^3; about right for furniture and vessels, which are hollow."""
 MASS_RANGE = (0.01, 100.0)
-"""kg."""
+"""Least and largest mass, kg."""
 FRICTION = 0.5
+"""Coulomb friction coefficient."""
 LINK = "body"
 """Name of the only link."""
 _THINNEST = 1e-3
-"""Metres: a sheet counts as a box of at least this thickness."""
+"""Least thickness of the box that stands for flat points, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solid:
-    """A solid of density 1."""
+class MassProperties:
+    """Mass properties of a solid of density 1."""
 
     volume: float
     """m^3."""
     center: F64
-    """(3,), centre of mass, metres."""
+    """(3,), centre of mass in the frame of the points, metres."""
     inertia: F64
     """(3, 3), about the centre of mass, m^5."""
 
 
 def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
-    """Returns a model of one link that looks like the mesh and collides as its convex hull.
+    """Returns a model of one link whose visual is the mesh; physics collides its convex hull.
 
     Args:
         path: the mesh file.
-        loader: reads it.
+        loader: reads the file.
 
     Raises:
         MeshError: the mesh cannot be used.
     """
     mesh = loader.mesh(path)
-    solid = hull_solid(mesh.merged()[0])
+    solid = hull_mass_properties(mesh.merged()[0])
     mass = float(np.clip(DENSITY * solid.volume, *MASS_RANGE))
     i = solid.inertia * (mass / solid.volume)
     x, y, z = (float(c) for c in solid.center)
@@ -66,31 +67,31 @@ def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
     return UrdfModel(path.stem, path, (link,), (), mesh.warnings)
 
 
-def hull_solid(points: F64) -> Solid:
-    """Returns the convex hull of points (N, 3), metres; of points in a plane or on a line, a thin box around them."""
+def hull_mass_properties(points: F64) -> MassProperties:
+    """Returns the mass properties of the convex hull of points (N, 3), metres; of a thin box if they lie in a plane or on a line."""
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
-        return _box_solid(points)
+        return _box_mass_properties(points)
     if hull.volume < _THINNEST**3:
-        return _box_solid(points)
-    # Tetrahedra from a point inside to every triangle of the hull; their sign does not matter, all of them are inside.
+        return _box_mass_properties(points)
+    # Tetrahedra from an interior point to every triangle of the hull; all lie inside the hull, so their orientation does not matter.
     inside = points[hull.vertices].mean(axis=0)
     corners = points[hull.simplices] - inside
     volumes = np.abs(np.linalg.det(corners)) / 6.0
     volume = float(volumes.sum())
     sums = corners.sum(axis=1)
     center = (volumes[:, None] * sums).sum(axis=0) / (4.0 * volume)
-    # Second moments of a tetrahedron with one corner at the origin: V/20 (sum of v v^T, and of the sum of all with itself).
+    # Second moments of a tetrahedron with corners 0, v_1, v_2, v_3: V/20 (sum of v_k v_k^T + s s^T), where s is the sum of v_k.
     second = np.einsum("f,fki,fkj->ij", volumes, corners, corners) + np.einsum("f,fi,fj->ij", volumes, sums, sums)
     second = second / 20.0 - volume * np.outer(center, center)
-    return Solid(volume, inside + center, np.trace(second) * np.eye(3) - second)
+    return MassProperties(volume, inside + center, np.trace(second) * np.eye(3) - second)
 
 
-def _box_solid(points: F64) -> Solid:
-    """Returns the box around points, (N, 3), along the axes."""
+def _box_mass_properties(points: F64) -> MassProperties:
+    """Returns the mass properties of the axis-aligned bounding box of points (N, 3)."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, _THINNEST)
     volume = float(np.prod(size))
     squares = size**2
-    return Solid(volume, (low + high) / 2.0, np.diag(volume / 12.0 * (squares.sum() - squares)))
+    return MassProperties(volume, (low + high) / 2.0, np.diag(volume / 12.0 * (squares.sum() - squares)))

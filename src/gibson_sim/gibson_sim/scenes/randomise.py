@@ -1,7 +1,7 @@
 """Domain randomisation: other lights, colours, textures and materials for the same geometry, all from one seed.
 
-Everything is drawn from PCG64 streams that are named: a visual has its own stream, from the seed and its name (or its class), so that
-adding or removing one thing changes no other. docs/scenes.md says what may stand in a file of rules.
+Every value is drawn from a named PCG64 stream. A visual has a stream of its own, from the seed and its name (or its class), so that
+adding or removing one thing changes no other. docs/scenes.md lists the keys of a file of rules.
 """
 
 from __future__ import annotations
@@ -16,22 +16,31 @@ from typing import Literal
 import numpy as np
 
 from gibson_sim.description.shapes import PATTERN_KINDS, Appearance, Pattern, PatternKind, VisualSpec
-from gibson_sim.errors import SceneError, TextError
+from gibson_sim.errors import SceneError
 from gibson_sim.formats.textures import IMAGE_SUFFIXES
-from gibson_sim.formats.yaml_map import YamlMap
+from gibson_sim.formats.yaml_map import YamlMap, read_yaml_map
 from gibson_sim.geometry.colours import srgb_from_linear
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import is_folder, read_yaml_file
+from gibson_sim.reading import is_folder
 from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec
 from gibson_sim.types import Vec3
 
 Range = tuple[float, float]
-"""Smallest and largest value; everything between is equally likely."""
+"""Smallest and largest value of a uniform distribution."""
 EVERY_CLASS = "*"
-"""Rules for what no other rules name."""
+"""Key of the rules for all classes that have none of their own."""
 NOISES = 16
-"""How many clouds there are to choose from: each is a picture in GPU memory, while colours and sizes cost nothing."""
+"""Number of noise textures to choose from: each is an image in GPU memory, while colours and sizes cost nothing."""
 _NEUTRAL: Range = (1.0, 1.0)
+_MAX_STRENGTH = 1000.0
+"""Largest strength of light that rules may give."""
+
+_CLASS_KEYS = ("hue", "saturation", "value", "metallic", "roughness", "texture", "by")
+_TEXTURE_KEYS = ("chance", "patterns", "images", "size")
+_LIGHT_KEYS = (
+    "sun_azimuth_deg", "sun_elevation_deg", "sun", "ambient", "temperature_k", "point_strength", "environment_yaw_deg",
+    "environment_strength",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,78 +48,119 @@ class TextureRules:
     """How textures are replaced."""
 
     chance: float = 1.0
-    """Part of the visuals that get another texture, 0 to 1."""
+    """Probability that a visual gets another texture, 0 to 1."""
     patterns: tuple[PatternKind, ...] = ("noise", "stripes", "checker")
-    """Generated textures to choose from; their colours are any."""
+    """Generated textures to choose from, in random colours."""
     images: tuple[str, ...] = ()
     """Image files to choose from, absolute paths; each is as likely as a pattern."""
     size: Range = (0.25, 1.0)
-    """Metres after which a texture repeats; larger ones are as likely as smaller ones on a scale of ratios."""
+    """Period of a texture, metres, uniform in its logarithm."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClassRules:
-    """What changes in the visuals of a semantic class."""
+    """Changes to the visuals of a semantic class."""
 
     hue: Range = (0.0, 0.0)
-    """Turns of all colours, 1 = once around."""
+    """Shift of the hue, turns of the colour circle."""
     saturation: Range = _NEUTRAL
-    """Factors."""
+    """Factor."""
     value: Range = _NEUTRAL
-    """Factors."""
+    """Factor."""
     metallic: Range | None = None
-    """None = as the material says."""
+    """0 to 1; None = as in the material."""
     roughness: Range | None = None
+    """0 to 1; None = as in the material."""
     texture: TextureRules | None = None
     """None = textures stay."""
     by: Literal["visual", "class"] = "visual"
-    """Whether each visual changes for itself, or all of a class alike."""
+    """Whether each visual of the class changes independently, or all alike."""
 
 
 @dataclass(frozen=True, slots=True)
 class LightRules:
-    """What changes in the light; None = as the scene says."""
+    """Changes to the light; None = as in the scene."""
 
     sun_azimuth: Range | None = None
-    """Radians, counter-clockwise from +x: where the sun stands."""
+    """Direction towards the sun, radians, counter-clockwise from +x of the world."""
     sun_elevation: Range | None = None
-    """Radians above the horizon."""
+    """Height of the sun above the horizon, radians."""
     sun: Range | None = None
     """Strength, as ``LightSpec.sun``."""
     ambient: Range | None = None
     """Strength, as ``LightSpec.ambient``."""
     temperature_k: Range | None = None
-    """Colour of the sun, and of each lamp for itself, kelvin."""
+    """Colour temperature of the sun, and of each lamp independently, kelvin."""
     point_strength: Range | None = None
     """Factor on each lamp's strength."""
     environment_yaw: Range | None = None
-    """Radians."""
+    """As ``LightSpec.environment_yaw``, radians."""
     environment_strength: Range | None = None
-    """Factor."""
+    """Factor on the strength of the environment map."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """All rules: what is not named stays as it is."""
+    """All rules; whatever they do not name stays as it is."""
 
     classes: Mapping[str, ClassRules] = field(default_factory=dict)
-    """By semantic class; ``unlabelled`` = without a class; ``*`` = all that are not named."""
+    """By semantic class; ``unlabelled`` = visuals without a class; ``*`` = all other classes."""
     light: LightRules = field(default_factory=LightRules)
 
 
 def randomise(scene: DrawnScene, seed: int, rules: Rules) -> DrawnScene:
     """Returns the scene with another appearance and the same geometry, classes and cameras.
 
-    The same scene, seed and rules give the same result, wherever and whenever.
+    The same scene, seed and rules give the same result on every machine.
     """
     visuals = tuple(_visual(visual, seed, rules) for visual in scene.visuals)
-    # Who keeps something for each hash must not take one appearance for another.
+    # Caches by content hash must not confuse one appearance with another.
     digest = hashlib.sha256(f"{scene.content_hash} {seed} {quoted(rules)}".encode()).hexdigest() if scene.content_hash else ""
     return replace(scene, visuals=visuals, light=_light(scene.light, seed, rules.light), content_hash=digest)
 
 
+def load_rules(path: Path) -> Rules:
+    """Returns the rules in a YAML file.
+
+    Raises:
+        SceneError: the file cannot be read, or a key or a value is wrong.
+    """
+    top = read_yaml_map(path, ("classes", "light"))
+    classes = top.value("classes") or {}
+    if not isinstance(classes, dict):
+        raise SceneError(f"{path}: classes is {quoted(classes)}, must be a mapping from class names (or '*') to rules")
+    rules = {
+        str(name): _class_rules(top.within(item or {}, f"class {quoted(name)}", _CLASS_KEYS), path)
+        for name, item in classes.items()
+    }
+    return Rules(rules, _light_rules(top.within(top.value("light") or {}, "light", _LIGHT_KEYS)))
+
+
+def color_of_temperature(kelvin: float) -> Vec3:
+    """Returns the sRGB colour, its brightest channel at 1, of a black body at 1667 to 25000 K.
+
+    Chromaticity by the cubic approximation of the Planckian locus of Kim et al. (2002).
+    """
+    t = 1e3 / min(max(kelvin, 1667.0), 25000.0)
+    if t > 1.0 / 4.0:
+        x = ((-0.2661239 * t - 0.2343589) * t + 0.8776956) * t + 0.179910
+    else:
+        x = ((-3.0258469 * t + 2.1070379) * t + 0.2226347) * t + 0.240390
+    if t > 1.0 / 2.222:
+        y = ((-1.1063814 * x - 1.34811020) * x + 2.18555832) * x - 0.20219683
+    elif t > 1.0 / 4.0:
+        y = ((-0.9549476 * x - 1.37418593) * x + 2.09137015) * x - 0.16748867
+    else:
+        y = ((3.0817580 * x - 5.87338670) * x + 3.75112997) * x - 0.37001483
+    xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
+    # IEC 61966-2-1.
+    linear = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]) @ xyz
+    r, g, b = srgb_from_linear(linear / linear.max()).tolist()
+    return (r, g, b)
+
+
 def _stream(seed: int, *names: str) -> np.random.Generator:
-    """Returns random numbers that depend on nothing but the seed and the names."""
+    """Returns a random stream that depends on the seed and the names alone."""
     digest = hashlib.sha256("\0".join((str(seed), *names)).encode()).digest()
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "little")))
 
@@ -126,7 +176,7 @@ def _visual(visual: VisualSpec, seed: int, rules: Rules) -> VisualSpec:
         return visual
     name = visual.name if rule.by == "visual" else ""
     rng = _stream(seed, "look", semantic_class, name)
-    # Each draw is made whether it is used or not: a rule that is added must not change what the others give.
+    # Values without a rule are drawn too, so that adding a rule does not change what the others yield.
     hue, saturation, value = _pick(rng, rule.hue), _pick(rng, rule.saturation), _pick(rng, rule.value)
     metallic, roughness = (_pick(_stream(seed, what, semantic_class, name), limits) if limits else None for what, limits in (
         ("metallic", rule.metallic), ("roughness", rule.roughness)))  # fmt: skip
@@ -196,74 +246,19 @@ def _light(light: LightSpec, seed: int, rules: LightRules) -> LightSpec:
     )
 
 
-def color_of_temperature(kelvin: float) -> Vec3:
-    """Returns the sRGB colour, its brightest channel at 1, of a black body at 1667 to 25000 K.
-
-    Chromaticity by the cubic approximation of the Planckian locus of Kim et al. (2002).
-    """
-    t = 1e3 / min(max(kelvin, 1667.0), 25000.0)
-    if t > 1.0 / 4.0:
-        x = ((-0.2661239 * t - 0.2343589) * t + 0.8776956) * t + 0.179910
-    else:
-        x = ((-3.0258469 * t + 2.1070379) * t + 0.2226347) * t + 0.240390
-    if t > 1.0 / 2.222:
-        y = ((-1.1063814 * x - 1.34811020) * x + 2.18555832) * x - 0.20219683
-    elif t > 1.0 / 4.0:
-        y = ((-0.9549476 * x - 1.37418593) * x + 2.09137015) * x - 0.16748867
-    else:
-        y = ((3.0817580 * x - 5.87338670) * x + 3.75112997) * x - 0.37001483
-    xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
-    # IEC 61966-2-1.
-    linear = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]) @ xyz
-    r, g, b = srgb_from_linear(linear / linear.max()).tolist()
-    return (r, g, b)
-
-
-_CLASS_KEYS = ("hue", "saturation", "value", "metallic", "roughness", "texture", "by")
-_TEXTURE_KEYS = ("chance", "patterns", "images", "size")
-_LIGHT_KEYS = (
-    "sun_azimuth_deg", "sun_elevation_deg", "sun", "ambient", "temperature_k", "point_strength", "environment_yaw_deg",
-    "environment_strength",
-)  # fmt: skip
-_MAX_STRENGTH = 1000.0
-
-
-def load_rules(path: Path) -> Rules:
-    """Returns the rules in a YAML file.
-
-    Raises:
-        SceneError: the file cannot be read, or a key or a value is wrong.
-    """
-    try:
-        document = read_yaml_file(path)
-    except OSError as e:
-        raise SceneError(f"{path}: cannot be read: {e.strerror or e}") from e
-    except TextError as e:
-        raise SceneError(f"{path}: {e}").telling(e.public) from e
-    top = YamlMap(document if document is not None else {}, str(path), ("classes", "light"))
-    classes = top.value("classes", {}) or {}
-    if not isinstance(classes, dict):
-        raise SceneError(f"{path}: classes is {quoted(classes)}, must be a mapping from class names (or '*') to rules")
-    rules = {
-        str(name): _class_rules(YamlMap(item or {}, f"{path}: class {quoted(name)}", _CLASS_KEYS), path)
-        for name, item in classes.items()
-    }
-    return Rules(rules, _light_rules(YamlMap(top.value("light", {}) or {}, f"{path}: light", _LIGHT_KEYS)))
-
-
 def _class_rules(item: YamlMap, path: Path) -> ClassRules:
     default = ClassRules()
     by = item.text("by", "visual")
     if by not in ("visual", "class"):
         raise SceneError(f"{item.where}: by is {quoted(by)}, must be visual or class")
-    texture = item.value("texture", None)
+    texture = item.value("texture")
     return ClassRules(
         hue=_range(item, "hue", -1.0, 1.0) or default.hue,
         saturation=_range(item, "saturation", 0.0, 10.0) or default.saturation,
         value=_range(item, "value", 0.0, 10.0) or default.value,
         metallic=_range(item, "metallic", 0.0, 1.0),
         roughness=_range(item, "roughness", 0.0, 1.0),
-        texture=None if texture is None else _texture_rules(YamlMap(texture, f"{item.where}: texture", _TEXTURE_KEYS), path),
+        texture=None if texture is None else _texture_rules(item.within(texture, "texture", _TEXTURE_KEYS), path),
         by="visual" if by == "visual" else "class",
     )
 
@@ -287,7 +282,7 @@ def _texture_rules(item: YamlMap, path: Path) -> TextureRules:
 
 
 def _images(item: YamlMap, path: Path) -> tuple[str, ...]:
-    """Returns the images of a folder beside the file of rules, in alphabetical order."""
+    """Returns the image files of the folder ``images``, a path relative to the file of rules, in alphabetical order."""
     if not item.has("images"):
         return ()
     folder = path.parent / item.text("images", "")
@@ -319,11 +314,11 @@ def _degrees(limits: Range | None) -> Range | None:
 
 
 def _range(item: YamlMap, key: str, low: float, high: float) -> Range | None:
-    """Returns [smallest, largest], or one number as both; None if the key is not there."""
+    """Returns the smallest and largest value of a key, which may be one number for both; None = the key has no value."""
     if not item.has(key):
         return None
-    if not isinstance(item.value(key, None), list):
-        only = item.number(key, 0.0, low, high)
+    if not isinstance(item.value(key), list):
+        only = item.number(key, low=low, high=high)
         return (only, only)
     first, last = item.floats(key, 2, low, high)
     if first > last:

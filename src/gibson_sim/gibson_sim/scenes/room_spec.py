@@ -1,4 +1,4 @@
-"""Rooms that a scene names: what they are called, what they are for, where they lie. Pure values; ``maps.rooms`` finds rooms in a map."""
+"""Rooms that a scene names, with their class and outline. Pure values; ``maps.rooms`` finds rooms in a map."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gibson_sim.quoting import quoted
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
-MOST_CORNERS = 1000
-"""Of a room."""
-_SMALLEST_AREA = 0.01
-"""Square metres of a room."""
+MAX_CORNERS = 1000
+"""Corners of a room's outline."""
+_MIN_AREA = 0.01
+"""Least area of a room, square metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,24 +24,24 @@ class RoomSpec:
     """A room of a building.
 
     Raises:
-        SceneError: its outline is none, or crosses itself.
+        SceneError: its outline has too few or too many corners, no area, or crosses itself.
     """
 
     name: str
     room_class: str
-    """What it is for: ``kitchen``, ``bedroom``, ``corridor``, ..."""
+    """Its use: ``kitchen``, ``bedroom``, ``corridor``, ..."""
     floor: int
     """Number of its floor, 0 = the lowest: an index of ``SceneSpec.floors``."""
     polygon: tuple[tuple[float, float], ...]
-    """Its corners in order, either way round, world metres."""
+    """Its corners in clockwise or counter-clockwise order, world metres."""
 
     def __post_init__(self) -> None:
         count = len(self.polygon)
-        if not 3 <= count <= MOST_CORNERS:
-            raise SceneError(f"room {quoted(self.name)}: polygon has {count} corners, must have 3 to {MOST_CORNERS}")
-        if self.area < _SMALLEST_AREA:
+        if not 3 <= count <= MAX_CORNERS:
+            raise SceneError(f"room {quoted(self.name)}: polygon has {count} corners, must have 3 to {MAX_CORNERS}")
+        if self.area < _MIN_AREA:
             raise SceneError(
-                f"room {quoted(self.name)}: polygon encloses {self.area:g} m^2, must be at least {_SMALLEST_AREA} m^2; give its corners in order"
+                f"room {quoted(self.name)}: polygon encloses {self.area:g} m^2, must be at least {_MIN_AREA} m^2; give its corners in order"
             )
         crossing = _crossing_edges(_corners(self))
         if crossing is not None:
@@ -53,14 +53,14 @@ class RoomSpec:
 
     @property
     def area(self) -> float:
-        """Square metres (shoelace formula)."""
+        """Area of the outline, square metres (shoelace formula)."""
         x, y = _corners(self).T
         return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
     def contains(self, xy: ArrayLike) -> Bools:
         """Returns (...,): which of the points (..., 2), world metres, lie in the room.
 
-        Of two rooms with a common edge, just one has the points on it.
+        A point on the common edge of two rooms lies in exactly one of them.
         """
         x, y = np.moveaxis(np.asarray(xy, dtype=np.float64), -1, 0)
         inside = np.zeros(np.shape(x), dtype=bool)
@@ -72,17 +72,17 @@ class RoomSpec:
 
 
 def room_at(rooms: Iterable[RoomSpec], x: float, y: float, floor: int) -> RoomSpec | None:
-    """Returns the first room of a floor that a place, world metres, lies in; None = none of them."""
+    """Returns the first room of a floor that contains a point, world metres; None = none of them."""
     return next((room for room in rooms if room.floor == floor and bool(room.contains((x, y)))), None)
 
 
 def _corners(room: RoomSpec) -> F64:
-    """Returns (K, 2)."""
+    """Returns the corners of a room (K, 2), world metres."""
     return np.asarray(room.polygon, dtype=np.float64)
 
 
 def _crossing_edges(corners: F64) -> tuple[int, int] | None:
-    """Returns two edges of an outline (K, 2) that meet although they are not neighbours, by their first corners; None = there are none."""
+    """Returns two edges of an outline (K, 2), by their first corners, that meet but are not neighbours; None = there are none."""
     a, b = corners, np.roll(corners, -1, axis=0)
     count = len(corners)
     for first in range(count - 2):
@@ -98,6 +98,6 @@ def _crossing_edges(corners: F64) -> tuple[int, int] | None:
 
 
 def _side(a: F64, b: F64, point: F64) -> F64:
-    """Returns on which side of the line from a to b a point lies: left > 0; broadcasts over (..., 2)."""
+    """Returns the side of a point (..., 2) of the line from a to b, (..., 2): positive = left; broadcasts."""
     along, to = b - a, point - a
     return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])

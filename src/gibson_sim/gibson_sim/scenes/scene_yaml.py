@@ -1,11 +1,13 @@
-"""Reads our own scene description, ``scene.yaml``. docs/scenes.md says what may stand in it; anything else is an error."""
+"""Reads the project's own scene description, ``scene.yaml``: light, objects, rooms, bodies and start poses.
+
+docs/scenes.md lists the keys; any other key is an error.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from gibson_sim.description.shapes import Appearance, Shape
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.formats.mesh import UpAxis
-from gibson_sim.formats.yaml_map import YamlMap
+from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
@@ -27,173 +29,32 @@ from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
 from gibson_sim.types import Pose, Rgba, Vec3
 
-_ROOM_KEYS = ("name", "class", "floor", "polygon")
-
-
-def read_rooms(builder: SceneBuilder, path: Path, items: list[Any]) -> None:
-    """Puts the rooms of a scene.yaml at ``path`` into the builder, which knows its floors already.
-
-    Raises:
-        SceneError: a key or a value is wrong.
-    """
-    floors = len({builder.floor_z, *builder.floors}) if builder.floors else 1
-    names: set[str] = set()
-    for index, content in enumerate(items):
-        item = YamlMap(content, f"{path}: rooms[{index}]", _ROOM_KEYS)
-        room = _room(item, floors)
-        if room.name in names:
-            raise SceneError(f"{item.where}: name {quoted(room.name)} is used twice; names of rooms must differ")
-        names.add(room.name)
-        builder.rooms.append(room)
-
-
-def _room(item: YamlMap, floors: int) -> RoomSpec:
-    name, room_class = (item.text(key, "").strip() for key in ("name", "class"))
-    for key, text in (("name", name), ("class", room_class)):
-        if not text:
-            raise SceneError(f"{item.where}: has no {key}; give one, such as kitchen")
-    floor = item.value("floor", 0)
-    if not isinstance(floor, int) or isinstance(floor, bool) or not 0 <= floor < floors:
-        known = "0, the scene has one floor" if floors == 1 else f"a whole number from 0 to {floors - 1}, as floors has it"
-        raise SceneError(f"{item.where}: floor is {quoted(floor)}, must be {known}")
-    corners = [
-        YamlMap({"corner": corner}, f"{item.where}: polygon[{k}]", ("corner",)).floats("corner", 2, -FAR_AWAY, FAR_AWAY)
-        for k, corner in enumerate(item.items("polygon"))
-    ]
-    try:
-        return RoomSpec(name, room_class, floor, tuple((x, y) for x, y in corners))
-    except SceneError as error:
-        raise SceneError(f"{item.where}: {error}") from error
-
-
-_BODY_KEYS = ("name", "model", "pose", "joints", "static", "scale", "semantic_class")
-_NAME_RULE = "use letters, digits and _, a letter first"
-_SCALES = (0.01, 100.0)
-
-
-def read_bodies(builder: SceneBuilder, path: Path, items: list[Any]) -> None:
-    """Puts the bodies of a scene.yaml at ``path`` into the builder.
-
-    Raises:
-        SceneError: a key or a value is wrong, or a model cannot be used.
-    """
-    models: dict[str, BodySpec] = {}
-    for index, content in enumerate(items):
-        item = YamlMap(content, f"{path}: bodies[{index}]", _BODY_KEYS)
-        model = item.text("model", "").strip()
-        if not model:
-            raise SceneError(
-                f"{item.where}: has no model; give the name of an object, or a URDF, SDF or mesh in the scene's folder"
-            )
-        name = item.text("name", "") or _free_name(Path(model).stem, builder)
-        _check_name(name, builder, item.where)
-        item.where = f"{path}: body {quoted(name)}"
-        if model not in models:
-            models[model] = _read_model(builder, path, model, item.where)
-        _add(builder, item, replace(models[model], name=name))
-
-
-def read_pose(item: YamlMap) -> Pose:
-    """Returns the pose that stands under ``pose``: ``xyz`` in metres, ``rpy_deg`` about fixed axes; the origin where there is none."""
-    pose = YamlMap(item.value("pose", {}) or {}, f"{item.where}: pose", ("xyz", "rpy_deg"))
-    xyz = pose.vec3("xyz", (0.0, 0.0, 0.0), low=-FAR_AWAY, high=FAR_AWAY)
-    roll, pitch, yaw = (math.radians(angle) for angle in pose.vec3("rpy_deg", (0.0, 0.0, 0.0)))
-    return pose_from_xyz_rpy(xyz, (roll, pitch, yaw))
-
-
-def _add(builder: SceneBuilder, item: YamlMap, body: BodySpec) -> None:
-    model = scaled_model(body.model, item.number("scale", 1.0, *_SCALES))
-    placed = replace(
-        body,
-        model=model,
-        start=read_pose(item),
-        static=item.flag("static", False) or body.static,
-        semantic_class=item.text("semantic_class", body.semantic_class),
-        joints=_joints(item, model),
-    )
-    try:
-        builder.add_body(placed, model.path)
-    except MeshError as e:
-        raise SceneError(f"{item.where}: {e}") from e
-
-
-def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> BodySpec:
-    """Returns the body that a model describes, at the origin."""
-    is_file = "/" in model or "." in model
-    if "://" in model or model.startswith(("/", "~")):
-        raise SceneError(f"{where}: model is {quoted(model)}; give the name of an object, or a path below the scene's folder")
-    uri = str((path.parent / model).absolute()) if is_file else model
-    try:
-        spec = load_spawnable(uri, "", name="body", pose=Pose(), roots=builder.roots or ())
-    except SceneError as e:
-        raise SceneError(f"{where}: {e}") from e
-    if not isinstance(spec, BodySpec):
-        raise SceneError(
-            f"{where}: model {quoted(model)} is a robot; robots are not part of a scene: give it as --robot, or spawn it"
-        )
-    return spec
-
-
-def _joints(item: YamlMap, model: UrdfModel) -> tuple[tuple[str, float], ...]:
-    """Returns where joints start, radians or metres, in the order of the model."""
-    moving = {joint.name: joint for joint in model.joints if joint.kind in MOVING_TYPES}
-    given = item.value("joints", {}) or {}
-    if given and not moving:
-        raise SceneError(f"{item.where}: joints are given, but {model.path.name} has none that moves; leave them out")
-    joints = YamlMap(given, f"{item.where}: joints", tuple(moving))
-    return tuple((name, _position(joints, joint)) for name, joint in moving.items() if joints.has(name))
-
-
-def _position(joints: YamlMap, joint: UrdfJoint) -> float:
-    """Returns where a joint starts; the file gives degrees, or metres for what slides."""
-    limited = joint.kind != "continuous" and joint.lower <= joint.upper
-    low, high = (joint.lower, joint.upper) if limited else (-math.inf, math.inf)
-    if joint.kind == "prismatic":
-        return joints.number(joint.name, 0.0, low, high)
-    if limited:
-        # Limits are often round degrees, which no radian is exactly: they are rounded outwards to a thousandth.
-        lowest, highest = math.floor(math.degrees(low) * 1000) / 1000, math.ceil(math.degrees(high) * 1000) / 1000
-        return min(max(math.radians(joints.number(joint.name, 0.0, lowest, highest)), low), high)
-    return math.radians(joints.number(joint.name, 0.0))
-
-
-def _check_name(name: str, builder: SceneBuilder, where: str) -> None:
-    if not (name.isascii() and name[:1].isalpha() and name.replace("_", "a").isalnum()):
-        raise SceneError(f"{where}: name is {quoted(name)}; it becomes part of frames in ROS: {_NAME_RULE}")
-    if any(name == body.name for body in builder.bodies):
-        raise SceneError(f"{where}: name {quoted(name)} is used twice; names of bodies must differ")
-
-
-def _free_name(base: str, builder: SceneBuilder) -> str:
-    """Returns the name of a body that was given none: that of its model, with _2, _3, ... if there are several."""
-    taken = {body.name for body in builder.bodies}
-    name, number = base, 1
-    while name in taken:
-        number += 1
-        name = f"{base}_{number}"
-    return name
-
-
 F64 = NDArray[np.float64]
+
 _SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "rooms", "light", "starts", "objects", "bodies")
 _LIGHT_KEYS = (
     "sun_direction", "sun", "sun_color", "shadows", "ambient", "background", "points",
     "environment", "environment_strength", "environment_yaw_deg", "environment_visible", "backdrop",
 )  # fmt: skip
 _POINT_KEYS = ("position", "color", "strength", "range", "attenuation", "direction", "inner_deg", "outer_deg")
-_START_KEYS = ("name", "xy", "xyz", "yaw_deg")
 _SHAPES = ("mesh", "box", "sphere", "cylinder")
 _OBJECT_KEYS = (
     "name", *_SHAPES, "pose", "scale", "up_axis", "unit_m", "semantic_class", "collision", "visible", "color", "metallic", "roughness",
 )  # fmt: skip
-_UP: dict[str, UpAxis] = {"x": "x", "y": "y", "z": "z"}
+_ROOM_KEYS = ("name", "class", "floor", "polygon")
+_BODY_KEYS = ("name", "model", "pose", "joints", "static", "scale", "semantic_class")
+_START_KEYS = ("name", "xy", "xyz", "yaw_deg")
+
+_UP_AXES: dict[str, UpAxis] = {"x": "x", "y": "y", "z": "z"}
+_BODY_SCALES = (0.01, 100.0)
+"""Smallest and largest scale of a body."""
 
 
 def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
-    """Puts everything of a scene.yaml into the builder.
+    """Adds the content of a scene.yaml to the builder.
 
     Raises:
-        SceneError: a key or a value is wrong, or a mesh cannot be used.
+        SceneError: a key or a value is wrong, or a mesh or a model cannot be used.
     """
     try:
         document = parse_yaml(builder.read_bytes(path))
@@ -202,24 +63,24 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
     top = YamlMap(document if document is not None else {}, str(path), _SCENE_KEYS)
     builder.name = top.text("name", builder.name)
     builder.description = top.text("description", "")
-    gravity = top.value("gravity", None)
+    gravity = top.value("gravity")
     if gravity is not None:
-        # One number is the strength of a gravity that points down.
-        builder.gravity = (0.0, 0.0, -top.number("gravity", 0.0)) if isinstance(gravity, int | float) else top.vec3("gravity")
-    builder.ground_z = None if top.value("ground_z", None) is None else top.number("ground_z", 0.0)
-    builder.floor_z = None if top.value("floor_z", None) is None else top.number("floor_z", 0.0)
-    builder.floors = top.floats("floors", len(top.items("floors"))) if top.has("floors") else ()
+        # A single number is the magnitude of a gravity that points down.
+        builder.gravity = (0.0, 0.0, -top.number("gravity")) if isinstance(gravity, int | float) else top.vec3("gravity")
+    builder.ground_z = top.number("ground_z") if top.has("ground_z") else None
+    builder.floor_z = top.number("floor_z") if top.has("floor_z") else None
+    builder.floors = top.floats("floors") if top.has("floors") else ()
     if builder.floors and builder.floor_z is None:
         builder.floor_z = min(builder.floors)
-    read_rooms(builder, path, top.items("rooms"))
-    builder.light = _light(builder, path, YamlMap(top.value("light", {}) or {}, f"{path}: light", _LIGHT_KEYS))
+    _rooms(builder, top)
+    builder.light = _light(builder, path, top.within(top.value("light") or {}, "light", _LIGHT_KEYS))
     for index, item in enumerate(top.items("objects")):
-        _object(builder, path, YamlMap(item, f"{path}: objects[{index}]", _OBJECT_KEYS))
-    read_bodies(builder, path, top.items("bodies"))
+        _object(builder, path, top.within(item, f"objects[{index}]", _OBJECT_KEYS))
+    _bodies(builder, path, top)
     floor = builder.floor_z if builder.floor_z is not None else builder.ground_z or 0.0
     names: set[str] = set()
     for index, item in enumerate(top.items("starts")):
-        start = _start(YamlMap(item, f"{path}: starts[{index}]", _START_KEYS), floor)
+        start = _start(top.within(item, f"starts[{index}]", _START_KEYS), floor)
         if start.name in names:
             raise SceneError(f"{path}: starts[{index}]: name {quoted(start.name)} is used twice; names must be unique")
         names.add(start.name)
@@ -239,9 +100,7 @@ def _light(builder: SceneBuilder, path: Path, light: YamlMap) -> LightSpec:
         background=light.vec3("background", default.background, low=0.0, high=1.0),
         sun_color=light.vec3("sun_color", default.sun_color, low=0.0, high=1.0),
         shadows=light.flag("shadows", default.shadows),
-        points=tuple(
-            _point(YamlMap(item, f"{light.where}: points[{k}]", _POINT_KEYS)) for k, item in enumerate(light.items("points"))
-        ),
+        points=tuple(_point(light.within(item, f"points[{k}]", _POINT_KEYS)) for k, item in enumerate(light.items("points"))),
         environment=environment,
         environment_strength=light.number("environment_strength", default.environment_strength, low=0.0),
         environment_yaw=math.radians(light.number("environment_yaw_deg", 0.0)),
@@ -268,21 +127,13 @@ def _point(point: YamlMap) -> PointLight:
     )
 
 
-def _start(start: YamlMap, floor: float) -> StartPose:
-    if start.has("xy") == start.has("xyz"):
-        raise SceneError(f"{start.where}: give either xy (on the floor) or xyz, metres")
-    x, y, z = (*start.floats("xy", 2), floor) if start.has("xy") else start.floats("xyz", 3)
-    yaw = math.radians(start.number("yaw_deg", 0.0))
-    return StartPose(start.text("name", "start"), pose_from_xyz_rpy((x, y, z), (0.0, 0.0, yaw)))
-
-
 def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
     given = [kind for kind in _SHAPES if item.has(kind)]
     if len(given) != 1:
         raise SceneError(f"{item.where}: has {', '.join(given) or 'no shape'}; give exactly one of {', '.join(_SHAPES)}")
     name = item.text("name", Path(str(item.value("mesh", given[0]))).stem)
     item.where = f"{path}: object {quoted(name)}"
-    matrix = matrix_from_pose(read_pose(item))
+    matrix = matrix_from_pose(_pose(item))
     if given[0] == "mesh":
         shape, at = _mesh(builder, path, item, item.text("mesh", ""), matrix)
     else:
@@ -290,11 +141,11 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
             if item.has(key):
                 raise SceneError(f"{item.where}: {key} is for meshes; a {given[0]} has its size in metres")
         shape, at = _primitive(item, given[0]), matrix
-    collision = item.text("collision", "same")
+    collision = "none" if item.value("collision", "same") is None else item.text("collision", "same")
     if item.flag("visible", True):
         builder.add_visual(name, shape, at, _color(item), item.text("semantic_class", ""), _appearance(item))
     elif collision == "none":
-        raise SceneError(f"{item.where}: visible is false and collision none: nothing of it is left; leave it out")
+        raise SceneError(f"{item.where}: visible is false and collision none: nothing is left of it; leave it out")
     if collision == "same":
         builder.add_collision(name, shape, at)
     elif collision == "simplified":
@@ -312,10 +163,10 @@ def _mesh(builder: SceneBuilder, path: Path, item: YamlMap, name: str, matrix: F
         raise SceneError(f"{item.where}: scale is {quoted(scale)}, must be a number or three numbers, none of them 0")
     up_axis = None
     if item.has("up_axis"):
-        up_axis = _UP.get(item.text("up_axis", ""))
+        up_axis = _UP_AXES.get(item.text("up_axis", ""))
         if up_axis is None:
-            raise SceneError(f"{item.where}: up_axis is {quoted(item.value('up_axis', ''))}, must be x, y or z")
-    unit_m = item.number("unit_m", 1.0, low=1e-9) if item.has("unit_m") else None
+            raise SceneError(f"{item.where}: up_axis is {quoted(item.value('up_axis'))}, must be x, y or z")
+    unit_m = item.number("unit_m", low=1e-9) if item.has("unit_m") else None
     try:
         return builder.mesh_shape(path.parent / name, matrix, factors, up_axis, unit_m)
     except MeshError as e:
@@ -326,22 +177,163 @@ def _primitive(item: YamlMap, kind: str) -> Shape:
     if kind == "box":
         return Shape("box", item.vec3("box", low=1e-6))
     if kind == "sphere":
-        return Shape("sphere", (item.number("sphere", 0.0, low=1e-6), 0.0, 0.0))
-    sizes = YamlMap(item.value("cylinder", {}), f"{item.where}: cylinder", ("radius", "length"))
-    return Shape("cylinder", (sizes.number("radius", 0.0, low=1e-6), sizes.number("length", 0.0, low=1e-6), 0.0))
+        return Shape("sphere", (item.number("sphere", low=1e-6), 0.0, 0.0))
+    sizes = item.within(item.value("cylinder"), "cylinder", ("radius", "length"))
+    return Shape("cylinder", (sizes.number("radius", low=1e-6), sizes.number("length", low=1e-6), 0.0))
 
 
 def _appearance(item: YamlMap) -> Appearance | None:
     if not (item.has("metallic") or item.has("roughness")):
         return None
-    metallic, roughness = (item.number(k, 0.0, 0.0, 1.0) if item.has(k) else None for k in ("metallic", "roughness"))
+    metallic, roughness = (item.number(k, low=0.0, high=1.0) if item.has(k) else None for k in ("metallic", "roughness"))
     return Appearance(metallic=metallic, roughness=roughness)
 
 
 def _color(item: YamlMap) -> Rgba | None:
     if not item.has("color"):
         return None
-    values = item.value("color", None)
+    values = item.value("color")
     count = len(values) if isinstance(values, list) else 0
     r, g, b, *alpha = item.floats("color", 4 if count == 4 else 3, low=0.0, high=1.0)
     return (r, g, b, alpha[0] if alpha else 1.0)
+
+
+def _rooms(builder: SceneBuilder, top: YamlMap) -> None:
+    """Adds the rooms to the builder, which must have its floors already."""
+    floors = len({builder.floor_z, *builder.floors}) if builder.floors else 1
+    names: set[str] = set()
+    for index, content in enumerate(top.items("rooms")):
+        item = top.within(content, f"rooms[{index}]", _ROOM_KEYS)
+        room = _room(item, floors)
+        if room.name in names:
+            raise SceneError(f"{item.where}: name {quoted(room.name)} is used twice; names of rooms must differ")
+        names.add(room.name)
+        builder.rooms.append(room)
+
+
+def _room(item: YamlMap, floors: int) -> RoomSpec:
+    name, room_class = (item.text(key, "").strip() for key in ("name", "class"))
+    for key, text in (("name", name), ("class", room_class)):
+        if not text:
+            raise SceneError(f"{item.where}: has no {key}; give one, such as kitchen")
+    floor = item.value("floor", 0)
+    if not isinstance(floor, int) or isinstance(floor, bool) or not 0 <= floor < floors:
+        known = "0, the scene has one floor" if floors == 1 else f"a whole number from 0 to {floors - 1}, as floors has it"
+        raise SceneError(f"{item.where}: floor is {quoted(floor)}, must be {known}")
+    corners = [
+        item.within({"corner": corner}, f"polygon[{k}]").floats("corner", 2, -FAR_AWAY, FAR_AWAY)
+        for k, corner in enumerate(item.items("polygon"))
+    ]
+    try:
+        return RoomSpec(name, room_class, floor, tuple((x, y) for x, y in corners))
+    except SceneError as error:
+        raise SceneError(f"{item.where}: {error}") from error
+
+
+def _bodies(builder: SceneBuilder, path: Path, top: YamlMap) -> None:
+    """Adds the bodies of the scene.yaml at ``path`` to the builder; each model is read once."""
+    models: dict[str, BodySpec] = {}
+    for index, content in enumerate(top.items("bodies")):
+        item = top.within(content, f"bodies[{index}]", _BODY_KEYS)
+        model = item.text("model", "").strip()
+        if not model:
+            raise SceneError(
+                f"{item.where}: has no model; give the name of an object, or a URDF, SDF or mesh in the scene's folder"
+            )
+        name = item.text("name", "") or _free_name(Path(model).stem, builder)
+        _check_name(name, builder, item.where)
+        item.where = f"{path}: body {quoted(name)}"
+        if model not in models:
+            models[model] = _read_model(builder, path, model, item.where)
+        _add_body(builder, item, replace(models[model], name=name))
+
+
+def _add_body(builder: SceneBuilder, item: YamlMap, body: BodySpec) -> None:
+    model = scaled_model(body.model, item.number("scale", 1.0, *_BODY_SCALES))
+    placed = replace(
+        body,
+        model=model,
+        start=_pose(item),
+        static=item.flag("static", False) or body.static,
+        semantic_class=item.text("semantic_class", body.semantic_class),
+        joints=_joints(item, model),
+    )
+    try:
+        builder.add_body(placed, model.path)
+    except MeshError as e:
+        raise SceneError(f"{item.where}: {e}") from e
+
+
+def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> BodySpec:
+    """Returns the body that a model describes, at the origin; ``model`` is the name of an object or a path below the scene's folder."""
+    is_file = "/" in model or "." in model
+    if "://" in model or model.startswith(("/", "~")):
+        raise SceneError(f"{where}: model is {quoted(model)}; give the name of an object, or a path below the scene's folder")
+    uri = str((path.parent / model).absolute()) if is_file else model
+    try:
+        spec = load_spawnable(uri, "", name="body", pose=Pose(), roots=builder.roots or ())
+    except SceneError as e:
+        raise SceneError(f"{where}: {e}") from e
+    if not isinstance(spec, BodySpec):
+        raise SceneError(
+            f"{where}: model {quoted(model)} is a robot; robots are not part of a scene: give it as --robot, or spawn it"
+        )
+    return spec
+
+
+def _joints(item: YamlMap, model: UrdfModel) -> tuple[tuple[str, float], ...]:
+    """Returns the start positions of joints, radians or metres, in the order of the model."""
+    moving = {joint.name: joint for joint in model.joints if joint.kind in MOVING_TYPES}
+    given = item.value("joints") or {}
+    if given and not moving:
+        raise SceneError(f"{item.where}: joints are given, but {model.path.name} has none that moves; leave them out")
+    joints = item.within(given, "joints", tuple(moving))
+    return tuple((name, _position(joints, joint)) for name, joint in moving.items() if joints.has(name))
+
+
+def _position(joints: YamlMap, joint: UrdfJoint) -> float:
+    """Returns the start position of a joint, radians or metres; the file gives degrees, or metres for prismatic joints."""
+    limited = joint.kind != "continuous" and joint.lower <= joint.upper
+    low, high = (joint.lower, joint.upper) if limited else (-math.inf, math.inf)
+    if joint.kind == "prismatic":
+        return joints.number(joint.name, low=low, high=high)
+    if limited:
+        # Limits are often whole degrees, which radians cannot hold exactly: they are rounded outwards to a thousandth of a degree.
+        lowest, highest = math.floor(math.degrees(low) * 1000) / 1000, math.ceil(math.degrees(high) * 1000) / 1000
+        return min(max(math.radians(joints.number(joint.name, low=lowest, high=highest)), low), high)
+    return math.radians(joints.number(joint.name))
+
+
+def _check_name(name: str, builder: SceneBuilder, where: str) -> None:
+    if not ROS_NAME.fullmatch(name):
+        raise SceneError(
+            f"{where}: name is {quoted(name)}; it becomes part of frames in ROS: use letters, digits and _, a letter first"
+        )
+    if any(name == body.name for body in builder.bodies):
+        raise SceneError(f"{where}: name {quoted(name)} is used twice; names of bodies must differ")
+
+
+def _free_name(base: str, builder: SceneBuilder) -> str:
+    """Returns the name of a body without one: ``base``, or ``base`` with _2, _3, ... if other bodies have it already."""
+    used = {body.name for body in builder.bodies}
+    name, number = base, 1
+    while name in used:
+        number += 1
+        name = f"{base}_{number}"
+    return name
+
+
+def _start(start: YamlMap, floor: float) -> StartPose:
+    if start.has("xy") == start.has("xyz"):
+        raise SceneError(f"{start.where}: give either xy (on the floor) or xyz, metres")
+    x, y, z = (*start.floats("xy", 2), floor) if start.has("xy") else start.floats("xyz", 3)
+    yaw = math.radians(start.number("yaw_deg", 0.0))
+    return StartPose(start.text("name", "start"), pose_from_xyz_rpy((x, y, z), (0.0, 0.0, yaw)))
+
+
+def _pose(item: YamlMap) -> Pose:
+    """Returns the value of ``pose``: ``xyz`` in metres, ``rpy_deg`` about fixed axes; the origin if there is none."""
+    pose = item.within(item.value("pose") or {}, "pose", ("xyz", "rpy_deg"))
+    xyz = pose.vec3("xyz", (0.0, 0.0, 0.0), low=-FAR_AWAY, high=FAR_AWAY)
+    roll, pitch, yaw = (math.radians(angle) for angle in pose.vec3("rpy_deg", (0.0, 0.0, 0.0)))
+    return pose_from_xyz_rpy(xyz, (roll, pitch, yaw))

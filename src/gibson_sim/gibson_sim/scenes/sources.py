@@ -1,4 +1,4 @@
-"""What a URI from outside means on this machine, whether it may be read, and what lies in a folder."""
+"""Resolves URIs from clients to files on this machine, checks that these may be read, and lists folders within limits."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from gibson_sim.formats.uris import environment_folders, installed_paths
 from gibson_sim.reading import exists, read_head
 
 MAX_BYTES = 512 * 1024 * 1024
-"""Of a mesh."""
-NOWHERE = Path("/nonexistent")
-"""Folder of what came as a string: nothing lies beside it."""
+"""Largest size of a mesh file."""
+TEXT_FOLDER = Path("/nonexistent")
+"""Folder of descriptions that came as text: no file lies beside them."""
 SCHEMES = ("file", "package", "model")
 _MAX_ENTRIES = 20_000
-"""Files and folders that one search looks at."""
+"""Files and folders that one search visits."""
 _MAX_SEARCHED_BYTES = 4 * 2**20
-"""Of the descriptions that one search reads."""
+"""Bytes of descriptions that one search reads."""
 _MAX_LEVELS = 12
-"""Folders below a folder that is searched."""
+"""Depth of the folders that a search visits."""
 _MAX_PATH, _MAX_NAME = 4096, 255
-"""Bytes; of Linux."""
+"""Longest path and file name of Linux, bytes."""
 
 
 def path_of(uri: str) -> Path | None:
-    """Returns the path that a URI or a path means, or None if it is a mere name.
+    """Returns the path that a URI or a path stands for, or None if it is a plain name.
 
     Args:
         uri: ``file:///...``, ``package://<package>/...``, ``model://<model>/...``, or a path that starts with ``/``, ``./``, ``../``
             or ``~``.
 
     Raises:
-        SceneNotFoundError: it can mean nothing on this machine.
+        SceneNotFoundError: it stands for no file on this machine.
     """
     try:
         os.fsencode(uri)
@@ -68,26 +68,26 @@ def path_of(uri: str) -> Path | None:
     )
 
 
-def said(message: str) -> str:
-    """Returns a message without the folder of what came as a string."""
-    return message.replace(f"{NOWHERE}/", "").replace(str(NOWHERE), "any folder of models")
+def without_text_folder(message: str) -> str:
+    """Returns a message without the placeholder ``TEXT_FOLDER``."""
+    return message.replace(f"{TEXT_FOLDER}/", "").replace(str(TEXT_FOLDER), "any folder of models")
 
 
 def check_inside(path: Path, roots: Sequence[Path], uri: str) -> None:
-    """Checks that a file, symbolic links followed, lies in one of ``roots``; none = it may lie anywhere.
+    """Checks that a file lies in one of the folders ``roots`` after following symbolic links; no roots = it may lie anywhere.
 
     Raises:
-        SceneNotFoundError: it does not; says which folders are allowed.
+        SceneNotFoundError: it lies elsewhere; the message names the allowed folders.
     """
     if roots and not is_inside(path, roots):
         raise SceneNotFoundError(f"{uri}: lies outside the folders that are allowed: {', '.join(map(str, roots))}")
 
 
 def check_file(path: Path, max_bytes: int) -> None:
-    """Checks that a file can be read without surprises, before it is opened.
+    """Checks that a path is a readable regular file of at most ``max_bytes``, without opening it.
 
     Raises:
-        SceneNotFoundError: it is not there, or this process may not see it.
+        SceneNotFoundError: it does not exist, or this process may not read it.
         SceneError: it is a folder, a pipe or a device, or too large.
     """
     try:
@@ -105,16 +105,17 @@ def check_file(path: Path, max_bytes: int) -> None:
 
 @dataclass(slots=True)
 class Search:
-    """What one search may still look at; a request of many folders, or of folders full of large files, would never be answered."""
+    """Remaining budget of one search; without one, a request for many folders or large files would block for very long."""
 
     entries: int = field(default_factory=lambda: _MAX_ENTRIES)
+    """Files and folders."""
     read_bytes: int = field(default_factory=lambda: _MAX_SEARCHED_BYTES)
 
     def head(self, path: Path, most: int) -> bytes:
-        """Returns the first bytes of a file.
+        """Returns at most the first ``most`` bytes of a file.
 
         Raises:
-            OSError: it cannot be read, or this search has read enough.
+            OSError: it cannot be read, or the budget is spent.
         """
         data = read_head(path, most)
         self.read_bytes -= len(data)
@@ -124,26 +125,26 @@ class Search:
 
 
 def walk(folder: Path, search: Search | None = None) -> Iterator[tuple[Path, list[str], list[str]]]:
-    """Yields (folder, names of folders, names of files), sorted, nothing hidden, symbolic links not followed.
+    """Yields (folder, names of folders, names of files), sorted, without hidden ones; does not follow symbolic links.
 
-    Whoever removes names from the second does not get these folders.
+    Folders whose names the caller removes from the second list are skipped.
 
     Args:
-        folder: where it begins.
-        search: what it counts against; None = a search of its own.
+        folder: the topmost folder.
+        search: budget to spend; None = one of its own.
 
     Raises:
         SceneNotFoundError: there are too many files.
     """
-    left = Search() if search is None else search
-    if left.entries <= 0:
+    budget = Search() if search is None else search
+    if budget.entries <= 0:
         raise SceneNotFoundError(
             f"{folder}: is left out: {_MAX_ENTRIES} files and folders were looked at; name fewer folders at once"
         )
     top = len(folder.parts)
     for where, folders, files in os.walk(folder):
-        left.entries -= len(files) + len(folders) + 1
-        if left.entries < 0:
+        budget.entries -= len(files) + len(folders) + 1
+        if budget.entries < 0:
             raise SceneNotFoundError(f"{folder}: holds more than {_MAX_ENTRIES} files and folders; name a folder further down")
         if len(Path(where).parts) - top >= _MAX_LEVELS:
             folders.clear()

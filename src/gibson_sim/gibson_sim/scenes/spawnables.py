@@ -1,4 +1,4 @@
-"""Lists what can be spawned: our robots and objects, and what lies in the folders of others. Reads no meshes."""
+"""Lists resources that can be spawned: built-in robots and objects, and models in other folders. Reads no meshes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ from gibson_sim.types import Vec3
 _log = logging.getLogger(__name__)
 _ASSET_FOLDERS = ("mesh", "meshes", "materials", "textures")
 _HEAD_BYTES = 65536
+"""Bytes of an SDF file that are searched for a model."""
 _MAX_CONFIG_BYTES = 65536
-"""Of a model.config that is only listed."""
-_LONGEST_DESCRIPTION = 500
+"""Largest part of a model.config that is read for a list."""
+_MAX_DESCRIPTION = 500
+"""Characters of a description."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +31,14 @@ class Spawnable:
     """Something that can be spawned."""
 
     uri: str
-    """A name of ours, or ``file://``."""
+    """A built-in name, or ``file://``."""
     description: str = ""
     bounds: tuple[Vec3, Vec3] | None = None
-    """Lowest and highest corner in the frame of its root, metres; None = not known without reading its meshes."""
+    """Lowest and highest corner in the frame of its root, metres; None = unknown without reading its meshes."""
 
 
 def own_spawnables(only: str = "") -> dict[str, Path]:
-    """Returns the folder or file of each of our robots and objects, by name; with ``only`` a name, just the one called so."""
+    """Returns the folder or file of each built-in robot and object, by name; ``only`` limits the result to one name."""
     found: dict[str, Path] = {}
     for share in share_folders():
         for folder in (share / "config" / "robots", share / "robots", share / "scenes" / "objects", share / "objects"):
@@ -49,43 +51,51 @@ def own_spawnables(only: str = "") -> dict[str, Path]:
 
 
 def list_objects() -> list[str]:
-    """Returns the names of our objects, which ``spawn`` takes, in alphabetical order; robots are not among them."""
+    """Returns the names of the built-in objects for ``spawn``, in alphabetical order, without robots."""
     return sorted(set(own_spawnables()) - set(list_robots()))
 
 
 def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:
-    """Returns our robots and objects by name, then what lies in the folders of ``sources`` by path.
+    """Returns the built-in robots and objects by name, then those below ``sources`` by path.
 
     Args:
         sources: folders, or single files: paths, ``file://``, ``package://`` or ``model://``.
 
     Raises:
-        SceneNotFoundError: one of them is not there.
+        SceneNotFoundError: one of them does not exist.
     """
-    ours = tuple(Spawnable(name, _described(path), _robot_bounds(path)) for name, path in own_spawnables().items())
-    return (*ours, *spawnables_below(sources))
+    built_in = tuple(Spawnable(name, _described(path), _robot_bounds(path)) for name, path in own_spawnables().items())
+    return (*built_in, *spawnables_below(sources))
 
 
 def spawnables_below(sources: Sequence[str], search: Search | None = None) -> tuple[Spawnable, ...]:
-    """Returns what can be spawned in ``sources`` alone, by path; for arguments and errors see ``find_spawnables``; ``search``: of ``walk``."""
-    theirs: dict[Path, Spawnable] = {}
+    """Returns the robots and models below ``sources``, by path.
+
+    Args:
+        sources: as for ``find_spawnables``.
+        search: limits of the search; None = limits of its own.
+
+    Raises:
+        SceneNotFoundError: one of the sources does not exist.
+    """
+    found: dict[Path, Spawnable] = {}
     search = Search() if search is None else search
     for source in sources:
         path = path_of(source.strip()) or Path(source.strip()).absolute()
         if not source.strip() or not exists(path):
             raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
         for entry in _below(path, search):
-            theirs[entry] = Spawnable(entry.absolute().as_uri(), _described(entry, search))
-    return tuple(theirs[path] for path in sorted(theirs))
+            found[entry] = Spawnable(entry.absolute().as_uri(), _described(entry, search))
+    return tuple(found[path] for path in sorted(found))
 
 
 def _below(path: Path, search: Search) -> list[Path]:
-    """Returns what can be spawned in a folder: models and robots as folders; meshes where no description lies beside them."""
+    """Returns the resources below a path that can be spawned: folders of models and robots, and meshes without a description beside them."""
     if _kind(path):
         return [path]
     found: list[Path] = []
-    # Folders whose meshes, and those below, are parts of what is described there.
-    taken: set[Path] = set()
+    # Folders with a description, to which their meshes, and those below, belong.
+    with_description: set[Path] = set()
     for folder, folders, files in walk(path, search):
         if folder != path and _kind(folder):
             found.append(folder)
@@ -94,22 +104,22 @@ def _below(path: Path, search: Search) -> list[Path]:
         folders[:] = [name for name in folders if name.lower() not in _ASSET_FOLDERS]
         entries = [folder / name for name in files if _kind(folder / name)]
         described = [entry for entry in entries if entry.suffix.lower() not in MESH_SUFFIXES]
-        if described or folder.parent in taken:
-            taken.add(folder)
+        if described or folder.parent in with_description:
+            with_description.add(folder)
             entries = described
         found += entries
     return found
 
 
 def _kind(path: Path) -> str:
-    """Returns what a file or a folder is, "" if it is nothing to spawn."""
+    """Returns the kind of a file or a folder in words, "" if it cannot be spawned."""
     suffix = path.suffix.lower()
     if is_folder(path):
         if is_file(path / ROBOT_FILE):
             return "robot"
         if is_file(path / "model.config") or is_file(path / "model.sdf"):
             return "SDF model"
-        # A folder that is named after what it holds: chair/chair.urdf.
+        # A folder named after the file in it: chair/chair.urdf.
         return next((f"{s[1:].upper()} file" for s in (".urdf", ".sdf", *MESH_SUFFIXES) if is_file(path / (path.name + s))), "")
     if path.name == ROBOT_FILE:
         return "robot"
@@ -119,8 +129,8 @@ def _kind(path: Path) -> str:
 
 
 def _holds_model(path: Path) -> bool:
-    """Returns whether an SDF file has a model in it and no world."""
-    if not is_file(path):  # a pipe would be waited for
+    """Returns whether an SDF file has a model and no world."""
+    if not is_file(path):  # reading a pipe would block
         return False
     try:
         head = read_head(path, _HEAD_BYTES)
@@ -130,12 +140,12 @@ def _holds_model(path: Path) -> bool:
 
 
 def _described(path: Path, search: Search | None = None) -> str:
-    """Returns one line about a file or folder: the text of its model.config, else what it is."""
+    """Returns a description of a file or folder in one line: the text of its model.config, else its kind."""
     search = Search() if search is None else search
     config = path / "model.config"
     if is_file(config):
         try:
-            text = clipped(parse_xml(search.head(config, _MAX_CONFIG_BYTES)).findtext("description") or "", _LONGEST_DESCRIPTION)
+            text = clipped(parse_xml(search.head(config, _MAX_CONFIG_BYTES)).findtext("description") or "", _MAX_DESCRIPTION)
         except (OSError, TextError):
             text = ""
         if text:
@@ -144,7 +154,7 @@ def _described(path: Path, search: Search | None = None) -> str:
 
 
 def _robot_bounds(path: Path) -> tuple[Vec3, Vec3] | None:
-    """Returns the box around a robot's radius and height, None for everything else."""
+    """Returns the bounding box of a robot from its radius and height, in its base frame, metres; None if the path is no robot."""
     if not is_file(path / ROBOT_FILE):
         return None
     try:

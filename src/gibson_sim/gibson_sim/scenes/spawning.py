@@ -1,6 +1,6 @@
-"""From a resource to something physics can load: a URI, or the text of a URDF or SDF model, becomes a BodySpec or a RobotSpec.
+"""Turns a resource, a URI or the text of a URDF or SDF model, into a BodySpec or a RobotSpec that physics can load.
 
-What comes in was written by strangers: every number is checked, every file must be where files are allowed, and whatever is missing is
+Resources come from clients and are not trusted: every number is checked, every file must lie in an allowed folder, and anything missing is
 an error that names it. Knows neither ROS nor a physics engine.
 """
 
@@ -33,101 +33,31 @@ from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh_body import mesh_body
 from gibson_sim.scenes.sdf.body import MAX_LINKS, WORLD, SdfBodyReader
 from gibson_sim.scenes.sdf.model import SdfModels, sdf_files, sdf_version
-from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, check_file, check_inside, path_of, said
+from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, check_file, check_inside, path_of, without_text_folder
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
 from gibson_sim.types import Pose
-
-MAX_MASS = 1e6
-"""kg."""
-MAX_INERTIA = 1e9
-"""kg m^2."""
-
-
-def check_plausible(model: UrdfModel, loader: MeshLoader) -> None:
-    """Checks every number of a model.
-
-    Args:
-        model: what somebody wants to load.
-        loader: knows how large its meshes are; one that it cannot read is for others to report.
-
-    Raises:
-        SceneError: naming the link or joint, the value and what is allowed.
-    """
-    if len(model.links) > MAX_LINKS:
-        raise SceneError(f"{model.path}: has {len(model.links)} links, must be at most {MAX_LINKS}; split it")
-    for link in model.links:
-        where = f"{model.path}: link {quoted(link.name)}"
-        shapes = [(v.shape, v.pose) for v in link.visuals] + [(c.shape, c.pose) for c in link.collisions]
-        for shape, pose in shapes:
-            _check_place(where, pose)
-            _check_shape(where, shape, loader)
-        if link.inertial is not None:
-            _check_inertial(where, link.inertial)
-        if link.friction is not None and not 0.0 <= link.friction < math.inf:
-            raise SceneError(f"{where}: friction is {link.friction:g}, must be a finite number, 0 or more")
-    for joint in model.joints:
-        _check_joint(f"{model.path}: joint {quoted(joint.name)}", joint)
-
-
-def _check_inertial(where: str, inertial: Inertial) -> None:
-    if not 0.0 <= inertial.mass <= MAX_MASS:
-        raise SceneError(f"{where}: mass is {inertial.mass:g} kg, must be 0 to {MAX_MASS:g}; is it in grams?")
-    for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertial.inertia, strict=True):
-        low = 0.0 if name in ("ixx", "iyy", "izz") else -MAX_INERTIA
-        if not low <= value <= MAX_INERTIA:
-            raise SceneError(f"{where}: {name} is {value:g} kg m^2, must be {low:g} to {MAX_INERTIA:g}")
-    _check_place(where, inertial.pose)
-
-
-def _check_place(where: str, pose: Pose) -> None:
-    if not all(abs(c) <= FAR_AWAY for c in pose.position):
-        at = ", ".join(f"{c:g}" for c in pose.position)
-        raise SceneError(f"{where}: something in it is at ({at}) m, must be within {FAR_AWAY:g} m")
-
-
-def _check_shape(where: str, shape: Shape, loader: MeshLoader) -> None:
-    size, what = shape.size, str(shape.kind)
-    if shape.kind == "mesh":
-        if not all(map(math.isfinite, size)) or not all(size):
-            raise SceneError(f"{where}: scale of a mesh is {size}, the three factors must be finite and not 0")
-        try:
-            bounds = loader.mesh(Path(shape.mesh)).bounds
-        except MeshError:
-            return
-        x, y, z = (np.abs(bounds).max(axis=0) * np.abs(size)).tolist()
-        size, what = (x, y, z), f"mesh {shape.mesh}"
-    if not all(0.0 <= s <= FAR_AWAY for s in size):
-        raise SceneError(f"{where}: {what} is {max(size):g} m large, must be at most {FAR_AWAY:g} m; is the unit right?")
-
-
-def _check_joint(where: str, joint: UrdfJoint) -> None:
-    if joint.kind not in (*MOVING_TYPES, "fixed"):
-        raise SceneError(f"{where}: type {joint.kind} is not simulated; use {', '.join(MOVING_TYPES)} or fixed")
-    _check_place(where, joint.pose)
-    for name in ("lower", "upper", "effort", "velocity", "damping", "friction"):
-        value = getattr(joint, name)
-        slows = name in ("damping", "friction")
-        if not math.isfinite(value) or (slows and value < 0.0):
-            raise SceneError(f"{where}: {name} is {value:g}, must be a finite number{', 0 or more' if slows else ''}")
-
 
 __all__ = [
     "SPAWN_FORMATS", "SpawnError", "SpawnFailure", "Spawnable", "find_spawnables", "load_spawnable", "own_spawnables", "spawn_name",
 ]  # fmt: skip
 
 SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for suffix in MESH_SUFFIXES))
-"""What can be spawned, as in SimulatorFeatures.spawn_formats."""
+"""Formats that can be spawned, as in SimulatorFeatures.spawn_formats."""
 MAX_PARTS = 2000
-"""Meshes in the nodes of a glTF that is spawned: a thing has few, and each takes time."""
+"""Meshes in the nodes of a spawned glTF: an object has few, and each takes time."""
 MAX_TRIANGLES, MAX_STATIC_TRIANGLES = 400_000, 150_000
-"""Triangles of all visuals of a thing, and of the collision shapes of a static one: images wait for the first, time for the second."""
-_TEXT = NOWHERE / "resource_string"
+"""Triangles of all visuals of a body, and of the collision shapes of a static one: loading the first delays images, the second time."""
+MAX_MASS = 1e6
+"""Largest mass of a link, kg."""
+MAX_INERTIA = 1e9
+"""Largest moment of inertia of a link, kg m^2."""
+_TEXT = TEXT_FOLDER / "resource_string"
 _NOTHING = "neither a uri nor a resource_string is given; give one of them"
 _ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
 
 
 class SpawnFailure(Enum):
-    """Why nothing can be spawned; the names are those of ``simulation_interfaces/SpawnResult``."""
+    """Reasons for which something cannot be spawned; the names are those of ``simulation_interfaces/SpawnResult``."""
 
     UNSUPPORTED_FORMAT = auto()
     NO_RESOURCE = auto()
@@ -136,37 +66,37 @@ class SpawnFailure(Enum):
     UNSUPPORTED_ASSETS = auto()
 
 
-_TOLD = {
+_PUBLIC = {
     SpawnFailure.UNSUPPORTED_FORMAT: f"is nothing that can be spawned; {_ALLOWED}",
     SpawnFailure.NO_RESOURCE: "is not there, or may not be read",
     SpawnFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
     SpawnFailure.MISSING_ASSETS: "names files that are not there",
     SpawnFailure.UNSUPPORTED_ASSETS: "names meshes, textures or elements that cannot be used",
 }
-"""What a client is told who may not see the file, unless the error itself says more."""
+"""Message for clients that may not see the file, unless the error has a public text of its own."""
 
 
 class SpawnError(SceneError):
     """Something cannot be spawned; one line."""
 
     def __init__(self, code: SpawnFailure, message: str) -> None:
-        super().__init__(said(message))
+        super().__init__(without_text_folder(message))
         self.code = code
-        self.public = _TOLD[code]
+        self.public = _PUBLIC[code]
 
 
 def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[Path, ...] = ()) -> BodySpec | RobotSpec:
-    """Returns what a resource describes.
+    """Returns the body or robot that a resource describes.
 
     Args:
-        uri: a path, ``file://``, ``package://``, ``model://``, or the name of a robot or an object of ours; wins over ``text``.
-        text: a URDF or an SDF model; used where ``uri`` is empty.
-        name: of the body; its links become ``<name>/<link>``.
-        pose: T_world_root, where it starts.
-        roots: folders that all its files must lie in, symbolic links followed; none = anywhere. What is ours may always be read.
+        uri: a path, ``file://``, ``package://``, ``model://``, or the name of a built-in robot or object; takes precedence over ``text``.
+        text: a URDF or an SDF model, for an empty ``uri``.
+        name: name of the body; its links become ``<name>/<link>``.
+        pose: T_world_root at the start.
+        roots: folders that all its files must lie in after following symbolic links; none = anywhere. Built-in files are always allowed.
 
     Raises:
-        SpawnError: nothing can be made of it.
+        SpawnError: the resource cannot be spawned.
     """
     if not uri.strip():
         return _text_body(text, name, pose, roots)
@@ -183,12 +113,12 @@ def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[P
     if suffix in (".yaml", ".yml"):
         return _robot(file, name, pose, roots)
     if suffix in MESH_SUFFIXES:
-        return _mesh(file, name, pose, roots)
+        return _mesh_body(file, name, pose, roots)
     return _described(_read(file), file, name, pose, roots, from_file=True)
 
 
 def spawn_name(uri: str, text: str) -> str:
-    """Returns the name that a resource gives itself, "" if it gives none or cannot be read; of a robot.yaml, that of its URDF."""
+    """Returns the name that a resource gives itself, for a robot.yaml that of its URDF; "" if it has none or cannot be read."""
     try:
         if not uri.strip():
             return _first_name(text.strip().encode("utf-8", errors="replace"))
@@ -204,32 +134,32 @@ def spawn_name(uri: str, text: str) -> str:
 
 
 def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]:
-    """Returns the file or folder that a URI means, and the folders that its files may lie in."""
+    """Returns the file or folder that a URI stands for, and the folders that its files may lie in."""
     try:
         path = path_of(uri)
         if path is None:
-            own = own_spawnables(uri).get(uri) if uri else None
-            if own is not None:
-                return own, (*roots, *description_roots(own.parent, _description(own))) if roots else ()
+            built_in = own_spawnables(uri).get(uri) if uri else None
+            if built_in is not None:
+                return built_in, (*roots, *description_roots(built_in.parent, _description(built_in))) if roots else ()
             path = Path(uri).absolute()
-            # A mistyped name should not read as a missing file.
+            # The message for a mistyped name must not be that for a missing file.
             if not exists(path) and "/" not in uri:
                 known = ", ".join(own_spawnables())
-                raise SceneNotFoundError(f"{uri}: is neither a file nor the name of something of ours: {known}")
+                raise SceneNotFoundError(f"{uri}: is neither a file nor a built-in model: {known}")
         check_inside(path, roots, uri)
         if not exists(path):
             raise SceneNotFoundError(f"{uri}: there is nothing at {path}")
     except SceneNotFoundError as e:
-        # Nothing was read yet: it is about what the client wrote.
+        # No file has been read yet, so the message holds nothing but the client's own text.
         raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
     return path, roots
 
 
 def _description(path: Path) -> Path:
-    """Returns the file that describes what is to be spawned: the path itself, or the one in the folder.
+    """Returns the file that describes the resource at a path: the path itself, or the description in a folder.
 
     Raises:
-        SpawnError: it is of a kind that cannot be read.
+        SpawnError: the file is of a kind that cannot be read, or the folder holds no description, or several.
     """
     if not is_folder(path):
         if path.name == "model.config":
@@ -253,14 +183,14 @@ def _description(path: Path) -> Path:
             return (same or files)[0]
         if files:
             names = ", ".join(file.name for file in files[:8])
-            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds {len(files)} things to spawn, name one: {names}")
+            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds {len(files)} descriptions, name one: {names}")
     raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds nothing that can be spawned; {_ALLOWED}")
 
 
 def _text_body(text: str, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
     if not text.strip():
         raise SpawnError(SpawnFailure.NO_RESOURCE, _NOTHING).telling(_NOTHING)
-    # XML may not begin with the blank line that strings in code often begin with.
+    # XML may not begin with a blank line, as strings in code often do.
     data = text.strip().encode("utf-8", errors="replace")
     if len(data) > MAX_TEXT_BYTES:
         raise SpawnError(
@@ -270,7 +200,7 @@ def _text_body(text: str, name: str, pose: Pose, roots: tuple[Path, ...]) -> Bod
 
 
 def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], *, from_file: bool) -> BodySpec:
-    """Returns the body that a URDF or an SDF model describes; which it is shows in its outermost element."""
+    """Returns the body that a URDF or an SDF model describes; the outermost element tells which it is."""
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is no XML; give a URDF (<robot>) or an SDF model (<sdf>)")
     try:
@@ -281,27 +211,27 @@ def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path
         raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {e}").telling(e.public if from_file else str(e)) from e
     if is_xacro(data, top):
         raise _xacro_error(path)
-    # Files of a model lie beside it, or beside the folders above it.
+    # The files of a model lie beside it, or beside a folder above it.
     folder = path.parent
     root = ancestors(folder)[-1] if from_file and ancestors(folder) else folder
     uris = UriResolver(root, folder)
     if top.tag == "robot":
-        # Before anything is made of them: of each link there are many values.
+        # Checked before parsing, which creates many values for each link.
         links = len(top.findall("link"))
         if links > MAX_LINKS:
             reason = f"has {links} links, must be at most {MAX_LINKS}; split it"
             raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {reason}").telling(
-                f"{_TOLD[SpawnFailure.RESOURCE_PARSE_ERROR]}: {reason}"
+                f"{_PUBLIC[SpawnFailure.RESOURCE_PARSE_ERROR]}: {reason}"
             )
-        return _urdf(data, path, name, pose, roots, uris, from_file=from_file)
+        return _urdf_body(data, path, name, pose, roots, uris, from_file=from_file)
     if top.tag in ("sdf", "gazebo"):
-        return _sdf(top, path, name, pose, roots, uris)
+        return _sdf_body(top, path, name, pose, roots, uris)
     raise SpawnError(
         SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: the outermost element is <{top.tag}>, must be <robot> (URDF) or <sdf>"
     )
 
 
-def _urdf(
+def _urdf_body(
     data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver, *, from_file: bool
 ) -> BodySpec:
     def find(mesh: str, urdf: Path) -> Path | None:
@@ -315,15 +245,19 @@ def _urdf(
     try:
         model = parse_urdf(data, path, find)
     except RobotError as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+            _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
+        ) from e
     root = model.links[0]
-    # Gazebo's way to say that nothing moves it: a root link `world` with nothing in it.
+    # Gazebo marks a static model by an empty root link `world`.
     static = root.name == WORLD and not (root.visuals or root.collisions or root.inertial)
     _check(model, _loader(roots), read=True, static=static)
     return BodySpec(name, model, pose, static, class_from_model(model.name))
 
 
-def _sdf(top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver) -> BodySpec:
+def _sdf_body(
+    top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver
+) -> BodySpec:
     model = top.find("model")
     if model is None:
         hint = "it holds a <world>: load it as one" if top.find("world") is not None else "give an SDF file with a model"
@@ -334,9 +268,11 @@ def _sdf(top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tup
             builder.warn(f"{path}: holds several models; the first is used")
         body = SdfBodyReader(SdfModels(builder, uris), path).read(model, path.parent, sdf_version(top))
     except SceneError as e:
-        # What is missing explains why too little is left.
+        # Missing files explain why too little is left.
         _raise_for(builder.warnings)
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+            _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
+        ) from e
     _check(body.model, builder.loader, read=False, static=body.static)
     return BodySpec(name, body.model, pose, body.static, class_from_model(body.model.name))
 
@@ -349,25 +285,23 @@ def _robot(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> RobotS
     except RobotError as e:
         missing = isinstance(e.__cause__, FileNotFoundError)
         code = SpawnFailure.MISSING_ASSETS if missing else SpawnFailure.RESOURCE_PARSE_ERROR
-        raise SpawnError(code, str(e)).telling(_public(code, e)) from e
+        raise SpawnError(code, str(e)).telling(_public_text(code, e)) from e
     except SceneNotFoundError as e:
         raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
     _check(model, _loader(roots), read=True)
     return robot
 
 
-def _mesh(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
+def _mesh_body(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
     loader = _loader(roots)
     try:
         model = mesh_body(file, loader)
     except MeshError as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+            _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
+        ) from e
     _check(model, loader, read=False)
     return BodySpec(name, model, pose, False, class_from_model(file.stem))
-
-
-def _public(code: SpawnFailure, error: GibsonSimError) -> str:
-    return f"{_TOLD[code]}: {error.public}" if error.public else _TOLD[code]
 
 
 def _loader(roots: tuple[Path, ...]) -> MeshLoader:
@@ -375,13 +309,13 @@ def _loader(roots: tuple[Path, ...]) -> MeshLoader:
 
 
 def _check(model: UrdfModel, loader: MeshLoader, *, read: bool, static: bool = False) -> None:
-    """Checks the numbers of a model, that nothing is missing, and that it is not too large for a running simulation.
+    """Checks the numbers of a model, that no file is missing, and that it is not too large for a running simulation.
 
     Args:
         model: the model.
         loader: reads its meshes.
-        read: its meshes have not been read yet.
-        static: nothing moves it, so its meshes collide as they are, not as their hulls.
+        read: whether its meshes have yet to be read.
+        static: whether it is static, so that its meshes collide as they are, not as their convex hulls.
     """
     lines = list(model.warnings)
     if read:
@@ -394,18 +328,23 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool, static: bool = F
                 lines.append(Omission(str(e), OmissionKind.UNSUPPORTED_ASSET))
     _raise_for([line for line in lines if kind_of(line) is OmissionKind.INVALID])
     try:
-        check_plausible(model, loader)
-        rigid_groups(model)  # counts joints
+        _check_plausible(model, loader)
+        rigid_groups(model)  # raises for too many joints
     except (SceneError, RobotError) as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(
+            _public_text(SpawnFailure.RESOURCE_PARSE_ERROR, e)
+        ) from e
     _raise_for(lines)
     _check_size(model, loader, static=static)
 
 
 def _check_size(model: UrdfModel, loader: MeshLoader, *, static: bool) -> None:
     drawn = [visual.shape for link in model.links for visual in link.visuals]
-    touched = [collision.shape for link in model.links for collision in link.collisions] if static else []
-    for shapes, most, what in ((drawn, MAX_TRIANGLES, "to draw"), (touched, MAX_STATIC_TRIANGLES, "in its collision shapes")):
+    colliding = [collision.shape for link in model.links for collision in link.collisions] if static else []
+    for shapes, most, what in (
+        (drawn, MAX_TRIANGLES, "in its visuals"),
+        (colliding, MAX_STATIC_TRIANGLES, "in its collision shapes"),
+    ):
         count = sum(loader.mesh(Path(shape.mesh)).triangle_count for shape in shapes if shape.kind == "mesh")
         if count > most:
             reason = (
@@ -415,8 +354,76 @@ def _check_size(model: UrdfModel, loader: MeshLoader, *, static: bool) -> None:
             raise SpawnError(SpawnFailure.UNSUPPORTED_ASSETS, f"{model.path}: {reason}").telling(reason)
 
 
+def _check_plausible(model: UrdfModel, loader: MeshLoader) -> None:
+    """Checks every number of a model.
+
+    Args:
+        model: the model.
+        loader: measures its meshes; a mesh that it cannot read is not checked here.
+
+    Raises:
+        SceneError: a value is not plausible; the message names the link or joint, the value and the limits.
+    """
+    if len(model.links) > MAX_LINKS:
+        raise SceneError(f"{model.path}: has {len(model.links)} links, must be at most {MAX_LINKS}; split it")
+    for link in model.links:
+        where = f"{model.path}: link {quoted(link.name)}"
+        shapes = [(v.shape, v.pose) for v in link.visuals] + [(c.shape, c.pose) for c in link.collisions]
+        for shape, pose in shapes:
+            _check_position(where, pose)
+            _check_shape(where, shape, loader)
+        if link.inertial is not None:
+            _check_inertial(where, link.inertial)
+        if link.friction is not None and not 0.0 <= link.friction < math.inf:
+            raise SceneError(f"{where}: friction is {link.friction:g}, must be a finite number, 0 or more")
+    for joint in model.joints:
+        _check_joint(f"{model.path}: joint {quoted(joint.name)}", joint)
+
+
+def _check_inertial(where: str, inertial: Inertial) -> None:
+    if not 0.0 <= inertial.mass <= MAX_MASS:
+        raise SceneError(f"{where}: mass is {inertial.mass:g} kg, must be 0 to {MAX_MASS:g}; is it in grams?")
+    for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertial.inertia, strict=True):
+        low = 0.0 if name in ("ixx", "iyy", "izz") else -MAX_INERTIA
+        if not low <= value <= MAX_INERTIA:
+            raise SceneError(f"{where}: {name} is {value:g} kg m^2, must be {low:g} to {MAX_INERTIA:g}")
+    _check_position(where, inertial.pose)
+
+
+def _check_position(where: str, pose: Pose) -> None:
+    if not all(abs(c) <= FAR_AWAY for c in pose.position):
+        at = ", ".join(f"{c:g}" for c in pose.position)
+        raise SceneError(f"{where}: something in it is at ({at}) m, must be within {FAR_AWAY:g} m")
+
+
+def _check_shape(where: str, shape: Shape, loader: MeshLoader) -> None:
+    size, what = shape.size, str(shape.kind)
+    if shape.kind == "mesh":
+        if not all(map(math.isfinite, size)) or not all(size):
+            raise SceneError(f"{where}: scale of a mesh is {size}, the three factors must be finite and not 0")
+        try:
+            bounds = loader.mesh(Path(shape.mesh)).bounds
+        except MeshError:
+            return
+        x, y, z = (np.abs(bounds).max(axis=0) * np.abs(size)).tolist()
+        size, what = (x, y, z), f"mesh {shape.mesh}"
+    if not all(0.0 <= s <= FAR_AWAY for s in size):
+        raise SceneError(f"{where}: {what} is {max(size):g} m large, must be at most {FAR_AWAY:g} m; is the unit right?")
+
+
+def _check_joint(where: str, joint: UrdfJoint) -> None:
+    if joint.kind not in (*MOVING_TYPES, "fixed"):
+        raise SceneError(f"{where}: type {joint.kind} is not simulated; use {', '.join(MOVING_TYPES)} or fixed")
+    _check_position(where, joint.pose)
+    for name in ("lower", "upper", "effort", "velocity", "damping", "friction"):
+        value = getattr(joint, name)
+        is_resistance = name in ("damping", "friction")
+        if not math.isfinite(value) or (is_resistance and value < 0.0):
+            raise SceneError(f"{where}: {name} is {value:g}, must be a finite number{', 0 or more' if is_resistance else ''}")
+
+
 def _raise_for(lines: Sequence[str]) -> None:
-    """Raises SpawnError if something was left out that must not be; names all of it."""
+    """Raises a SpawnError that names all omissions of the gravest kind, if there are any."""
     codes = {
         SpawnFailure.RESOURCE_PARSE_ERROR: (OmissionKind.INVALID,),
         SpawnFailure.MISSING_ASSETS: (OmissionKind.MISSING_ASSET,),
@@ -442,9 +449,15 @@ def _xacro_error(path: Path) -> SpawnError:
 
 
 def _first_name(data: bytes) -> str:
+    """Returns the name of a URDF or of the first model of an SDF, "" if there is none."""
     try:
         top = parse_xml(data)
     except TextError:
         return ""
     element = top if top.tag == "robot" else top.find("model")
     return "" if element is None else element.get("name", "").strip()
+
+
+def _public_text(code: SpawnFailure, error: GibsonSimError) -> str:
+    """Returns the message for clients that may not see the file."""
+    return f"{_PUBLIC[code]}: {error.public}" if error.public else _PUBLIC[code]

@@ -1,13 +1,16 @@
-"""What a scene is: what is drawn, what collides, where robots start. Pure values; reading files is in ``scenes.load``."""
+"""Scenes as values: visuals, collision shapes, bodies, light, start poses and robots. ``scenes.load`` reads files."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 
 from gibson_sim.description.body import BodySpec
 from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.room_spec import RoomSpec, room_at
 from gibson_sim.types import CameraSpec, Pose, Vec3
@@ -18,7 +21,7 @@ UNLABELLED = "unlabelled"
 
 @dataclass(frozen=True, slots=True)
 class CollisionSpec:
-    """A static shape in the world that robots and rays hit."""
+    """A static shape in the world that robots and rays collide with."""
 
     name: str
     shape: Shape
@@ -28,67 +31,97 @@ class CollisionSpec:
 
 @dataclass(frozen=True, slots=True)
 class StartPose:
-    """A named place where a robot can start, on the floor."""
+    """A named pose on the floor where a robot can start."""
 
     name: str
     pose: Pose
+    """T_world_base."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointLight:
-    """A lamp. It throws no shadows, so it also shines through walls: give it a ``range``."""
+    """A lamp. It casts no shadows and so shines through walls: give it a ``range``."""
 
     position: Vec3
     """World frame, metres."""
     color: Vec3 = (1.0, 1.0, 1.0)
     """sRGB, 0 to 1."""
     strength: float = 1.0
-    """Linear; 1 = a white surface that faces it at 1 m becomes white, and a quarter of that at 2 m."""
+    """Linear; 1 = a white surface that faces the lamp becomes white at 1 m, and a quarter of that at 2 m."""
     range: float = 0.0
-    """Metres; its light fades out towards here and is nothing beyond; 0 = no end."""
+    """Distance at which the light has faded to nothing, metres; 0 = no limit."""
     attenuation: Vec3 = (0.0, 0.0, 1.0)
-    """Constant, linear and quadratic part: at d metres the strength is divided by ``a + b d + c d^2``."""
+    """Constant, linear and quadratic term: the strength at d metres is divided by ``a + b d + c d^2``."""
     direction: Vec3 = (0.0, 0.0, -1.0)
-    """Where a spot points, world frame; need not be a unit vector."""
+    """Direction of a spot light, world frame; need not be a unit vector."""
     inner_angle: float = math.pi
-    """Spot: full strength up to this angle from ``direction``, radians."""
+    """Angle from ``direction`` up to which a spot light has full strength, radians."""
     outer_angle: float = math.pi
-    """Spot: nothing from this angle on, radians; pi = it shines all around."""
+    """Angle from ``direction`` beyond which a spot light gives no light, radians; pi = a point light."""
+
+    def __post_init__(self) -> None:
+        what = "point light"
+        _check_numbers(what, "position", self.position)
+        _check_numbers(what, "color", self.color, 0.0, 1.0)
+        _check_number(what, "strength", self.strength, 0.0)
+        _check_number(what, "range", self.range, 0.0)
+        _check_numbers(what, "attenuation", self.attenuation, 0.0)
+        if not any(self.attenuation):
+            raise ConfigError(f"{what}: attenuation is {quoted(self.attenuation)}, one of the three must be above 0")
+        _check_direction(what, "direction", self.direction)
+        _check_number(what, "outer_angle", self.outer_angle, 0.0, math.pi)
+        _check_number(what, "inner_angle", self.inner_angle, 0.0, math.pi)
+        if self.inner_angle > self.outer_angle:
+            raise ConfigError(
+                f"{what}: inner_angle is {self.inner_angle:g} rad, must be at most outer_angle, which is {self.outer_angle:g} rad"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class LightSpec:
-    """How surfaces without baked light are lit.
+    """The light on surfaces without baked light.
 
-    With a sun and ambient light alone, the sun also brightens surfaces that are turned away from it, a stand-in for the light that a
-    real room throws back. Shadows, lamps or an environment make it light as it is: nothing where it does not reach.
+    With a sun and ambient light alone, the sun also brightens surfaces that face away from it, in place of the light that a real room
+    reflects. With shadows, lamps or an environment it lights only the surfaces that it reaches.
     """
 
     sun_direction: Vec3 = (0.4, 0.3, -0.85)
-    """World frame, the way the light travels; need not be a unit vector."""
+    """Direction in which the sunlight travels, world frame; need not be a unit vector."""
     sun: float = 0.55
-    """Strength of the directional light, linear, 1 = white surfaces facing it become white."""
+    """Strength of the directional light, linear; 1 = white surfaces that face it become white."""
     ambient: float = 0.5
-    """Strength of the light from everywhere, linear; comes on top of the environment, where there is one."""
+    """Strength of the ambient light, linear; added to that of the environment."""
     background: Vec3 = (0.70, 0.76, 0.82)
-    """Colour where nothing is, sRGB, 0 to 1."""
+    """Colour of the background, sRGB, 0 to 1."""
     sun_color: Vec3 = (1.0, 1.0, 1.0)
     """sRGB, 0 to 1."""
     shadows: bool = False
-    """The sun throws shadows. Leave it off inside closed rooms: their ceilings would keep all of it out."""
+    """Whether the sun casts shadows. Leave it off in closed rooms, whose ceilings would block the sun."""
     points: tuple[PointLight, ...] = ()
     environment: str = ""
-    """Absolute path of an equirectangular image of the surroundings (.hdr, or PNG or JPEG); empty = none. Its middle column is seen
-    when looking along +x, and what is left of it lies towards +y."""
+    """Absolute path of an equirectangular image of the surroundings (.hdr, PNG or JPEG); empty = none. Its middle column lies in
+    direction +x of the world, and the columns left of it towards +y."""
     environment_strength: float = 1.0
-    """Factor on the environment's light, linear."""
+    """Factor on the light of the environment, linear."""
     environment_yaw: float = 0.0
-    """Turns the environment about the world's z axis, counter-clockwise, radians."""
+    """Rotation of the environment about the world's z axis, counter-clockwise, radians."""
     environment_visible: bool = True
-    """Show the environment as the background."""
+    """Whether the environment is the background."""
     backdrop: str = ""
-    """Absolute path of an equirectangular image that is the background and lights nothing; empty = none. What is seen through the windows
-    of a room, say, whose things the room itself lights."""
+    """Absolute path of an equirectangular image that is the background but gives no light, such as the view from the windows of a lit room;
+    empty = none."""
+
+    def __post_init__(self) -> None:
+        what = "light"
+        _check_direction(what, "sun_direction", self.sun_direction)
+        for name in ("sun", "ambient", "environment_strength"):
+            _check_number(what, name, getattr(self, name), 0.0)
+        for name in ("background", "sun_color"):
+            _check_numbers(what, name, getattr(self, name), 0.0, 1.0)
+        _check_number(what, "environment_yaw", self.environment_yaw)
+        for number, point in enumerate(self.points):
+            if not isinstance(point, PointLight):
+                raise ConfigError(f"{what}: points[{number}] is {quoted(point)}, must be a PointLight")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +130,14 @@ class SceneSpec:
 
     name: str
     root: Path
-    """Folder that all its files lie in."""
+    """Folder of all its files."""
     content_hash: str
     """Hex digest of the scene's description and files; equal hash = equal scene."""
     visuals: tuple[VisualSpec, ...]
-    """Static: ``link`` is empty."""
+    """Static visuals: ``link`` is empty."""
     collisions: tuple[CollisionSpec, ...]
     ground_z: float | None = None
-    """Height of an endless ground plane for physics, metres; None = no such plane."""
+    """Height of an infinite ground plane for physics, metres; None = no such plane."""
     floor_z: float = 0.0
     """Height of the floor that robots start on, metres."""
     gravity: Vec3 = (0.0, 0.0, -9.81)
@@ -113,17 +146,17 @@ class SceneSpec:
     light: LightSpec = field(default_factory=LightSpec)
     robots: tuple[RobotSpec, ...] = ()
     warnings: tuple[str, ...] = ()
-    """What could not be loaded and was left out or replaced, one line each."""
+    """Things that could not be loaded and were left out or replaced, one line each."""
     revision: int = 1
-    """Counts what was added or removed since load."""
+    """1 at load, plus the number of additions and removals since."""
     bodies: tuple[BodySpec, ...] = ()
-    """Things that are no robots and can be moved, added and removed."""
+    """Movable things other than robots, which can be added and removed."""
     other_floors: tuple[float, ...] = ()
-    """Heights of the floors beside ``floor_z``, metres."""
+    """Heights of the floors other than ``floor_z``, metres."""
     rooms: tuple[RoomSpec, ...] = ()
     """Rooms that the scene names."""
     floor_estimated: bool = False
-    """Whether no file says ``floor_z``: most of what faces up in the lowest metre lies there."""
+    """Whether ``floor_z`` is an estimate: the height with the most up-facing area in the lowest metre."""
 
     @property
     def floors(self) -> tuple[float, ...]:
@@ -131,13 +164,13 @@ class SceneSpec:
         return tuple(sorted({self.floor_z, *self.other_floors}))
 
     def room_at(self, x: float, y: float, floor: int = 0) -> RoomSpec | None:
-        """Returns the room at a place, world metres, on a floor, 0 = the lowest; None = the scene names none there."""
+        """Returns the room at a point, world metres, on a floor, 0 = the lowest; None = the scene names none there."""
         return room_at(self.rooms, x, y, floor)
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnScene:
-    """The half of a scene that a renderer needs: what travels as ``gibson_msgs/Scene``."""
+    """The half of a scene that a renderer needs, published as ``gibson_msgs/Scene``."""
 
     name: str
     revision: int
@@ -146,7 +179,7 @@ class DrawnScene:
     """Names of all moving links, in the order of ``SceneState.links``."""
     visuals: tuple[VisualSpec, ...]
     cameras: tuple[CameraSpec, ...]
-    """In the order that ``due_cameras`` counts."""
+    """In the order of ``due_cameras``."""
     light: LightSpec
 
     @property
@@ -156,7 +189,7 @@ class DrawnScene:
 
     @property
     def instances(self) -> tuple[str, ...]:
-        """Names of the things that can be told apart, after ``""``: static visuals, and moving bodies as wholes."""
+        """Names of all instances after ``""``: each static visual, and each moving body as a whole."""
         return ("", *dict.fromkeys(_instance(v) for v in self.visuals))
 
     def labels(self) -> tuple[tuple[int, int], ...]:
@@ -167,11 +200,12 @@ class DrawnScene:
 
 
 def _instance(visual: VisualSpec) -> str:
+    """Returns the name of the instance that a visual belongs to."""
     return visual.link.partition("/")[0] if visual.link else visual.name
 
 
 def drawn_scene(scene: SceneSpec, links: tuple[str, ...]) -> DrawnScene:
-    """Returns what a renderer needs of ``scene``, whose moving links are ``links``."""
+    """Returns the half of a scene that a renderer needs; ``links``: names of its moving links, in the order of ``SceneState.links``."""
     return DrawnScene(
         name=scene.name,
         revision=scene.revision,
@@ -185,3 +219,33 @@ def drawn_scene(scene: SceneSpec, links: tuple[str, ...]) -> DrawnScene:
         cameras=tuple(c for robot in scene.robots for c in robot.cameras),
         light=scene.light,
     )
+
+
+def _check_number(what: str, name: str, value: object, low: float = -math.inf, high: float = math.inf) -> None:
+    if not _is_number(value, low, high):
+        raise ConfigError(f"{what}: {name} is {quoted(value)}, must be a finite number{_limits(low, high)}")
+
+
+def _check_numbers(what: str, name: str, values: Vec3, low: float = -math.inf, high: float = math.inf) -> None:
+    try:
+        good = len(values) == 3 and all(_is_number(value, low, high) for value in values)
+    except TypeError:
+        good = False
+    if not good:
+        raise ConfigError(f"{what}: {name} is {quoted(values)}, must be three finite numbers{_limits(low, high)}")
+
+
+def _check_direction(what: str, name: str, value: Vec3) -> None:
+    _check_numbers(what, name, value)
+    if not any(value):
+        raise ConfigError(f"{what}: {name} is {quoted(value)}, must not be zero")
+
+
+def _is_number(value: object, low: float, high: float) -> bool:
+    return not isinstance(value, bool) and isinstance(value, Real) and low <= float(value) <= high and math.isfinite(float(value))
+
+
+def _limits(low: float, high: float) -> str:
+    if math.isfinite(high):
+        return f" from {low:g} to {high:g}"
+    return f", {low:g} or more" if math.isfinite(low) else ""

@@ -1,4 +1,4 @@
-"""Which worlds there are, and loading one for a client who must be told exactly what is wrong with it. Knows no ROS."""
+"""Lists worlds, and loads one for a client with a code for every failure. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
 from gibson_sim.scenes.sdf.world import place_world
-from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, Search, check_file, path_of, said, walk
+from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, Search, check_file, path_of, walk, without_text_folder
 from gibson_sim.scenes.spec import SceneSpec
 
 _log = logging.getLogger(__name__)
 _DIRECTIVES = (".dmd.yaml", ".dmd.yml")
 _MODEL_FILES = ("model.config", "model.sdf", "robot.yaml", "package.xml")
-"""A folder with one of these, or with a URDF, is a model or a package of them: its meshes are no worlds."""
+"""A folder with one of these, or with a URDF, is a model or a package of models: its meshes are no worlds."""
 _HEAD_BYTES = 8 * 1024
-"""Of a scene.yaml that is only listed: name and description stand at the beginning."""
-_LONGEST_NAME, _LONGEST_DESCRIPTION = 200, 500
-_TEXT = NOWHERE / "resource_string"
+"""Bytes of a scene.yaml that are read for a list: name and description are at the beginning."""
+_MAX_NAME, _MAX_DESCRIPTION = 200, 500
+"""Characters of a listed name and description."""
+_TEXT = TEXT_FOLDER / "resource_string"
 
 
 class WorldFailure(Enum):
-    """Why no world can be loaded; the names are those of ``simulation_interfaces/LoadWorld``."""
+    """Reasons for which a world cannot be loaded; the names are those of ``simulation_interfaces/LoadWorld``."""
 
     UNSUPPORTED_FORMAT = auto()
     NO_RESOURCE = auto()
@@ -41,7 +42,7 @@ class WorldFailure(Enum):
     UNSUPPORTED_ELEMENTS = auto()
 
 
-_TOLD = {
+_PUBLIC = {
     WorldFailure.UNSUPPORTED_FORMAT: "is no world; give a scene.yaml, an SDF world, a .dmd.yaml or a mesh",
     WorldFailure.NO_RESOURCE: "is not there, may not be read, or holds not exactly one world",
     WorldFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
@@ -49,88 +50,100 @@ _TOLD = {
     WorldFailure.UNSUPPORTED_ASSETS: "names meshes or textures that cannot be used",
     WorldFailure.UNSUPPORTED_ELEMENTS: "has elements that are not simulated",
 }
-"""What a client is told who may not see the file, unless the error itself says more."""
+"""Message for clients that may not see the file, unless the error has a public text of its own."""
 
 
 class WorldError(SceneError):
     """A world cannot be loaded, or worlds cannot be listed; one line."""
 
     def __init__(self, code: WorldFailure, message: str) -> None:
-        super().__init__(said(message))
+        super().__init__(without_text_folder(message))
         self.code = code
-        self.public = _TOLD[code]
+        self.public = _PUBLIC[code]
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class WorldEntry:
     """A world that can be loaded."""
 
     name: str
     uri: str
-    """What ``load_world`` takes: a name of ours, or ``file://``."""
+    """Argument of ``load_world``: the name of a built-in scene, or ``file://``."""
     description: str = ""
     tags: tuple[str, ...] = ()
-    """What it is written in: scene.yaml, sdf, drake or mesh."""
+    """Its format: scene.yaml, sdf, drake or mesh."""
 
 
-def find_worlds(sources: Sequence[str], *, continue_on_error: bool = False) -> tuple[World, ...]:
-    """Returns our scenes by name, then the worlds in ``sources`` by path. Meshes count where a folder and those above hold nothing else.
+def find_worlds(sources: Sequence[str], *, continue_on_error: bool = False) -> tuple[WorldEntry, ...]:
+    """Returns the built-in scenes by name, then the worlds below ``sources`` by path.
+
+    A mesh is a world if neither its folder nor those above hold a description.
 
     Args:
         sources: folders, or single files: paths, ``file://``, ``package://`` or ``model://``.
-        continue_on_error: leave out, with a warning in the log, a source that cannot be read.
+        continue_on_error: whether a source that does not exist is left out, with a warning in the log.
 
     Raises:
-        WorldError: one of the sources is not there.
+        WorldError: one of the sources does not exist.
     """
     return (*own_worlds(), *worlds_below(sources, continue_on_error=continue_on_error))
 
 
-def own_worlds() -> tuple[World, ...]:
-    """Returns our scenes, by name."""
+def own_worlds() -> tuple[WorldEntry, ...]:
+    """Returns the built-in scenes, by name."""
     return tuple(_world(path / DESCRIPTION, name) for name, path in sorted(known_scenes().items()))
 
 
-def world_of(uri: str) -> World | None:
-    """Returns what is known of the world that a URI means, without loading it or looking at others; None where it means several, or none.
+def world_of(uri: str) -> WorldEntry | None:
+    """Returns the entry of the world that a URI stands for, without loading it; None if it stands for several worlds, or none.
 
     Raises:
-        SceneNotFoundError: there is nothing.
+        SceneNotFoundError: the URI stands for no file.
     """
-    ours = known_scenes().get(uri)
-    if ours is not None:
-        return _world(ours / DESCRIPTION, uri)
+    built_in = known_scenes().get(uri)
+    if built_in is not None:
+        return _world(built_in / DESCRIPTION, uri)
     files = _below(uri.strip())
     return _world(files[0]) if len(files) == 1 else None
 
 
-def worlds_below(sources: Sequence[str], *, continue_on_error: bool = False, search: Search | None = None) -> tuple[World, ...]:
-    """Returns the worlds in ``sources`` alone, by path; for arguments and errors see ``find_worlds``; ``search``: as of ``walk``."""
-    theirs: dict[Path, World] = {}
+def worlds_below(
+    sources: Sequence[str], *, continue_on_error: bool = False, search: Search | None = None
+) -> tuple[WorldEntry, ...]:
+    """Returns the worlds below ``sources``, by path.
+
+    Args:
+        sources: as for ``find_worlds``.
+        continue_on_error: as for ``find_worlds``.
+        search: limits of the search; None = limits of its own.
+
+    Raises:
+        WorldError: one of the sources does not exist.
+    """
+    found: dict[Path, WorldEntry] = {}
     search = Search() if search is None else search
     for source in sources:
         try:
-            theirs.update((path, _world(path, search=search)) for path in _below(source.strip(), search))
+            found.update((path, _world(path, search=search)) for path in _below(source.strip(), search))
         except SceneNotFoundError as e:
             if not continue_on_error:
                 raise WorldError(WorldFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
             _log.warning("%s; left out", e)
-    return tuple(theirs[path] for path in sorted(theirs))
+    return tuple(found[path] for path in sorted(found))
 
 
 def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore_missing: bool = False) -> SceneSpec:
     """Returns a world as a scene without robots.
 
     Args:
-        uri: name of a scene, path, ``file://``, ``package://`` or ``model://``; wins over ``text``.
-        text: an SDF world; used where ``uri`` is empty. Its models and meshes come from ``$GIBSON_SIM_PATH`` and the model paths of
-            Gazebo: nothing lies beside a string.
-        fail_on_unsupported: something in it that is not simulated is an error; otherwise it is left out.
-        ignore_missing: models, meshes and textures that are missing or cannot be read are left out; otherwise they are an error. A
-            ``scene.yaml`` is ours to get right: what it names must be there.
+        uri: name of a scene, path, ``file://``, ``package://`` or ``model://``; takes precedence over ``text``.
+        text: an SDF world, for an empty ``uri``. Its models and meshes come from ``$GIBSON_SIM_PATH`` and the model paths of Gazebo.
+        fail_on_unsupported: whether an element that is not simulated is an error; otherwise it is left out.
+        ignore_missing: whether models, meshes and textures that are missing or cannot be read are left out; otherwise they are an error.
+            Files that a ``scene.yaml`` names must always exist.
 
     Raises:
-        WorldError: it cannot be loaded.
+        WorldError: the world cannot be loaded.
     """
     try:
         builder = _read_text(text) if not uri.strip() else _read_uri(uri.strip())
@@ -138,14 +151,14 @@ def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore
         raise
     except SceneError as e:
         code = _code_of(e)
-        raise WorldError(code, str(e)).telling(f"{_TOLD[code]}: {e.public}" if e.public else _TOLD[code]) from e
-    wanted: dict[WorldFailure, OmissionKind] = {}
+        raise WorldError(code, str(e)).telling(f"{_PUBLIC[code]}: {e.public}" if e.public else _PUBLIC[code]) from e
+    fatal: dict[WorldFailure, OmissionKind] = {}
     if not ignore_missing:
-        wanted[WorldFailure.MISSING_ASSETS] = OmissionKind.MISSING_ASSET
-        wanted[WorldFailure.UNSUPPORTED_ASSETS] = OmissionKind.UNSUPPORTED_ASSET
+        fatal[WorldFailure.MISSING_ASSETS] = OmissionKind.MISSING_ASSET
+        fatal[WorldFailure.UNSUPPORTED_ASSETS] = OmissionKind.UNSUPPORTED_ASSET
     if fail_on_unsupported:
-        wanted[WorldFailure.UNSUPPORTED_ELEMENTS] = OmissionKind.UNSUPPORTED_ELEMENT
-    for code, kind in wanted.items():
+        fatal[WorldFailure.UNSUPPORTED_ELEMENTS] = OmissionKind.UNSUPPORTED_ELEMENT
+    for code, kind in fatal.items():
         found = [line.removesuffix("; left out") for line in builder.warnings if line.kind is kind]
         if found:
             raise WorldError(code, f"{builder.name}: {'; '.join(found)}")
@@ -189,14 +202,14 @@ def _read_text(text: str) -> SceneBuilder:
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: holds no <world>; give <sdf> with a <world> in it")
-    builder = SceneBuilder(world.get("name", "").strip() or "world", NOWHERE, environment=True)
+    builder = SceneBuilder(world.get("name", "").strip() or "world", TEXT_FOLDER, environment=True)
     builder.add_text(text)
     place_world(builder, root, _TEXT)
     return builder
 
 
 def _code_of(error: BaseException) -> WorldFailure:
-    """Returns what an error of a reader means: a file that is missing, a mesh that is broken, else a mistake in the description."""
+    """Returns the failure for an error of a reader: a missing file, a broken mesh, else an invalid description."""
     chain: list[BaseException] = []
     cause: BaseException | None = error
     while cause is not None:
@@ -210,15 +223,15 @@ def _code_of(error: BaseException) -> WorldFailure:
 
 
 def _below(source: str, search: Search | None = None) -> list[Path]:
-    """Returns the files of the worlds in a folder."""
+    """Returns the files of the worlds below a source."""
     path = path_of(source) or Path(source).absolute()
     if not source or not exists(path):
         raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
     if is_file(path):
         return [path] if _tag(path) else []
     found: list[Path] = []
-    # Folders whose meshes, and those below, are parts of something else.
-    taken: set[Path] = set()
+    # Folders with a description, to which their meshes, and those below, belong.
+    with_description: set[Path] = set()
     for folder, folders, files in walk(path, search):
         if DESCRIPTION in files:
             found.append(folder / DESCRIPTION)
@@ -227,15 +240,15 @@ def _below(source: str, search: Search | None = None) -> list[Path]:
         worlds = [folder / name for name in files if _tag(folder / name) in ("sdf", "drake")]
         found += worlds
         described = "urdf" in folders or any(name in _MODEL_FILES or name.endswith((".urdf", ".xacro")) for name in files)
-        if worlds or described or folder.parent in taken:
-            taken.add(folder)
+        if worlds or described or folder.parent in with_description:
+            with_description.add(folder)
         else:
             found += [folder / name for name in files if _tag(folder / name) == "mesh"]
     return found
 
 
 def _tag(path: Path) -> str:
-    """Returns what a file is written in, "" if it is no world."""
+    """Returns the format of a world's file, "" if it is no world."""
     name = path.name.lower()
     if name == DESCRIPTION:
         return DESCRIPTION
@@ -246,17 +259,17 @@ def _tag(path: Path) -> str:
     return "sdf" if name.endswith((".sdf", ".world")) and is_file(path) and is_sdf_world(path) else ""
 
 
-def _world(file: Path, name: str = "", *, search: Search | None = None) -> World:
-    """Returns what is known of a world without loading it; ``name``: of a scene of ours."""
+def _world(file: Path, name: str = "", *, search: Search | None = None) -> WorldEntry:
+    """Returns the entry of a world without loading it; ``name``: the name of a built-in scene, "" = another world."""
     search = Search() if search is None else search
     tag = _tag(file)
     uri = name or file.absolute().as_uri()
     if tag != DESCRIPTION:
-        return World(file.name.split(".")[0], uri, f"{tag} file", (tag,))
+        return WorldEntry(file.name.split(".")[0], uri, f"{tag} file", (tag,))
     try:
         texts = yaml_texts(search.head(file, _HEAD_BYTES), ("name", "description"), cut=True)
     except (OSError, TextError):
-        # Whoever loads it is told what is wrong with it.
+        # Loading the world reports the error.
         texts = {}
-    description = clipped(texts.get("description", ""), _LONGEST_DESCRIPTION)
-    return World(name or clipped(texts.get("name", ""), _LONGEST_NAME) or file.parent.name, uri, description, (tag,))
+    description = clipped(texts.get("description", ""), _MAX_DESCRIPTION)
+    return WorldEntry(name or clipped(texts.get("name", ""), _MAX_NAME) or file.parent.name, uri, description, (tag,))

@@ -1,4 +1,4 @@
-"""The charge of a battery, from the power that is taken out of it. Pure."""
+"""A battery that is discharged by the power that its robot draws. Pure."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ _S_PER_H = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class BatteryReading:
-    """A battery at one tick."""
+    """The state of a battery at one tick."""
 
     name: str
-    """Of the sensor."""
+    """Name of the sensor."""
     stamp_ns: int
     percentage: float
     """Charge, 0 to 1 of the capacity."""
     voltage: float
     """V."""
     current: float
-    """A, negative: it is discharged. 0 = it is empty."""
+    """A, negative while it is discharged, 0 when it is empty."""
     charge_ah: float
-    """A h left."""
+    """Remaining charge, A h."""
     capacity_ah: float
-    """A h when full."""
+    """Charge when full, A h."""
     low: bool
-    """Whether the charge is below the level of warning."""
+    """Whether the charge is below ``BatterySpec.warn_below``."""
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is left."""
+        """Whether the charge is 0."""
         return self.percentage == 0.0
 
 
 class Battery:
-    """What is left in a battery. Energy is what is counted, so that the length of the steps does not matter."""
+    """A battery. It integrates energy, so that the length of steps does not matter."""
 
     def __init__(self, spec: BatterySpec) -> None:
-        """Starts with the charge of the spec."""
+        """Starts with the initial charge of the spec."""
         self.spec = spec
         self._slope = (spec.voltage_full - spec.voltage_empty) / 2
         self.reset()
 
     def reset(self) -> None:
-        """Goes back to the charge of the start."""
+        """Restores the initial charge."""
         self._energy = self._energy_at(self.spec.start)
 
     def power(self, joints: JointStates) -> float:
-        """Returns what the robot takes while its joints turn like this, W."""
+        """Returns the power that the robot draws with these efforts and velocities of its joints, W."""
         spec = self.spec
         work = np.maximum(joints.efforts * joints.velocities, 0.0).sum() / spec.efficiency
         return spec.idle_w + float(work + spec.torque_w * np.abs(joints.efforts).sum())
 
     def drain(self, power_w: float, dt: float, stamp_ns: int) -> BatteryReading:
-        """Returns the state of the battery after ``power_w`` was taken for ``dt`` seconds, until ``stamp_ns``."""
+        """Discharges by ``power_w`` for ``dt`` seconds, until ``stamp_ns``, and returns the state."""
         spec = self.spec
         self._energy = max(0.0, self._energy - power_w * dt)
         charge = self._charge()
@@ -76,12 +76,12 @@ class Battery:
         )
 
     def _energy_at(self, charge: float) -> float:
-        """Returns the joules in a battery of a charge of 0 to 1: the integral of the voltage over the charge."""
+        """Returns the energy of a charge of 0 to 1, J: the integral of the voltage over the charge."""
         spec = self.spec
         return spec.capacity_ah * _S_PER_H * (spec.voltage_empty * charge + self._slope * charge**2)
 
     def _charge(self) -> float:
-        """Returns the charge, 0 to 1, at which the energy is what is left."""
+        """Returns the charge, 0 to 1, of the remaining energy."""
         spec = self.spec
         share = self._energy / (spec.capacity_ah * _S_PER_H)
         # The solution of slope q^2 + empty q = share that stays exact where the slope is 0.

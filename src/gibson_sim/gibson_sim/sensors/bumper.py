@@ -16,34 +16,34 @@ from gibson_sim.types import Contact, SceneState
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BumperReading:
-    """What pressed against the robot at one tick."""
+    """The contact forces on a bumper at one tick."""
 
     name: str
-    """Of the sensor."""
+    """Name of the sensor."""
     stamp_ns: int
     link: str
-    """``<body>/<link>`` in whose frame force and torque are."""
+    """``<body>/<link>``, the frame of force and torque."""
     pressed: bool
-    """Whether the force was felt."""
+    """Whether ``total`` reaches the threshold."""
     links: tuple[str, ...]
-    """Own parts that were touched, without the body name, sorted; also where the force was too small."""
+    """The robot's links that were touched, without the body name, sorted, however small the force."""
     total: float
-    """N: sum of what all contacts press with, whatever their directions."""
+    """Sum of the magnitudes of all contact forces, N."""
     force: NDArray[np.float64]
-    """(3,), N: vector sum of what acts on the robot."""
+    """(3,), N: vector sum of the forces on the robot."""
     torque: NDArray[np.float64]
-    """(3,), N m: of these forces, about the link's origin."""
+    """(3,), N m: torque of these forces about the link's origin."""
 
 
 def measure_bumper(spec: BumperSpec, state: SceneState, contacts: Sequence[Contact]) -> BumperReading:
-    """Returns whether something presses against the robot from the side.
+    """Returns the forces that press against the robot from the side.
 
-    Floors and loads are told by the direction of the contact: nearer to the vertical than ``spec.max_slope``.
+    Contacts whose normal is within ``spec.max_slope`` of the vertical are floors and loads, and are left out.
 
     Args:
-        spec: The sensor; its link must be in the state.
-        state: Where the link is.
-        contacts: Of the robot that carries it, at the same step; either body of a contact may be the robot.
+        spec: the sensor; its link must be in the state.
+        state: pose of the link.
+        contacts: of the robot, at the same step; either body of a contact may be the robot.
 
     Raises:
         ConfigError: the state has no such link.

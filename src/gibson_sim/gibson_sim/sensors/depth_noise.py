@@ -1,7 +1,7 @@
-"""What a depth camera makes of the true depths: noise, steps of disparity, holes and limits of range. Pure.
+"""Errors of depth cameras: noise, quantised disparity, holes and limits of range. Pure.
 
-Where there is no depth, the image says why (REP 117, REP 118): +inf = nothing in range, -inf = too near to measure, NaN = a failed
-measurement (a hole).
+Values without a depth follow REP 117 and REP 118: +inf = nothing in range, -inf = too near to measure, NaN = a failed measurement
+(a hole).
 """
 
 from __future__ import annotations
@@ -22,40 +22,40 @@ from gibson_sim.types import CameraSpec, DepthNoise, Frame, ImageEffects, Pose
 
 _NO_NOISE = DepthNoise()
 _PIXELS_AT_ONCE = 32_768
+"""Pixels of a strip of rows that is processed at a time: intermediate results stay in the cache, which is four times faster."""
 F32 = NDArray[np.float32]
 
 
 def apply_depth_noise(frame: Frame, noise: DepthNoise) -> Frame:
-    """Returns the frame with the depths that a real camera would report; all else is shared with ``frame``, which does not change.
+    """Returns the frame with the depths that a real camera would report; other arrays are shared with ``frame``, which does not change.
 
     The order is that of a sensor: a normally distributed error of ``sigma(z) = constant + linear z + quadratic z^2``; rounding of the
     disparity ``fx baseline / z`` to whole steps; limits of range (nearer than ``range_min`` or the camera's ``near``: -inf; beyond its
-    ``far``: +inf); then holes, NaN, where the surface is seen at a grazing angle and at random. What is decided is decided by the
-    seed, the stamp and the camera's name alone, so images may be made in any order.
+    ``far``: +inf); then holes, NaN, at grazing angles and at random. The errors depend on the seed, the stamp and the
+    camera's name alone, so images may be made in any order.
 
     Args:
-        frame: the grazing angle is taken from its normals if they are there, else from the depths themselves.
-        noise: what to apply; without any, or without depth, the frame itself is returned.
+        frame: grazing angles are computed from its normals if it has them, else from the depths.
+        noise: what to apply; the frame itself is returned if there is none, or no depth.
 
     Raises:
-        ConfigError: disparity is asked of a camera that is no pinhole.
+        ConfigError: disparity is requested of a camera that is not a pinhole.
     """
     if frame.depth is None or noise == replace(_NO_NOISE, seed=noise.seed, baseline=noise.baseline):
         return frame
     camera = frame.camera
     true, depth = frame.depth, np.empty(frame.depth.shape, dtype=np.float32)
-    spread, holes = (_generator(frame, noise, purpose) for purpose in (0, 1))
+    errors, holes = (_generator(frame, noise, purpose) for purpose in (0, 1))
     focal = _focal(camera) if noise.disparity_step_px > 0.0 else 0.0
     least = np.float32(max(noise.range_min, camera.near))
     cosine = math.cos(math.radians(noise.hole_angle_deg))
-    # Some rows at a time, so that what is computed in between stays in the cache: four times faster.
     rows = max(1, _PIXELS_AT_ONCE // camera.width)
     for first in range(0, camera.height, rows):
         part = slice(first, min(first + rows, camera.height))
         strip = depth[part]
-        _spread(true[part], noise, spread, strip)
+        _add_noise(true[part], noise, errors, strip)
         if focal:
-            _step(strip, noise, focal)
+            _quantise(strip, noise, focal)
         with np.errstate(invalid="ignore"):
             strip[strip > camera.far] = np.inf
             strip[strip < least] = -np.inf
@@ -68,7 +68,7 @@ def apply_depth_noise(frame: Frame, noise: DepthNoise) -> Frame:
 
 
 def _generator(frame: Frame, noise: DepthNoise, purpose: int) -> np.random.Generator:
-    """Returns random numbers of their own for each image and purpose, so that one setting does not change what another one does."""
+    """Returns a generator for an image and purpose, so that one setting does not change the random numbers of another."""
     entropy = [noise.seed, frame.stamp_ns, zlib.crc32(frame.camera.name.encode()), purpose]
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy)))
 
@@ -79,8 +79,8 @@ def sigma(depth: NDArray[np.floating], noise: DepthNoise) -> F32:
     return np.float32(noise.constant) + z * (np.float32(noise.linear) + np.float32(noise.quadratic) * z)
 
 
-def _spread(true: F32, noise: DepthNoise, rng: np.random.Generator, out: F32) -> None:
-    """Fills ``out`` with the depths and their normally distributed error; +inf stays."""
+def _add_noise(true: F32, noise: DepthNoise, rng: np.random.Generator, out: F32) -> None:
+    """Fills ``out`` with the depths and a normally distributed error; +inf stays."""
     if not (noise.constant or noise.linear or noise.quadratic):
         out[:] = true
         return
@@ -91,8 +91,8 @@ def _spread(true: F32, noise: DepthNoise, rng: np.random.Generator, out: F32) ->
     out[true == np.inf] = np.inf
 
 
-def _step(depth: F32, noise: DepthNoise, focal: float) -> None:
-    """Rounds disparities, in place; one that rounds to 0 is infinitely far."""
+def _quantise(depth: F32, noise: DepthNoise, focal: float) -> None:
+    """Quantises disparities, in place; a disparity of 0 is a depth of +inf."""
     steps_at_1_m = np.float32(focal * noise.baseline / noise.disparity_step_px)
     with np.errstate(divide="ignore"):
         np.divide(steps_at_1_m, depth, out=depth)
@@ -110,7 +110,7 @@ def _focal(camera: CameraSpec) -> float:
 
 
 def _grazing(frame: Frame, rows: slice, cosine: float) -> NDArray[np.bool_]:
-    """Returns where, in these rows, the ray meets the surface at a flatter angle than that whose cosine to the normal is given."""
+    """Returns where, in these rows, the cosine between the ray and the normal is below ``cosine``."""
     assert frame.depth is not None
     camera = frame.camera
     around = slice(max(rows.start - 1, 0), min(rows.stop + 1, camera.height))  # slopes need neighbours
@@ -137,7 +137,7 @@ def _is_plain(camera: CameraSpec) -> bool:
 
 
 def _ray(camera: CameraSpec, rows: slice) -> tuple[Any, ...]:
-    """Returns x, y and z of the points at depth 1 in these rows, of shapes that together make (rows, W)."""
+    """Returns x, y and z of the points at depth 1 in these rows, in shapes that broadcast to (rows, W)."""
     if not _is_plain(camera):
         return tuple(np.moveaxis(_rays(_optics(camera))[rows], 2, 0))
     k = camera.intrinsics()
@@ -147,7 +147,7 @@ def _ray(camera: CameraSpec, rows: slice) -> tuple[Any, ...]:
 
 
 def _normals(depth: F32, ray: tuple[Any, ...]) -> F32:
-    """Returns normals of any length, (H, W, 3), across the surfaces that a depth image shows."""
+    """Returns normals of any length, (H, W, 3), of the surfaces in a depth image."""
     with np.errstate(invalid="ignore"):
         points = np.stack([np.broadcast_to(r, depth.shape) * depth for r in ray], axis=-1)
     points[~np.isfinite(points)] = 0.0
@@ -161,14 +161,14 @@ def _rays(optics: CameraSpec) -> F32:
 
 
 def _optics(camera: CameraSpec) -> CameraSpec:
-    """Returns the camera without what its rays do not depend on, so that cameras of one make share theirs."""
+    """Returns the camera reduced to what its rays depend on, so that cameras with equal optics share them."""
     return replace(
         camera, name="", link="", pose=Pose(), rate_hz=1.0, outputs=("depth",), effects=ImageEffects(), depth_noise=_NO_NOISE
     )
 
 
 def _gradient(image: F32, axis: int) -> F32:
-    """Returns the smaller of the differences to the two neighbours along an axis: that of the surface, not of its edge."""
+    """Returns the smaller of the differences to the two neighbours along an axis, which does not cross an edge."""
     step = np.diff(image, axis=axis)
     before, after = ((1, 0, 0, 0), (0, 1, 0, 0)) if axis == 0 else ((0, 0, 1, 0), (0, 0, 0, 1))
     a = cv2.copyMakeBorder(step, *before, cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""Depth images of one camera as another one would see them: what drivers of RGB-D cameras call registered depth. Pure."""
+"""Registered depth: depth images of one camera in the image of another, as drivers of RGB-D cameras provide them. Pure."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.types import CameraSpec
 
 MAX_SPLIT = 8
-"""Most parts along a side into which a pixel is split for a finer camera."""
+"""Largest number of parts along a side that a pixel is split into."""
 F32 = NDArray[np.float32]
 
 
 def split_for(source: CameraSpec, target: CameraSpec) -> int:
-    """Returns into how many parts along a side a pixel of ``source`` is split for ``target``.
+    """Returns the number of parts along a side that a pixel of ``source`` is split into for ``target``.
 
     Raises:
-        ConfigError: more than ``MAX_SPLIT``.
+        ConfigError: it exceeds ``MAX_SPLIT``.
     """
     finer = float((np.diag(target.intrinsics())[:2] / np.diag(source.intrinsics())[:2]).max())
     split = max(1, math.ceil(finer - 1e-6))
@@ -34,15 +34,15 @@ def split_for(source: CameraSpec, target: CameraSpec) -> int:
 
 
 class DepthRegistration:
-    """Moves depth images of ``source`` into the image of ``target``.
+    """Registers depth images of ``source`` to the image of ``target``.
 
-    Each pixel is a small plate at its depth, split as finely as the target's pixels are, so that a finer target has no holes
-    between them; the nearest plate wins. What the source did not see stays empty.
+    Each pixel is a small plate at its depth, split as finely as the target's pixels, so that a finer target has no holes between them;
+    the nearest plate wins. What the source did not see stays empty.
 
     Args:
         source: the depth camera.
         target: the camera whose image, K and frame the result has.
-        T_target_source: takes points in the source's optical frame to the target's.
+        T_target_source: (4, 4), optical frames.
 
     Raises:
         ConfigError: see ``split_for``.
@@ -56,7 +56,7 @@ class DepthRegistration:
         u = (np.arange(source.width)[:, None] + offsets).ravel()
         rays = unproject(np.stack(np.meshgrid(u, v), axis=-1), source).reshape(-1, 3)
         T = np.asarray(T_target_source, dtype=np.float64)
-        # (3, N): a point at depth d is then d times its direction and an offset, without a product of matrices for each image.
+        # (3, N): a point at depth d is d times its direction plus an offset, without a matrix product for each image.
         self._directions = np.ascontiguousarray((rays @ T[:3, :3].T).T, dtype=np.float32)
         self._offset = T[:3, 3].astype(np.float32)
         self._source, self._target = source, target
@@ -65,7 +65,7 @@ class DepthRegistration:
         """Returns the depth in the target's image, (H, W) of the target, metres, +inf = nothing known.
 
         Args:
-            depth: (H, W) of the source, metres, as its projection measures them; what is not finite is left out.
+            depth: (H, W) of the source, metres, as its projection measures it; values that are not finite are left out.
         """
         d = np.asarray(depth, dtype=np.float32)
         if d.shape != (self._source.height, self._source.width):
@@ -73,10 +73,10 @@ class DepthRegistration:
             raise ConfigError(f"depth has shape {d.shape}, images of camera {self._source.name!r} have {size}")
         fine = np.repeat(np.repeat(d, self._split, axis=0), self._split, axis=1).ravel()
         fine = np.where(np.isfinite(fine), fine, np.float32(np.nan))
-        x, y, z = (way * fine + offset for way, offset in zip(self._directions, self._offset, strict=True))
+        x, y, z = (direction * fine + offset for direction, offset in zip(self._directions, self._offset, strict=True))
         u, v, moved = self._project(x, y, z)
         height, width = self._target.height, self._target.width
-        # NaN, what has no depth or lies behind the camera, compares as false.
+        # NaN, without depth or behind the camera, compares as false.
         inside = np.flatnonzero(
             (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (moved >= self._target.near) & (moved <= self._target.far)
         )  # fmt: skip
@@ -86,7 +86,7 @@ class DepthRegistration:
         return out.reshape(height, width)
 
     def _project(self, x: F32, y: F32, z: F32) -> tuple[F32, F32, F32]:
-        """Returns column, row and depth of points in the target's frame, each (N,); NaN where it cannot see them."""
+        """Returns column, row and depth of points in the target's frame, each (N,); NaN outside its field of view."""
         if self._target.projection != "pinhole" or any(self._target.distortion):
             pixels, depth = project(np.stack([x, y, z], axis=1), self._target)
             return pixels[:, 0].astype(np.float32), pixels[:, 1].astype(np.float32), depth.astype(np.float32)

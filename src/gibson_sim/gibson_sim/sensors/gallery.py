@@ -1,4 +1,4 @@
-"""One picture that shows everything the renderer makes of a scene: outputs, cameras, effects, light. No ROS, no physics."""
+"""A sheet of pictures of all that the renderer can do with a scene: outputs, cameras, effects, light. No ROS, no physics."""
 
 from __future__ import annotations
 
@@ -23,15 +23,20 @@ from gibson_sim.types import NS_PER_S, OUTPUTS, CameraSpec, DepthNoise, Frame, I
 
 Rgb = NDArray[np.uint8]
 WIDTH, HEIGHT = 400, 300
-"""Of one picture, pixels."""
+"""Size of a picture, pixels."""
 COLUMNS = 4
 EYE_HEIGHT = 1.25
-"""Metres above the floor."""
+"""Height of the cameras above the floor, metres."""
 _CAPTION, _GAP = 26, 8
+"""Height of a caption, and gap between panels, pixels."""
 _INK, _PAPER = (40, 40, 40), 250
+"""Colours of text and background."""
 _RIG = "gallery/rig"
+"""Link that carries the cameras."""
 _FAR_SHOWN_M = 6.0
+"""Depth at the end of the colour scale."""
 _INTERVAL_S = 1.0 / 30.0
+"""Simulation time between the two states of flow and motion blur."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +50,9 @@ def gallery(scene: DrawnScene, position: Pose, rules: Rules, cache: Path | None 
 
     Args:
         scene: what to draw, without moving links.
-        position: T_world_eye: where the cameras stand; x forward, z up.
+        position: T_world_eye of the cameras; x forward, z up.
         rules: of the randomised pictures.
-        cache: as ``Renderer`` takes it.
+        cache: as for ``Renderer``.
     """
     rigged = replace(scene, links=(_RIG,), visuals=tuple(v for v in scene.visuals if not v.link), cameras=())
     now, before = _states(position, rigged.revision)
@@ -62,7 +67,7 @@ def gallery(scene: DrawnScene, position: Pose, rules: Rules, cache: Path | None 
 
 
 def _states(position: Pose, revision: int) -> tuple[SceneState, SceneState]:
-    """Returns the rig's state, and that before: it turns to the left and moves forward."""
+    """Returns the rig's state and the one before: it turns to the left and moves forward."""
     now = matrix_from_pose(position)
     back = now @ matrix_from_pose(pose_from_xyz_rpy((-0.03, 0.0, 0.0), (0.0, 0.0, -0.035)))
 
@@ -145,7 +150,7 @@ def _drawn(title: str, scene: DrawnScene, now: SceneState, camera: CameraSpec) -
 
 
 def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
-    """Returns balls of metal and of plastic, from polished to matt, on a floor in the sun."""
+    """Returns balls of metal and of plastic, from polished to matte, on a floor in the sun."""
     columns, spacing = 5, 0.5
     visuals = [
         VisualSpec("floor", "", Shape("box", (9.0, 9.0, 0.2)), pose_from_xyz_rpy((0.0, 0.0, -0.1)), (0.62, 0.6, 0.57, 1.0))
@@ -153,7 +158,7 @@ def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
     for row, (metallic, color) in enumerate(((1.0, (1.0, 0.78, 0.34, 1.0)), (0.0, (0.72, 0.1, 0.09, 1.0)))):
         for column in range(columns):
             position = (row * 0.55, (column - (columns - 1) / 2) * -spacing, 0.22)
-            look = Appearance(metallic=metallic, roughness=0.12 + 0.8 * column / (columns - 1))
+            appearance = Appearance(metallic=metallic, roughness=0.12 + 0.8 * column / (columns - 1))
             visuals.append(
                 VisualSpec(
                     f"ball {row} {column}",
@@ -161,7 +166,7 @@ def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
                     Shape("sphere", (0.22, 0.0, 0.0)),
                     pose_from_xyz_rpy(position),
                     color,
-                    appearance=look,
+                    appearance=appearance,
                 )
             )
     light = LightSpec(
@@ -174,28 +179,28 @@ def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
 
 
 def shown(frame: Frame, output: Output) -> Rgb:
-    """Returns an output as a picture, (H, W, 3) uint8: labels in colours of their own, directions and positions as red, green, blue."""
+    """Returns an output as a picture, (H, W, 3) uint8: labels in distinct colours, directions and positions as red, green, blue."""
     pictures: dict[Output, Callable[[Frame], Rgb]] = {
-        "rgb": lambda f: _given(f.rgb).copy(),
-        "depth": lambda f: _depth_picture(_given(f.depth)),
-        "semantic": lambda f: label_colors(_given(f.semantic)),
-        "instance": lambda f: label_colors(_given(f.instance)),
-        "normal": lambda f: _directions(_given(f.normal)),
-        "normal_world": lambda f: _directions(_given(f.normal_world)),
-        "position": lambda f: _positions(_given(f.position)),
-        "flow": lambda f: _flow_picture(_given(f.flow)),
+        "rgb": lambda f: _required(f.rgb).copy(),
+        "depth": lambda f: _depth_picture(_required(f.depth)),
+        "semantic": lambda f: label_colors(_required(f.semantic)),
+        "instance": lambda f: label_colors(_required(f.instance)),
+        "normal": lambda f: _direction_picture(_required(f.normal)),
+        "normal_world": lambda f: _direction_picture(_required(f.normal_world)),
+        "position": lambda f: _position_picture(_required(f.position)),
+        "flow": lambda f: _flow_picture(_required(f.flow)),
     }
     return pictures[output](frame)
 
 
-def _given(array: NDArray[Any] | None) -> NDArray[Any]:
+def _required(array: NDArray[Any] | None) -> NDArray[Any]:
     if array is None:
         raise ValueError("the frame does not have this output")
     return array
 
 
 def label_colors(labels: NDArray[Any]) -> Rgb:
-    """Returns a colour for each label, black for 0; neighbours in number differ in hue."""
+    """Returns a colour for each label, black for 0; consecutive numbers differ in hue."""
     number = np.arange(int(labels.max(initial=0)) + 1)
     hsv = np.stack([number * 0.61803 % 1.0 * 180.0, 110 + number * 53 % 110, 170 + number * 37 % 80], axis=-1).astype(np.uint8)
     palette = np.asarray(cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB))[0]
@@ -211,11 +216,11 @@ def _depth_picture(depth: NDArray[Any]) -> Rgb:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _directions(normals: NDArray[Any]) -> Rgb:
+def _direction_picture(normals: NDArray[Any]) -> Rgb:
     return np.asarray(np.rint(127.5 * (normals + 1.0)), dtype=np.uint8)
 
 
-def _positions(points: NDArray[Any]) -> Rgb:
+def _position_picture(points: NDArray[Any]) -> Rgb:
     flat = points.reshape(-1, 3)
     low, high = np.nanpercentile(flat, 1, axis=0), np.nanpercentile(flat, 99, axis=0)
     part = np.clip((points - low) / np.maximum(high - low, 1e-6), 0.0, 1.0)
@@ -223,7 +228,7 @@ def _positions(points: NDArray[Any]) -> Rgb:
 
 
 def _flow_picture(flow: NDArray[Any]) -> Rgb:
-    """Direction as hue, length as brightness."""
+    """Returns the direction as hue and the length as brightness."""
     x, y = np.nan_to_num(flow[..., 0]), np.nan_to_num(flow[..., 1])
     length, angle = np.hypot(x, y), np.arctan2(y, x)
     hsv = np.stack(
@@ -234,7 +239,7 @@ def _flow_picture(flow: NDArray[Any]) -> Rgb:
 
 
 def _lidar_picture(points: NDArray[Any]) -> Rgb:
-    """Returns the points seen from above and behind, coloured by height."""
+    """Returns an image of points, (N, 3), seen from above and behind, coloured by height."""
     picture = np.full((HEIGHT, WIDTH, 3), 20, dtype=np.uint8)
     tilt = math.radians(52.0)
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -251,7 +256,7 @@ def _lidar_picture(points: NDArray[Any]) -> Rgb:
 
 
 def _sheet(rows: Sequence[Sequence[_Panel]]) -> Rgb:
-    """Puts captions under pictures, and these into rows of the same width, the last one of which may be wide."""
+    """Arranges pictures with captions in rows of the same width; a picture may be two columns wide."""
     lines: list[Rgb] = []
     width = COLUMNS * WIDTH + (COLUMNS + 1) * _GAP
     for panels in rows:
@@ -269,7 +274,7 @@ def _sheet(rows: Sequence[Sequence[_Panel]]) -> Rgb:
 
 
 def _cell(panel: _Panel) -> Rgb:
-    """Returns a picture of the usual height, or one over two columns, with its caption."""
+    """Returns a picture with its caption, scaled to one column or, if it is wide, to two."""
     height, width = panel.picture.shape[:2]
     wide = 2 * WIDTH + _GAP if width > 1.8 * height else WIDTH
     scale = min(wide / width, HEIGHT / height)

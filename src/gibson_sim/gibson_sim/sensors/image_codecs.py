@@ -1,8 +1,8 @@
-"""Compressed images as image_transport's plugins write them, so that its subscribers, rqt and rosbag tools read them. Pure.
+"""Compressed images in the formats of image_transport's plugins, for its subscribers, rqt and rosbag tools. Pure.
 
-``compressed``: a JPEG or PNG file. ``compressedDepth``: a header of 12 bytes, then a PNG of 16 bits a pixel. The header is a whole number
-(int32, the kind of coding: 0 = inverse depth) and two float32, A and B: a pixel p is the depth A / (p - B), and 0 is no depth.
-Steps are finest near the camera, as those of a stereo camera's disparity are.
+``compressed``: a JPEG or PNG file. ``compressedDepth``: a header of 12 bytes, then a PNG of 16 bits a pixel. The header is an int32
+(the coding: 0 = inverse depth) and two float32, A and B: a pixel p is the depth A / (p - B), and 0 is no depth.
+Steps are finest near the camera, like those of a stereo camera's disparity.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from gibson_sim.errors import ConfigError
 ColorCodec = Literal["jpeg", "png"]
 U8 = NDArray[np.uint8]
 COMPRESSED_DEPTH_FORMAT = "32FC1; compressedDepth png"
-"""``format`` of the message that ``encode_depth`` goes into."""
+"""``format`` field of messages with data of ``encode_depth``."""
 _INVERSE_DEPTH = 0
 _LARGEST = 2**16 - 1
 
 
 def color_format(codec: ColorCodec) -> str:
-    """Returns the ``format`` of the message that ``encode_color`` goes into: what the image was, and how OpenCV decodes it."""
+    """Returns the ``format`` field of messages with data of ``encode_color``: the original encoding, and how OpenCV decodes it."""
     return f"rgb8; {codec} compressed bgr8"
 
 
 def encode_color(rgb: U8, codec: ColorCodec, *, jpeg_quality: int = 95, png_level: int = 3) -> U8:
-    """Returns the bytes of an image file, (N,); ``cv2.imdecode`` makes BGR of them.
+    """Returns the bytes of an image file, (N,); ``cv2.imdecode`` decodes them to BGR.
 
     Args:
         rgb: (H, W, 3), row 0 at the top.
-        codec: jpeg, small and a little off; png, exact.
+        codec: jpeg, small and lossy; png, lossless.
         jpeg_quality: 1 to 100.
         png_level: 0 (fast) to 9 (small).
     """
@@ -47,12 +47,12 @@ def encode_color(rgb: U8, codec: ColorCodec, *, jpeg_quality: int = 95, png_leve
 def encode_depth(
     depth: NDArray[np.float32], *, depth_max: float = 10.0, quantization: float = 100.0, png_level: int = 1
 ) -> bytes:
-    """Returns the header and the PNG of a depth image. What is not in range, too near for 16 bits or no number becomes "no depth".
+    """Returns the header and the PNG of a depth image. Values out of range, too near for 16 bits or not finite become "no depth".
 
     Args:
         depth: (H, W), metres.
-        depth_max: m; depths from here on are left out.
-        quantization: how fine the steps are: at d metres they are d^2 / (quantization (quantization + 1)) metres.
+        depth_max: m; this depth and larger ones are left out.
+        quantization: at a depth of d metres a step is d^2 / (quantization (quantization + 1)) metres.
         png_level: 0 (fast) to 9 (small).
     """
     a = np.float32(quantization * (quantization + 1.0))

@@ -1,7 +1,7 @@
-"""An inertial measurement unit from the poses and velocities of its link (REP 145). Pure.
+"""An inertial measurement unit, simulated from the pose and velocity of its link (REP 145). Pure.
 
 Accelerometers measure the specific force: acceleration minus gravity, so +g along z at rest. The acceleration is the change of the
-link's velocity since the sample before, as the real ones give a mean over their sampling interval.
+link's velocity since the previous sample, as real sensors report a mean over the sampling interval.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from gibson_sim.robots.sensor_specs import ImuSpec
 from gibson_sim.types import NS_PER_S, Quat, SceneState, Vec3
 
 _WHITE, _WALK, _START = 0, 1, 2
-"""Purposes of the random numbers."""
+"""Purposes of random numbers."""
 LEAST_VARIANCE = 1e-9
-"""Of a measurement without noise: a covariance of 0 would mean "unknown" in a ROS message, and filters divide by it."""
+"""Variance of a measurement without noise: a covariance of 0 would mean "unknown" in a ROS message, and filters divide by it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +28,7 @@ class ImuReading:
     """One sample, in the frame of the link."""
 
     name: str
-    """Of the sensor."""
+    """Name of the sensor."""
     stamp_ns: int
     link: str
     """``<body>/<link>``."""
@@ -37,34 +37,34 @@ class ImuReading:
     linear_acceleration: NDArray[np.float64]
     """(3,), specific force, m/s^2: +g along z at rest."""
     orientation_xyzw: Quat | None
-    """Of the link in the world frame, exact; None = not reported."""
+    """Exact orientation of the link in the world frame; None = not reported."""
     angular_variance: float
-    """Of each component against the truth, noise and bias together, (rad/s)^2."""
+    """Variance of each component against the truth, noise and bias together, (rad/s)^2."""
     linear_variance: float
     """The same, (m/s^2)^2."""
 
 
 class Imu:
-    """One sensor with what it remembers: the velocity at its last sample and its biases."""
+    """A sensor with its state: the velocity at its last sample, and its biases."""
 
     def __init__(self, spec: ImuSpec, gravity: Vec3, seed: int = 0) -> None:
-        """Starts with the biases that the seeds decide.
+        """Starts with biases that the seeds determine.
 
         Args:
-            spec: The sensor.
-            gravity: World frame, m/s^2.
-            seed: Of the simulation.
+            spec: the sensor.
+            gravity: world frame, m/s^2.
+            seed: of the simulation.
         """
         self.spec = spec
         self._lift: Vec3 = (-gravity[0], -gravity[1], -gravity[2])
         self._noise = NoiseSource(f"{spec.link.partition('/')[0]}/{spec.name}", seed, spec.seed)
         self._densities = np.repeat([spec.gyro_noise, spec.accel_noise], 3)
         self._walks = np.repeat([spec.gyro_bias_walk, spec.accel_bias_walk], 3)
-        self._walks_at_all, self._is_noisy = bool(self._walks.any()), bool(self._densities.any())
+        self._has_walk, self._is_noisy = bool(self._walks.any()), bool(self._densities.any())
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the velocity and goes back to the biases of the start."""
+        """Forgets the velocity and restores the initial biases."""
         spec = self.spec
         self._last: tuple[int, Vec3, Quat] | None = None
         self.bias: NDArray[np.float64] = np.repeat([spec.gyro_bias, spec.accel_bias], 3)
@@ -74,12 +74,12 @@ class Imu:
             self.bias *= self._noise.at(0, _START).standard_normal(6)
 
     @property
-    def may_rest(self) -> bool:
-        """Whether a sample needs nothing of those before it but the velocity at the last one: no bias walks."""
-        return not self._walks_at_all
+    def can_skip_samples(self) -> bool:
+        """Whether samples may be skipped: a sample depends on earlier ones by the last velocity alone, since no bias walks."""
+        return not self._has_walk
 
     def note(self, state: SceneState) -> None:
-        """Takes the velocity at a sample that nobody asks for: the next one is then as if all before had been measured.
+        """Records the velocity at a skipped sample: the next one is then as if no sample had been skipped.
 
         Raises:
             ConfigError: the state has no such link.
@@ -95,7 +95,7 @@ class Imu:
         return state.links.index(self.spec.link)
 
     def measure(self, state: SceneState) -> ImuReading:
-        """Returns a sample; the first one after a reset takes the velocity to have been constant until then.
+        """Returns a sample; the first one after a reset assumes a constant velocity until then.
 
         Raises:
             ConfigError: the state has no such link, or is not later than the one before.
@@ -111,7 +111,7 @@ class Imu:
                 raise ConfigError(
                     f"imu {spec.name!r}: {state.stamp_ns} ns is not after the last sample, {stamp_ns} ns; reset it first"
                 )
-            # A mean over the interval belongs to its middle: with the axes of its end, half a step of turning would be in it.
+            # A mean over the interval belongs to its middle: with the axes at its end it would include half a step of rotation.
             mean = _into_link(_middle(before, quat), ((vx - ux) / dt, (vy - uy) / dt, (vz - uz) / dt))
             force = (force[0] + mean[0], force[1] + mean[1], force[2] + mean[2])
         self._last = (state.stamp_ns, (vx, vy, vz), quat)
@@ -129,25 +129,24 @@ class Imu:
         )
 
     def _variance(self, noise: float, bias: float, walk: float, dt: float) -> float:
-        """Returns the variance of one component of a sample, of white noise and of a bias that walks.
+        """Returns the variance of one component of a sample: white noise of a density, averaged over ``dt``, and a random walk of the bias.
 
-        That of white noise of a density, averaged over ``dt``, and that of a random walk: IEEE Std 952-1997, annex C, as read off
-        a plot of the Allan deviation.
+        See IEEE Std 952-1997, annex C; the parameters are those of an Allan deviation plot.
         """
         return max(noise * noise / dt + bias * bias + walk * walk * self._walked_s, LEAST_VARIANCE)
 
     def _errors(self, stamp_ns: int, dt: float) -> NDArray[np.float64]:
-        """Returns what to add to (angular velocity, specific force), (6,), ``dt`` seconds after the sample before."""
-        if self._walks_at_all:
+        """Returns the errors of (angular velocity, specific force), (6,), ``dt`` seconds after the previous sample."""
+        if self._has_walk:
             self.bias = self.bias + self._walks * math.sqrt(dt) * self._noise.at(stamp_ns, _WALK).standard_normal(6)
         if not self._is_noisy:
             return self.bias
         return self.bias + self._densities / math.sqrt(dt) * self._noise.at(stamp_ns, _WHITE).standard_normal(6)
 
 
-# Plain numbers: for three of them numpy takes ten times as long, and this runs hundreds of times a second.
+# Plain numbers: with three of them NumPy is ten times slower, and this runs hundreds of times a second.
 def _into_link(quat_xyzw: Quat, vector: Vec3) -> Vec3:
-    """Returns a vector of the world frame in the frame of the link whose orientation is given."""
+    """Returns a vector of the world frame in the frame of a link with the given orientation."""
     x, y, z, w = quat_xyzw
     a, b, c = vector
     p, q, r = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)

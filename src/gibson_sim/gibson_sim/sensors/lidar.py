@@ -1,7 +1,7 @@
-"""Lidars: which rays to cast, and what a driver reports for their lengths (REP 117). Pure: a callable casts the rays.
+"""Lidars: the rays that they cast, and the ranges that their drivers report (REP 117). Pure: a callable casts the rays.
 
-A planar lidar gives a scan, a lidar of many channels a cloud of points. Errors come in the order of a sensor: scale, noise, steps of
-resolution, limits of range, rays that do not return.
+A planar lidar measures a scan, a lidar with several channels a point cloud. Errors are applied in the order of a sensor: scale, noise,
+resolution, limits of range, dropouts.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from gibson_sim.types import SceneState
 CastRays = Callable[[NDArray[np.float64], NDArray[np.float64], float, "str | None"], NDArray[np.float64]]
 """``PhysicsWorld.cast_rays``: (origins (N, 3), directions (N, 3), range_max, body to ignore) to distances (N,)."""
 _ERROR, _DROPOUT, _SCALE = 0, 1, 2
-"""Purposes of the random numbers."""
-_MOST_SIGMAS = 3.0
-"""Of the scale: a device that is farther off does not leave the factory."""
+"""Purposes of random numbers."""
+_MAX_SIGMAS = 3.0
+"""Largest error of the scale, standard deviations: a device with a larger one does not leave the factory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """One turn of a lidar; all rays were cast at the same instant."""
+    """One revolution of a lidar; all rays are cast at the same instant."""
 
     stamp_ns: int
     """Stamp of the state that was measured."""
     link: str
-    """``<body>/<link>`` that the angles are counted in."""
+    """``<body>/<link>``, the frame of the angles."""
     angle_min: float
-    """Radians about z from the x axis, counter-clockwise: direction of the first ray."""
+    """Direction of the first ray, radians about z from the x axis, counter-clockwise."""
     angle_increment: float
     """Radians from one ray to the next."""
     range_min: float
@@ -45,7 +45,7 @@ class Scan:
     ranges: NDArray[np.float32]
     """(beams,) float32, metres; +inf = no return, -inf = nearer than range_min (REP 117)."""
     name: str = "scan"
-    """Of the lidar."""
+    """Name of the lidar."""
 
     @property
     def angle_max(self) -> float:
@@ -55,14 +55,14 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarCloud:
-    """Where the rays of one turn returned from, ring by ring; a ray without a return in range has no point."""
+    """Points at which the rays of one revolution returned, ring by ring; a ray without a return in range has no point."""
 
     name: str
-    """Of the lidar."""
+    """Name of the lidar."""
     stamp_ns: int
     """Stamp of the state that was measured."""
     link: str
-    """``<body>/<link>`` in whose frame the points are."""
+    """``<body>/<link>``, the frame of the points."""
     points: NDArray[np.float32]
     """(N, 3) float32, metres."""
     ring: NDArray[np.uint16]
@@ -72,14 +72,14 @@ class LidarCloud:
 
 
 def ray_directions(spec: LidarSpec) -> NDArray[np.float64]:
-    """Returns unit vectors, (beams, 3), in the link's frame: the first at ``angle_min`` from x, then counter-clockwise about z."""
+    """Returns unit vectors, (beams, 3), in the link's frame: the first at ``angle_min`` from the x axis, then counter-clockwise about z."""
     angles = spec.angle_min + np.arange(spec.beams) * spec.angle_increment
     return np.stack([np.cos(angles), np.sin(angles), np.zeros(spec.beams)], axis=-1)
 
 
 @lru_cache(maxsize=8)
 def cloud_directions(spec: Lidar3DSpec) -> NDArray[np.float64]:
-    """Returns unit vectors, (channels * samples, 3), in the link's frame, ring by ring from the lowest; not to be written to."""
+    """Returns unit vectors, (channels * samples, 3), in the link's frame, ring by ring from the lowest; the array is read-only."""
     middle = (spec.elevation_min + spec.elevation_max) / 2
     first = spec.elevation_min if spec.channels > 1 else middle
     elevation = np.linspace(first, spec.elevation_max, spec.channels)[:, None]
@@ -105,18 +105,18 @@ def world_rays(T_world_link: ArrayLike, directions: ArrayLike) -> tuple[NDArray[
 def ranges_from_distances(
     distances: ArrayLike, spec: LidarSpec | Lidar3DSpec, noise: NoiseSource | None = None, stamp_ns: int = 0
 ) -> NDArray[np.float32]:
-    """Returns what a driver reports, float32, for distances in metres (+inf = nothing hit).
+    """Returns the ranges that a driver reports, float32, for distances in metres (+inf = nothing hit).
 
     Args:
-        distances: (N,), those of the rays.
-        spec: Which errors there are, and the limits of range.
-        noise: Random numbers of this lidar; None = no error, whatever the spec says.
-        stamp_ns: When; it decides the random numbers.
+        distances: (N,), along the rays.
+        spec: errors and limits of range.
+        noise: random numbers of this lidar; None = no errors, whatever the spec.
+        stamp_ns: key of the random numbers.
     """
     d = np.array(distances, dtype=np.float64)
     if noise is not None:
         if spec.range_scale > 0.0:
-            d *= 1.0 + spec.range_scale * min(max(float(noise.at(0, _SCALE).standard_normal()), -_MOST_SIGMAS), _MOST_SIGMAS)
+            d *= 1.0 + spec.range_scale * min(max(float(noise.at(0, _SCALE).standard_normal()), -_MAX_SIGMAS), _MAX_SIGMAS)
         if spec.range_noise > 0.0 or spec.range_noise_ratio > 0.0:
             deviation = np.hypot(spec.range_noise, spec.range_noise_ratio * np.where(np.isfinite(d), d, 0.0))
             d += deviation * noise.at(stamp_ns, _ERROR).standard_normal(d.shape)
@@ -129,10 +129,10 @@ def ranges_from_distances(
 
 
 def noise_of(robot: str, spec: LidarSpec | Lidar3DSpec, seed: int) -> NoiseSource | None:
-    """Returns where a lidar's random errors come from; None where it has none.
+    """Returns the source of a lidar's random errors; None if it has none.
 
     Args:
-        robot: who carries it.
+        robot: that carries it.
         spec: the lidar.
         seed: of the simulation.
     """
@@ -142,13 +142,13 @@ def noise_of(robot: str, spec: LidarSpec | Lidar3DSpec, seed: int) -> NoiseSourc
 
 
 def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays, noise: NoiseSource | None = None) -> Scan:
-    """Returns what the lidar sees in ``state``; the body that carries it is invisible to it.
+    """Returns the scan of a lidar in ``state``; the body that carries it is invisible to it.
 
     Args:
-        spec: The lidar; its link must be in the state.
-        state: Where the link is.
-        cast_rays: Casts rays in the world that ``state`` was taken from, at the same step.
-        noise: Random numbers of this lidar; None = no error, whatever the spec says.
+        spec: the lidar; its link must be in the state.
+        state: pose of the link.
+        cast_rays: casts rays in the world of ``state``, at the same step.
+        noise: random numbers of this lidar; None = no errors, whatever the spec.
     """
     distances = _cast(spec, state, cast_rays, ray_directions(spec))
     return Scan(
@@ -164,7 +164,7 @@ def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays, noise:
 
 
 def measure_cloud(spec: Lidar3DSpec, state: SceneState, cast_rays: CastRays, noise: NoiseSource | None = None) -> LidarCloud:
-    """Returns where the rays of a lidar with many channels return from; the body that carries it is invisible to it.
+    """Returns the point cloud of a lidar with several channels; the body that carries it is invisible to it.
 
     The arguments are those of ``measure_scan``.
     """
@@ -182,7 +182,11 @@ def measure_cloud(spec: Lidar3DSpec, state: SceneState, cast_rays: CastRays, noi
 
 
 def link_pose(state: SceneState, link: str, what: str) -> Mat4:
-    """Returns T_world_link; ConfigError, which begins with ``what``, where the state has no such link."""
+    """Returns T_world_link.
+
+    Raises:
+        ConfigError: the state has no such link; the message begins with ``what``.
+    """
     if link not in state.links:
         raise ConfigError(f"{what} on {link!r}: no such link in the scene; known: {', '.join(state.links)}")
     row = state.links.index(link)
@@ -197,7 +201,7 @@ def _cast(
 ) -> NDArray[np.float64]:
     """Returns the distance along each ray, (N,), metres; +inf = nothing in range."""
     origins, turned = world_rays(link_pose(state, spec.link, "lidar"), directions)
-    # With an error a wall just beyond the range may be reported as in range, as on a real lidar.
-    part = 5.0 * spec.range_noise_ratio + _MOST_SIGMAS * spec.range_scale
+    # With errors a wall just beyond the range may be reported as in range, as by a real lidar.
+    part = 5.0 * spec.range_noise_ratio + _MAX_SIGMAS * spec.range_scale
     margin = 5.0 * spec.range_noise + spec.resolution + 1.5 * part * spec.range_max
     return cast_rays(origins, turned, spec.range_max + margin, spec.link.partition("/")[0])

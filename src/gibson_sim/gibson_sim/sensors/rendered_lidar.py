@@ -1,8 +1,8 @@
-"""A lidar of many beams measured by drawing: pinhole views all around, in which every ray looks up its distance.
+"""A lidar with many beams that is measured by drawing: each ray looks up its distance in pinhole views all around.
 
-A ray hardly ever goes through the middle of a pixel, so the depth found there is carried over to it along the surface: on a plane
-``1 / depth`` is linear in the pixels, and the neighbours on the same plane give its slope. Beyond an edge there is no such neighbour,
-and nothing is averaged across it. What a ray of the physics engine meets are collision shapes; here it is what is drawn.
+A ray hardly ever passes through the centre of a pixel, so the depth there is extrapolated to it along the surface: on a plane
+``1 / depth`` is linear in the pixels, and the neighbours on the same plane give its slope. There is no such neighbour across an edge,
+and nothing is averaged across it. Rays of the physics engine hit collision shapes; rays here hit visuals.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from gibson_sim.types import CameraSpec, Frame, Output, SceneState
 
 MAX_ELEVATION = math.radians(90.0)
 _STEEP = math.radians(45.0)
-"""Rays steeper than this are looked up in views that look straight up and down."""
+"""Elevation above which rays are looked up in views straight up and down, radians."""
 _NEAR = 0.01
-"""Metres: what is nearer to the lidar than this does not hide what is behind it."""
+"""Near plane, metres: what is nearer to the lidar hides nothing."""
 _MARGIN = 3
-"""Pixels around the outermost rays: room for rounding and for two neighbours."""
-_LEAST_FOCAL, _MOST_FOCAL = 48.0, 4000.0
+"""Pixels around the outermost rays: for rounding and two neighbours."""
+_MIN_FOCAL_PX, _MAX_FOCAL_PX = 48.0, 4000.0
 _FAR_AWAY = 1e6
-"""Metres below the scene: where the lidar's own body is put while it measures."""
+"""Depth below the scene of the lidar's own body while it measures, metres."""
 _ROUNDING = 2e-5
-"""Relative error of a drawn depth that says nothing of the surface."""
+"""Relative rounding error of a drawn depth."""
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
-class Draws(Protocol):
-    """``Renderer``, as far as it is needed here."""
+class FrameRenderer(Protocol):
+    """The part of ``Renderer`` that is needed here."""
 
     def render(self, state: SceneState, cameras: Sequence[CameraSpec]) -> list[Frame]:
         """Returns a frame for each camera."""
@@ -47,18 +47,18 @@ class Draws(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LidarPattern:
-    """Where a spinning lidar looks: every beam at every azimuth, all at the same instant."""
+    """The rays of a spinning lidar: every beam at every azimuth, all at the same instant."""
 
     elevations: tuple[float, ...]
     """Radians above the link's x-y plane, one for each beam (ring), in any order."""
     azimuth_steps: int = 720
-    """Rays of a beam in one turn, evenly: the first along the link's x axis, then counter-clockwise."""
+    """Rays of a beam in one revolution, evenly spaced: the first along the link's x axis, then counter-clockwise."""
     range_min: float = 0.3
     """Metres; nearer returns are reported as -inf (REP 117)."""
     range_max: float = 100.0
     """Metres; no return nearer than this is reported as +inf (REP 117)."""
     pixels_per_step: float = 2.0
-    """Resolution of the views: pixels in their middle between two rays of a beam, and more elsewhere. It decides how exactly edges stand."""
+    """Resolution of the views: pixels between two rays of a beam at their centre, and more elsewhere. It determines the accuracy of edges."""
 
     def __post_init__(self) -> None:
         if not self.elevations or not all(abs(e) <= MAX_ELEVATION for e in self.elevations):
@@ -78,18 +78,18 @@ class LidarPattern:
 
 
 def even_elevations(beams: int, lowest: float, highest: float) -> tuple[float, ...]:
-    """Returns elevations at even distances, both ends included, radians: 16 beams from -15 to 15 degrees are those of a VLP-16."""
+    """Returns evenly spaced elevations, both ends included, radians: 16 beams from -15 to 15 degrees are those of a VLP-16."""
     return tuple(float(e) for e in np.linspace(lowest, highest, beams))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedScan:
-    """One turn of a lidar. ``points``, ``ring``, ``column`` and what follows have a row for each return, ring by ring."""
+    """One revolution of a lidar. ``points``, ``ring``, ``column`` and the fields after them have a row for each return, ring by ring."""
 
     stamp_ns: int
     """Stamp of the state that was measured."""
     link: str
-    """``<body>/<link>``: the frame of the points."""
+    """``<body>/<link>``, the frame of the points."""
     ranges: F32
     """(beams, azimuth_steps) float32, metres; +inf = no return, -inf = nearer than range_min (REP 117)."""
     points: F32
@@ -99,7 +99,7 @@ class RenderedScan:
     column: NDArray[np.uint16]
     """(N,) uint16, azimuth step."""
     semantic: NDArray[np.uint16] | None = None
-    """(N,) uint16, index into the scene's semantic classes, or None if not asked for."""
+    """(N,) uint16, index into the scene's semantic classes, or None if not requested."""
     instance: NDArray[np.uint16] | None = None
     """(N,) uint16, index into the scene's instances, or None."""
     intensity: F32 | None = None
@@ -107,19 +107,20 @@ class RenderedScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """A pinhole picture and the rays that look into it."""
+class _LidarView:
+    """A pinhole view and the rays that are looked up in it."""
 
     camera: CameraSpec
-    """Pose in the frame of the link, link empty."""
+    """Its pose is in the frame of the lidar's link; its own link is empty."""
     T_link_view: Mat4
     rays: I64
-    """(R,) which rays, ring by ring."""
+    """(R,) numbers of the rays, ring by ring."""
     pixel: I64
-    """(R,) the nearest pixel of each, row by row."""
+    """(R,) index of the nearest pixel of each, row by row."""
     right: F32
-    """(R,) pixels from its middle to the ray."""
+    """(R,) pixels from its centre to the ray, to the right."""
     down: F32
+    """(R,) the same, downwards."""
     length: F32
     """(R,) metres of ray for each metre along the axis."""
 
@@ -128,12 +129,12 @@ class RenderedLidar:
     """A lidar on a link.
 
     Args:
-        link: ``<body>/<link>``; the rays leave from its origin.
-        pattern: where they go.
-        labels: also return the semantic class and the instance of what each ray meets.
-        intensity: also return how much light comes back: the brightness of the picture there times the cosine at which the ray
-            meets the surface (a matt surface that shines as brightly under the lidar's own light as it does under that of the scene).
-        see_own_body: whether rays meet the body that the link belongs to; the ray-cast lidar's do not.
+        link: ``<body>/<link>``; the rays start at its origin.
+        pattern: directions of the rays.
+        labels: also return the semantic class and the instance at each return.
+        intensity: also return the intensity: the brightness of the picture times the cosine of the angle of incidence (that of a matte
+            surface that is as bright under the lidar's own light as under the lights of the scene).
+        see_own_body: whether rays hit the body that carries the lidar; those of the ray-cast lidar do not.
     """
 
     def __init__(
@@ -154,12 +155,12 @@ class RenderedLidar:
         """The cameras that are drawn, posed in the frame of the link."""
         return tuple(view.camera for view in self._views)
 
-    def measure(self, state: SceneState, renderer: Draws) -> RenderedScan:
-        """Returns what the lidar sees in ``state``; all its views are drawn in one call.
+    def measure(self, state: SceneState, renderer: FrameRenderer) -> RenderedScan:
+        """Returns the scan of the lidar in ``state``; all its views are drawn in one call.
 
         Args:
-            state: where everything is.
-            renderer: draws the scene that the state belongs to.
+            state: poses of all links.
+            renderer: of the scene of the state.
 
         Raises:
             ConfigError: the scene has no such link.
@@ -227,10 +228,10 @@ def _directions(pattern: LidarPattern) -> F64:
     return np.stack(parts, axis=-1).reshape(-1, 3)
 
 
-def _views(pattern: LidarPattern, directions: F64, outputs: tuple[Output, ...]) -> list[_View]:
-    """Returns the views that all rays together need: four around, and one up and one down if some are steep."""
+def _views(pattern: LidarPattern, directions: F64, outputs: tuple[Output, ...]) -> list[_LidarView]:
+    """Returns the views that all rays need: four around, and one up and one down if there are steep rays."""
     focal = pattern.pixels_per_step * pattern.azimuth_steps / (2 * math.pi)
-    focal = min(max(focal, _LEAST_FOCAL), _MOST_FOCAL)
+    focal = min(max(focal, _MIN_FOCAL_PX), _MAX_FOCAL_PX)
     steep = np.abs(directions[:, 2]) > math.sin(_STEEP)
     quarter = np.round(np.arctan2(directions[:, 1], directions[:, 0]) / (math.pi / 2)).astype(np.int64) % 4
     side = np.where(steep, np.where(directions[:, 2] > 0.0, 4, 5), quarter)
@@ -244,7 +245,7 @@ def _views(pattern: LidarPattern, directions: F64, outputs: tuple[Output, ...]) 
 
 
 def _around(quarter: int) -> Mat3:
-    """Returns R_link_view of a view that looks horizontally: optical x is to the right, y down."""
+    """Returns R_link_view of a horizontal view: optical x is to the right, y down."""
     c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
     return np.array([[s, 0.0, c], [-c, 0.0, s], [0.0, -1.0, 0.0]])
 
@@ -255,7 +256,7 @@ def _upright(up: float) -> Mat3:
 
 def _view(
     name: str, R_link_view: Mat3, rays: I64, directions: F64, focal: float, pattern: LidarPattern, outputs: tuple[Output, ...]
-) -> _View:
+) -> _LidarView:
     in_view = directions @ R_link_view
     flat = in_view[:, :2] / in_view[:, 2:]
     low, high = flat.min(axis=0) * focal, flat.max(axis=0) * focal
@@ -279,33 +280,33 @@ def _view(
     offset = (uv - nearest).astype(np.float32)
     pixel = (nearest[:, 1] * width + nearest[:, 0]).astype(np.int64)
     length = (1.0 / in_view[:, 2]).astype(np.float32)
-    return _View(camera, T_link_view, rays, pixel, offset[:, 0], offset[:, 1], length)
+    return _LidarView(camera, T_link_view, rays, pixel, offset[:, 0], offset[:, 1], length)
 
 
-def _look_up(view: _View, frame: Frame) -> F32:
+def _look_up(view: _LidarView, frame: Frame) -> F32:
     """Returns the distance along each ray of a view, (R,), metres, +inf = nothing."""
     assert frame.depth is not None
     inverse = np.reciprocal(frame.depth.ravel())  # +inf becomes 0
-    middle = inverse[view.pixel]
-    across = _change(inverse, view.pixel, middle, 1, view.right)
-    along = _change(inverse, view.pixel, middle, frame.camera.width, view.down)
-    # Near the horizon of a plane the ray may leave it within the pixel; it is not carried farther than that.
-    carried = np.clip(middle + across + along, 0.5 * middle, 2.0 * middle)
+    centre = inverse[view.pixel]
+    across = _change(inverse, view.pixel, centre, 1, view.right)
+    along = _change(inverse, view.pixel, centre, frame.camera.width, view.down)
+    # Near the horizon of a plane the ray may leave the plane within the pixel, so the extrapolation is limited.
+    extrapolated = np.clip(centre + across + along, 0.5 * centre, 2.0 * centre)
     with np.errstate(divide="ignore"):
-        return np.asarray(view.length / carried, dtype=np.float32)
+        return np.asarray(view.length / extrapolated, dtype=np.float32)
 
 
-def _change(inverse: F32, pixel: I64, middle: F32, step: int, offset: F32) -> F32:
-    """Returns how ``inverse`` changes from the middle of each pixel to ``offset`` pixels beside it, along rows or columns.
+def _change(inverse: F32, pixel: I64, centre: F32, step: int, offset: F32) -> F32:
+    """Returns the change of ``inverse`` from the centre of each pixel to ``offset`` pixels beside it, along rows or columns.
 
-    On the side where the surface goes on as a plane it changes evenly; where it goes on to both sides in one curve, it follows the
-    curve; where it goes on to neither, there is no change.
+    It is linear if the surface continues as a plane on one side, quadratic if it continues as one curve on both sides, and 0 if it
+    continues on neither.
     """
-    rounding = np.float32(_ROUNDING) * middle
+    rounding = np.float32(_ROUNDING) * centre
     slopes, bends = [], []
     for side in (step, -step):
         first, second = inverse[pixel + side], inverse[pixel + 2 * side]
-        slope = first - middle
+        slope = first - centre
         bend = np.abs(second - first - slope)
         bends.append(np.where(bend <= 0.5 * np.abs(slope) + rounding, bend, np.float32(np.inf)))
         slopes.append(slope if side > 0 else -slope)
@@ -314,7 +315,7 @@ def _change(inverse: F32, pixel: I64, middle: F32, step: int, offset: F32) -> F3
     plane = np.where(np.minimum(*bends) < np.inf, better, np.float32(0.0)) * offset
     bend = after - before
     curve = (0.5 * (after + before) + 0.5 * bend * offset) * offset
-    # The crease between two planes bends far more than the planes beside it.
+    # The second difference at a crease between two planes is far larger than those of the planes.
     worst = np.maximum(*bends)
     smooth = (np.abs(bend) <= 2.0 * worst + rounding) & (worst < np.inf)
     return np.where(smooth, curve, plane)

@@ -1,4 +1,4 @@
-"""When a sensor is due: a pure function of whole ticks, so that every run and every process agrees."""
+"""When a sensor is due: a pure function of whole ticks, so that all runs and all processes agree."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from functools import lru_cache
 from gibson_sim.types import NS_PER_S
 
 _PARTS = 1_000_000
-"""So many parts of the way from image to image are told apart. Stamps are whole nanoseconds, cut off: a tick at 1/60 s is stamped a little
-early, by less than a part."""
+"""Tolerance, as parts of the time between images. Stamps are truncated to nanoseconds: a tick at 1/60 s is stamped early by less than one part."""
 
 
 @lru_cache
@@ -29,6 +28,6 @@ def is_due(tick: int, rate_hz: float, tick_hz: int) -> bool:
 
 
 def images_due(after_ns: int, until_ns: int, rate_hz: float) -> int:
-    """Returns how often a sensor of ``rate_hz`` was due after one stamp and until another, nanoseconds."""
+    """Returns how often a sensor of ``rate_hz`` was due after ``after_ns`` and up to ``until_ns``."""
     up, down = _ratio(rate_hz, NS_PER_S)
     return (until_ns * up * _PARTS + down) // (down * _PARTS) - (after_ns * up * _PARTS + down) // (down * _PARTS)

@@ -1,4 +1,4 @@
-"""Stereo pairs: two equal cameras side by side. Pure."""
+"""Rectified stereo pairs: two equal cameras side by side. Pure."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from gibson_sim.types import CameraSpec
 
 
 def stereo_pair(left: CameraSpec, baseline: float) -> tuple[CameraSpec, CameraSpec]:
-    """Returns a left and a right camera whose rows are the same planes: a point at depth z stands ``fx baseline / z`` pixels farther
-    left in the right image.
+    """Returns a rectified left and right camera: a point at depth z is ``fx baseline / z`` pixels farther left in the right image.
 
-    The right one stands ``baseline`` to the right along the optical x axis, on the same link; the baseline goes into ``p`` of its
-    camera_info. Its name has ``right`` where the other's has ``left``, or a ``_right`` at its end.
+    The right one is offset by ``baseline`` along the optical x axis, on the same link; the baseline is in ``p`` of its camera_info.
+    ``left`` in the name becomes ``right``, or ``_right`` is appended.
 
     Args:
         left: a pinhole camera.

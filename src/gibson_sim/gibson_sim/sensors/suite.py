@@ -1,4 +1,4 @@
-"""All sensors of one robot other than cameras: what is due at a step, what they remember, what they measure. Pure."""
+"""All sensors of one robot except cameras: which are due at a step, their state, their readings. Pure."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from gibson_sim.types import Contact, JointStates, SceneState, Vec3
 logger = logging.getLogger(__name__)
 
 
-class World(Protocol):
-    """``PhysicsWorld``, as far as sensors need it."""
+class SensedWorld(Protocol):
+    """The part of ``PhysicsWorld`` that sensors need."""
 
     def state_of(self, name: str, /) -> SceneState:
-        """Returns the poses of at least the links of one body now."""
+        """Returns the current poses of at least the links of one body."""
 
     def cast_rays(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64], range_max: float, ignore: str | None = None, /
@@ -35,19 +35,19 @@ class World(Protocol):
         """Returns the distance to the first hit of every ray."""
 
     def contacts(self, name: str, /) -> tuple[Contact, ...]:
-        """Returns where a body touches others."""
+        """Returns the contacts of a body with others."""
 
     def joint_states(self, robot: str, /) -> JointStates:
-        """Returns the moving joints of a robot."""
+        """Returns the states of a robot's movable joints."""
 
 
-_Read = Callable[[World, int, int], Any]
-"""(world, step, stamp_ns) to a reading."""
+_Read = Callable[[SensedWorld, int, int], Any]
+"""Returns a reading, from (world, step, stamp_ns)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """What was measured at one step; every value carries the name of its sensor."""
+    """Readings of one step; each has the name of its sensor."""
 
     stamp_ns: int
     scans: tuple[Scan, ...] = ()
@@ -64,19 +64,19 @@ class Measurements:
 class SensorSuite:
     """The sensors of one robot.
 
-    Lidars and bumpers measure at the ticks at which the state is published, so that a transform with their stamp is there; the IMU
-    and the battery at steps. Each is due when ``schedule.is_due`` says so.
+    Lidars and bumpers measure at the ticks at which the state is published, so that there is a transform with their stamp; the IMU
+    and the battery measure at steps. Each is due by ``schedule.is_due``.
     """
 
     def __init__(self, robot: RobotSpec, step_hz: int, publish_hz: int, gravity: Vec3, seed: int = 0) -> None:
         """Makes all sensors ready for step 0.
 
         Args:
-            robot: Who carries them.
-            step_hz: Physics steps in a second.
-            publish_hz: Rate of published states; must divide ``step_hz``.
-            gravity: World frame, m/s^2.
-            seed: Of the simulation; with the seed and the name of a sensor and the stamp it decides every error.
+            robot: that carries them.
+            step_hz: physics steps a second.
+            publish_hz: rate of published states; must divide ``step_hz``.
+            gravity: world frame, m/s^2.
+            seed: of the simulation; with a sensor's seed and name and the stamp it determines every error.
         """
         if step_hz % publish_hz:
             raise ConfigError(f"sensors: publish_hz is {publish_hz}, must divide step_hz, which is {step_hz}")
@@ -85,9 +85,9 @@ class SensorSuite:
         self._imus = [Imu(spec, gravity, seed) for spec in sensors.imus]
         self._battery = None if sensors.battery is None else Battery(sensors.battery)
         self._tasks: list[_Task] = [
-            *(_Task(s.name, "scans", _Timer(s.rate_hz, step_hz, tick), self._scan(s), may_rest=True) for s in sensors.lidars),
+            *(_Task(s.name, "scans", _Timer(s.rate_hz, step_hz, tick), self._scan(s), can_skip=True) for s in sensors.lidars),
             *(
-                _Task(s.name, "clouds", _Timer(s.rate_hz, step_hz, tick), self._cloud(s), may_rest=True)
+                _Task(s.name, "clouds", _Timer(s.rate_hz, step_hz, tick), self._cloud(s), can_skip=True)
                 for s in sensors.lidars_3d
             ),
             *(_Task(spec.name, "bumpers", _Timer(spec.rate_hz, step_hz, tick), self._bumper(spec)) for spec in sensors.bumpers),
@@ -99,9 +99,9 @@ class SensorSuite:
         self.reset()
 
     def reset(self, step: int = 0) -> None:
-        """Puts all sensors back to how they began, after ``step`` steps of the world; forgets what was missed."""
+        """Restores the initial state of all sensors, after ``step`` steps of the world, and forgets missed readings."""
         self._last_drain = step
-        self._charge_reported = "well"
+        self._charge_reported = "normal"
         for imu in self._imus:
             imu.reset()
         if self._battery is not None:
@@ -112,30 +112,33 @@ class SensorSuite:
 
     @property
     def misses(self) -> dict[str, int]:
-        """How often each sensor was due without being measured, since the last reset."""
+        """Number of readings that each sensor missed since the last reset."""
         return {task.name: task.misses for task in self._tasks}
 
-    def measure(self, world: World, step: int, stamp_ns: int, is_wanted: Callable[[str], bool] | None = None) -> Measurements:
-        """Returns what is due at ``step``, to be called after every step of the world; mostly that is nothing.
+    def measure(
+        self, world: SensedWorld, step: int, stamp_ns: int, is_requested: Callable[[str], bool] | None = None
+    ) -> Measurements:
+        """Returns the readings that are due at ``step``, mostly none; call it after every step of the world.
 
         Args:
-            world: As it is after ``step`` steps.
-            step: Steps since load; after going back, ``reset``.
-            stamp_ns: Of that step.
-            is_wanted: Whether the sensor of a name is to be measured, if it remembers next to nothing: lidars, which take longest, and
-                IMUs without walking biases, whose first sample then is the one after. None = all are.
+            world: after ``step`` steps.
+            step: steps since load; call ``reset`` after going back.
+            stamp_ns: of that step.
+            is_requested: returns whether the named sensor is to be measured. It is called for lidars, which take longest, and for IMUs
+                without random walk, whose first sample after a pause is skipped too. None = all sensors are measured.
         """
         if self._next is None or step < self._next:
             return Measurements(stamp_ns)
         readings: dict[str, list[Any]] = {}
         for task in self._tasks:
             if task.due <= step and task.advance(step):
-                rested, task.rests = task.rests, task.may_rest and is_wanted is not None and not is_wanted(task.name)
-                if task.rests:
+                was_skipped = task.skipped
+                task.skipped = task.can_skip and is_requested is not None and not is_requested(task.name)
+                if task.skipped:
                     continue
                 try:
-                    if rested and task.wake is not None:
-                        task.wake(world)
+                    if was_skipped and task.resume is not None:
+                        task.resume(world)
                         continue
                     readings.setdefault(task.kind, []).append(task.read(world, step, stamp_ns))
                 except GibsonSimError as error:
@@ -155,13 +158,13 @@ class SensorSuite:
         name = self._robot.name
         return lambda world, step, stamp_ns: measure_bumper(spec, world.state_of(name), world.contacts(name))
 
-    def _drain(self, world: World, step: int, stamp_ns: int) -> BatteryReading:
+    def _drain(self, world: SensedWorld, step: int, stamp_ns: int) -> BatteryReading:
         assert self._battery is not None
         power = self._battery.power(world.joint_states(self._robot.name))
         reading = self._battery.drain(power, (step - self._last_drain) / self._step_hz, stamp_ns)
         self._last_drain = step
-        charge = "empty" if reading.empty else "low" if reading.low else "well"
-        if charge not in ("well", self._charge_reported):
+        charge = "empty" if reading.empty else "low" if reading.low else "normal"
+        if charge not in ("normal", self._charge_reported):
             logger.warning("battery of robot %r is %s: %.0f %% left", self._robot.name, charge, 100 * reading.percentage)
         self._charge_reported = charge
         return reading
@@ -171,12 +174,12 @@ def _imu(imu: Imu, robot: str, step_hz: int) -> _Task:
     return _Task(
         imu.spec.name, "imus", _Timer(imu.spec.rate_hz, step_hz, 1),
         read=lambda world, step, stamp_ns: imu.measure(world.state_of(robot)),
-        may_rest=imu.may_rest, wake=lambda world: imu.note(world.state_of(robot)),
+        can_skip=imu.can_skip_samples, resume=lambda world: imu.note(world.state_of(robot)),
     )  # fmt: skip
 
 
 class _Timer:
-    """The steps at which a sensor is due, in whole numbers: the same as ``schedule.is_due`` at every tick."""
+    """The steps at which a sensor is due, in integers: the same as ``schedule.is_due`` at every tick."""
 
     def __init__(self, rate_hz: float, step_hz: int, steps_per_tick: int) -> None:
         tick_hz = Fraction(step_hz, steps_per_tick)
@@ -184,7 +187,7 @@ class _Timer:
         self._up, self._down, self._steps = ratio.numerator, ratio.denominator, steps_per_tick
 
     def count(self, step: int) -> int:
-        """Returns how often the sensor was due until ``step``, that step included."""
+        """Returns how often the sensor was due up to ``step``, inclusive."""
         return step // self._steps * self._up // self._down
 
     def step_of(self, count: int) -> int:
@@ -193,15 +196,15 @@ class _Timer:
 
 
 class _Task:
-    """One sensor and when it is due next.
+    """A sensor and the step at which it is due next.
 
     Args:
         name: of the sensor.
         kind: field of ``Measurements``.
         timer: when it is due.
         read: measures.
-        may_rest: whether it can be left out while nobody wants it.
-        wake: is called instead of ``read`` at the first time after a rest; None = it reads at once.
+        can_skip: whether it is skipped while it is not requested.
+        resume: called instead of ``read`` the first time after it was skipped; None = ``read`` is called.
     """
 
     def __init__(
@@ -211,10 +214,10 @@ class _Task:
         timer: _Timer,
         read: _Read,
         *,
-        may_rest: bool = False,
-        wake: Callable[[World], None] | None = None,
+        can_skip: bool = False,
+        resume: Callable[[SensedWorld], None] | None = None,
     ) -> None:
-        self.name, self.kind, self.read, self.may_rest, self.wake = name, kind, read, may_rest, wake
+        self.name, self.kind, self.read, self.can_skip, self.resume = name, kind, read, can_skip, resume
         self._timer = timer
         self.start(0)
 
@@ -222,10 +225,10 @@ class _Task:
         self._count = self._timer.count(step)
         self.due = self._timer.step_of(self._count + 1)
         self.misses = 0
-        self.rests = False
+        self.skipped = False
 
     def advance(self, step: int) -> bool:
-        """Returns whether the sensor is due at ``step``; goes on to the next time, and counts those before ``step`` as missed."""
+        """Returns whether the sensor is due at ``step``; advances to the next time, and counts those before ``step`` as missed."""
         count = self._timer.count(step)
         now = self._timer.step_of(count) == step
         self.misses += count - self._count - now

@@ -1,4 +1,4 @@
-"""What can be spawned and loaded, of the usual places and of those that a client names."""
+"""Lists the spawnables and worlds in the default sources and in those that a client names."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.sources import Search
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, spawnables_below
-from gibson_sim.scenes.worlds import World, own_worlds, world_of, worlds_below
+from gibson_sim.scenes.worlds import WorldEntry, own_worlds, world_of, worlds_below
 from gibson_sim.standard.codes import Result, SimulationError, WorldsCode, shortened
 from gibson_sim.standard.filters import TagsFilter
 
 
-def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_error: bool) -> tuple[World, ...]:
+def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_error: bool) -> tuple[WorldEntry, ...]:
     """Returns the worlds that can be loaded.
 
     Args:
-        sources: Places beside the usual ones.
-        tags: Filter on the worlds' tags.
-        continue_on_error: Leave out places that cannot be read, unless no place has a world.
+        sources: folders in addition to the default sources.
+        tags: filter on the worlds' tags.
+        continue_on_error: skip sources that cannot be read, unless no source has a world.
 
     Raises:
-        SimulationError: a place cannot be read, or the filter is impossible.
+        SimulationError: a source cannot be read, or the filter is invalid.
     """
     tags.check()
-    found: dict[str, World] = {}
+    found: dict[str, WorldEntry] = {}
     failures: list[SimulationError] = []
     search = Search()
     for source, code in ((None, WorldsCode.DEFAULT_SOURCES_FAILED), *((source, Result.NOT_FOUND) for source in sources)):
@@ -40,7 +40,7 @@ def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_
 
 
 def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
-    """Returns what can be spawned, and one line that names the sources with nothing to spawn: they do not make the request fail."""
+    """Returns the spawnables, and one line that names the sources without any: these do not make the request fail."""
     found = {spawnable.uri: spawnable for spawnable in find_spawnables(())}
     failures = []
     search = Search()
@@ -52,8 +52,8 @@ def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
     return tuple(found.values()), shortened("; ".join(failures))
 
 
-def description_of(uri: str) -> World | None:
-    """Returns what is known of the world that a uri means, without loading it; None where it means several, or none."""
+def description_of(uri: str) -> WorldEntry | None:
+    """Returns the description of the world with a URI, without loading it; None if there is none, or more than one."""
     try:
         return world_of(uri)
     except GibsonSimError:

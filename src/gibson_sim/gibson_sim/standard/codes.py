@@ -1,6 +1,6 @@
-"""The numbers of the standard: result codes, general (0 to 4) and of single services (above 100), and the error that carries one.
+"""The result codes of the standard, general ones (0 to 4) and those of single services (above 100), and the error that carries one.
 
-https://github.com/ros-simulation/simulation_interfaces, versions 1.x and 2.x, which do not differ here.
+https://github.com/ros-simulation/simulation_interfaces; versions 1.x and 2.x have the same codes.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from gibson_sim.quoting import clipped
 
 _log = logging.getLogger(__name__)
 LONGEST_LOGGED = 4000
-"""Characters of a message in the log."""
+"""Greatest length of a message in the log, characters."""
 LONGEST_MESSAGE = 600
-"""Characters; a client that sends megabytes does not get them back."""
+"""Greatest length of a message to a client, characters: a name of megabytes is not sent back."""
 
 
 class Result(IntEnum):
-    """Codes of every service."""
+    """Codes common to all services."""
 
     FEATURE_UNSUPPORTED = 0
     OK = 1
@@ -37,7 +37,7 @@ class StateCode(IntEnum):
 
 
 class SpawnCode(IntEnum):
-    """SpawnEntity, and each item of SpawnEntities."""
+    """SpawnEntity and each item of SpawnEntities."""
 
     NAME_NOT_UNIQUE = 101
     NAME_INVALID = 102
@@ -93,10 +93,10 @@ class SimulationError(GibsonSimError):
         self.code = code
 
 
-def told(what: str, error: GibsonSimError) -> str:
-    """Returns what a client may be told of a file that it named and that cannot be used: nothing of what stands in it.
+def client_message(what: str, error: GibsonSimError) -> str:
+    """Returns the message to a client that named an unusable file, without anything of the file's contents.
 
-    The log has the whole of it: whoever may read that may read the file.
+    The log has the whole error: users who may read the log may read the file.
     """
     reason = error.public or "cannot be used"
     _log.warning("%s cannot be used: %s", what, clipped(str(error), LONGEST_LOGGED))
@@ -104,5 +104,5 @@ def told(what: str, error: GibsonSimError) -> str:
 
 
 def shortened(text: str) -> str:
-    """Returns the text on one line, its middle left out where it is too long."""
+    """Returns the text on one line; the middle of a long text is omitted."""
     return clipped(text, LONGEST_MESSAGE)

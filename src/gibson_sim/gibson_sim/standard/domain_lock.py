@@ -1,8 +1,8 @@
-"""One simulation at a time in a ROS domain.
+"""A lock that allows one simulation at a time in a ROS domain.
 
-The lock is the name of a Unix socket in Linux's abstract namespace. No file is involved: neither ``TMPDIR`` nor what other users put into
-``/tmp`` matters, and the kernel frees the name when the process ends, however it ends. Such names belong to a network namespace, as the
-loopback interface of a ROS domain does: a container with a network of its own has domains of its own.
+The lock is the name of a Unix socket in Linux's abstract namespace. It needs no file: neither ``TMPDIR`` nor files of other users in ``/tmp``
+matter, and the kernel frees the name when the process ends, however it ends. Such names belong to a network namespace, like the loopback
+interface of a ROS domain: a container with a network of its own has domains of its own.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from gibson_sim.errors import AlreadyRunningError, EnvironmentProblemError
 
 _CREDENTIALS = struct.Struct("3i")
 """What SO_PEERCRED returns (unix(7)): process id, user id, group id."""
-_REFUSALS_THAT_NAME_THE_HOLDER = 4096
-"""Each refused process stays in the queue of the holder's socket, since that never accepts; once it is full, the holder stays unnamed."""
+_BACKLOG = 4096
+"""Length of the socket's queue. Refused processes stay in it, since the holder never accepts; once it is full, errors do not name the holder."""
 
 
 class DomainLock:
-    """Held by the one simulation of a ROS domain on this machine, its launcher or its physics node."""
+    """The lock of a ROS domain on this machine; the launcher or the physics node of its simulation holds it."""
 
     def __init__(self, domain_id: int) -> None:
-        """Takes the lock.
+        """Acquires the lock.
 
         Raises:
-            AlreadyRunningError: another process holds it; says which one, and whose.
+            AlreadyRunningError: another process holds it; the message names the process and its user.
             EnvironmentProblemError: this machine allows no such socket.
         """
         name = f"\0gibson-sim-domain-{domain_id}"
         self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(name)
-            self._socket.listen(_REFUSALS_THAT_NAME_THE_HOLDER)
+            self._socket.listen(_BACKLOG)
         except OSError as error:
             self.close()
             if error.errno != errno.EADDRINUSE:
@@ -45,7 +45,7 @@ class DomainLock:
             raise AlreadyRunningError(_refusal(domain_id, _holder(name))) from None
 
     def close(self) -> None:
-        """Frees the lock."""
+        """Releases the lock."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -63,7 +63,7 @@ def _refusal(domain_id: int, holder: tuple[int, int] | None) -> str:
 
 
 def _holder(name: str) -> tuple[int, int] | None:
-    """Returns the ids of the process that listens at an abstract name and of its user; None if it does not listen."""
+    """Returns the ids of the process that listens at an abstract name and of its user; None if they cannot be read."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:

@@ -1,4 +1,4 @@
-"""What the standard says of an entity beside its state: its name, its namespace, its category, its tags."""
+"""Names, namespaces, categories and tags of entities, by the rules of the standard and of ROS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.standard.codes import Result, SimulationError, SpawnCode
 
 LONGEST_NAME = 255
 LONGEST_NAMESPACE = 245
-"""As rmw allows."""
+"""Limit of rmw."""
 MOST_TAGS, LONGEST_TAG, LONGEST_DESCRIPTION = 100, 255, 10_000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NAMESPACE = re.compile(r"/?(?!\d)\w+(/(?!\d)\w+)*", re.ASCII)
@@ -22,7 +22,7 @@ _HUMAN_CLASSES = ("human", "person", "people", "pedestrian")
 
 
 class Category(IntEnum):
-    """Categories of the standard; 3 is not used."""
+    """Categories of the standard; it has no number 3."""
 
     OBJECT = 0
     ROBOT = 1
@@ -33,7 +33,7 @@ class Category(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class EntityInfo:
-    """What a client can change of an entity without moving it."""
+    """The properties of an entity that ``set_entity_info`` sets."""
 
     category: int = Category.OBJECT
     description: str = ""
@@ -42,18 +42,18 @@ class EntityInfo:
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """A robot or a body of the world, as the standard sees it."""
+    """A robot or a body of the world."""
 
     name: str
     info: EntityInfo = field(default_factory=EntityInfo)
     namespace: str = ""
-    """Of its ROS interfaces; empty = it was not asked for one."""
+    """Of its ROS interfaces; empty = none was requested."""
     spawned: bool = False
-    """It came by a service and goes with a reset of what was spawned."""
+    """A service spawned it; a reset of spawned entities removes it."""
 
 
-def first_info(spec: RobotSpec | BodySpec) -> EntityInfo:
-    """Returns what is known of an entity before a client says more."""
+def initial_info(spec: RobotSpec | BodySpec) -> EntityInfo:
+    """Returns the info of an entity before a client sets it."""
     if isinstance(spec, RobotSpec):
         return EntityInfo(Category.ROBOT, "robot")
     tags = (spec.semantic_class,) if spec.semantic_class else ()
@@ -63,7 +63,7 @@ def first_info(spec: RobotSpec | BodySpec) -> EntityInfo:
 
 
 def check_info(info: EntityInfo) -> EntityInfo:
-    """Returns the info where a client may set it, or raises SimulationError."""
+    """Returns the info if it is valid, or raises SimulationError."""
     if info.category not in list(Category):
         known = ", ".join(f"{c.value} {c.name}" for c in Category)
         raise SimulationError(Result.OPERATION_FAILED, f"category is {info.category}, must be one of {known}")
@@ -80,7 +80,7 @@ def check_info(info: EntityInfo) -> EntityInfo:
 
 
 def is_name(name: str) -> bool:
-    """Returns whether an entity can be called so: its name becomes part of frames, topics and links."""
+    """Returns whether a name is valid for an entity: it becomes part of frames, topics and links."""
     return len(name) <= LONGEST_NAME and _NAME.fullmatch(name) is not None
 
 
@@ -96,22 +96,22 @@ def check_namespace(namespace: str) -> str:
     return namespace
 
 
-def choose_name(wanted: str, in_file: str, allow_renaming: bool, taken: Container[str]) -> str:
+def choose_name(requested: str, in_file: str, allow_renaming: bool, used: Container[str]) -> str:
     """Returns the name of a new entity.
 
     Args:
-        wanted: What the client asks for; empty = the name in the file.
-        in_file: The name in the file; empty = it has none.
-        allow_renaming: Make up a name where there is none, or it is taken, or the file's cannot be used.
-        taken: Names of all entities.
+        requested: the name in the client's request; empty = the name in the file.
+        in_file: the name in the file; empty = it has none.
+        allow_renaming: make up a name if there is none, or it is in use, or the file's is invalid.
+        used: names of all entities.
 
     Raises:
         SimulationError: SpawnCode.NAME_INVALID or NAME_NOT_UNIQUE.
     """
     rule = f"use letters, digits and _, a letter first, {LONGEST_NAME} characters at most"
-    if wanted and not is_name(wanted):
-        raise SimulationError(SpawnCode.NAME_INVALID, f"name {quoted(wanted)} is not usable in ROS; {rule}")
-    name = wanted or in_file
+    if requested and not is_name(requested):
+        raise SimulationError(SpawnCode.NAME_INVALID, f"name {quoted(requested)} is not usable in ROS; {rule}")
+    name = requested or in_file
     if not allow_renaming:
         if not name:
             raise SimulationError(
@@ -121,22 +121,22 @@ def choose_name(wanted: str, in_file: str, allow_renaming: bool, taken: Containe
             raise SimulationError(
                 SpawnCode.NAME_INVALID, "the name in the file is not usable in ROS; give a name, or set allow_renaming"
             )
-        if name in taken:
+        if name in used:
             raise SimulationError(
                 SpawnCode.NAME_NOT_UNIQUE, f"there is an entity {quoted(name)} already; give another name, or set allow_renaming"
             )
         return name
     base = usable_name(name)
-    if base not in taken:
+    if base not in used:
         return base
     number = 2
-    while (candidate := f"{base[: LONGEST_NAME - 12]}_{number}") in taken:
+    while (candidate := f"{base[: LONGEST_NAME - 12]}_{number}") in used:
         number += 1
     return candidate
 
 
 def usable_name(text: str) -> str:
-    """Returns a name made of ``text``: what ROS does not allow becomes ``_``; ``entity`` where nothing is left."""
+    """Returns a valid name made of ``text``: characters that ROS does not allow become ``_``; ``entity`` if nothing is left."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text[:LONGEST_NAME])
     if not name.strip("_"):
         return "entity"

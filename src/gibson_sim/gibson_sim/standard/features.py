@@ -1,4 +1,4 @@
-"""What this simulator has of the standard: the one table behind GetSimulatorFeatures and ``docs/simulation_interfaces.md``."""
+"""The features of the standard that this simulator supports: the one table behind GetSimulatorFeatures and ``docs/simulation_interfaces.md``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Feature:
     number: int
     supported: bool
     remark: str
-    """What a user wants to know of it, Markdown."""
+    """Note to the user, Markdown."""
 
 
 FEATURES = (

@@ -1,4 +1,4 @@
-"""Which entities, poses and worlds a client wants: every filter that is set must be passed."""
+"""Filters of a client's request on entities, poses and worlds; all filters that are set must pass."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from numpy.typing import ArrayLike
 
-from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap
+from gibson_sim.standard.bounds import Bounds, BoundsType, OverlapTest
 from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.standard.entities import Entity
 from gibson_sim.standard.posix_regex import PatternError, PosixRegex
@@ -17,20 +17,20 @@ FILTER_MODE_ANY, FILTER_MODE_ALL = 0, 1
 
 @dataclass(frozen=True, slots=True)
 class TagsFilter:
-    """Passes what has any, or all, of the tags; no tags = everything."""
+    """Passes things with any of the tags, or with all; no tags = everything passes."""
 
     tags: tuple[str, ...] = ()
     mode: int = FILTER_MODE_ANY
 
     def check(self) -> None:
-        """Raises SimulationError where the mode is unknown."""
+        """Raises SimulationError if the mode is unknown."""
         if self.mode not in (FILTER_MODE_ANY, FILTER_MODE_ALL):
             raise SimulationError(
                 Result.OPERATION_FAILED, f"filter_mode of the tags is {self.mode}, must be 0 (any of them) or 1 (all of them)"
             )
 
     def passes(self, tags: Iterable[str]) -> bool:
-        """Returns whether something with these tags passes."""
+        """Returns whether a thing with these tags passes."""
         has = set(tags)
         if not self.tags:
             return True
@@ -42,7 +42,7 @@ class EntityFilters:
     """Filters on entities."""
 
     pattern: str = ""
-    """POSIX extended regular expression, found anywhere in the name; empty = any name."""
+    """POSIX extended regular expression, searched in the name; empty = any name."""
     categories: tuple[int, ...] = ()
     """Any of these; empty = any."""
     tags: TagsFilter = field(default_factory=TagsFilter)
@@ -56,24 +56,24 @@ def filtered(
     """Returns the entities that pass.
 
     Args:
-        entities: All there are.
-        filters: What the client asks for.
-        box_of: Returns the lowest and the highest corner of an entity, world frame; asked only of those that pass the rest.
+        entities: all entities.
+        filters: of the request.
+        box_of: returns the lowest and the highest corner of an entity, world frame; is called only for entities that pass all other filters.
 
     Raises:
-        SimulationError: a filter is impossible.
+        SimulationError: a filter is invalid.
     """
     try:
         pattern = PosixRegex(filters.pattern)
     except PatternError as error:
         raise SimulationError(Result.OPERATION_FAILED, f"filter: {error}") from error
     filters.tags.check()
-    overlap = Overlap(filters.bounds)
+    volume = OverlapTest(filters.bounds)
     return tuple(
         entity
         for entity in entities
         if (not filters.categories or entity.info.category in filters.categories)
         and filters.tags.passes(entity.info.tags)
         and pattern.search(entity.name)
-        and (overlap.anywhere or overlap.with_box(*box_of(entity.name)))
+        and (volume.always_true or volume.overlaps_box(*box_of(entity.name)))
     )

@@ -1,4 +1,4 @@
-"""What the settings of the physics node say of arms, as the world takes it."""
+"""Converts the arm settings of the physics node for ``PhysicsWorld``."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from gibson_sim.robots.joints.servo import ServoSettings
 
 
 def grasp_settings(config: PhysicsConfig) -> GraspSettings:
-    """Returns how grippers hold."""
+    """Returns the settings of grippers."""
     return GraspSettings(
-        # The settings allow these three alone.
-        cast(GraspMode, config.grasp_mode),
+        cast(GraspMode, config.grasp_mode),  # ``PhysicsConfig`` has checked it
         config.grasp_distance,
         config.grasp_force,
         config.grasp_release_force,
@@ -23,5 +22,5 @@ def grasp_settings(config: PhysicsConfig) -> GraspSettings:
 
 
 def servo_settings(config: PhysicsConfig) -> ServoSettings:
-    """Returns how tools move at a velocity."""
+    """Returns the settings of the Cartesian servo."""
     return ServoSettings(config.servo_max_linear, config.servo_max_angular, config.servo_timeout)

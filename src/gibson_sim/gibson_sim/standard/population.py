@@ -1,4 +1,4 @@
-"""The entities of one loaded world: spawning, deleting, looking at them, moving them."""
+"""The entities of a loaded world: spawns, deletes, reads and moves them."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import GibsonSimError, StartError
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose, matrix_from_quat, pose_from_matrix
 from gibson_sim.maps.placement import in_namespace
-from gibson_sim.physics.body import read_meshes
+from gibson_sim.physics.body import prepare_meshes
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
 from gibson_sim.standard.bounds import Bounds, box_bounds
-from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode, told
-from gibson_sim.standard.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, first_info
+from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode, client_message
+from gibson_sim.standard.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, initial_info
 from gibson_sim.standard.filters import EntityFilters, filtered
 from gibson_sim.standard.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
 from gibson_sim.types import Pose, Quat, Vec3
 
 MOST_ENTITIES = 2000
-"""In a world: beyond it the physics of even resting bodies is slow, and messages that list all of them get large."""
+"""Greatest number in a world: beyond it the physics of even resting bodies is slow, and messages that list all of them get large."""
 _MOST_LISTED = 8
+"""Entities that an error message names."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpawnRequest:
-    """What a client wants to spawn, unchecked."""
+    """A client's request to spawn an entity, unchecked."""
 
     name: str = ""
     allow_renaming: bool = False
@@ -46,20 +47,20 @@ class SpawnRequest:
 
 @dataclass(frozen=True, slots=True)
 class ReadAhead:
-    """What was read of a request before it takes effect."""
+    """The resource of a spawn request, read before the request takes effect."""
 
     in_file: str
-    """Name that the resource gives itself."""
+    """Name in the resource."""
     name: str
-    """Of the entity, as it was chosen then."""
+    """Name of the entity, as it was chosen at that time."""
     pose: Pose
-    """T_world_root, as it was then."""
+    """T_world_root, as it was at that time."""
     found: RobotSpec | BodySpec | SimulationError
 
 
 @dataclass(frozen=True, slots=True)
 class SpawnOutcome:
-    """How one of several requests ended: a name, or an error."""
+    """Result of one of several requests: a name, or an error."""
 
     name: str = ""
     error: SimulationError | None = None
@@ -67,7 +68,7 @@ class SpawnOutcome:
 
 @dataclass(frozen=True, slots=True)
 class EntityState:
-    """Where an entity is and how it moves, world frame."""
+    """Pose and velocity of an entity, world frame."""
 
     pose: Pose
     """T_world_root."""
@@ -79,7 +80,7 @@ class EntityState:
 
 @dataclass(frozen=True, slots=True)
 class StateChange:
-    """What a client wants an entity to do, unchecked, in the frame ``frame_id``."""
+    """A client's request to set an entity's state, unchecked, in the frame ``frame_id``."""
 
     frame_id: str = ""
     position: Vec3 = (0.0, 0.0, 0.0)
@@ -87,13 +88,13 @@ class StateChange:
     linear: Vec3 = (0.0, 0.0, 0.0)
     angular: Vec3 = (0.0, 0.0, 0.0)
     acceleration: tuple[float, ...] = (0.0,) * 6
-    """Ignored but for static entities, which cannot have one."""
+    """Ignored, except that static entities must have none."""
     set_pose: bool = True
     set_twist: bool = True
     set_acceleration: bool = True
 
 
-def _named(request: SpawnRequest) -> str:
+def _resource_name(request: SpawnRequest) -> str:
     return quoted(request.uri) if request.uri.strip() else "resource_string"
 
 
@@ -105,16 +106,16 @@ def _load(request: SpawnRequest, name: str, pose: Pose) -> RobotSpec | BodySpec:
     try:
         return spawning.load_spawnable(request.uri, request.text, name=name, pose=pose)
     except spawning.SpawnError as error:
-        raise SimulationError(SpawnCode[error.code.name], told(_named(request), error)) from error
+        raise SimulationError(SpawnCode[error.code.name], client_message(_resource_name(request), error)) from error
 
 
-def _read_ahead(request: SpawnRequest, pose: Pose, taken: Mapping[str, object]) -> ReadAhead | None:
-    """Returns what a request names, or why it cannot be had; None where its name cannot be chosen."""
+def _read_ahead(request: SpawnRequest, pose: Pose, used: Mapping[str, object]) -> ReadAhead | None:
+    """Returns the resource of a request, or the error in reading it; None if no name can be chosen."""
     if not (request.uri.strip() or request.text.strip()):
         return None
     in_file = _name_in_file(request)
     try:
-        name = choose_name(request.name, in_file, request.allow_renaming, taken)
+        name = choose_name(request.name, in_file, request.allow_renaming, used)
     except SimulationError:
         return None
     try:
@@ -122,7 +123,7 @@ def _read_ahead(request: SpawnRequest, pose: Pose, taken: Mapping[str, object]) 
     except SimulationError as error:
         return ReadAhead(in_file, name, pose, error)
     if isinstance(spec, BodySpec):
-        read_meshes(spec)
+        prepare_meshes(spec)
     return ReadAhead(in_file, name, pose, spec)
 
 
@@ -130,29 +131,29 @@ class Population:
     """All robots and bodies of a world. Every method may raise SimulationError with a code of its service."""
 
     def __init__(self, world: PhysicsWorld, *, robot_tf: str = "namespaced", most: int = MOST_ENTITIES) -> None:
-        """Takes over what is in ``world``.
+        """Lists the entities that are in ``world``.
 
         Args:
-            world: The world that it changes; its owner closes it.
-            robot_tf: How robots with a namespace publish transforms, see ``gibson_sim.config.PhysicsConfig``.
-            most: How many entities there may be.
+            world: to be changed; its owner closes it.
+            robot_tf: how robots with a namespace publish transforms, see ``gibson_sim.config.PhysicsConfig``.
+            most: greatest number of entities.
         """
         self._world, self._robot_tf, self._most = world, robot_tf, most
         self._initial = world.scene
         self._entities: dict[str, Entity] = {}
-        self._take_stock()
+        self._list_entities()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all entities."""
         return tuple(self._entities)
 
-    def matching(self, filters: EntityFilters) -> tuple[Entity, ...]:
+    def select(self, filters: EntityFilters) -> tuple[Entity, ...]:
         """Returns the entities that pass all filters."""
         return filtered(self._entities.values(), filters, self._world.bounds)
 
     def entity(self, name: str) -> Entity:
-        """Returns what is known of an entity."""
+        """Returns an entity's name, namespace and info."""
         found = self._entities.get(name)
         if found is None:
             raise SimulationError(Result.NOT_FOUND, f"there is no entity {quoted(name)}; {self._listed()}")
@@ -164,7 +165,7 @@ class Population:
         self._entities[name] = replace(entity, info=check_info(info))
 
     def state(self, name: str) -> EntityState:
-        """Returns where an entity is and how it moves."""
+        """Returns pose and velocity of an entity."""
         self.entity(name)
         linear, angular = self._world.body_twist(name)
         return EntityState(self._world.body_pose(name), vec3(linear), vec3(angular))
@@ -172,12 +173,12 @@ class Population:
     def set_state(self, name: str, change: StateChange) -> None:
         """Moves an entity, or changes its velocity, at once.
 
-        A velocity is that of the root's origin as seen in the frame; a frame that moves takes the entity along.
+        A velocity is that of the root's origin relative to the frame; the velocity of a moving frame is added.
         """
         self.entity(name)
         moves = any((*(change.linear if change.set_twist else ()), *(change.angular if change.set_twist else ())))
-        speeds_up = change.set_acceleration and any(change.acceleration)
-        if self._world.is_static(name) and (moves or speeds_up):
+        accelerates = change.set_acceleration and any(change.acceleration)
+        if self._world.is_static(name) and (moves or accelerates):
             raise SimulationError(
                 Result.OPERATION_FAILED,
                 f"entity {quoted(name)} is static: it can be placed, but its twist and acceleration must be 0",
@@ -189,29 +190,29 @@ class Population:
             pose = self._placed(frame, T_frame_entity, EntityStateCode.INVALID_POSE)
         linear, angular = None, None
         if change.set_twist:
-            seen_linear = np.array(checked_velocity("linear", change.linear, "m/s"))
-            seen_angular = np.array(checked_velocity("angular", change.angular, "rad/s"))
+            relative_linear = np.array(checked_velocity("linear", change.linear, "m/s"))
+            relative_angular = np.array(checked_velocity("angular", change.angular, "rad/s"))
             rotation = matrix_from_quat(frame.pose.quat_xyzw)
             arm = np.array(pose.position) - np.array(frame.pose.position)
-            linear = vec3(rotation @ seen_linear + np.array(frame.linear) + np.cross(frame.angular, arm))
-            angular = vec3(rotation @ seen_angular + np.array(frame.angular))
+            linear = vec3(rotation @ relative_linear + np.array(frame.linear) + np.cross(frame.angular, arm))
+            angular = vec3(rotation @ relative_angular + np.array(frame.angular))
         self._change(
             Result.OPERATION_FAILED, lambda: self._world.set_state(name, pose if change.set_pose else None, linear, angular)
         )
 
     def bounds(self, name: str) -> Bounds:
-        """Returns a box about the collision shapes of an entity, in the frame of its root link."""
+        """Returns the bounding box of an entity's collision shapes, in the frame of its root link."""
         self.entity(name)
         T_root_world = invert(matrix_from_pose(self._world.body_pose(name)))
         low, high = self._world.bounds(name, T_frame_world=T_root_world)
         return box_bounds(vec3(low), vec3(high))
 
-    def reading(self, requests: Sequence[SpawnRequest]) -> Callable[[], list[ReadAhead | None]]:
-        """Returns a function that reads what requests name, for ``spawn``; it touches nothing else and may be called in any thread.
+    def file_reader(self, requests: Sequence[SpawnRequest]) -> Callable[[], list[ReadAhead | None]]:
+        """Returns a function that reads the resources of requests for ``spawn``; it touches nothing else and may be called in any thread.
 
-        Of a request that cannot be read ahead it returns None; ``spawn`` says why.
+        It returns None for a request that cannot be read ahead; ``spawn`` raises the reason.
         """
-        taken: dict[str, object] = dict(self._entities)
+        used: dict[str, object] = dict(self._entities)
         placed: list[tuple[SpawnRequest, Pose | None]] = []
         for request in requests:
             try:
@@ -222,16 +223,16 @@ class Population:
         def read() -> list[ReadAhead | None]:
             found: list[ReadAhead | None] = []
             for request, pose in placed:
-                ahead = None if pose is None else _read_ahead(request, pose, taken)
+                ahead = None if pose is None else _read_ahead(request, pose, used)
                 if ahead is not None:
-                    taken[ahead.name] = ahead
+                    used[ahead.name] = ahead
                 found.append(ahead)
             return found
 
         return read
 
     def spawn(self, request: SpawnRequest, ahead: ReadAhead | None = None) -> str:
-        """Puts a new robot or body into the world and returns its name; ``ahead``: what ``reading`` has read of the request."""
+        """Adds a robot or a body to the world and returns its name; ``ahead``: the result of ``file_reader`` for the request."""
         if not (request.uri.strip() or request.text.strip()):
             raise SimulationError(SpawnCode.NO_RESOURCE, "neither a uri nor a resource_string is given; see get_spawnables")
         if len(self._entities) >= self._most:
@@ -252,12 +253,12 @@ class Population:
             namespace = self._robot_namespace(name, namespace)
             spec = in_namespace(spec, namespace, self._robot_tf) if namespace else spec
         try:
-            self._add(spec)
+            self._world.add(spec)
         except StartError as error:
             raise SimulationError(SpawnCode.INVALID_POSE, str(error)) from error
         except GibsonSimError as error:
-            raise SimulationError(Result.OPERATION_FAILED, told(_named(request), error)) from error
-        self._entities[name] = Entity(name, first_info(spec), namespace, spawned=True)
+            raise SimulationError(Result.OPERATION_FAILED, client_message(_resource_name(request), error)) from error
+        self._entities[name] = Entity(name, initial_info(spec), namespace, spawned=True)
         return name
 
     def _spawn_pose(self, request: SpawnRequest) -> Pose:
@@ -268,7 +269,7 @@ class Population:
         )
 
     def spawn_all(self, requests: Sequence[SpawnRequest]) -> tuple[SpawnOutcome, ...]:
-        """Spawns one after the other; returns how each went. What could be spawned stays where others fail."""
+        """Spawns entities one after the other; returns the result of each. Those that were spawned stay if others fail."""
         outcomes = []
         for request in requests:
             try:
@@ -278,42 +279,36 @@ class Population:
         return tuple(outcomes)
 
     def delete(self, name: str) -> None:
-        """Takes an entity out of the world."""
+        """Removes an entity from the world."""
         self.entity(name)
         self._change(Result.OPERATION_FAILED, lambda: self._world.remove(name))
         del self._entities[name]
 
     def delete_spawned(self) -> None:
-        """Takes everything that was spawned out of the world."""
+        """Removes all spawned entities from the world."""
         for name in [e.name for e in self._entities.values() if e.spawned]:
             self.delete(name)
 
     def restore(self) -> None:
-        """Makes the entities those that the world was loaded with, in their order: equal order, equal physics."""
+        """Restores the entities that the world was loaded with, in their order: equal order gives equal physics."""
         initial: tuple[RobotSpec | BodySpec, ...] = (*self._initial.robots, *self._initial.bodies)
         try:
             if self._world.names != tuple(spec.name for spec in initial):
                 self._world.repopulate(self._initial.robots, self._initial.bodies)
         finally:
             self._entities = {}
-            self._take_stock()
+            self._list_entities()
 
-    def _take_stock(self) -> None:
-        """Lists what the world holds."""
+    def _list_entities(self) -> None:
+        """Adds all robots and bodies of the world to ``_entities``."""
         scene = self._world.scene
         for robot in scene.robots:
-            self._entities[robot.name] = Entity(robot.name, first_info(robot), robot.namespace)
+            self._entities[robot.name] = Entity(robot.name, initial_info(robot), robot.namespace)
         for body in scene.bodies:
-            self._entities[body.name] = Entity(body.name, first_info(body))
-
-    def _add(self, spec: RobotSpec | BodySpec) -> None:
-        if isinstance(spec, RobotSpec):
-            self._world.add_robot(spec)
-        else:
-            self._world.add_body(spec)
+            self._entities[body.name] = Entity(body.name, initial_info(body))
 
     def _robot_namespace(self, name: str, namespace: str) -> str:
-        """Returns the namespace of a new robot: its name where none is asked for and another robot has none already."""
+        """Returns the namespace of a new robot: its name if none is requested and another robot has no namespace."""
         used = {robot.namespace: robot.name for robot in self._world.scene.robots}
         if not namespace and namespace in used:
             namespace = name
@@ -325,7 +320,7 @@ class Population:
         return namespace
 
     def _frame(self, frame_id: str, code: IntEnum) -> EntityState:
-        """Returns where a frame is and how it moves: the world, or the root link of an entity."""
+        """Returns pose and velocity of a frame: the world, or the root link of an entity."""
         if frame_id in WORLD_FRAMES:
             return EntityState(Pose())
         if frame_id in self._entities:
@@ -336,13 +331,13 @@ class Population:
 
     @staticmethod
     def _placed(frame: EntityState, T_frame_entity: Mat4, code: IntEnum) -> Pose:
-        """Returns T_world_entity, which must be near enough too."""
+        """Returns T_world_entity, checked like a pose from a client."""
         pose = pose_from_matrix(matrix_from_pose(frame.pose) @ T_frame_entity)
         return checked_pose(pose.position, pose.quat_xyzw, code)
 
     @staticmethod
     def _change(code: IntEnum, change: Callable[[], None]) -> None:
-        """Changes the world; what it refuses becomes an error of ``code``."""
+        """Changes the world; its errors become a SimulationError with ``code``."""
         try:
             change()
         except StartError as error:

@@ -1,4 +1,4 @@
-"""Poses and velocities as clients send them: seven numbers that may be anything, in a frame that may be unknown."""
+"""Checks poses and velocities from clients, whose numbers and frames are untrusted."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.types import Pose, Quat, Vec3
 
 FARTHEST = 1e4
-"""Metres from the origin along each axis: beyond it single-precision images and contacts get rough."""
+"""Greatest coordinate, m: beyond it, images and contacts in single precision get rough."""
 FASTEST = 1e3
-"""m/s and rad/s."""
+"""Greatest velocity, m/s and rad/s."""
 NORM_TOLERANCE = 0.01
-"""How far the length of a quaternion may be from 1: clients round to two digits."""
+"""Greatest deviation of a quaternion's length from 1: clients round to two digits."""
 WORLD_FRAMES = ("", "world", "map")
-"""What clients call the world frame."""
+"""Names of the world frame in requests."""
 
 
 def checked_pose(position: Vec3, quat_xyzw: Quat, code: IntEnum) -> Pose:
-    """Returns the pose, its quaternion normalised; one of four zeros, which messages of some clients begin as, is no rotation.
+    """Returns the pose with a normalised quaternion; four zeros, the default of some clients' messages, are no rotation.
 
     Raises:
         SimulationError: with ``code``.

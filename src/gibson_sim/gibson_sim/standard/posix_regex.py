@@ -1,9 +1,9 @@
-"""POSIX extended regular expressions that cannot be made to run for long.
+"""POSIX extended regular expressions, matched in linear time.
 
-Python's ``re`` has another syntax and takes exponential time for hostile patterns; a simulator must not stand still because of a
-filter. A pattern becomes an automaton of one state per character in it (Glushkov's), and its states are the bits of one integer, so a
-text costs time in proportion to its length. https://pubs.opengroup.org/onlinepubs/9799919799/basedefs/V1_chap09.html, section 9.4;
-without back-references, which extended expressions do not have, and with the POSIX locale's classes.
+Python's ``re`` has another syntax and takes exponential time for hostile patterns; a client's filter must not block the simulator. A
+pattern becomes a Glushkov automaton, which has one state per character of the pattern; a set of states is an integer with one bit for each.
+https://pubs.opengroup.org/onlinepubs/9799919799/basedefs/V1_chap09.html, section 9.4; without back-references, which extended
+expressions do not have, and with the classes of the POSIX locale.
 """
 
 from __future__ import annotations
@@ -19,14 +19,17 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
 LONGEST_PATTERN = 1000
-"""Characters."""
+"""Greatest length of a pattern, characters."""
 MOST_STATES = 256
-"""Characters of the pattern after ``{2,5}`` and the like are written out."""
+"""Greatest number of characters of a pattern in which intervals such as ``{2,5}`` are expanded."""
 _MOST_REPEATS = 255
-_DEEPEST = 50
-_MOST_REMEMBERED = 20_000
+"""Greatest number in an interval."""
+_MOST_NESTED = 50
+"""Greatest depth of nested parentheses."""
+_CACHE_SIZE = 20_000
+"""Transitions that a pattern remembers."""
 _START, _END = "\x02", "\x03"
-"""Stand before and after every text, so that anchors are characters like others."""
+"""Characters added before and after every text, so that anchors match a character like any other."""
 _INTERVAL = re.compile(r"([0-9]{1,4})(,([0-9]{1,4})?)?}")
 _SPECIAL = "^.[$()|*+?{\\"
 _ASCII = [chr(i) for i in range(128)]
@@ -47,12 +50,12 @@ _CLASSES = {
 
 
 class PatternError(ConfigError):
-    """A pattern is no POSIX extended regular expression, or too large."""
+    """A pattern is not a POSIX extended regular expression, or it is too large."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Characters:
-    """What one position of the pattern matches."""
+    """The characters that one position of the pattern matches."""
 
     chars: frozenset[str] = frozenset()
     ranges: tuple[tuple[str, str], ...] = ()
@@ -64,19 +67,22 @@ class _Characters:
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """A piece of the automaton: sets of positions are integers, one bit each."""
+class _Fragment:
+    """A fragment of the automaton, with Glushkov's sets of positions as integers, one bit each."""
 
     nullable: bool
+    """Whether it matches the empty text."""
     first: int
+    """Positions at which a match may begin."""
     last: int
+    """Positions at which a match may end."""
 
 
 class PosixRegex:
     """A compiled pattern.
 
     Raises:
-        PatternError: the pattern is none, or too large.
+        PatternError: the pattern is invalid or too large.
     """
 
     def __init__(self, pattern: str) -> None:
@@ -87,10 +93,10 @@ class PosixRegex:
         builder = _Builder()
         self._whole = builder.build(_Parser(pattern).parse())
         self._positions, self._follow = builder.positions, builder.follow
-        self._next: dict[tuple[int, str], int] = {}
+        self._transitions: dict[tuple[int, str], int] = {}
 
     def search(self, text: str) -> bool:
-        """Returns whether the pattern matches anywhere in ``text``, as POSIX ``regexec`` does; ``^`` and ``$`` tie it to the ends."""
+        """Returns whether the pattern matches a part of ``text``, as POSIX ``regexec`` does; ``^`` and ``$`` match its ends."""
         if self._whole.nullable:
             return True
         states = 0
@@ -101,22 +107,22 @@ class PosixRegex:
         return False
 
     def _step(self, states: int, char: str) -> int:
-        """Returns the positions that ``char`` leads to; a match may begin at every character."""
+        """Returns the positions after ``char``; a match may begin at every character."""
         key = (states, char)
-        known = self._next.get(key)
+        known = self._transitions.get(key)
         if known is not None:
             return known
-        reachable = self._whole.first | _united(self._follow[i] for i in _bits(states))
-        after = _united(1 << i for i in _bits(reachable) if self._positions[i].matches(char))
-        if len(self._next) >= _MOST_REMEMBERED:
-            self._next.clear()
-        self._next[key] = after
+        reachable = self._whole.first | _union(self._follow[i] for i in _bits(states))
+        after = _union(1 << i for i in _bits(reachable) if self._positions[i].matches(char))
+        if len(self._transitions) >= _CACHE_SIZE:
+            self._transitions.clear()
+        self._transitions[key] = after
         return after
 
 
 @dataclass(frozen=True, slots=True)
 class _Repeat:
-    """``part`` ``low`` to ``high`` times; None = no end."""
+    """``part`` ``low`` to ``high`` times; None = no limit."""
 
     part: _Node
     low: int
@@ -129,53 +135,51 @@ class _Sequence:
 
 
 @dataclass(frozen=True, slots=True)
-class _Choice:
+class _Alternation:
     parts: tuple[_Node, ...]
 
 
-_Node = _Characters | _Repeat | _Sequence | _Choice
+_Node = _Characters | _Repeat | _Sequence | _Alternation
 
 
 class _Builder:
-    """Makes the automaton: its positions, and who follows whom."""
+    """Builds the automaton: its positions, and which positions may follow each of them."""
 
     def __init__(self) -> None:
         self.positions: list[_Characters] = []
         self.follow: list[int] = []
         self._work = 0
 
-    def build(self, node: _Node) -> _Part:
+    def build(self, node: _Node) -> _Fragment:
         self._work += 1
         if self._work > 8 * MOST_STATES or len(self.positions) > MOST_STATES:
-            raise PatternError(
-                f"the pattern is too large: more than {MOST_STATES} characters when what {{m,n}} repeats is written out"
-            )
+            raise PatternError(f"the pattern is too large: more than {MOST_STATES} characters when {{m,n}} is expanded")
         if isinstance(node, _Characters):
             bit = 1 << len(self.positions)
             self.positions.append(node)
             self.follow.append(0)
-            return _Part(False, bit, bit)
-        if isinstance(node, _Choice):
+            return _Fragment(False, bit, bit)
+        if isinstance(node, _Alternation):
             parts = [self.build(part) for part in node.parts]
-            return _Part(any(p.nullable for p in parts), _united(p.first for p in parts), _united(p.last for p in parts))
+            return _Fragment(any(p.nullable for p in parts), _union(p.first for p in parts), _union(p.last for p in parts))
         if isinstance(node, _Sequence):
             return self._join([self.build(part) for part in node.parts])
         return self._repeat(node)
 
-    def _repeat(self, node: _Repeat) -> _Part:
+    def _repeat(self, node: _Repeat) -> _Fragment:
         copies = []
         for i in range(max(node.low, 1) if node.high is None else node.high):
             copy = self.build(node.part)
-            copies.append(copy if i < node.low else _Part(True, copy.first, copy.last))
+            copies.append(copy if i < node.low else _Fragment(True, copy.first, copy.last))
         if node.high is None:
             self._connect(copies[-1].last, copies[-1].first)
         return self._join(copies)
 
-    def _join(self, parts: list[_Part]) -> _Part:
-        whole = _Part(True, 0, 0)
+    def _join(self, parts: list[_Fragment]) -> _Fragment:
+        whole = _Fragment(True, 0, 0)
         for part in parts:
             self._connect(whole.last, part.first)
-            whole = _Part(
+            whole = _Fragment(
                 whole.nullable and part.nullable,
                 whole.first | (part.first if whole.nullable else 0),
                 part.last | (whole.last if part.nullable else 0),
@@ -188,34 +192,34 @@ class _Builder:
 
 
 class _Parser:
-    """Reads a pattern from left to right."""
+    """A recursive-descent parser of patterns."""
 
     def __init__(self, pattern: str) -> None:
         self._pattern, self._at, self._depth = pattern, 0, 0
 
     def parse(self) -> _Node:
-        node = self._choice()
+        node = self._alternation()
         if self._peek():
             raise self._error("a ) that closes nothing; write \\) for the character")
         return node
 
     def _error(self, what: str) -> PatternError:
         shown = self._pattern if len(self._pattern) <= 80 else f"{self._pattern[:80]}..."
-        return PatternError(f"{quoted(shown)} is no POSIX extended regular expression: at character {self._at + 1}: {what}")
+        return PatternError(f"{quoted(shown)} is not a POSIX extended regular expression: at character {self._at + 1}: {what}")
 
     def _peek(self) -> str:
         return self._pattern[self._at : self._at + 1]
 
-    def _choice(self) -> _Node:
+    def _alternation(self) -> _Node:
         self._depth += 1
-        if self._depth > _DEEPEST:
-            raise self._error(f"more than {_DEEPEST} parentheses in each other")
+        if self._depth > _MOST_NESTED:
+            raise self._error(f"more than {_MOST_NESTED} parentheses in each other")
         parts = [self._sequence()]
         while self._peek() == "|":
             self._at += 1
             parts.append(self._sequence())
         self._depth -= 1
-        return _Choice(tuple(parts))
+        return _Alternation(tuple(parts))
 
     def _sequence(self) -> _Node:
         parts: list[_Node] = []
@@ -227,7 +231,7 @@ class _Parser:
         return _Sequence(tuple(parts))
 
     def _counts(self) -> tuple[int, int | None]:
-        """Reads one of ``* + ? {m} {m,} {m,n}``; returns the least and the greatest number, None = no end."""
+        """Parses one of ``* + ? {m} {m,} {m,n}``; returns the least and the greatest number, None = no limit."""
         sign = self._peek()
         self._at += 1
         if sign != "{":
@@ -248,7 +252,7 @@ class _Parser:
             raise self._error(f"nothing stands before {char}; write \\{char} for the character")
         self._at += 1
         if char == "(":
-            node = self._choice()
+            node = self._alternation()
             if self._peek() != ")":
                 raise self._error("a ( is not closed")
             self._at += 1
@@ -271,7 +275,7 @@ class _Parser:
         return _Characters(frozenset(char))
 
     def _bracket(self) -> _Characters:
-        """Reads what stands in ``[...]``, its first bracket read already."""
+        """Parses a bracket expression ``[...]`` after its first bracket."""
         negated = self._peek() == "^"
         self._at += negated
         chars: set[str] = set()
@@ -319,13 +323,13 @@ class _Parser:
 
 
 def _bits(states: int) -> Iterator[int]:
-    """Yields the numbers of the bits that are set."""
+    """Yields the indices of the bits that are set."""
     while states:
         lowest = states & -states
         yield lowest.bit_length() - 1
         states ^= lowest
 
 
-def _united(sets: Iterable[int]) -> int:
-    """Returns all bits of all ``sets``."""
+def _union(sets: Iterable[int]) -> int:
+    """Returns the union of ``sets``."""
     return reduce(or_, sets, 0)

@@ -1,4 +1,4 @@
-"""What clients ask of the simulation as a whole, and what it says of itself."""
+"""Values of requests about the simulation as a whole: worlds and resets."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 EPOCH_REQUESTS = ("reset_simulation", "set_simulation_state", "load_world")
-"""Services after which steps may count anew."""
+"""Services that may begin a new epoch, in which steps count from 0."""
 
 
 class ResetScope(IntFlag):
-    """What a reset is about; 0 and 255 mean all of it."""
+    """Parts of a reset; 0 and 255 mean all of them."""
 
     TIME = 1
     STATE = 2
@@ -19,7 +19,7 @@ class ResetScope(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class WorldInfo:
-    """What is known of a world; the resource as the client gave it."""
+    """Description of a world, with the resource of the client's request."""
 
     name: str
     uri: str = ""
@@ -30,7 +30,7 @@ class WorldInfo:
 
 @dataclass(frozen=True, slots=True)
 class LoadRequest:
-    """What a client wants to load."""
+    """A request to load a world."""
 
     uri: str = ""
     text: str = ""
@@ -46,4 +46,4 @@ class LastReset:
     scope: int = 0
     """Bits of ``ResetScope``."""
     rewound: bool = False
-    """Time began at 0 again."""
+    """Time restarted at 0."""

@@ -1,15 +1,15 @@
-"""The simulation as ``simulation_interfaces`` sees it: a state, a world or none, and steps that clients ask for.
+"""The simulation of ``simulation_interfaces``: a state, at most one world, and the steps that clients request.
 
-The node's loop does this, and nothing else makes time::
+The node's loop does this, and nothing else makes time pass::
 
-    steps = simulator.steps_due(pacer.due(now_ns))   # also while paused: what the pacer says then is dropped
+    steps = simulator.steps_due(pacer.due(now_ns))   # also while paused: the pacer's ticks are dropped then
     for _ in range(steps):
         simulator.step()                             # one physics step; publish what is due at it
-    if simulator.scene.revision != published: ...    # entities came or went, or there is another world: publish the scene anew
-    if simulator.epoch != seen: ...                  # it was reset, or there is another world: ``simulator.last_reset`` says how
-    if simulator.quitting: ...                       # let the services answer, then end
+    if simulator.scene.revision != published: ...    # entities came or went, or there is another world: publish the scene again
+    if simulator.epoch != published_epoch: ...       # it was reset, or there is another world: see ``simulator.last_reset``
+    if simulator.quitting: ...                       # let the services respond, then end
 
-``simulator.world`` is None while there is no world. It is another object after ``load_world``: never keep it.
+``simulator.world`` is None while no world is loaded. It is another object after ``load_world``: do not store it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gibson_sim.scenes import worlds
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.standard.bounds import Bounds, box_bounds
 from gibson_sim.standard.catalogue import description_of
-from gibson_sim.standard.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, told
+from gibson_sim.standard.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, client_message
 from gibson_sim.standard.filters import TagsFilter
 from gibson_sim.standard.manipulation import grasp_settings, servo_settings
 from gibson_sim.standard.population import Population
@@ -39,14 +39,13 @@ from gibson_sim.standard.stepping import StepQueue, StepRequest
 logger = logging.getLogger(__name__)
 
 STEPS_AT_ONCE = 60
-"""Most steps that the loop makes for clients before it looks at messages again."""
+"""Greatest number of requested steps that the loop makes before it handles messages again."""
 EVERYTHING = 255
-
-
+"""Scope of a reset of everything."""
 _ALL = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
 
 
-def _named(request: LoadRequest) -> str:
+def _resource_name(request: LoadRequest) -> str:
     return quoted(request.uri) if request.uri.strip() else "resource_string"
 
 
@@ -60,12 +59,12 @@ class Simulator:
         *,
         make_world: Callable[..., PhysicsWorld] = PhysicsWorld,
     ) -> None:
-        """Loads the scene; it plays at once, unless ``config.start_paused``: then it is stopped.
+        """Loads the scene, and plays; with ``config.start_paused`` it is stopped.
 
         Args:
-            scene: What there is at first; None = no world.
-            config: Settings of the physics node.
-            make_world: Makes a world of a scene.
+            scene: of the first world; None = no world.
+            config: settings of the physics node.
+            make_world: makes a world from a scene.
 
         Raises:
             GibsonSimError: the scene cannot be used.
@@ -81,7 +80,7 @@ class Simulator:
         self._named_poses: tuple[NamedPose, ...] | None = None
         self._steps_before = 0
         self.epoch = 0
-        """Counts resets and worlds."""
+        """Number of resets and new worlds so far."""
         self._epoch_start = 0
         self.last_reset = LastReset()
         if scene is not None:
@@ -91,22 +90,22 @@ class Simulator:
 
     @property
     def state(self) -> SimulationState:
-        """What it is doing."""
+        """The state."""
         return self._state
 
     @property
     def quitting(self) -> bool:
-        """Whether a client asked for the end."""
+        """Whether a client has requested the end."""
         return self._state is SimulationState.QUITTING
 
     @property
     def world(self) -> PhysicsWorld | None:
-        """The world, if there is one."""
+        """The world; None = no world is loaded."""
         return self._world
 
     @property
     def scene(self) -> SceneSpec:
-        """What there is now, without a world an empty scene; ``revision`` grows with every change, over all worlds."""
+        """The present scene, empty without a world; ``revision`` grows with every change, across worlds."""
         return self._empty if self._world is None else self._world.scene
 
     @property
@@ -114,7 +113,7 @@ class Simulator:
         """The entities.
 
         Raises:
-            SimulationError: INCORRECT_STATE, there is no world.
+            SimulationError: INCORRECT_STATE, no world is loaded.
         """
         if self._population is None or self._state not in HAS_WORLD:
             raise SimulationError(
@@ -123,16 +122,16 @@ class Simulator:
         return self._population
 
     def set_state(self, target: int) -> None:
-        """Plays, pauses, stops or quits. Steps that are being made for clients end.
+        """Plays, pauses, stops or quits. Requests for steps end.
 
         Raises:
             SimulationError: with a StateCode.
         """
         if target == SimulationState.PAUSED and self._state is SimulationState.PAUSED and self._steps.clear("paused"):
             return
-        wanted = check_transition(self._state, target)
-        self._steps.clear(f"set to {wanted.name}")
-        if wanted is SimulationState.STOPPED:
+        state = check_transition(self._state, target)
+        self._steps.clear(f"set to {state.name}")
+        if state is SimulationState.STOPPED:
             self._state = SimulationState.PAUSED
             try:
                 self.reset()
@@ -140,15 +139,15 @@ class Simulator:
                 raise SimulationError(
                     StateCode.STATE_TRANSITION_ERROR, f"the simulation is paused, but cannot be reset: {error}"
                 ) from error
-        self._state = wanted
+        self._state = state
 
     def reset(self, scope: int = EVERYTHING) -> None:
-        """Brings back the beginning, or parts of it. The state stays: what plays goes on playing.
+        """Restores the initial state of the world, or parts of it. A simulation that plays goes on playing.
 
-        Everything (0, 255, or all three bits) also brings back what was deleted, and takes back what clients said of entities.
+        A reset of everything (0, 255, or all three bits) also restores deleted entities and the initial info of all entities.
 
         Raises:
-            SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED for an unknown scope or a world that refuses.
+            SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED for an unknown scope or an error of the world.
         """
         world, population = self._world, self.population
         assert world is not None, "a population has a world"
@@ -157,37 +156,37 @@ class Simulator:
                 Result.OPERATION_FAILED,
                 f"scope {scope} is not known; 1 = time, 2 = state, 4 = spawned, their sums, 0 or 255 = all",
             )
-        wanted = _ALL if scope in (0, EVERYTHING) else ResetScope(scope)
-        rewinds = bool(wanted & ResetScope.TIME) and self._config.reset_time == "rewind"
+        parts = _ALL if scope in (0, EVERYTHING) else ResetScope(scope)
+        rewinds = bool(parts & ResetScope.TIME) and self._config.reset_time == "rewind"
         self._steps.clear("reset")
         try:
-            if wanted == _ALL:
+            if parts == _ALL:
                 population.restore()
-            elif wanted & ResetScope.SPAWNED:
+            elif parts & ResetScope.SPAWNED:
                 population.delete_spawned()
-            if wanted & ResetScope.STATE:
+            if parts & ResetScope.STATE:
                 world.reset(keep_time=True)
             if rewinds:
                 world.set_step_count(0)
         except GibsonSimError as error:
             raise SimulationError(Result.OPERATION_FAILED, f"reset: {error}") from error
         finally:
-            self._begin_epoch(LastReset(int(wanted), rewinds))
+            self._begin_epoch(LastReset(int(parts), rewinds))
 
     def steps_due(self, paced: int) -> int:
         """Returns how many steps the loop makes now.
 
         Args:
-            paced: How many are due by the pace of wall time, if time passes at all.
+            paced: steps due by wall time, if time passes at all.
         """
         if self._world is None:
             return 0
         if self._state is SimulationState.PLAYING:
             return paced
-        return min(self._steps.wanted, STEPS_AT_ONCE) if self._state is SimulationState.PAUSED else 0
+        return min(self._steps.remaining, STEPS_AT_ONCE) if self._state is SimulationState.PAUSED else 0
 
     def step(self) -> None:
-        """Makes one step of ``1 / step_hz`` seconds, and counts it for the client that asked for it, if one did."""
+        """Makes one step of ``1 / step_hz`` seconds, and counts it for the first request for steps, if there is one."""
         if self._world is not None:
             self._world.step(1)
             self._steps.count_step()
@@ -198,10 +197,10 @@ class Simulator:
         on_progress: Callable[[StepRequest], None] | None = None,
         on_end: Callable[[StepRequest], None] | None = None,
     ) -> StepRequest:
-        """Asks for steps while paused. They are made in later turns of the loop; ``on_end`` is called once, maybe before this returns.
+        """Requests steps while paused. Later turns of the loop make them; ``on_end`` is called once, maybe before this returns.
 
         Raises:
-            SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED where it is not paused.
+            SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED if it is not paused.
         """
         if self._state not in HAS_WORLD:
             raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; load a world first")
@@ -215,7 +214,7 @@ class Simulator:
         return request
 
     def cancel_steps(self, request: StepRequest) -> None:
-        """Ends a request before its time; no effect on one that has ended."""
+        """Cancels a request; no effect on one that has ended."""
         self._steps.cancel(request, "cancelled")
 
     def load_world(self, request: LoadRequest) -> WorldInfo:
@@ -229,10 +228,10 @@ class Simulator:
         return self.finish_load(request, scene)
 
     def begin_load(self, request: LoadRequest) -> None:
-        """Unloads the world, as the standard asks for; it is LOADING_WORLD until ``finish_load`` or ``abandon_load``.
+        """Unloads the world, as the standard requires; the state is LOADING_WORLD until ``finish_load`` or ``abandon_load``.
 
         Raises:
-            SimulationError: nothing is named, or another world is being loaded; the present world stays.
+            SimulationError: the request names nothing, or another world is being loaded; the present world stays.
         """
         if self._state in (SimulationState.LOADING_WORLD, SimulationState.QUITTING):
             raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait for its end")
@@ -245,7 +244,7 @@ class Simulator:
 
     @staticmethod
     def read_world(request: LoadRequest) -> SceneSpec:
-        """Returns the scene that is asked for. It touches nothing else and may take long: call it in any thread.
+        """Returns the requested scene. It touches nothing else and may take long: any thread may call it.
 
         Raises:
             SimulationError: with a LoadWorldCode.
@@ -258,15 +257,15 @@ class Simulator:
                 ignore_missing=request.ignore_missing,
             )
         except worlds.WorldError as error:
-            raise SimulationError(LoadWorldCode[error.code.name], told(_named(request), error)) from error
+            raise SimulationError(LoadWorldCode[error.code.name], client_message(_resource_name(request), error)) from error
         except GibsonSimError as error:
-            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, told(_named(request), error)) from error
+            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(_resource_name(request), error)) from error
 
     def finish_load(self, request: LoadRequest, scene: SceneSpec) -> WorldInfo:
         """Makes the world of a scene that was read; it is stopped.
 
         Raises:
-            SimulationError: the world refuses, or a client asked for the end meanwhile.
+            SimulationError: the world cannot be made, or a client has requested the end meanwhile.
         """
         if self._state is not SimulationState.LOADING_WORLD:
             raise SimulationError(Result.INCORRECT_STATE, f"the simulation became {self._state.name} while the world was read")
@@ -274,17 +273,17 @@ class Simulator:
         try:
             self._enter(scene, uri=request.uri, text="" if request.uri.strip() else request.text)
         except GibsonSimError as error:
-            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, told(_named(request), error)) from error
+            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(_resource_name(request), error)) from error
         self._state = SimulationState.STOPPED
         return self.current_world()
 
     def abandon_load(self) -> None:
-        """Ends the loading of a world that could not be read: there is none now."""
+        """Ends the loading of a world that could not be read; no world is loaded then."""
         if self._state is SimulationState.LOADING_WORLD:
             self._state = SimulationState.NO_WORLD
 
     def unload_world(self) -> None:
-        """Leaves no world.
+        """Unloads the world.
 
         Raises:
             SimulationError: WorldCode.NO_WORLD_LOADED, or INCORRECT_STATE while one is being loaded.
@@ -296,13 +295,13 @@ class Simulator:
         self._state = SimulationState.NO_WORLD
 
     def current_world(self) -> WorldInfo:
-        """Returns what is known of the world, or raises SimulationError(NO_WORLD_LOADED)."""
+        """Returns the description of the world, or raises SimulationError(NO_WORLD_LOADED)."""
         if self._info is None:
             raise SimulationError(WorldCode.NO_WORLD_LOADED, "no world is loaded; see get_available_worlds and load_world")
         return self._info
 
     def named_poses(self, tags: TagsFilter) -> tuple[NamedPose, ...]:
-        """Returns the poses of the world that have a name."""
+        """Returns the named poses of the world."""
         tags.check()
         return tuple(pose for pose in self._all_named_poses() if tags.passes(pose.tags))
 
@@ -329,7 +328,7 @@ class Simulator:
         return self._named_poses
 
     def _enter(self, scene: SceneSpec, uri: str, text: str = "") -> None:
-        """Makes the world of a scene, with a revision that no scene before it had."""
+        """Makes the world of a scene, with a revision higher than that of all scenes before."""
         world = self._make_world(
             replace(scene, revision=self._empty.revision + 1),
             step_hz=self._config.step_hz,
@@ -358,7 +357,7 @@ class Simulator:
 
     @property
     def epoch_step(self) -> int:
-        """Steps since the epoch began; without a world, those that the last one made in it."""
+        """Steps since the epoch began; without a world, the last world's steps in it."""
         return (self._steps_before if self._world is None else self._world.step_count) - self._epoch_start
 
     def _begin_epoch(self, reset: LastReset) -> None:

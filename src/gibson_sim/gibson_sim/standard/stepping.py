@@ -1,4 +1,4 @@
-"""Steps that clients ask for while the simulation is paused: made by the node's loop, a few at a time, in the order of asking."""
+"""Steps that clients request while the simulation is paused; the node's loop makes them, a few at a time, in the order of the requests."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Callable
 from gibson_sim.standard.codes import Result, SimulationError
 
 MOST_REQUESTS = 64
-"""That may wait at a time."""
+"""Greatest number of waiting requests."""
 
 
 class StepRequest:
-    """So many steps for one client."""
+    """A client's request for a number of steps."""
 
     def __init__(
         self,
@@ -21,17 +21,17 @@ class StepRequest:
         on_end: Callable[[StepRequest], None] | None = None,
     ) -> None:
         self.steps = steps
-        """How many the client asked for."""
+        """Steps requested."""
         self.completed = 0
-        """How many of them are made."""
+        """Steps made."""
         self.failure = ""
-        """Why it ended before all were made; empty = it did not."""
+        """Why it ended before all steps were made; empty = it did not."""
         self.ended = False
         self._on_progress, self._on_end = on_progress, on_end
 
     @property
     def remaining(self) -> int:
-        """How many are still to be made."""
+        """Steps still to be made."""
         return self.steps - self.completed
 
     def advance(self) -> None:
@@ -41,7 +41,7 @@ class StepRequest:
             self._on_progress(self)
 
     def end(self, failure: str = "") -> None:
-        """Ends it, once."""
+        """Ends the request; a second call does nothing."""
         if self.ended:
             return
         self.ended = True
@@ -52,18 +52,18 @@ class StepRequest:
 
 
 class StepQueue:
-    """Requests in the order in which they came."""
+    """Requests in the order of their arrival."""
 
     def __init__(self) -> None:
         self._waiting: deque[StepRequest] = deque()
 
     @property
-    def wanted(self) -> int:
-        """How many steps all requests together still want."""
+    def remaining(self) -> int:
+        """Steps still to be made for all requests together."""
         return sum(request.remaining for request in self._waiting)
 
     def add(self, request: StepRequest) -> None:
-        """Puts a request last; one of no steps ends at once.
+        """Appends a request; a request for no steps ends at once.
 
         Raises:
             SimulationError: too many are waiting.
@@ -78,12 +78,12 @@ class StepQueue:
             self._waiting.append(request)
 
     def count_step(self) -> None:
-        """Counts a step that was made for the first request."""
+        """Counts a step for the first request."""
         if not self._waiting:
             return
         first = self._waiting[0]
         first.advance()
-        # What it called may have cancelled it, and all others.
+        # Its callback may have cancelled it, and all others.
         if first.remaining == 0 and not first.ended:
             self._waiting.remove(first)
             first.end()

@@ -1,4 +1,4 @@
-"""Tasks in which a robot moves things: where they begin, what is wanted, how well it went, and who does it by a script.
+"""Tasks for a robot that drives and manipulates: seeded episodes, goals, metrics, scripted baselines, Gymnasium environments.
 
-Pure but for ``run.py``, which has a world of physics, and ``environments.py``, which alone has Gymnasium. No ROS.
+Only ``run.py`` and ``pictures.py`` have a simulation, and only ``environments.py`` imports Gymnasium; the rest is pure. No ROS.
 """

@@ -1,4 +1,4 @@
-"""From an array of numbers between -1 and 1 to what a robot does. Pure."""
+"""Turns an array of numbers from -1 to 1 into an action of a robot. Pure."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from numpy.typing import ArrayLike
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import CommandError, ConfigError
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.tasks.episode import Action, View
-from gibson_sim.tasks.observing import Layout
+from gibson_sim.tasks.episode import Action, Observation
+from gibson_sim.tasks.observing import ObservationLayout
 
 JOINT_SPEED = 1.0
-"""Radians (or metres) a second of a joint of the arm at 1."""
+"""Speed of an arm joint at action 1, rad/s or m/s."""
 _TURNS = 4.0 * math.pi
-"""Bounds of a joint that turns for ever, radians."""
+"""Bounds of a continuous joint, radians."""
 
 
 class Controls:
-    """What an array of actions means for one robot: forward speed, yaw rate; with an arm also the speed of each joint, and the hand.
+    """Decodes action arrays of one robot: forward speed and yaw rate; with an arm also the speed of each joint, and the gripper.
 
     Args:
-        robot: which; of its arms, the first.
+        robot: the robot; only its first arm is controlled.
         period: seconds between two actions.
 
     Raises:
@@ -35,39 +35,39 @@ class Controls:
     def __init__(self, robot: RobotSpec, period: float) -> None:
         if robot.drive is None:
             raise ConfigError(f"robot {robot.name!r} has no drive; tasks need one that moves")
-        self._fastest = (robot.drive.max_linear, robot.drive.max_angular)
+        self._max_speeds = (robot.drive.max_linear, robot.drive.max_angular)
         self._period = period
         joints = robot.manipulators[0].joints if robot.manipulators else ()
         self._limits = _limits(robot, joints)
-        self.layout = Layout(joints, tuple(low for low, _ in self._limits), tuple(high for _, high in self._limits))
-        """Of observations."""
+        self.layout = ObservationLayout(joints, tuple(low for low, _ in self._limits), tuple(high for _, high in self._limits))
+        """Of the observation arrays."""
         self.size = 2 + (len(joints) + 1 if joints else 0)
-        """How many numbers an action has."""
-        self._told: list[float] = []
+        """Length of an action array."""
+        self._targets: list[float] = []
 
-    def begin(self, view: View) -> None:
-        """Begins an episode: the arm is to be where it is."""
-        self._told = [view.joints[name] for name in self.layout.joints]
+    def begin(self, obs: Observation) -> None:
+        """Begins an episode: the arm holds its present position."""
+        self._targets = [obs.joints[name] for name in self.layout.joints]
 
-    def action(self, values: ArrayLike, view: View) -> Action:
-        """Returns what an array (``size``,) asks for; numbers beyond -1 and 1 are clipped.
+    def action(self, values: ArrayLike, obs: Observation) -> Action:
+        """Returns the action of an array (``size``,); values are clipped to -1 to 1.
 
         Raises:
-            CommandError: its shape is another, or it holds a NaN.
+            CommandError: the array has another shape or holds a NaN.
         """
         array = np.asarray(values, dtype=np.float64)
         if array.shape != (self.size,) or not np.isfinite(array).all():
             raise CommandError(f"action is {array.tolist()}, must be {self.size} finite numbers from -1 to 1")
         linear, angular, *arm = np.clip(array, -1.0, 1.0).tolist()
-        base = Action(linear * self._fastest[0], angular * self._fastest[1])
+        base = Action(linear * self._max_speeds[0], angular * self._max_speeds[1])
         if not arm:
             return base
         step = JOINT_SPEED * self._period
-        self._told = [
-            min(max(told + step * part, low), high)
-            for told, part, (low, high) in zip(self._told, arm[:-1], self._limits, strict=True)
+        self._targets = [
+            min(max(target + step * speed, low), high)
+            for target, speed, (low, high) in zip(self._targets, arm[:-1], self._limits, strict=True)
         ]
-        return replace(base, joints=dict(zip(self.layout.joints, self._told, strict=True)), grasp=arm[-1] > 0.0)
+        return replace(base, joints=dict(zip(self.layout.joints, self._targets, strict=True)), grasp=arm[-1] > 0.0)
 
 
 def _limits(robot: RobotSpec, joints: Sequence[str]) -> list[tuple[float, float]]:
@@ -84,7 +84,7 @@ def _limits(robot: RobotSpec, joints: Sequence[str]) -> list[tuple[float, float]
 
 
 def finger_joints(robot: RobotSpec, grasp: bool | None) -> dict[str, float]:
-    """Returns where the fingers of a robot's first arm shall be, radians or metres: closed, open, or, for None, nothing."""
+    """Returns the target positions of the first arm's finger joints, radians or metres; empty for None or without a gripper."""
     gripper = robot.manipulators[0].gripper if robot.manipulators else None
     if gripper is None or grasp is None:
         return {}

@@ -1,6 +1,6 @@
-"""Tasks as Gymnasium environments. Importing this registers them: ``gymnasium.make("GibsonSim/PointGoal-v0")``.
+"""Tasks as Gymnasium environments. Importing this module registers them: ``gymnasium.make("GibsonSim/PointGoal-v0")``.
 
-The only file that imports Gymnasium, which is optional: ``pip install gibson_sim[gym]``.
+No other file imports Gymnasium, which is optional: ``pip install gibson_sim[gym]``.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from gibson_sim.tasks.pictures import FARTHEST_DEPTH, TaskCamera
 from gibson_sim.tasks.registry import TASKS, task_of
 from gibson_sim.tasks.run import CONTROL_HZ, STEP_HZ, TaskRun
 
-Observation = NDArray[np.float32] | dict[str, NDArray[Any]]
+ObservationArrays = NDArray[np.float32] | dict[str, NDArray[Any]]
 OBSERVATIONS = ("state", "rgbd")
 NAMESPACE, VERSION = "GibsonSim", 0
 SUCCESS_REWARD, STEP_REWARD, COLLISION_REWARD = 10.0, -0.01, -0.1
-"""Beside the metres (or radians) by which the goal came nearer."""
+"""Added to the distance by which the goal came nearer in a step, metres (or radians)."""
 _HIGHEST_SEED = 2**31
 
 
-class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """One robot at one task.
+class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
+    """One robot with one task.
 
-    An action is an array of numbers from -1 to 1: forward speed and yaw rate as parts of the fastest; with an arm also how fast each of
-    its joints goes, and the hand: above 0 it closes and holds, else it opens. For observations see docs/tasks.md.
+    An action is an array of numbers from -1 to 1: forward speed and yaw rate as fractions of the drive's limits; with an arm also the
+    speed of each joint, and the gripper: above 0 it closes and holds, else it opens. docs/tasks.md describes the observations.
 
-    Nothing heavy is loaded before the first ``reset``, so that environments can be made in one process and used in others.
+    Nothing heavy is loaded before the first ``reset``, so environments can be made in one process and used in another.
 
     Args:
         task: name of the task.
-        observation: ``state``, or ``rgbd`` for pictures and what the robot feels of itself.
+        observation: ``state``, or ``rgbd`` for images and proprioception.
         scene: name or path of a scene, or ``arena``; empty = the task's own.
         robot: name or path of a robot; empty = the task's own.
-        size: width and height of pictures, pixels.
-        control_hz: actions a second of simulation time.
-        step_hz: physics steps a second.
+        size: width and height of the images, pixels.
+        control_hz: actions per second of simulation time.
+        step_hz: physics steps per second of simulation time.
         device: EGL device that draws, as ``gibson-sim doctor`` lists them; None = a GPU if there is one.
-        render_mode: ``rgb_array`` = ``render`` returns the robot's own view with one from above beside it; None = no pictures.
+        render_mode: ``rgb_array`` = ``render`` returns the robot's camera image beside one from above; None = no pictures.
 
     Raises:
-        ConfigError: an argument is impossible.
+        ConfigError: an argument is not allowed.
         RobotError: there is no such robot.
     """
 
@@ -75,8 +75,8 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode is {render_mode!r}, must be rgb_array or None")
         self._task, self._observation = task_of(task), observation
-        self._make = {"scene": scene, "robot": robot, "control_hz": control_hz, "step_hz": step_hz}
-        self._size, self._device, self.render_mode = (int(size[0]), int(size[1])), device, render_mode
+        self._make = {"scene": scene, "robot": robot, "control_hz": control_hz, "step_hz": step_hz, "device": device}
+        self._size, self.render_mode = (int(size[0]), int(size[1])), render_mode
         self.metadata = {**self.metadata, "render_fps": control_hz}
         self._controls = Controls(load_robot(robot or self._task.robot), 1.0 / control_hz)
         self.action_space = spaces.Box(-1.0, 1.0, (self._controls.size,), dtype=np.float32)
@@ -97,8 +97,10 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
             }
         )
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode: that of ``seed``, else of one drawn from the environment's own generator.
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ObservationArrays, dict[str, Any]]:
+        """Begins the episode of ``seed``, or of a seed drawn from the environment's own generator.
 
         Raises:
             SceneError: the scene has no room for the task.
@@ -109,15 +111,15 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         run = self._run
         run.reset(int(self.np_random.integers(_HIGHEST_SEED)) if seed is None else seed)
         self._classes = tuple(item_body(item).semantic_class for item in run.episode.items)
-        self._controls.begin(run.view)
+        self._controls.begin(run.observation)
         self._collisions = 0
         return self._observe(), {"seed": run.episode.seed, "goal": run.episode.goal.text}
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Obeys an action for one period of control; info has the metrics of the episode until now, SPL where the task has one."""
+    def step(self, action: NDArray[np.float32]) -> tuple[ObservationArrays, float, bool, bool, dict[str, Any]]:
+        """Applies an action for one control period; ``info`` has the metrics of the episode so far, with SPL if the task defines it."""
         run = self._running()
         before = run.remaining
-        run.step(self._controls.action(action, run.view))
+        run.step(self._controls.action(action, run.observation))
         metrics = run.metrics
         nearer, collided = before - run.remaining, metrics.collisions - self._collisions
         self._collisions = metrics.collisions
@@ -130,36 +132,35 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
             "goal_distance": metrics.goal_distance,
             "time": metrics.time,
         }
-        # NaN does not equal itself: the check of Gymnasium, which compares two runs, would not pass.
+        # NaN does not equal itself, so Gymnasium's env checker, which compares two runs, would fail.
         if not math.isnan(metrics.spl):
             info["spl"] = metrics.spl
         return self._observe(), float(reward), run.succeeded, run.over and not run.succeeded, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Returns the robot's view with one from above beside it, (256, 512, 3); None without a render mode."""
-        return None if self.render_mode is None else self._eyes().both(256)
+        """Returns the robot's camera image beside one from above, (256, 512, 3); None without a render mode."""
+        return None if self.render_mode is None else self._task_camera().both(256)
 
     def close(self) -> None:
         """Frees engine and renderer; a second call does nothing."""
-        for part in (self._camera, self._run):
-            if part is not None:
-                part.close()
-        self._camera, self._run = None, None
+        run, self._run, self._camera = self._run, None, None
+        if run is not None:
+            run.close()
 
-    def _observe(self) -> Observation:
+    def _observe(self) -> ObservationArrays:
         run, layout = self._running(), self._controls.layout
         if self._observation == "state":
-            return full_state(layout, run.episode, run.view, self._classes, self._rays)
-        rgb, depth = self._eyes().rgbd()
-        return {"rgb": rgb, "depth": depth, "state": own_state(layout, run.episode, run.view)}
+            return full_state(layout, run.episode, run.observation, self._classes, self._rays)
+        rgb, depth = self._task_camera().rgbd()
+        return {"rgb": rgb, "depth": depth, "state": own_state(layout, run.episode, run.observation)}
 
     def _rays(self, origins: NDArray[np.float64], directions: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
         run = self._running()
         return run.world.cast_rays(origins, directions, longest, ignore=run.robot.name)
 
-    def _eyes(self) -> TaskCamera:
+    def _task_camera(self) -> TaskCamera:
         if self._camera is None:
-            self._camera = TaskCamera(self._running(), self._size, self._device)
+            self._camera = TaskCamera(self._running(), self._size)
         return self._camera
 
     def _running(self) -> TaskRun:
@@ -169,7 +170,7 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 
 def in_processes(count: int, task: str, **options: Any) -> AsyncVectorEnv:
-    """Returns environments of a task side by side, each in a process of its own that is made afresh; options as ``TaskEnvironment`` has."""
+    """Returns ``count`` environments of a task, each in a spawned process; the options are those of ``TaskEnvironment``."""
     return AsyncVectorEnv([lambda: TaskEnvironment(task, **options)] * count, context="spawn")
 
 

@@ -1,4 +1,4 @@
-"""What an episode of a task is, what a robot knows at one time, and what it does next. Pure values."""
+"""Values of tasks: episodes, observations, actions. Pure."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from gibson_sim.types import NS_PER_S, Pose, SceneState, Vec3
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A thing that an episode puts into the scene."""
+    """An object that an episode adds to the scene."""
 
     name: str
     """Letters, digits and ``_``; unique in the scene."""
     model: str
-    """Name of an object of ours, see docs/objects.md, or path of a URDF."""
+    """Name of a built-in object, see docs/objects.md, or path of a URDF."""
     pose: Pose
-    """T_world_root at the begin."""
+    """T_world_root at the start."""
     text: str = ""
-    """URDF that is loaded in place of the model's; empty = the model as it is."""
+    """URDF text that is loaded in place of the model; empty = the model itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What is wanted."""
+    """What the robot has to achieve."""
 
     text: str
-    """One sentence for people."""
+    """One sentence for a human reader."""
     position: Vec3 | None = None
-    """World metres; None = the robot has to find it."""
+    """World frame, metres; None = the robot has to find it."""
     radius: float = 0.0
-    """Metres: so near to it is there."""
+    """Distance to ``position`` within which the goal is reached, metres."""
     target: str = ""
-    """Name of the item that it is about; empty = none."""
+    """Name of the target item; empty = none."""
     target_class: str = ""
-    """Semantic class of that item."""
+    """Semantic class of the target item."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,33 +56,33 @@ class Episode:
     items: tuple[Item, ...]
     goal: Goal
     shortest: float
-    """Metres that the robot has to go at least; NaN = that says nothing about the task."""
+    """Length of the shortest path to the goal, metres; NaN = not meaningful for the task."""
     time_limit: float
     """Seconds of simulation time."""
     removed: tuple[str, ...] = ()
-    """Names of bodies of the scene that are not there meanwhile."""
+    """Names of bodies of the scene that are removed for the episode."""
 
 
 @dataclass(frozen=True, slots=True)
-class View:
-    """What is known at one time."""
+class Observation:
+    """What a policy knows at one time."""
 
     time: float
-    """Seconds since the begin of the episode."""
+    """Seconds of simulation time since the episode began."""
     links: Mapping[str, Pose]
-    """T_world_link of everything that moves, by ``<body>/<link>``."""
+    """T_world_link of all robots and bodies, by ``<body>/<link>``."""
     base_link: str
-    """``<robot>/<link>``: which of them is the robot's base."""
+    """Name of the robot's base link in ``links``, ``<robot>/<link>``."""
     linear: float = 0.0
     """Forward speed of the base, m/s."""
     angular: float = 0.0
     """Yaw rate of the base, rad/s."""
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Joints of the robot that are not of its drive, radians or metres."""
+    """Positions of the robot's joints other than those of its drive, radians or metres."""
     held: str = ""
-    """Name of what the robot's hand holds; empty = nothing."""
+    """Name of the body that the gripper holds; empty = none."""
     speeds: Mapping[str, float] = field(default_factory=dict)
-    """Of the origins of ``links``, m/s."""
+    """Speeds of the origins of ``links``, m/s."""
 
     @property
     def base(self) -> Pose:
@@ -91,7 +91,7 @@ class View:
 
     @property
     def xy(self) -> tuple[float, float]:
-        """Of the base, world metres."""
+        """x, y of the base, world frame, metres."""
         return self.base.position[0], self.base.position[1]
 
     @property
@@ -100,12 +100,12 @@ class View:
         return yaw_from_quat(self.base.quat_xyzw)
 
     def distance_to(self, point: Vec3 | tuple[float, float]) -> float:
-        """Returns the level distance from the base to a point, world metres."""
+        """Returns the horizontal distance, metres, from the base to a point of the world frame."""
         x, y = self.xy
         return math.hypot(point[0] - x, point[1] - y)
 
     def in_base(self, point: Vec3 | tuple[float, float]) -> tuple[float, float]:
-        """Returns how far in front of the base and how far to its left a point is, metres."""
+        """Returns x, y of a point of the world frame in the base frame: metres ahead and to the left."""
         x, y = self.xy
         dx, dy, c, s = point[0] - x, point[1] - y, math.cos(self.yaw), math.sin(self.yaw)
         return c * dx + s * dy, c * dy - s * dx
@@ -113,30 +113,30 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """What the robot does until the next action."""
+    """A command to the robot, in effect until the next one."""
 
     linear: float = 0.0
     """Forward speed of the base, m/s."""
     angular: float = 0.0
     """Yaw rate of the base, rad/s."""
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Where joints of the arm shall be, radians or metres; those that are not named stay as they were told."""
+    """Target positions of arm joints, radians or metres; joints without one keep their target."""
     grasp: bool | None = None
-    """True = close the hand and hold what is there, False = open it, None = as it is."""
+    """True = close the gripper and hold what is between the fingers, False = open it, None = no change."""
 
 
-def view_of(
+def observation_of(
     state: SceneState, robot: str, base_link: str, begin_ns: int, *, joints: Mapping[str, float] | None = None, held: str = ""
-) -> View:
-    """Returns what is known at the tick of a state.
+) -> Observation:
+    """Returns the observation at a scene state.
 
     Args:
-        state: where everything is.
-        robot: its name.
-        base_link: of its links, the base.
+        state: poses and velocities of all links.
+        robot: name of the robot.
+        base_link: its base link.
         begin_ns: stamp at which the episode began.
-        joints: of the robot's arm.
-        held: what its hand holds.
+        joints: positions of its arm joints.
+        held: name of the body that its gripper holds.
     """
     base = f"{robot}/{base_link}"
     row = state.links.index(base)
@@ -147,7 +147,7 @@ def view_of(
             state.links, state.positions.tolist(), state.quats_xyzw.tolist(), strict=True
         )
     }
-    return View(
+    return Observation(
         time=(state.stamp_ns - begin_ns) / NS_PER_S,
         links=poses,
         base_link=base,
@@ -167,7 +167,7 @@ def _model_body(model: str, text: str = "") -> BodySpec:
 
 
 def item_body(item: Item) -> BodySpec:
-    """Returns what physics loads of an item.
+    """Returns the body that physics loads for an item.
 
     Raises:
         SpawnError: there is no such object.
@@ -177,5 +177,5 @@ def item_body(item: Item) -> BodySpec:
 
 
 def item_root(item: Item) -> str:
-    """Returns the whole name of an item's root link, ``<name>/<link>``."""
+    """Returns the full name of an item's root link, ``<name>/<link>``."""
     return f"{item.name}/{_model_body(item.model, item.text).model.root}"

@@ -1,4 +1,4 @@
-"""The floor that tasks take place on: where a robot can be, ways to go, what it sees from where. Pure and deterministic."""
+"""The floor of a task: where a robot can be, its paths, and what its camera sees. Pure and deterministic."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from gibson_sim.types import Pose
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 MARGIN = 0.04
-"""Metres that planned ways keep beside the robot's radius."""
+"""Clearance of planned paths beyond the robot's radius, metres."""
 SIGHT = 5.0
-"""Metres: farther things do not count as seen."""
+"""Distance up to which something counts as seen, metres."""
 
 
 @dataclass(frozen=True)
 class Ground:
-    """A scene without its task, a robot in it, and the map of its lowest floor."""
+    """A scene without the items of a task, a robot, and the map of the lowest floor."""
 
     scene: SceneSpec
     """Without robots."""
@@ -45,55 +45,55 @@ class Ground:
 
     @cached_property
     def planner(self) -> PathPlanner:
-        """Ways between what never moves."""
+        """Plans paths between static obstacles."""
         return PathPlanner(self.floor, self.reach)
 
     @cached_property
     def doors(self) -> tuple[Door, ...]:
-        """Narrow passages between rooms."""
+        """Doorways: narrow passages between rooms."""
         return find_rooms(self.floor)[1]
 
     @property
     def reach(self) -> float:
-        """Metres that ways keep from obstacles."""
+        """Distance that paths keep from obstacles, metres."""
         return self.robot.radius + MARGIN
 
     @property
     def half_view(self) -> float:
-        """Half of the angle that the robot's first camera sees from left to right, radians."""
+        """Half the horizontal field of view of the robot's first camera, radians."""
         if not self.robot.cameras:
             raise ConfigError(f"robot {self.robot.name!r} has no camera; this task needs one that sees")
         camera = self.robot.cameras[0]
         return math.atan(math.tan(camera.fov_y / 2.0) * camera.width / camera.height)
 
     def planner_around(self, footprints: Iterable[F64]) -> PathPlanner:
-        """Returns ways that also go round things, given as the corners (4, 2) of their outlines, world metres."""
+        """Returns a planner whose paths also avoid footprints: corners (4, 2), world frame, metres."""
         polygons = list(footprints)
         return PathPlanner(self.floor_with(polygons), self.reach) if polygons else self.planner
 
     def connected(self, start: tuple[float, float], goal: tuple[float, float], footprints: Iterable[F64]) -> bool:
-        """Returns whether a way leads from one place to another round things; the quick question, without the way."""
+        """Returns whether a path around footprints leads from one place to another; quicker than planning it."""
         labels = self.parts(list(footprints))
         a, b = (int(labels[tuple(self.floor.cells(place))]) for place in (start, goal))
         return a == b != 0
 
     def parts(self, footprints: Sequence[F64]) -> NDArray[np.int32]:
-        """Returns (H, W): numbers of the parts of the floor that the robot can reach without leaving them; 0 = it cannot be there.
+        """Returns (H, W): labels of the connected regions in which the robot can move; 0 = it cannot be there.
 
         Args:
-            footprints: corners (4, 2) of the outlines of things on it, world metres; at least one.
+            footprints: corners (4, 2) of what stands on the floor, world frame, metres; at least one.
         """
         floor = self.floor_with(footprints)
         labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
         return np.asarray(labels, dtype=np.int32)
 
     def floor_with(self, footprints: Sequence[F64] | F64) -> FloorMap:
-        """Returns the floor with things on it, given as the corners (4, 2) of their outlines, world metres; at least one."""
+        """Returns the floor with footprints as obstacles: corners (4, 2), world frame, metres; at least one."""
         grid = Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
         return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.asarray(footprints, dtype=np.float64)))
 
     def sees(self, base: Pose, points: ArrayLike, reach: float = SIGHT) -> Bools:
-        """Returns (N,): which points (N, 2), world metres, are in front of the camera, near enough, and behind nothing that never moves."""
+        """Returns (N,): which points (N, 2), world frame, metres, are in the field of view, in range and behind no static obstacle."""
         x, y = base.position[:2]
         targets = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         offsets = targets - (x, y)
@@ -105,7 +105,7 @@ class Ground:
         return out
 
     def _clear(self, eye: F64, targets: F64) -> Bools:
-        """Returns (N,): whether nothing stands on the straight lines from a point (2,) to others (N, 2)."""
+        """Returns (N,): whether the line of sight from a point (2,) to each target (N, 2) is free of static obstacles."""
         if not len(targets):
             return np.zeros(0, dtype=bool)
         longest = float(np.linalg.norm(targets - eye, axis=1).max())
@@ -117,7 +117,7 @@ class Ground:
 
 @lru_cache(maxsize=8)
 def ground_of(scene: str, robot: str) -> Ground:
-    """Returns the ground of a scene for a robot, both by name or path; the same one again where it was made before.
+    """Returns the ground of a scene for a robot, both by name or path; cached.
 
     Raises:
         GibsonSimError: one of them cannot be loaded.
@@ -134,7 +134,7 @@ def ground_of(scene: str, robot: str) -> Ground:
 
 @lru_cache(maxsize=256)
 def _outline(model: str) -> F64:
-    """Returns the corners (4, 2) of the box about the collision shapes of an object, root frame, metres, counter-clockwise."""
+    """Returns the corners (4, 2) of the bounding box of an object's collision shapes, root frame, metres, counter-clockwise."""
     body = item_body(Item("outline", model, Pose()))
     empty = SceneSpec("outline", body.model.path.parent, "", (), (), bodies=(body,))
     corners, _ = body_triangles(empty)
@@ -143,9 +143,9 @@ def _outline(model: str) -> F64:
 
 
 def footprint(model: str, pose: Pose) -> F64:
-    """Returns the corners (4, 2) of an object's outline on the floor, world metres, counter-clockwise, as it lies at T_world_root.
+    """Returns the corners (4, 2) of an object's footprint at T_world_root, world frame, metres, counter-clockwise.
 
-    Its height is forgotten: of what fell over, it is the outline of what stood.
+    Tilt is ignored: an object that fell over keeps the footprint that it had upright.
     """
     corners = _outline(model)
     rotation = matrix_from_quat(pose.quat_xyzw)[:2, :2]

@@ -1,4 +1,4 @@
-"""How well an episode went, and many of them. Pure: views and contacts go in, numbers come out."""
+"""Metrics of one episode and of many. Pure: observations and contacts go in, numbers come out."""
 
 from __future__ import annotations
 
@@ -7,48 +7,48 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from gibson_sim.tasks.episode import Episode, View, item_root
+from gibson_sim.tasks.episode import Episode, Observation, item_root
 from gibson_sim.types import Contact
 
 PUSHED = 0.05
-"""Metres: an item that moved less counts as untouched."""
+"""Displacement up to which an item counts as untouched, metres."""
 _LEVEL = 0.7
-"""A contact whose normal is steeper than this (z of a unit vector) is a floor or a load."""
+"""z of a contact's unit normal from which on the contact is with a floor or a load, not a collision."""
 _Z95 = 1.959964
-"""Of the standard normal distribution: 95 % lie within so many deviations."""
+"""Standard deviations of a normal distribution within which 95 % lie."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """How an episode went until now."""
+    """Metrics of an episode up to now."""
 
     success: bool
     time: float
     """Seconds of simulation time."""
     path_length: float
-    """Metres that the base went."""
+    """Length of the path of the base, metres."""
     spl: float
-    """Success weighted by path length (Anderson et al. 2018): shortest / longer of shortest and gone, 0 without success; NaN = the
-    task has no shortest way."""
+    """Success weighted by path length (Anderson et al. 2018): shortest / max(shortest, path_length), 0 without success; NaN = the task
+    has no shortest path."""
     collisions: int
-    """How often the robot began to touch something that never moves, other than the floor."""
+    """How often the robot began to touch a static obstacle, the floor excluded."""
     pushed: int
-    """Items that are elsewhere than at the begin, other than the one that the task is about."""
+    """Items that were displaced, the target excluded."""
     pushed_distance: float
-    """Metres that these are away from where they were, all together."""
+    """Sum of their displacements, metres."""
     goal_distance: float
-    """What the task has left, in its own unit: metres, or radians of a joint."""
+    """Remaining distance to the goal in the task's unit: metres, or radians of a joint."""
 
 
 class Meter:
-    """Follows one episode.
+    """Accumulates the metrics of one episode.
 
     Args:
-        episode: which.
-        begin: what was known at its begin.
+        episode: the episode.
+        begin: its first observation.
     """
 
-    def __init__(self, episode: Episode, begin: View) -> None:
+    def __init__(self, episode: Episode, begin: Observation) -> None:
         self._episode = episode
         self._roots = {item.name: item_root(item) for item in episode.items if item.name != episode.goal.target}
         self._first = {name: begin.links[root].position for name, root in self._roots.items()}
@@ -56,22 +56,22 @@ class Meter:
         self._touched: frozenset[str] = frozenset()
         self._collisions, self._path_length = 0, 0.0
 
-    def note(self, view: View, touched: Collection[str]) -> None:
-        """Takes in what is known now, and the names of what never moves that the robot touches."""
-        self._path_length += math.dist(view.xy, self._last_xy)
-        self._last_xy = view.xy
+    def update(self, obs: Observation, touched: Collection[str]) -> None:
+        """Adds an observation, with the names of the static obstacles that the robot touches."""
+        self._path_length += math.dist(obs.xy, self._last_xy)
+        self._last_xy = obs.xy
         self._collisions += len(frozenset(touched) - self._touched)
         self._touched = frozenset(touched)
 
-    def metrics(self, view: View, *, success: bool, goal_distance: float) -> Metrics:
-        """Returns how it went until ``view``."""
-        moved = [math.dist(view.links[root].position, self._first[name]) for name, root in self._roots.items()]
+    def metrics(self, obs: Observation, *, success: bool, goal_distance: float) -> Metrics:
+        """Returns the metrics up to ``obs``."""
+        moved = [math.dist(obs.links[root].position, self._first[name]) for name, root in self._roots.items()]
         pushed = [distance for distance in moved if distance > PUSHED]
         shortest = self._episode.shortest
         spl = shortest / max(self._path_length, shortest, 1e-9) if success else 0.0
         return Metrics(
             success=success,
-            time=view.time,
+            time=obs.time,
             path_length=self._path_length,
             spl=math.nan if math.isnan(shortest) else spl,
             collisions=self._collisions,
@@ -82,30 +82,31 @@ class Meter:
 
 
 def touched_by(robot: str, contacts: Sequence[Contact], moving: Collection[str]) -> frozenset[str]:
-    """Returns what never moves that a robot touches from the side.
+    """Returns the names of the static obstacles that a robot touches from the side.
 
     Args:
-        robot: its name.
-        contacts: what never moves is always ``body_b`` of them.
-        moving: names of robots and items.
+        robot: name of the robot.
+        contacts: a static obstacle is always ``body_b``.
+        moving: names of robots and bodies.
     """
     ours = (c for c in contacts if c.body_a == robot and c.body_b not in moving)
     return frozenset(c.body_b for c in ours if abs(c.normal[2]) < _LEVEL and c.force > 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
-    """Many episodes of a task."""
+class EpisodeSummary:
+    """Metrics of many episodes of a task."""
 
     episodes: int
     successes: int
     low: float
-    """Of the 95 % interval of the success rate (Wilson)."""
+    """Lower end of the 95 % interval of the success rate (Wilson)."""
     high: float
+    """Its upper end."""
     time: float
-    """Median of the successful ones, seconds; NaN = there is none."""
+    """Median of the successful episodes, seconds; NaN = there is none."""
     spl: float
-    """Mean; NaN where the task has no shortest way."""
+    """Mean; NaN = the task has no shortest path."""
     collisions: float
     """Mean."""
     pushed: float
@@ -113,16 +114,16 @@ class Summary:
 
     @property
     def rate(self) -> float:
-        """Part that succeeded."""
+        """Fraction of episodes that succeeded; NaN without episodes."""
         return self.successes / self.episodes if self.episodes else math.nan
 
 
-def summary(found: Sequence[Metrics]) -> Summary:
-    """Returns what episodes have in common."""
+def summary(found: Sequence[Metrics]) -> EpisodeSummary:
+    """Returns the summary of episodes."""
     count, successes = len(found), sum(m.success for m in found)
     low, high = wilson(successes, count)
     times = sorted(m.time for m in found if m.success)
-    return Summary(
+    return EpisodeSummary(
         episodes=count,
         successes=successes,
         low=low,
@@ -135,7 +136,7 @@ def summary(found: Sequence[Metrics]) -> Summary:
 
 
 def wilson(successes: int, count: int) -> tuple[float, float]:
-    """Returns the ends of the 95 % interval of a rate (Wilson 1927); (0, 1) where nothing was tried."""
+    """Returns the 95 % interval of a rate (Wilson 1927); (0, 1) for a count of 0."""
     if not count:
         return 0.0, 1.0
     rate, z = successes / count, _Z95
@@ -158,7 +159,7 @@ def episode_line(seed: int, metrics: Metrics) -> str:
     )
 
 
-def summary_line(task: str, baseline: str, total: Summary) -> str:
+def summary_line(task: str, baseline: str, total: EpisodeSummary) -> str:
     """Returns one line about many episodes."""
     spl = "" if math.isnan(total.spl) else f", mean SPL {total.spl:.2f}"
     time = "" if math.isnan(total.time) else f", median time {total.time:.1f} s"
@@ -168,6 +169,6 @@ def summary_line(task: str, baseline: str, total: Summary) -> str:
     )
 
 
-def episode_values(metrics: Metrics | Summary) -> dict[str, Any]:
-    """Returns numbers for JSON; what is not a number is None."""
+def episode_values(metrics: Metrics | EpisodeSummary) -> dict[str, Any]:
+    """Returns the values for JSON; NaN becomes None."""
     return {name: None if isinstance(v, float) and math.isnan(v) else v for name, v in asdict(metrics).items()}

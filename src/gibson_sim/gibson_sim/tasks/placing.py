@@ -1,4 +1,4 @@
-"""Where episodes put robots and things: random, on free floor, clear of each other. Pure."""
+"""Random collision-free places for robots and items on the floor. Pure."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gibson_sim.types import Pose
 
 F64 = NDArray[np.float64]
 TRIES = 60
-"""So often a place is drawn anew before a scene counts as too small."""
+"""Attempts to find a place before a scene counts as too small."""
 START_CLEARANCE = 0.08
-"""Metres beyond the robot's radius that are free about its start."""
+"""Free space around the start beyond the robot's radius, metres."""
 
 
 def free_place(ground: Ground, rng: np.random.Generator, region: NDArray[np.bool_] | None = None) -> Pose:
-    """Returns a random pose of the robot, T_world_base, on the largest part of the floor that it can reach, or in ``region`` (H, W).
+    """Returns a random pose of the robot, T_world_base, in the largest region that it can reach, or in ``region`` (H, W).
 
     Raises:
         SceneError: there is none.
@@ -33,7 +33,7 @@ def free_place(ground: Ground, rng: np.random.Generator, region: NDArray[np.bool
 
 
 def at_distance(ground: Ground, rng: np.random.Generator, start: Pose, low: float, high: float) -> tuple[Pose, float]:
-    """Returns a random pose that is between ``low`` and ``high`` metres of way from ``start``, and how far it is.
+    """Returns a random pose whose path from ``start`` is ``low`` to ``high`` metres long, and the length of that path.
 
     Raises:
         SceneError: there is none.
@@ -46,14 +46,14 @@ def at_distance(ground: Ground, rng: np.random.Generator, start: Pose, low: floa
 
 
 def on_floor(ground: Ground, x: float, y: float, yaw: float) -> Pose:
-    """Returns a pose on the floor."""
+    """Returns a pose on the floor, T_world_root."""
     return pose_from_xyz_rpy((x, y, ground.floor.floor_z), (0.0, 0.0, yaw))
 
 
 def clutter(
     ground: Ground,
     rng: np.random.Generator,
-    way: F64,
+    path: F64,
     models: Sequence[str],
     count: int,
     *,
@@ -61,43 +61,43 @@ def clutter(
     beside: float = 0.35,
     prefix: str = "clutter",
 ) -> tuple[Item, ...]:
-    """Returns things that lie on a way and beside it; fewer than ``count`` where there is no room.
+    """Returns items that lie on a path and beside it; fewer than ``count`` if there is no room.
 
     Args:
-        ground: where.
-        rng: where chance comes from.
-        way: corners (K, 2), world metres.
+        ground: the floor and the robot.
+        rng: random generator.
+        path: corners (K, 2), world frame, metres.
         models: objects to choose from.
-        count: how many.
-        keep_clear: places (x, y) and radii, metres, where nothing lies.
-        beside: metres from the way at most.
+        count: number of items.
+        keep_clear: places (x, y) and radii, metres, that stay free.
+        beside: greatest distance from the path along each axis, metres.
         prefix: of the names.
     """
-    lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(lengths)])
-    taken = [*keep_clear]
+    occupied = [*keep_clear]
     items: list[Item] = []
     for _ in range(TRIES):
         if len(items) == count:
             break
         at = rng.uniform(0.0, arc[-1])
-        x, y = (float(np.interp(at, arc, way[:, k])) for k in range(2))
+        x, y = (float(np.interp(at, arc, path[:, k])) for k in range(2))
         x, y = (float(c) for c in np.array([x, y]) + rng.uniform(-beside, beside, 2))
         model = models[int(rng.integers(len(models)))]
         yaw = float(rng.uniform(-math.pi, math.pi))
         if float(ground.floor.clearance((x, y))) < _RADIUS or any(
-            math.dist((x, y), place) < radius + _RADIUS for place, radius in taken
+            math.dist((x, y), place) < radius + _RADIUS for place, radius in occupied
         ):
             continue
-        taken.append(((x, y), _RADIUS))
+        occupied.append(((x, y), _RADIUS))
         items.append(Item(f"{prefix}_{len(items) + 1}", model, on_floor(ground, x, y, yaw)))
     return tuple(items)
 
 
 _RADIUS = 0.26
-"""Metres: no object of a clutter reaches farther from its middle."""
+"""Radius of the largest object of a clutter, metres."""
 
 
 def no_room(task: str, ground: Ground, what: str) -> SceneError:
-    """Returns the error of a scene that is too small for a task."""
+    """Returns the error for a scene that is too small for a task."""
     return SceneError(f"task {task}: scene {ground.scene.name!r} has no room for it: {what}; choose another scene")

@@ -1,4 +1,4 @@
-"""A task in a world of physics, in this process: no ROS, no pictures."""
+"""Runs a task in this process, without ROS."""
 
 from __future__ import annotations
 
@@ -7,37 +7,45 @@ from dataclasses import replace
 from types import TracebackType
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.joints.commands import JointPositions
+from gibson_sim.simulation import Simulation
 from gibson_sim.tasks.controls import finger_joints
-from gibson_sim.tasks.episode import Action, Episode, View, item_body, view_of
+from gibson_sim.tasks.episode import Action, Episode, Observation, item_body, observation_of
 from gibson_sim.tasks.ground import Ground, ground_of
 from gibson_sim.tasks.metrics import Meter, Metrics, touched_by
 from gibson_sim.tasks.task import Task
 from gibson_sim.types import VelocityCommand
 
 STEP_HZ, CONTROL_HZ = 240, 10
-"""Physics steps and actions in a second of simulation time."""
+"""Physics steps, and actions, per second of simulation time."""
 SETTLE_S = 0.3
-"""Seconds before the first view, in which things come to rest."""
+"""Simulation time before the first observation, in which bodies come to rest, seconds."""
 
 
 class TaskRun:
-    """One robot at one task, episode after episode. Equal seeds and equal actions give bit-equal views.
+    """Runs episodes of one task. Equal seeds and equal actions give bit-equal observations. Close it, or use it in a ``with`` statement.
 
     Args:
-        task: which.
+        task: the task.
         scene: name or path; empty = the task's own.
         robot: name or path; empty = the task's own.
-        step_hz: physics steps a second.
-        control_hz: actions a second; must divide ``step_hz``.
+        step_hz: physics steps per second.
+        control_hz: actions per second; must divide ``step_hz``.
+        device: EGL device that draws, as ``Simulation`` takes it.
 
     Raises:
         GibsonSimError: scene or robot cannot be used.
     """
 
     def __init__(
-        self, task: Task, *, scene: str = "", robot: str = "", step_hz: int = STEP_HZ, control_hz: int = CONTROL_HZ
+        self,
+        task: Task,
+        *,
+        scene: str = "",
+        robot: str = "",
+        step_hz: int = STEP_HZ,
+        control_hz: int = CONTROL_HZ,
+        device: int | str | None = None,
     ) -> None:
         if control_hz < 1 or step_hz % control_hz:
             raise ConfigError(f"control_hz is {control_hz}, must divide step_hz, which is {step_hz}")
@@ -45,19 +53,21 @@ class TaskRun:
         self.ground: Ground = ground_of(scene or task.scene, robot or task.robot)
         self._substeps = step_hz // control_hz
         self.robot = self.ground.robot
-        self.world = PhysicsWorld(self.ground.scene, step_hz=step_hz, cmd_vel_timeout=1.0)
+        self.simulation = Simulation(self.ground.scene, None, step_hz=step_hz, cmd_vel_timeout=1.0, device=device)
+        """Physics, and the renderer of ``TaskCamera``. ``reset`` here repopulates ``world``; do not call ``simulation.reset``."""
+        self.world = self.simulation.world
         self._episode: Episode | None = None
         self._begin_ns = 0
 
     @property
     def episode(self) -> Episode:
-        """What is being done."""
+        """The present episode."""
         if self._episode is None:
             raise ConfigError("no episode has begun; call reset(seed) first")
         return self._episode
 
-    def reset(self, seed: int) -> View:
-        """Begins the episode of a seed, and returns what is known at its begin.
+    def reset(self, seed: int) -> Observation:
+        """Begins the episode of a seed, and returns its first observation.
 
         Raises:
             SceneError: the scene has no room for the task.
@@ -70,47 +80,47 @@ class TaskRun:
         world.step(round(SETTLE_S * world.step_hz))
         self._episode, self._begin_ns = episode, world.stamp_ns
         self._moving = frozenset(world.names)
-        self.view = self._view()
-        self._meter = Meter(episode, self.view)
+        self.observation = self._observe()
+        self._meter = Meter(episode, self.observation)
         self.succeeded, self.over = False, False
-        self.remaining = self.task.remaining(episode, self.view, self.ground)
-        return self.view
+        self.remaining = self.task.remaining(episode, self.observation, self.ground)
+        return self.observation
 
-    def step(self, action: Action) -> View:
-        """Obeys an action for one period of control, and returns what is known then; ``succeeded`` and ``over`` say whether to go on."""
+    def step(self, action: Action) -> Observation:
+        """Applies an action for one control period, and returns the observation after it; ``succeeded`` and ``over`` are then current."""
         episode, world, name = self.episode, self.world, self.robot.name
         world.command(name, VelocityCommand((action.linear, 0.0, 0.0), (0.0, 0.0, action.angular), world.stamp_ns))
         joints = {**action.joints, **finger_joints(self.robot, action.grasp)}
         if joints:
             world.command_joints(name, JointPositions(tuple(joints.values()), tuple(joints)))
-        if action.grasp is not None and action.grasp != bool(self.view.held):
-            world.grasp(name) if action.grasp else world.release(name)
+        if action.grasp is not None and action.grasp != bool(self.observation.held):
+            world.arms.grasp(name) if action.grasp else world.arms.release(name)
         world.step(self._substeps)
-        self.view = self._view()
-        self._meter.note(self.view, touched_by(name, world.contacts(name), self._moving))
-        self.remaining = self.task.remaining(episode, self.view, self.ground)
-        self.succeeded = self.succeeded or self.task.succeeded(episode, self.view, self.ground)
-        self.over = self.succeeded or self.view.time >= episode.time_limit - 1e-9
-        return self.view
+        self.observation = self._observe()
+        self._meter.update(self.observation, touched_by(name, world.contacts(name), self._moving))
+        self.remaining = self.task.remaining(episode, self.observation, self.ground)
+        self.succeeded = self.succeeded or self.task.succeeded(episode, self.observation, self.ground)
+        self.over = self.succeeded or self.observation.time >= episode.time_limit - 1e-9
+        return self.observation
 
     @property
     def metrics(self) -> Metrics:
-        """How it went until now."""
-        return self._meter.metrics(self.view, success=self.succeeded, goal_distance=self.remaining)
+        """Metrics of the episode up to now."""
+        return self._meter.metrics(self.observation, success=self.succeeded, goal_distance=self.remaining)
 
-    def _view(self) -> View:
+    def _observe(self) -> Observation:
         world, robot = self.world, self.robot
         joints, held = {}, ""
         if robot.manipulators:
             reading = world.joint_states(robot.name)
             joints = dict(zip(reading.names, reading.positions.tolist(), strict=True))
-            state = world.grasp_state(robot.name)
+            state = world.arms.grasp_state(robot.name)
             held = state.body if state.holding else ""
-        return view_of(world.state(), robot.name, robot.base_link, self._begin_ns, joints=joints, held=held)
+        return observation_of(world.state(), robot.name, robot.base_link, self._begin_ns, joints=joints, held=held)
 
     def close(self) -> None:
-        """Frees the engine; a second call does nothing."""
-        self.world.close()
+        """Frees engine and renderer; a second call does nothing."""
+        self.simulation.close()
 
     def __enter__(self) -> TaskRun:
         return self
@@ -119,22 +129,22 @@ class TaskRun:
         self.close()
 
 
-def run_episode(run: TaskRun, seed: int, baseline: str, watch: Callable[[View], None] | None = None) -> Metrics:
-    """Lets a baseline do the episode of a seed, and returns how it went.
+def run_episode(run: TaskRun, seed: int, baseline: str, watch: Callable[[Observation], None] | None = None) -> Metrics:
+    """Runs the episode of a seed with a baseline, and returns its metrics.
 
     Args:
-        run: where.
-        seed: which.
-        baseline: one of the task's.
-        watch: is shown every view.
+        run: the task.
+        seed: of the episode.
+        baseline: one of the task's baselines.
+        watch: called with every observation.
 
     Raises:
         SceneError: the scene has no room for the task.
     """
-    view = run.reset(seed)
+    obs = run.reset(seed)
     policy = run.task.policy(baseline, run.episode, run.ground)
     while not run.over:
         if watch is not None:
-            watch(view)
-        view = run.step(policy.act(view))
+            watch(obs)
+        obs = run.step(policy.act(obs))
     return run.metrics

@@ -1,4 +1,4 @@
-"""What every task says of itself. Pure: a seed and a ground go in, an episode comes out; a view goes in, a verdict comes out."""
+"""The interface of tasks and policies. Pure: a seed and a ground give an episode; an observation gives success and remaining distance."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from gibson_sim.tasks.episode import Action, Episode, View
+from gibson_sim.tasks.episode import Action, Episode, Observation
 from gibson_sim.tasks.ground import Ground
 
 BASELINES = ("scripted", "random", "none")
-"""Who can do a task without having learnt it; ``none`` stands still."""
+"""Policies that need no training; ``none`` stands still."""
 
 
 class Policy(Protocol):
-    """Does a task."""
+    """Chooses the actions of a robot."""
 
-    def act(self, view: View) -> Action:
-        """Returns what to do next."""
+    def act(self, obs: Observation) -> Action:
+        """Returns the next action."""
 
 
 class Task(ABC):
-    """A kind of episode."""
+    """A kind of task: generates episodes and judges them."""
 
     name: ClassVar[str]
-    """As on the command line, words joined by ``-``."""
+    """Name on the command line, words joined by ``-``."""
     environment: ClassVar[str]
-    """As in ``gymnasium.make("GibsonSim/<environment>-v0")``."""
+    """Name in ``gymnasium.make("GibsonSim/<environment>-v0")``."""
     about: ClassVar[str]
-    """One line."""
+    """Description, one line."""
     scene: ClassVar[str] = "flat"
-    """Where it takes place unless asked otherwise."""
+    """Default scene."""
     robot: ClassVar[str] = "gibson_bot"
-    """Who does it unless asked otherwise."""
+    """Default robot."""
     baselines: ClassVar[tuple[str, ...]] = BASELINES
 
     @abstractmethod
@@ -44,50 +44,50 @@ class Task(ABC):
             SceneError: the scene has no room for it.
         """
 
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns how far the goal is, 0 = reached: metres to its place, unless a task says otherwise. Rewards come from it."""
+    def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
+        """Returns the remaining distance to the goal, 0 = reached: metres to its position unless a task overrides it. Rewards derive from it."""
         assert episode.goal.position is not None
-        return view.distance_to(episode.goal.position)
+        return obs.distance_to(episode.goal.position)
 
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the goal is reached: the base is within its radius, unless a task says otherwise."""
+    def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
+        """Returns whether the goal is reached: the base is within its radius, unless a task overrides it."""
         assert episode.goal.position is not None
-        return view.distance_to(episode.goal.position) <= episode.goal.radius
+        return obs.distance_to(episode.goal.position) <= episode.goal.radius
 
     @abstractmethod
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who does it by a script."""
+        """Returns the scripted baseline for an episode."""
 
     def policy(self, baseline: str, episode: Episode, ground: Ground) -> Policy:
-        """Returns who does an episode: ``scripted``, ``random`` or ``none``."""
+        """Returns a baseline for an episode: ``scripted``, ``random`` or ``none``."""
         if baseline == "scripted":
             return self.scripted(episode, ground)
-        return Wanderer(ground, generator(self, episode.seed, 1)) if baseline == "random" else _Idle()
+        return RandomDrivePolicy(ground, generator(self, episode.seed, 1)) if baseline == "random" else _IdlePolicy()
 
 
 def generator(task: Task, seed: int, part: int = 0) -> np.random.Generator:
-    """Returns where chance comes from in an episode; parts are independent of each other."""
+    """Returns a random generator of an episode; generators with different ``part`` are independent."""
     return np.random.default_rng([seed, part, *task.name.encode()])
 
 
-class Wanderer:
-    """Drives and turns at random, each for a second or so; the arm stays as it is."""
+class RandomDrivePolicy:
+    """Draws a random velocity every 0.5 to 2 s; the arm holds still."""
 
     def __init__(self, ground: Ground, rng: np.random.Generator) -> None:
         drive = ground.robot.drive
         assert drive is not None
-        self._fastest, self._rng = (drive.max_linear, drive.max_angular), rng
+        self._max_speeds, self._rng = (drive.max_linear, drive.max_angular), rng
         self._until, self._action = 0.0, Action()
 
-    def act(self, view: View) -> Action:
-        """Returns the action of this second."""
-        if view.time >= self._until:
+    def act(self, obs: Observation) -> Action:
+        """Returns the present action."""
+        if obs.time >= self._until:
             linear, angular = self._rng.uniform((-0.3, -0.7), (1.0, 0.7))
-            self._action = Action(linear * self._fastest[0], angular * self._fastest[1])
-            self._until = view.time + float(self._rng.uniform(0.5, 2.0))
+            self._action = Action(linear * self._max_speeds[0], angular * self._max_speeds[1])
+            self._until = obs.time + float(self._rng.uniform(0.5, 2.0))
         return self._action
 
 
-class _Idle:
-    def act(self, view: View) -> Action:
+class _IdlePolicy:
+    def act(self, obs: Observation) -> Action:
         return Action()

@@ -1,4 +1,4 @@
-"""``gibson-sim bench``: measurements that anyone can repeat."""
+"""``gibson-sim bench``: reproducible measurements."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from gibson_sim_bench.cli import (
     table1 as bench_table1,
     tasks as bench_tasks,
     tensors as bench_tensors,
+    web as bench_web,
 )
 
 _SCENES = "rooms:100k,rooms:500k,rooms:1m"
@@ -30,23 +31,23 @@ _OUTPUTS = ("rgb", "rgb,depth", "rgb,depth,semantic,instance,normal")
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
-    parser = subparsers.add_parser("bench", help="measure how fast this machine draws, and how fast ROS carries it")
+    parser = subparsers.add_parser("bench", help="measure rendering, physics, tasks and ROS on this machine")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     for module in (bench_table1, bench_peers, bench_scaling, bench_soak, bench_report, bench_compare):
         module.add_parser(kinds)
     _add_render(kinds)
-    for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks):
+    for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks, bench_web):
         module.add_parser(kinds)
 
 
 def _add_render(kinds: Any) -> None:
-    parser = kinds.add_parser("render", help="images a second of our renderer by scene, size and outputs")
+    parser = kinds.add_parser("render", help="images per second of the renderer by scene, size and outputs")
     parser.add_argument(
         "--scenes",
         nargs="+",
         default=[_SCENES],
         metavar="SCENE",
-        help=f"rooms:N for generated rooms of N triangles, or names, folders or files of scenes (default: {_SCENES})",
+        help=f"rooms:N for generated rooms with N triangles, or names, folders or files of scenes (default: {_SCENES})",
     )
     parser.add_argument("--sizes", nargs="+", default=[_SIZES], metavar="WxH", help=f"of images, pixels (default: {_SIZES})")
     parser.add_argument(
@@ -63,8 +64,10 @@ def _add_render(kinds: Any) -> None:
         metavar="PX",
         help=f"levels of detail; several, such as 1,0, are measured each (default: {DETAIL_PX:g})",
     )
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant there")
-    parser.add_argument("--growth", action="store_true", help="also print how time grows from the smallest rooms to the largest")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant to DIR")
+    parser.add_argument(
+        "--growth", action="store_true", help="also print the growth of time from the smallest rooms to the largest"
+    )
     parser.add_argument(
         "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"
     )
@@ -73,7 +76,7 @@ def _add_render(kinds: Any) -> None:
 
 
 def run_render(args: argparse.Namespace) -> int:
-    """Prints a table, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     plan = plan_of(args)
     require_device(plan.device)
     from gibson_sim_bench.render import measure
@@ -86,16 +89,16 @@ def run_render(args: argparse.Namespace) -> int:
 
 
 def plan_of(args: argparse.Namespace) -> Any:
-    """Returns the ``Plan`` that the options describe.
+    """Returns the ``RenderPlan`` of the options.
 
     Raises:
-        ConfigError: one of them cannot be read.
+        ConfigError: an option is invalid.
     """
-    from gibson_sim_bench.render import Plan
+    from gibson_sim_bench.render import RenderPlan
 
     if args.frames < 1:
         raise ConfigError(f"--frames is {args.frames}, must be 1 or more")
-    return Plan(
+    return RenderPlan(
         scenes=tuple(_words(args.scenes)),
         sizes=tuple(parse_size(text) for text in _words(args.sizes)),
         outputs=tuple(_outputs(text) for text in args.outputs),

@@ -1,4 +1,4 @@
-"""``gibson-sim bench compare``: two reports side by side."""
+"""``gibson-sim bench compare``: compares two reports."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "compare",
-        help="two JSON files of one measurement: ratios, and what got slower",
-        description="For information: the exit code is 0 whatever got slower.",
+        help="compare two JSON files of one measurement: ratios, and what became slower",
+        description="For information: the exit code is always 0.",
     )
     parser.add_argument("before", type=Path, metavar="A.json")
     parser.add_argument("after", type=Path, metavar="B.json")
     parser.add_argument(
-        "--tolerance", type=float, default=0.15, metavar="X", help="part that counts as no change (default: 0.15)"
+        "--tolerance", type=float, default=0.15, metavar="X", help="fraction up to which a change is ignored (default: 0.15)"
     )
     parser.add_argument("--markdown", action="store_true", help="print Markdown")
     parser.set_defaults(run=run)

@@ -1,4 +1,4 @@
-"""``gibson-sim bench lockstep``: ticks a second in processes that wait for each other, against one process."""
+"""``gibson-sim bench lockstep``: ticks per second in lockstep, compared with one process and with none of ROS."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from gibson_sim_bench.lockstep import (
     ONE_PROCESS,
     PIPELINED,
     WAYS,
-    Alone,
-    Case,
+    InProcessTicks,
+    LockstepCase,
     LockstepPlan,
     LockstepReport,
-    Turns,
+    TickTimes,
     case_of,
     in_turns,
     rate_of,
@@ -41,30 +41,30 @@ _COLUMNS = (
     "answers each tick and takes the images. Lockstep: each node in its own. Split: lockstep against one process; ROS: against none."
 )
 _DOMAINS = 233
-"""ROS has as many."""
+"""Number of ROS domains."""
 START_S = 90.0
-"""Within so long a simulation has loaded its scene."""
+"""Longest time in which a simulation loads its scene, seconds."""
 _SMALLEST = Size(16, 16)
-"""Of a camera that nobody listens to."""
+"""Image size of a camera without subscribers."""
 
 
 def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "lockstep",
-        help="ticks a second in lockstep, without and with images, and what the processes add to one process",
-        description="Ticks with a controller that answers each, and with an image at each. Nothing else should run meanwhile.",
+        help="ticks per second in lockstep, without and with images, and the overhead of separate processes",
+        description="A controller answers each tick. Nothing else should run on the machine.",
     )
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--scene", help="scene (default: flat)")
-    parser.add_argument("--substeps", type=int, choices=SUBSTEPS, help="physics steps of 1/240 s a tick (default: 1)")
+    parser.add_argument("--substeps", type=int, choices=SUBSTEPS, help="physics steps of 1/240 s per tick (default: 1)")
     add_report_options(parser)
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints the table, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     require_nodes()
     plan = LockstepPlan.quick() if args.quick else LockstepPlan()
     if args.scene:
@@ -81,16 +81,16 @@ def run(args: argparse.Namespace) -> int:
 def measure(
     plan: LockstepPlan, *, domain_id: int | None = None, tell: Callable[[str], None] = lambda line: None
 ) -> LockstepReport:
-    """Returns what was measured; a case that fails is left out, and the report says why.
+    """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
         plan: what to measure.
-        domain_id: ROS domain; None = as the environment says.
-        tell: is told in one line what is going on.
+        domain_id: ROS domain; None = that of the environment.
+        tell: called with one line of progress.
     """
     began = timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load()
     report = LockstepReport(*began, plan.scene, substeps=plan.substeps)
-    cases: list[Case] = []
+    cases: list[LockstepCase] = []
     left_out: list[str] = []
     for size in (None, *plan.sizes):
         name = f"{size} RGB + depth at every tick" if size else "no images"
@@ -106,8 +106,8 @@ def measure(
     return replace(report, cases=tuple(cases), left_out=tuple(left_out))
 
 
-def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | None) -> Turns:
-    """Returns the ticks of all ways, each of those with ROS in a domain of its own."""
+def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | None) -> TickTimes:
+    """Returns the times of all configurations, each of those with ROS in a domain of its own."""
     hz = STEP_HZ // plan.substeps
     settings: dict[str, Any] = {
         "scene": plan.scene,
@@ -122,10 +122,10 @@ def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | 
     first = domain_of(node_environment(domain_id=domain_id))
     ways: dict[str, Callable[[int], Sequence[int]]] = {}
     with ExitStack() as stack:
-        alone = stack.enter_context(Alone(plan.scene, robot, size, plan.substeps))
+        alone = stack.enter_context(InProcessTicks(plan.scene, robot, size, plan.substeps))
         for number, way in enumerate(WAYS):
             if way == ONE_PROCESS and not size:
-                continue  # one node, as in lockstep
+                continue  # without images there is one node, as in lockstep
             environment = node_environment(domain_id=(first + number) % _DOMAINS)
             if way == ONE_PROCESS:
                 both = {**settings, "participants": "render;bench_controller"}
@@ -138,7 +138,7 @@ def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | 
 
 
 def _command(settings: Mapping[str, Any], draws: bool, pipelined: bool) -> list[str]:
-    """Returns what starts a simulation with the settings of its physics node."""
+    """Returns the command that starts a simulation with the settings of its physics node."""
     command = [sys.executable, "-m", "gibson_sim.cli.main", "run"]
     for name, value in {**settings, "rate": "max", "pipelined": pipelined}.items():
         option = f"--{name.replace('_', '-')}"

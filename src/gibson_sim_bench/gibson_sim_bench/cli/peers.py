@@ -1,4 +1,4 @@
-"""``gibson-sim bench peers``: our renderer and those of others in turns, on the same mesh and along the same way."""
+"""``gibson-sim bench peers``: Gibson Sim and other renderers in turns, on the same mesh and along the same camera path."""
 
 from __future__ import annotations
 
@@ -14,29 +14,33 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "peers",
-        help="our renderer in turns with MuJoCo, pyrender, PyBullet and iGibson, those that are installed",
-        description="Each of them is optional, and named as absent otherwise: pip install mujoco pyrender pybullet, in any Python.",
+        help="Gibson Sim and those of MuJoCo, pyrender, PyBullet and iGibson that are installed, in turns",
+        description="Each peer is optional, and reported where it is absent: pip install mujoco pyrender pybullet, in any Python.",
     )
     parser.add_argument(
-        "--house", action="append", default=[], metavar="X", help="scene of one mesh with one texture, instead of ours"
+        "--house",
+        action="append",
+        default=[],
+        metavar="X",
+        help="scene of one mesh with one texture, instead of the built-in ones",
     )
     parser.add_argument(
         "--peer-python",
         action="append",
         default=[],
         metavar="PATH",
-        help="interpreter that has peers; may be given again (default: this one)",
+        help="interpreter with peers installed; may be repeated (default: this one)",
     )
     parser.add_argument("--sizes", default="256x256,640x480", metavar="WxH", help="of images, pixels (default: 256x256,640x480)")
     parser.add_argument("--frames", type=int, default=36, help="images of each case (default: 36)")
     parser.add_argument("--quick", action="store_true", help="12 images of each case, one house")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant there")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant to DIR")
     add_report_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints a table, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     from gibson_sim_bench.render import ABSENT, measure
     from gibson_sim_bench.reports.render import report_text
 
@@ -48,16 +52,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def plan_of(args: argparse.Namespace) -> Any:
-    """Returns the ``Plan`` that the options describe.
+    """Returns the ``RenderPlan`` of the options.
 
     Raises:
-        ConfigError: one of them cannot be read.
+        ConfigError: an option is invalid.
     """
-    from gibson_sim_bench.render import Plan
+    from gibson_sim_bench.render import RenderPlan
     from gibson_sim_bench.timing import FIVE
 
     houses = tuple(args.house) or (HOUSES[:1] if args.quick else HOUSES)
-    return Plan(
+    return RenderPlan(
         scenes=houses,
         sizes=tuple(parse_size(text) for text in args.sizes.split(",") if text),
         outputs=(("rgb",), ("rgb", "depth"), FIVE),

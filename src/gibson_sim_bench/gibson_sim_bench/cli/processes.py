@@ -1,4 +1,4 @@
-"""What measurements that take several processes share: roles played by ``gibson_sim_bench.roles.__main__``."""
+"""Processes of measurements: simulations, and the roles of ``gibson_sim_bench.roles``."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from typing import IO, Any
 from gibson_sim.errors import GibsonSimError
 
 PATIENCE_S = 120.0
-"""How much longer than it should a process may take before it is given up."""
+"""Time beyond the expected one after which a process is given up, seconds."""
 CAMERA = "camera"
 
 
 class BenchError(GibsonSimError):
-    """A scenario came to nothing."""
+    """A scenario failed."""
 
 
 def _command(role: str, options: Mapping[str, Any]) -> list[str]:
-    return [sys.executable, "-m", "gibson_sim_bench.roles.__main__", role, json.dumps(options)]
+    return [sys.executable, "-m", "gibson_sim_bench.roles", role, json.dumps(options)]
 
 
 @contextmanager
 def role(environment: Mapping[str, str], role: str, **options: Any) -> Iterator[None]:
-    """Plays a role in a process of its own while the block lasts."""
+    """Runs a role in a process of its own inside the block."""
     with process(_command(role, options), environment):
         yield
 
 
 @contextmanager
 def process(command: list[str], environment: Mapping[str, str]) -> Iterator[int]:
-    """Runs a process while the block lasts, and yields its number; what it says matters only where the block fails."""
+    """Runs a process inside the block, and yields its id; its output is shown only if the block fails."""
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
         running = subprocess.Popen(command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=output, stderr=output)
         try:
@@ -63,10 +63,10 @@ def _end(process: subprocess.Popen[Any]) -> None:
 
 
 def answer(environment: Mapping[str, str], role: str, expected_s: float, **options: Any) -> dict[str, Any]:
-    """Returns what a role found.
+    """Returns the answer of a role that ends by itself.
 
     Raises:
-        BenchError: nothing, or it took far too long.
+        BenchError: there is none, or the role took too long.
     """
     try:
         done = subprocess.run(
@@ -90,9 +90,9 @@ def answer(environment: Mapping[str, str], role: str, expected_s: float, **optio
 def conversation(
     environment: Mapping[str, str], role: str, expected_s: float, **options: Any
 ) -> Iterator[Callable[[Mapping[str, Any]], dict[str, Any]]]:
-    """Plays a role while the block lasts, and yields what asks it: it takes a question and returns the answer, a line of JSON each.
+    """Runs a role inside the block, and yields a function that sends it a question and returns the answer, a line of JSON each.
 
-    What asks raises BenchError where there is no answer, or it takes far longer than ``expected_s``.
+    The function raises BenchError if there is no answer within ``expected_s`` plus ``PATIENCE_S`` seconds.
     """
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         running = subprocess.Popen(
@@ -123,16 +123,16 @@ def conversation(
         try:
             yield ask
         finally:
-            with suppress(BrokenPipeError):  # a question that nobody took
+            with suppress(BrokenPipeError):  # a question that the process did not read
                 running.stdin.close()
-            # Python looks for signals after a read, not before it: one that is about to wait for a question ends only where it is closed.
+            # Python handles signals after a read, not before it: a process about to read a question ends only because the pipe is closed.
             _end(running)
             reader.join()
             running.stdout.close()
 
 
 def _put_lines(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
-    """Hands on what a process says, line by line, then an empty one."""
+    """Puts the lines of a stream into a queue, then an empty one."""
     for line in stream:
         lines.put(line)
     lines.put(b"")

@@ -1,4 +1,4 @@
-"""``gibson-sim bench report``: the page of all measurements, from their JSON files."""
+"""``gibson-sim bench report``: writes the page of all measurements from their JSON files."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "report",
-        help="a page with tables and plots of the JSON files in a folder",
-        description="Writes docs/benchmarks.md and its plots from the files that `gibson-sim bench ... --json` wrote.",
+        help="write a page with tables and plots of the JSON files in a folder",
+        description="Writes docs/benchmarks.md and its plots from files written by `gibson-sim bench ... --json`.",
     )
     parser.add_argument(
         "--data",
@@ -31,7 +31,7 @@ def add_parser(kinds: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Writes the page and says what is in it."""
+    """Writes the page, and prints what is in it."""
     from gibson_sim_bench.reports.page import write_page
 
     for line in write_page(args.data, args.output, args.images):

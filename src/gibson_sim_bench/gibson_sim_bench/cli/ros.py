@@ -1,4 +1,4 @@
-"""``gibson-sim bench ros``: starts the processes that are measured, one scenario after the other, and reports."""
+"""``gibson-sim bench ros``: runs the processes that are measured, one scenario after the other, and reports."""
 
 from __future__ import annotations
 
@@ -20,10 +20,22 @@ from gibson_sim_bench import timing
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, process, role
 from gibson_sim_bench.protocol import write_changed_robot
 from gibson_sim_bench.reports.ros import report_text
-from gibson_sim_bench.ros import PARTS, ClockCost, Pipeline, Plan, Report, RoundTrip, Size, Transport, pipeline_of, spread
+from gibson_sim_bench.ros import (
+    PARTS,
+    ClockCost,
+    IdleNode,
+    Pipeline,
+    RosPlan,
+    RosReport,
+    RoundTrip,
+    Size,
+    Transport,
+    pipeline_of,
+    spread,
+)
 
 START_S = 90.0
-"""Within so long a simulation has loaded its scene."""
+"""Longest time in which a simulation loads its scene, seconds."""
 Tell = Callable[[str], None]
 
 
@@ -32,7 +44,7 @@ def add_parser(kinds: Any) -> None:
     parser = kinds.add_parser(
         "ros",
         help="round trips of a state, transport of images, the cost of /clock, images of a running simulation",
-        description="Measures what goes between processes, and what waiting for it costs. Nothing else should run meanwhile.",
+        description="Measures messages between processes, and the cost of waiting for them. Nothing else should run on the machine.",
     )
     parser.add_argument("--quick", action="store_true", help="fewer and shorter: about four minutes instead of ten")
     parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
@@ -43,7 +55,7 @@ def add_parser(kinds: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints the tables, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     require_nodes()
     report = measure(plan_of(args), domain_id=args.domain_id, tell=tell)
     print(report_text(report, markdown=args.markdown))
@@ -51,31 +63,30 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def plan_of(args: argparse.Namespace) -> Plan:
-    """Returns what the options ask for.
+def plan_of(args: argparse.Namespace) -> RosPlan:
+    """Returns the plan of the options.
 
     Raises:
-        ConfigError: one of them cannot be read.
+        ConfigError: an option is invalid.
     """
     parts = chosen(args.only, PARTS)
-    plan = Plan.quick(parts) if args.quick else Plan(parts)
+    plan = RosPlan.quick(parts) if args.quick else RosPlan(parts)
     return replace(plan, scene=args.scene) if args.scene else plan
 
 
-def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Report:
-    """Returns what was measured. A scenario that fails is left out, and the report says why.
+def measure(plan: RosPlan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> RosReport:
+    """Returns the measurements; a scenario that fails is left out, and the report says why.
 
     Args:
-        plan: What to measure.
-        domain_id: ROS domain; None = as the environment says.
-        tell: Is told in one line what is going on.
+        plan: what to measure.
+        domain_id: ROS domain; None = that of the environment.
+        tell: called with one line of progress.
 
     Raises:
-        AlreadyRunningError: a simulation runs in this domain; its /clock would be listened to.
+        AlreadyRunningError: a simulation runs in this domain; its /clock would interfere.
     """
-    # Nobody else is to hear this /clock, nor these images.
     environment = node_environment(domain_id=domain_id)
-    report = Report(
+    report = RosReport(
         timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), {"Python": _python(), **_versions()}
     )
     found: dict[str, list[Any]] = {"state": [], "transport": [], "clock": [], "pipeline": []}
@@ -85,7 +96,7 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
         for name, scenario in scenarios:
             tell(f"{part}: {name}")
             try:
-                # The simulation takes the lock itself.
+                # A simulation locks the domain itself. Otherwise the lock keeps other simulations from receiving this /clock.
                 lock = None if part == "pipeline" else DomainLock(domain)
                 try:
                     found[part].append(scenario())
@@ -108,34 +119,37 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
 _Scenario = tuple[str, Callable[[], Any]]
 
 
-def _scenarios(plan: Plan, environment: Mapping[str, str]) -> Iterator[tuple[str, list[_Scenario]]]:
-    """Yields each part of the plan with its scenarios: a name, and what measures it."""
+def _scenarios(plan: RosPlan, environment: Mapping[str, str]) -> Iterator[tuple[str, list[_Scenario]]]:
+    """Yields each part of the plan with its scenarios: a name, and a function that measures."""
 
-    def later(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+    def bound(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
         return lambda: function(plan, environment, *arguments)
 
     parts: dict[str, list[_Scenario]] = {
-        "state": [(f"{way.executor}, {way.form}", later(_round_trip, way.executor, way.form)) for way in plan.ways],
-        "transport": [(kind, later(_transport, kind)) for kind in ("standard", "events", "wait set")],
+        "state": [(f"{way.executor}, {way.form}", bound(_round_trip, way.executor, way.form)) for way in plan.methods],
+        "transport": [(kind, bound(_transport, kind)) for kind in ("standard", "events", "wait set")],
         "clock": [
-            (f"{who.executor}, use_sim_time {who.use_sim_time}, parameter services {who.parameter_services}", later(_clock, who))
-            for who in plan.listeners
+            (
+                f"{node.executor}, use_sim_time {node.use_sim_time}, parameter services {node.parameter_services}",
+                bound(_clock, node),
+            )
+            for node in plan.idle_nodes
         ],
         "pipeline": [
-            (f"{size} at {hz:g} Hz", later(_pipeline, size, hz)) for size in plan.pipeline_sizes for hz in plan.pipeline_hz
+            (f"{size} at {hz:g} Hz", bound(_pipeline, size, hz)) for size in plan.pipeline_sizes for hz in plan.pipeline_hz
         ],
     }
     yield from ((part, parts[part]) for part in plan.parts)
 
 
-def _round_trip(plan: Plan, environment: Mapping[str, str], executor: str, form: str) -> RoundTrip:
+def _round_trip(plan: RosPlan, environment: Mapping[str, str], executor: str, form: str) -> RoundTrip:
     with role(environment, "pong", executor=executor, form=form):
         options = {"executor": executor, "form": form, "bodies": plan.bodies, "count": plan.round_trips}
         found = answer(environment, "ping", plan.round_trips * 0.05, **options)
     return RoundTrip(executor, form, plan.bodies, len(found["us"]), spread(found["us"]))
 
 
-def _transport(plan: Plan, environment: Mapping[str, str], executor: str) -> Transport:
+def _transport(plan: RosPlan, environment: Mapping[str, str], executor: str) -> Transport:
     size, hz = plan.transport_size, plan.transport_hz
     options = {"width": size.width, "height": size.height, "hz": hz, "count": plan.transport_images}
     with role(environment, "image_source", **options):
@@ -143,23 +157,23 @@ def _transport(plan: Plan, environment: Mapping[str, str], executor: str) -> Tra
     return Transport(executor, size, hz, plan.transport_images, len(ages), spread(ages))
 
 
-def _clock(plan: Plan, environment: Mapping[str, str], who: Any) -> ClockCost:
-    options = {"executor": who.executor, "use_sim_time": who.use_sim_time, "parameter_services": who.parameter_services}
+def _clock(plan: RosPlan, environment: Mapping[str, str], node: IdleNode) -> ClockCost:
+    options = {"executor": node.executor, "use_sim_time": node.use_sim_time, "parameter_services": node.parameter_services}
     with role(environment, "clock_source", hz=plan.clock_hz):
-        found = answer(environment, "listener", plan.clock_s, seconds=plan.clock_s, **options)
+        found = answer(environment, "idle_node", plan.clock_s, seconds=plan.clock_s, **options)
     percent, seconds, clock_s = round(found["cpu_percent"], 3), round(found["seconds"], 2), round(found["clock_s"], 2)
-    return ClockCost(who.executor, who.use_sim_time, who.parameter_services, seconds, percent, clock_s)
+    return ClockCost(node.executor, node.use_sim_time, node.parameter_services, seconds, percent, clock_s)
 
 
-def _pipeline(plan: Plan, environment: Mapping[str, str], size: Size, hz: float) -> Pipeline:
+def _pipeline(plan: RosPlan, environment: Mapping[str, str], size: Size, hz: float) -> Pipeline:
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
         robot = write_changed_robot(Path(folder), (size.width, size.height))
         options = ["--scene", plan.scene, "--robot", str(robot), "--camera-rate", f"{hz:g}", "--camera-outputs", "rgb,depth"]
         command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]
         with process(command, environment):
             topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
-            heard = answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
-    return pipeline_of(size, hz, heard)
+            received = answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
+    return pipeline_of(size, hz, received)
 
 
 def _python() -> str:
@@ -167,7 +181,7 @@ def _python() -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Returns the versions of what carries the messages, as far as pip knows them."""
+    """Returns the versions of the middleware, as far as pip knows them."""
     found = {}
     for package, name in (("rclpy", "rclpy"), ("ros-rmw-fastrtps-cpp", RMW), ("ros-fastrtps", "Fast DDS"), ("numpy", "NumPy")):
         try:

@@ -1,4 +1,4 @@
-"""``gibson-sim bench scaling``: how cost and memory grow."""
+"""``gibson-sim bench scaling``: growth of time and memory."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "scaling",
-        help="cost and memory against triangles, resolution, cameras, bodies, robots, environments and processes",
-        description="Every case has a process of its own. `gibson-sim bench report` draws the plots. Nothing else should run meanwhile.",
+        help="time and memory against triangles, resolution, cameras, bodies, robots, environments and processes",
+        description="Every case runs in a process of its own. `gibson-sim bench report` draws the plots. Nothing else should run on the machine.",
     )
     parser.add_argument("--quick", action="store_true", help="two small cases of each")
-    parser.add_argument("--only", default="", metavar="A,B", help="some of what grows (default: all)")
+    parser.add_argument("--only", default="", metavar="A,B", help="some of these quantities (default: all)")
     add_report_options(parser)
     parser.set_defaults(run=run)
 
 
 @quiet()
 def run(args: argparse.Namespace) -> int:
-    """Prints a table, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     from gibson_sim_bench.reports.scaling import report_text
     from gibson_sim_bench.scaling import kinds_of, measure
 

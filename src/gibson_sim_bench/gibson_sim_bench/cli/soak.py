@@ -1,4 +1,4 @@
-"""``gibson-sim bench soak``: long runs, in this process and free-running over ROS 2."""
+"""``gibson-sim bench soak``: long runs, in this process and free-running over ROS."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from gibson_sim.resources import cache_folder
 from gibson_sim_bench.cli.processes import CAMERA, answer, process
 
 START_S = 120.0
+"""Longest time in which a simulation loads its scene, seconds."""
 INTERVAL_S = 5.0
-"""Between two looks, at least; a run has at most 200 of them."""
-_LOOKS = 200
+"""Least time between two samples, seconds."""
+_MOST_SAMPLES = 200
 _TOPICS = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
 
 
@@ -29,8 +30,8 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "soak",
-        help="long runs: environment steps, then a free-running simulation; memory, rates and files must stay as they are",
-        description="The whole takes about an hour and a half; --quick three minutes. Exit code 1 where something grows or drifts.",
+        help="long runs: environment steps, then a free-running simulation; memory, rates and numbers of files must stay constant",
+        description="Takes about an hour and a half; with --quick three minutes. The exit code is 1 if something grows or drifts.",
     )
     parser.add_argument("--steps", type=int, default=100_000, metavar="N", help="environment steps (default: 100000)")
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="free-running, wall time (default: 3600)")
@@ -43,7 +44,7 @@ def add_parser(kinds: Any) -> None:
 
 @quiet()
 def run(args: argparse.Namespace) -> int:
-    """Prints the table, writes the JSON file if one is named; returns 1 where something grew or drifted."""
+    """Prints the report, writes the JSON file if one is named; returns 1 if something grew or drifted."""
     from gibson_sim_bench import timing
     from gibson_sim_bench.reports.soak import report_text
     from gibson_sim_bench.soak import Samples, SoakReport, environment_steps
@@ -61,21 +62,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callable[[str], None]) -> tuple[Any, int]:
-    """Returns what was seen of a simulation at real time with a subscriber to its images, and how many sets of them came.
+    """Returns samples of a simulation in real time with a subscriber to its images, and the number of sets of images received.
 
     Args:
-        scene: name or path.
+        scene: name or path of the scene.
         seconds: wall time.
-        domain_id: ROS domain; None = as the environment says.
-        tell: is told in one line what is going on.
+        domain_id: ROS domain; None = that of the environment.
+        tell: called with one line of progress.
 
     Raises:
-        BenchError: it did not start, or died.
+        BenchError: the simulation did not start, or ended early.
     """
     from gibson_sim_bench.soak import Samples
 
     environment = node_environment(domain_id=domain_id)
-    samples, interval = Samples(), max(INTERVAL_S, seconds / _LOOKS)
+    samples, interval = Samples(), max(INTERVAL_S, seconds / _MOST_SAMPLES)
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as logs:
         environment["ROS_LOG_DIR"] = logs
         command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene]
@@ -84,22 +85,22 @@ def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callab
             watcher = threading.Thread(target=_watch, args=(pid, samples, interval, Path(logs), ended, tell), daemon=True)
             watcher.start()
             try:
-                heard = _heard(environment, seconds, interval)
+                received = _received(environment, seconds, interval)
             finally:
                 ended.set()
                 watcher.join()
     remove_dead_segments()
-    samples.values["images received /s"] = [round(count / interval, 3) for count in heard["sets"]]
-    samples.values["simulated seconds /s"] = [round(part, 4) for part in heard["factors"]]
-    return samples, sum(heard["sets"])
+    samples.values["images received /s"] = [round(count / interval, 3) for count in received["sets"]]
+    samples.values["simulated seconds /s"] = [round(part, 4) for part in received["factors"]]
+    return samples, sum(received["sets"])
 
 
-def _heard(environment: Mapping[str, str], seconds: float, interval: float) -> dict[str, Any]:
-    return answer(environment, "soak_listener", START_S + seconds, topics=_TOPICS, seconds=seconds, interval=interval)
+def _received(environment: Mapping[str, str], seconds: float, interval: float) -> dict[str, Any]:
+    return answer(environment, "soak_subscriber", START_S + seconds, topics=_TOPICS, seconds=seconds, interval=interval)
 
 
 def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading.Event, tell: Callable[[str], None]) -> None:
-    """Looks at the processes of a simulation and at the files that it may leave, until told to end."""
+    """Samples the processes of a simulation and the files that it may leave, until ``ended`` is set."""
     from gibson_sim_bench.memory import descendants, files_below, open_files, resident_mb
 
     began = time.monotonic()
@@ -107,12 +108,12 @@ def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading
         alive = descendants(pid)
         nodes = {name: number for number, name in sorted(alive.items()) if name.endswith("_node")}
         if len(nodes) < 2:
-            continue  # it is still starting
+            continue  # still starting
         samples.seconds.append(round(time.monotonic() - began, 1))
         for name, number in nodes.items():
-            samples.put(f"{name} MB", resident_mb(number))
-            samples.put(f"{name} open files", float(open_files(number)))
-        samples.put("logs and shared memory files", float(files_below([logs, Path("/dev/shm")])))
-        samples.put("cache files", float(files_below([cache_folder("scenes"), cache_folder("bench")])))
+            samples.append(f"{name} MB", resident_mb(number))
+            samples.append(f"{name} open files", float(open_files(number)))
+        samples.append("logs and shared memory files", float(files_below([logs, Path("/dev/shm")])))
+        samples.append("cache files", float(files_below([cache_folder("scenes"), cache_folder("bench")])))
         memory = ", ".join(f"{name} {samples.values[f'{name} MB'][-1]:.0f} MB" for name in nodes)
         tell(f"{samples.seconds[-1]:.0f} s: {memory}")

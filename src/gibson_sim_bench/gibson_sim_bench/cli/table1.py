@@ -1,4 +1,4 @@
-"""``gibson-sim bench table1``: the paper's table, in this process, in lockstep and free-running over ROS 2."""
+"""``gibson-sim bench table1``: the paper's table, in this process, in lockstep and free-running over ROS."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ from gibson_sim.cli.report_file import add_report_options, chosen, parse_device,
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.types import OUTPUTS
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, conversation, process, role
-from gibson_sim_bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Plan, write_robot
+from gibson_sim_bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Table1Plan, write_robot
 from gibson_sim_bench.reports.paper import MODES, PHYSICS_SIZE, Mode
 from gibson_sim_bench.reports.table1 import report_text
-from gibson_sim_bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, free_row
+from gibson_sim_bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Table1, Table1Row, free_row
 
 START_S = 120.0
-"""Within so long a simulation has loaded its scene."""
+"""Longest time in which a simulation loads its scene, seconds."""
 _TOPIC: dict[str, str] = {
     "rgb": f"{CAMERA}/image_raw",
     **{name: f"{CAMERA}/{name}/image_raw" for name in OUTPUTS if name != "rgb"},
 }
 _EXCHANGES = 60
+"""Exchanges of messages that are timed for each mode."""
 _MOST = 0.9
-"""Part of the images of lockstep that must have come by the last tick."""
+"""Fraction of the images in lockstep that must have arrived by the last tick."""
 Tell = Callable[[str], None]
 
 
@@ -41,27 +42,27 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "table1",
-        help="the paper's table: frames a second by mode, with full physics and drawing only, in process and over ROS 2",
-        description="The paper's rows, the limits beside them, and what of them is reached. Nothing else should run meanwhile.",
+        help="the paper's table: frames per second by mode, with full physics and rendering only, in process and over ROS",
+        description="The paper's rows, the limits measured beside them, and the fraction that is reached. Nothing else should run on the machine.",
     )
-    parser.add_argument("--quick", action="store_true", help="24 substeps and 1, fewer frames")
+    parser.add_argument("--quick", action="store_true", help="24 substeps and 1 only, fewer frames")
     parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(WAYS)} (default: all)")
-    parser.add_argument("--scene", help=f"scene with physics (default: {Plan().scene})")
+    parser.add_argument("--scene", help=f"scene with physics (default: {Table1Plan().scene})")
     parser.add_argument(
         "--house",
         action="append",
         default=[],
         metavar="X",
-        help="house to draw, instead of ours; may be given again: name or path",
+        help="house to draw instead of the built-in ones, name or path; may be repeated",
     )
-    parser.add_argument("--device", help="EGL device of what is measured in this process, as `gibson-sim doctor` lists them")
+    parser.add_argument("--device", help="EGL device for measurements in this process, as `gibson-sim doctor` lists them")
     add_report_options(parser)
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints the tables, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     plan = plan_of(args)
     require_device(plan.device)
     if {LOCKSTEP, FREE} & set(plan.ways):
@@ -72,28 +73,28 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def plan_of(args: argparse.Namespace) -> Plan:
-    """Returns what the options ask for.
+def plan_of(args: argparse.Namespace) -> Table1Plan:
+    """Returns the plan of the options.
 
     Raises:
-        ConfigError: one of them cannot be read.
+        ConfigError: an option is invalid.
     """
-    plan = replace(Plan.quick() if args.quick else Plan(), ways=chosen(args.only, WAYS))
+    plan = replace(Table1Plan.quick() if args.quick else Table1Plan(), ways=chosen(args.only, WAYS))
     return replace(
         plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=parse_device(args.device)
     )
 
 
 @quiet()
-def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Table1:
-    """Returns what was measured; what fails over ROS is left out, and the report says why.
+def measure(plan: Table1Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Table1:
+    """Returns the measurements; what fails over ROS is left out, and the report says why.
 
     Args:
-        plan: what to measure; what is measured over ROS needs the rows in process, whose limits it shares.
-        domain_id: ROS domain; None = as the environment says.
-        tell: is told in one line what is going on.
+        plan: what to measure; rows over ROS also need those in process, whose limits they share.
+        domain_id: ROS domain; None = that of the environment.
+        tell: called with one line of progress.
     """
-    from gibson_sim_bench.table1 import Beside, measure as measure_here
+    from gibson_sim_bench.table1 import LockstepRunner, measure as measure_here
 
     over_ros = [way for way in (LOCKSTEP, FREE) if way in plan.ways]
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
@@ -108,9 +109,11 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
             except BenchError as error:
                 left_out.append(f"{', '.join(over_ros)}: {error}")
                 over_ros = []
-        beside = Beside(partial(_lockstep, plan, environment, robot, left_out), exchanged) if LOCKSTEP in over_ros else None
+        lockstep = (
+            LockstepRunner(partial(_lockstep, plan, environment, robot, left_out), exchanged) if LOCKSTEP in over_ros else None
+        )
         ways = tuple(dict.fromkeys((*plan.ways, *((IN_PROCESS,) if over_ros else ()))))
-        report = measure_here(replace(plan, ways=ways), robot, tell, beside)
+        report = measure_here(replace(plan, ways=ways), robot, tell, lockstep)
         rows = list(report.rows)
         alone = {(r.mode, r.substeps): r for r in rows if r.way == IN_PROCESS and r.substeps and r.to == HOST}
         for substeps, drawn in ((k, d) for k in plan.substeps for d in (False, True)) if FREE in over_ros else ():
@@ -125,7 +128,7 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
 
 
 def _exchanged(environment: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """Returns of each mode what its messages take with nothing around them."""
+    """Returns the milliseconds of the messages of each mode, measured alone."""
     outputs = [list(mode.outputs) for mode in MODES]
     width, height = PHYSICS_SIZE
     with role(environment, "exchange_back", outputs=outputs):
@@ -136,9 +139,9 @@ def _exchanged(environment: Mapping[str, str]) -> dict[str, dict[str, float]]:
 
 @contextmanager
 def _lockstep(
-    plan: Plan, environment: Mapping[str, str], robot: Path, left_out: list[str], substeps: int, modes: Sequence[Mode]
+    plan: Table1Plan, environment: Mapping[str, str], robot: Path, left_out: list[str], substeps: int, modes: Sequence[Mode]
 ) -> Iterator[Callable[[int, int], Sequence[float]]]:
-    """Runs a simulation in lockstep, and yields what makes ticks of one of the modes; why that failed is added to ``left_out``."""
+    """Runs a simulation in lockstep, and yields a function that makes ticks of one mode; appends an error to ``left_out``."""
     topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
     failed: list[BenchError] = []
 
@@ -163,33 +166,33 @@ def _lockstep(
         ):
             yield make
             if failed:
-                raise failed[0]  # the process adds what became of it
+                raise failed[0]  # `process` adds its last output
     except BenchError as error:
         left_out.append(str(error))
 
 
 def _free(
-    plan: Plan,
+    plan: Table1Plan,
     environment: Mapping[str, str],
     robot: Path,
     substeps: int,
     drawn: bool,
-    alone: Mapping[tuple[str, int], Row],
+    alone: Mapping[tuple[str, int], Table1Row],
     exchanged: Mapping[str, Mapping[str, float]],
-) -> Iterator[Row]:
-    """Returns the rows with images, or the one without, of one simulation that runs for all of them."""
+) -> Iterator[Table1Row]:
+    """Yields the rows with images, or the one without, of one free-running simulation."""
     modes = [mode for mode in MODES if bool(mode.outputs) == drawn]
     topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
     with process(_command(FREE, plan.scene, robot, substeps, modes), environment):
         expected = START_S + len(modes) * plan.seconds
-        heard = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
+        received = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
     for k, mode in enumerate(modes):
-        if len(heard["received"][k]) > 2:
-            yield free_row(heard["received"][k], heard["ticks"][k], alone[mode.name, substeps], exchanged[mode.name])
+        if len(received["received"][k]) > 2:
+            yield free_row(received["received"][k], received["ticks"][k], alone[mode.name, substeps], exchanged[mode.name])
 
 
 def _command(way: str, scene: str, robot: Path, substeps: int, modes: Sequence[Mode]) -> list[str]:
-    """Returns the simulation: one tick a frame, as fast as it can."""
+    """Returns the command that starts a simulation with one tick per frame, as fast as possible."""
     hz = str(STEP_HZ // substeps)
     outputs = ",".join(name for name in OUTPUTS if any(name in mode.outputs for mode in modes))
     options = [

@@ -1,4 +1,4 @@
-"""``gibson-sim bench tasks``: environment steps a second, by task, observation and number of processes."""
+"""``gibson-sim bench tasks``: environment steps per second by task, observation and number of processes."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "tasks",
-        help="environment steps a second by task and observation, in one process and in two; loose things at rest and moving",
-        description="Steps are those of the Gymnasium environments, with random actions. Nothing else should run meanwhile.",
+        help="environment steps per second by task and observation, in one process and in two; loose objects at rest and moving",
+        description="Steps are those of the Gymnasium environments, with random actions. Nothing else should run on the machine.",
     )
     parser.add_argument("--tasks", nargs="+", metavar="NAME", help="names of tasks (default: all)")
     parser.add_argument(
         "--observations", nargs="+", metavar="KIND", default=["state", "rgbd"], help="state, rgbd (default: both)"
     )
-    parser.add_argument("--processes", nargs="+", type=int, default=[1, 2], metavar="N", help="how many (default: 1 2)")
+    parser.add_argument(
+        "--processes", nargs="+", type=int, default=[1, 2], metavar="N", help="numbers of processes (default: 1 2)"
+    )
     parser.add_argument("--scene", default="", help="scene of all tasks (default: that of each)")
     parser.add_argument("--steps", type=int, default=200, help="steps of each case (default: 200)")
-    parser.add_argument("--size", type=int, default=256, help="width and height of pictures, pixels (default: 256)")
+    parser.add_argument("--size", type=int, default=256, help="width and height of images, pixels (default: 256)")
     parser.add_argument(
-        "--loose-scene", default="flat", metavar="SCENE", help="where 50 loose things lie; none = leave it out (default: flat)"
+        "--loose-scene", default="flat", metavar="SCENE", help="scene with 50 loose objects; none = not measured (default: flat)"
     )
     add_report_options(parser)
     parser.set_defaults(run=run)
@@ -33,7 +35,7 @@ def add_parser(kinds: Any) -> None:
 
 @quiet()
 def run(args: argparse.Namespace) -> int:
-    """Prints tables, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     from gibson_sim.tasks.registry import TASKS
     from gibson_sim_bench.tasks import TaskPlan, measure, report_text
 

@@ -1,4 +1,4 @@
-"""``gibson-sim bench tensors``: how fast images become tensors, on a GPU or on this CPU."""
+"""``gibson-sim bench tensors``: images per second as tensors, on a GPU or on this CPU."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from gibson_sim.cli.report_file import add_report_options, parse_device, require
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "tensors", help="images to tensors: the comparison of the paper, one view, and 64 views at once"
+        "tensors", help="images per second as tensors: the comparison of the paper, one view, and 64 views at once"
     )
-    parser.add_argument("--triangles", type=int, default=1_000_000, help="of the generated scene (default: 1000000)")
-    parser.add_argument("--blocks", type=int, default=20, help="how often each case is timed (default: 20)")
+    parser.add_argument("--triangles", type=int, default=1_000_000, help="triangles of the generated scene (default: 1000000)")
+    parser.add_argument("--blocks", type=int, default=20, help="timed blocks of each case (default: 20)")
     parser.add_argument("--calls", type=int, default=50, help="calls in each block (default: 50)")
     parser.add_argument(
         "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"
@@ -25,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints a table, and writes the JSON file if one is named."""
+    """Prints the report, and writes the JSON file if one is named."""
     from gibson_sim_bench.tensors import measure, table
 
     device = parse_device(args.device)

@@ -1,4 +1,4 @@
-"""Houses of ours as a scan would give them: one uneven mesh, one texture, as many triangles as asked for. For measuring renderers."""
+"""Makes scans of shipped scenes for measuring renderers: one uneven mesh with one texture and a given number of triangles."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from gibson_sim.formats.mesh import MeshPart, TextureSource, area_normals
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.geometry.triangle_meshes import components
 from gibson_sim.picture_files import write_picture
-from gibson_sim.render.culling.closed_solids import find_solids
-from gibson_sim.render.lod.clusters import places
+from gibson_sim.render.culling.closed_surfaces import find_closed_surfaces
+from gibson_sim.render.lod.clusters import weld
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.writing import write_file
-from gibson_sim_tools.generator.gltf import Paint, Solid, write_glb
+from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
 from gibson_sim_tools.generator.rooms import wobble
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 TILE = 2048
-"""Pixels a side of each texture in the atlas."""
+"""Width and height of each texture in the atlas, pixels."""
 _STRIP, _SWATCH = 64, 16
-"""Height of the strip below them with plain colours, and side of a colour, pixels."""
+"""Height of the strip of plain colours below the textures, and width and height of a colour, pixels."""
 _WAVES = ((0.35, 0.004), (0.07, 0.0015))
-"""Unevenness: length of waves and how high they are, metres."""
+"""Unevenness: wavelength and amplitude of each wave, metres."""
 _WELD = 1e5
-"""Corners nearer than its inverse, metres, are one."""
+"""Inverse of the distance below which corners are merged, 1/m."""
 
 
 def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
-    """Writes scene.yaml, mesh.glb and atlas.jpg of a scene's standing shapes; returns the number of triangles.
+    """Writes scene.yaml, mesh.glb and atlas.jpg of a scene's static visuals; returns the number of triangles.
 
     Args:
-        scene: all of its materials are opaque or are drawn so; textures are not repeated.
-        triangles: about so many, or more; surfaces are divided until there are.
-        folder: exists.
+        scene: the scene; all materials are drawn opaque, and textures must not repeat.
+        triangles: least number of triangles; surfaces are subdivided to reach it.
+        folder: an existing folder.
 
     Raises:
         SceneError: it has no meshes, or a texture is repeated across a surface.
@@ -53,8 +53,8 @@ def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
     vertices = vertices + np.stack([_unevenness(vertices, axis) for axis in range(3)], axis=1)
     corners = opened(vertices, corners)
     write_picture(folder / "atlas.jpg", cv2.cvtColor(atlas, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, 92))
-    solid = Solid()
-    solid.add(Paint("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, corners), uvs, corners)
+    solid = MeshBuilder()
+    solid.add(MeshMaterial("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, corners), uvs, corners)
     write_glb(folder / "mesh.glb", solid)
     described = {
         "name": f"scan_{scene.name}",
@@ -68,7 +68,7 @@ def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
 
 
 def _merged(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]:
-    """Returns vertices (V, 3), uvs (V, 2), triangles (F, 3) and the atlas (H, W, 3) RGB of all standing shapes."""
+    """Returns vertices (V, 3), uvs (V, 2), triangles (F, 3) and the atlas (H, W, 3) RGB of all static visuals."""
     loader = MeshLoader(scene_roots(scene))
     found: list[tuple[F64, MeshPart]] = []
     for visual in scene.visuals:
@@ -86,7 +86,7 @@ def _merged(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]:
 
 
 class _Atlas:
-    """Textures side by side in squares, plain colours in a strip below."""
+    """Textures side by side in squares, with plain colours in a strip below."""
 
     def __init__(self, textures: list[TextureSource], colors: list[tuple[float, ...]]) -> None:
         self._columns = max(1, math.ceil(math.sqrt(len(textures))))
@@ -105,7 +105,7 @@ class _Atlas:
             self.pixels[row : row + _SWATCH, column : column + _SWATCH] = np.rint(255 * np.array(color))
 
     def uvs(self, name: str, part: MeshPart) -> F64:
-        """Returns where the vertices of a part are in the atlas, (V, 2)."""
+        """Returns the texture coordinates of a part in the atlas, (V, 2)."""
         height, width = self.pixels.shape[:2]
         if part.material.texture is None or part.uvs is None:
             row, column = self._corner[part.material.base_color[:3]]
@@ -119,10 +119,9 @@ class _Atlas:
 
 
 def divided(vertices: F64, uvs: F64, triangles: I64, least: int) -> tuple[F64, F64, I64]:
-    """Returns vertices (V, 3), uvs (V, 2) and at least so many triangles (F, 3) of the same surface, without cracks.
+    """Returns vertices (V, 3), uvs (V, 2) and at least ``least`` triangles (F, 3) of the same surface, without cracks.
 
-    All edges longer than a limit are cut in the middle, on both of their sides, again and again; the limit shrinks until there are
-    enough triangles.
+    All edges longer than a limit are repeatedly bisected, in both adjacent triangles; the limit shrinks until there are enough triangles.
     """
     if len(triangles) >= least:
         return vertices, uvs, triangles
@@ -136,11 +135,11 @@ def divided(vertices: F64, uvs: F64, triangles: I64, least: int) -> tuple[F64, F
 
 
 def opened(vertices: F64, triangles: I64) -> I64:
-    """Returns the triangles (F, 3) without the lowest one of each closed solid: no scanner sees undersides, so nothing in a scan is closed."""
+    """Returns the triangles (F, 3) without the lowest one of each closed solid: a scanner sees no undersides, so scans have no closed solids."""
     normals = area_normals(vertices, triangles).astype(np.float32)
     mesh = MeshPart(vertices.astype(np.float32), normals, None, triangles.astype(np.uint32))
-    closed = np.flatnonzero(find_solids([mesh], [True]).triangles[0])
-    place = places(mesh.vertices)
+    closed = np.flatnonzero(find_closed_surfaces([mesh], [True]).triangles[0])
+    place = weld(mesh.vertices)
     solid = components(place[triangles[closed]], int(place.max()) + 1)
     order = np.lexsort((vertices[triangles[closed], 2].mean(axis=1), solid))
     lowest = order[np.unique(solid[order], return_index=True)[1]]
@@ -156,7 +155,7 @@ def _cut(vertices: F64, uvs: F64, triangles: I64, limit: float) -> tuple[F64, F6
     rows = np.hstack([vertices, uvs])
     while True:
         ends = triangles[:, [[0, 1], [1, 2], [2, 0]]]  # (F, 3, 2)
-        # Rounded, so that both sides of an edge decide alike although their corners are stored twice.
+        # Rounded, so that both sides of an edge are cut alike although their corners are stored twice.
         at = np.rint(rows[:, :3] * _WELD)
         length = np.linalg.norm(at[ends[:, :, 0]] - at[ends[:, :, 1]], axis=2) / _WELD
         long = length > limit
@@ -171,9 +170,9 @@ def _cut(vertices: F64, uvs: F64, triangles: I64, limit: float) -> tuple[F64, F6
 
 
 def _pieces(triangles: I64, middle: I64) -> I64:
-    """Returns the pieces of triangles (F, 3) whose edges have a new vertex in the middle, (F, 3); -1 = none."""
+    """Returns the pieces of triangles (F, 3); ``middle`` (F, 3) is the new vertex on each edge, -1 = none."""
     cuts = (middle >= 0).sum(axis=1)
-    # Turned so that the first edge is cut and, of two that are cut, the last one is not.
+    # Rotated so that the first edge is cut and, if two are cut, the last one is not.
     turn = np.where(cuts == 2, np.argmax(middle < 0, axis=1) + 1, np.argmax(middle >= 0, axis=1)) % 3
     order = (turn[:, None] + np.arange(3)) % 3
     t, m = np.take_along_axis(triangles, order, axis=1), np.take_along_axis(middle, order, axis=1)
@@ -189,7 +188,7 @@ def _pieces(triangles: I64, middle: I64) -> I64:
 
 
 def _unevenness(vertices: F64, axis: int) -> F64:
-    """Returns how far a scan is off along an axis, (V,), metres: by place alone, so that no crack opens."""
+    """Returns the displacement of a scan along an axis, (V,), metres: a function of position, so that no crack opens."""
     off: F64 = sum(
         (height * wobble(vertices, 10 * axis + k, length) for k, (length, height) in enumerate(_WAVES)), start=np.zeros(1)
     )

@@ -1,4 +1,4 @@
-"""What the renderers are measured on: a scene, the way of the camera through it, and its mesh in the formats of other renderers."""
+"""What the renderers are measured on: scenes, camera paths through them, and their meshes in the formats of other renderers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from gibson_sim_tools import generator
 from gibson_sim_tools.generator.rooms import make_rooms, rooms_camera_path
 
 CAMERA_HEIGHT = 1.2
-"""Above the floor, metres."""
+"""Height of the camera above the floor, metres."""
 _RADIUS = 0.25
 _TOUR_M = 25.0
 _AHEAD_M = 0.5
@@ -41,23 +41,23 @@ class BenchScene:
     """A scene that is measured."""
 
     name: str
-    """As it is asked for; without the folders of a path."""
+    """Name for the report; of a path, the last part."""
     path: Path
     rooms: int = 0
-    """Triangles that were asked for, if it is generated."""
+    """Number of triangles of generated rooms; 0 = not generated."""
     plan: Path | None = None
-    """Scene whose floors the camera goes along; None = those of the scene itself."""
+    """Scene on whose floors the camera moves; None = the scene itself."""
 
 
 def bench_scene(name: str) -> BenchScene:
-    """Returns a scene by its name or path; two kinds are made here once and kept in the user's cache.
+    """Returns a scene by its name or path; two kinds are generated once and kept in the user's cache.
 
-    ``rooms:100k`` is a generated floor of so many triangles; ``scan:garden_house:500k`` is one of our scenes as a scan would give it.
+    ``rooms:100k`` is a generated floor with that many triangles; ``scan:garden_house:500k`` is a scan of a shipped scene.
 
     Raises:
         ConfigError: ``rooms:`` or ``scan:`` is not followed by a number of triangles.
-        SceneNotFoundError: there is none of this name.
-        SceneError: no scan can be made of it.
+        SceneNotFoundError: there is no such scene.
+        SceneError: no scan can be made of the scene.
     """
     kind, _, what = name.partition(":")
     if kind == "rooms" and what:
@@ -73,7 +73,7 @@ def parse_count(text: str) -> int:
     """Returns 500000 for ``500k`` and 1000000 for ``1m``.
 
     Raises:
-        ConfigError: it is no number of triangles that rooms can have.
+        ConfigError: it is not a number from 1k to 20m.
     """
     unit = _UNITS.get(text[-1:].lower(), 1)
     try:
@@ -97,7 +97,7 @@ def _kept_scan(path: Path, triangles: int) -> Path:
 
 
 def _kept(name: str, sources: list[Path], content: str, make: Callable[[Path], object]) -> Path:
-    """Returns the folder in the cache of what ``make`` made there, once for each state of the code and of what it is made from."""
+    """Returns a cache folder that ``make`` fills once for each state of its source code and its input."""
     digest = hashlib.sha256(content.encode())
     for source in sources:
         digest.update(source.read_bytes())
@@ -109,7 +109,7 @@ def _kept(name: str, sources: list[Path], content: str, make: Callable[[Path], o
             make(made)
             made.rename(folder)
         except OSError:
-            if not folder.is_dir():  # else another process was quicker
+            if not folder.is_dir():  # otherwise another process was faster
                 raise
         finally:
             shutil.rmtree(made, ignore_errors=True)
@@ -117,10 +117,10 @@ def _kept(name: str, sources: list[Path], content: str, make: Callable[[Path], o
 
 
 def camera_path(scene: BenchScene, frames: int) -> list[Mat4]:
-    """Returns ``frames`` poses T_world_camera (optical frame) on a fixed way over all floors of a scene, 1.2 m above them.
+    """Returns ``frames`` poses T_world_camera (optical frame) on a fixed path over all floors of a scene, 1.2 m above them.
 
     Raises:
-        SceneError: no place on the floor is free.
+        SceneError: there is no free floor.
     """
     if scene.rooms:
         return rooms_camera_path(frames)
@@ -130,7 +130,7 @@ def camera_path(scene: BenchScene, frames: int) -> list[Mat4]:
 
 
 def _path_on(spec: SceneSpec, floor_z: float, frames: int) -> list[Mat4]:
-    """Returns so many poses on a way over one floor."""
+    """Returns ``frames`` poses on a path over one floor."""
     here = replace(spec, floor_z=floor_z, other_floors=(), ground_z=floor_z if spec.ground_z is not None else None)
     floor = scene_floor_map(here, robot_height=CAMERA_HEIGHT + 0.1)
     x, y, _ = choose_start(floor, _RADIUS)
@@ -138,7 +138,7 @@ def _path_on(spec: SceneSpec, floor_z: float, frames: int) -> list[Mat4]:
 
 
 def path_along(points: NDArray[np.float64], z: float, frames: int) -> list[Mat4]:
-    """Returns poses T_world_camera (optical frame) evenly spaced on a line (N, 2) at height z, looking where it goes."""
+    """Returns poses T_world_camera (optical frame) evenly spaced on a polyline (N, 2) at height z, looking along it."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     poses = []
     for at in np.linspace(0.0, float(arc[-1]) - _AHEAD_M, frames):
@@ -154,10 +154,10 @@ def path_along(points: NDArray[np.float64], z: float, frames: int) -> list[Mat4]
 
 
 def export_for_peers(scene: BenchScene) -> Path:
-    """Returns a folder with ``mesh.npz``, ``mesh.obj``, ``mesh.mtl`` and ``atlas.png``: what other renderers can load.
+    """Returns a folder with ``mesh.npz``, ``mesh.obj``, ``mesh.mtl`` and ``atlas.png`` for the other renderers.
 
     Raises:
-        SceneError: the scene is more than one mesh with one texture, which is what all of them can show alike.
+        SceneError: the scene is not one mesh with one texture, which all renderers draw alike.
     """
     if scene.rooms:
         file = scene.path / "rooms.glb"
@@ -187,11 +187,11 @@ def _export(name: str, file: Path, folder: Path) -> None:
         for word, rows in (("v", part.vertices), ("vt", uvs), ("vn", part.normals)):
             obj.writelines(f"{word} " + " ".join(f"{c:.6g}" for c in row) + "\n" for row in rows.tolist())
         obj.writelines("f " + " ".join(f"{i}/{i}/{i}" for i in row) + "\n" for row in (part.triangles + 1).tolist())
-    # Last, and at once: where this file is, all of them are whole.
+    # Last, and atomically: if this file exists, all of them are complete.
     with replacing(folder / "mesh.npz") as draft:
         np.savez(draft, vertices=part.vertices, normals=part.normals, uvs=part.uvs, triangles=part.triangles)
 
 
 def problem(error: GibsonSimError | Exception) -> str:
-    """Returns an error as one line."""
+    """Returns the message of an error as one line."""
     return " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""Two reports of one kind side by side: what got slower. For information: machines differ, and so do hours."""
+"""Compares two reports of one kind: what became slower. For information only: machines differ, and so does their load."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from gibson_sim.errors import ConfigError
 from gibson_sim_bench.reports.render import table
 
 TOLERANCE = 0.15
-"""Changes up to this part are what one run differs from the next."""
+"""Fraction up to which runs differ by chance."""
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """One figure in both reports."""
+class FigureChange:
+    """A figure that both reports have."""
 
     name: str
     unit: str
     before: float
     after: float
     gain: float
-    """How many times as good as before; below 1 = worse, whether more of it is better or less."""
+    """Factor of improvement; below 1 = worse, whether more or less is better."""
 
     def verdict(self, tolerance: float) -> str:
-        """Returns ``slower``, ``faster`` or nothing."""
+        """Returns ``SLOWER``, ``faster`` or an empty text."""
         if self.gain < 1.0 - tolerance:
             return "SLOWER"
         return "faster" if self.gain > 1.0 / (1.0 - tolerance) else ""
@@ -38,7 +38,7 @@ def read_report(path: Path) -> dict[str, Any]:
     """Returns a report that ``--json`` wrote.
 
     Raises:
-        ConfigError: it cannot be read, or holds no figures.
+        ConfigError: the file cannot be read, or holds no figures.
     """
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -49,8 +49,8 @@ def read_report(path: Path) -> dict[str, Any]:
     return found
 
 
-def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Change]:
-    """Returns the figures that both reports have, the worst first."""
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[FigureChange]:
+    """Returns the changes of the figures that both reports have, the worst first."""
     old = {figure["name"]: figure for figure in before["figures"]}
     found = []
     for figure in after["figures"]:
@@ -58,14 +58,14 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Change]
         if first is None or not first["value"] or not figure["value"]:
             continue
         a, b = float(first["value"]), float(figure["value"])
-        found.append(Change(figure["name"], figure["unit"], a, b, b / a if figure["better"] == "more" else a / b))
+        found.append(FigureChange(figure["name"], figure["unit"], a, b, b / a if figure["better"] == "more" else a / b))
     return sorted(found, key=lambda change: change.gain)
 
 
 def compare_text(
     before: Mapping[str, Any], after: Mapping[str, Any], tolerance: float = TOLERANCE, *, markdown: bool = False
 ) -> str:
-    """Returns where the two come from, every figure that both have, and what only one has."""
+    """Returns the origins of both reports, all figures that both have, and those that only one has."""
     found = changes(before, after)
     names = [{figure["name"] for figure in report["figures"]} for report in (before, after)]
     lines = [f"{which}: {_origin(report)}" for which, report in (("before", before), ("after", after))]
@@ -89,7 +89,7 @@ def compare_text(
 
 
 def _facts(report: Mapping[str, Any], name: str) -> Any:
-    """Returns a fact of the machine, which reports keep in ``facts`` or at the top."""
+    """Returns a fact of the machine, which is in ``facts`` or at the top level of a report."""
     return report.get("facts", report).get(name)
 
 

@@ -1,4 +1,4 @@
-"""The page of all measurements: what is fast, what is not, and why, from the JSON files in a folder."""
+"""Writes the page of all measurements from the JSON files in a folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import write_file
 from gibson_sim_bench import scaling, soak
-from gibson_sim_bench.render import Report, Row as RenderRow
+from gibson_sim_bench.render import RenderReport, RenderRow
 from gibson_sim_bench.reports import plots
 from gibson_sim_bench.reports.compare import read_report
 from gibson_sim_bench.reports.paper import SENSOR_ONLY
@@ -18,7 +18,7 @@ from gibson_sim_bench.reports.render import report_text as render_text
 from gibson_sim_bench.reports.scaling import report_text as scaling_text
 from gibson_sim_bench.reports.soak import report_text as soak_text
 from gibson_sim_bench.reports.table1 import report_text as table1_text
-from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, table_of
+from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, Table1, Table1Row, table_of
 
 _TITLES = {
     "table1": "The paper's table",
@@ -26,21 +26,21 @@ _TITLES = {
     "scaling": "How cost grows",
     "soak": "Long runs",
 }
-"""Of the kinds of reports, in the order of the page."""
+"""Headings by kind of report, in the order of the page."""
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
-"""Between these lines of the page stands what is made here; what people write around them stays."""
+"""Lines of the page between which text is generated; text outside them is kept."""
 
 
 def write_page(data: Path, output: Path, images: Path) -> list[str]:
-    """Writes the figures into the page, and the plots; returns what was used and what was left out, one line each.
+    """Writes the figures into the page, and the plots; returns one line for each file that was used or left out.
 
     Args:
         data: folder of JSON files.
-        output: the page; between ``BEGIN`` and ``END`` it is written anew.
+        output: the page; the text between ``BEGIN`` and ``END`` is replaced.
         images: folder of the plots.
 
     Raises:
-        ConfigError: there is no report in the folder, the page has no such lines, or matplotlib is missing.
+        ConfigError: the folder has no report, the page lacks these lines, or matplotlib is missing.
     """
     plots.require_matplotlib()
     reports: dict[str, list[tuple[str, dict[str, Any]]]] = {kind: [] for kind in _TITLES}
@@ -75,12 +75,12 @@ def write_page(data: Path, output: Path, images: Path) -> list[str]:
 
 
 def joined(parts: list[str]) -> str:
-    """Returns paragraphs as a page has them."""
+    """Returns paragraphs separated by blank lines."""
     return "\n\n".join(part.strip() for part in parts)
 
 
 def _around(page: Path) -> tuple[str, str]:
-    """Returns what stands before and after the figures in a page; a page that is not there has nothing else."""
+    """Returns the text before and after the figures of a page; a heading and nothing for a new page."""
     if not page.is_file():
         return "# Benchmarks\n\n", "\n"
     text = page.read_text(encoding="utf-8")
@@ -102,7 +102,7 @@ def _table1(name: str, read: Mapping[str, Any], images: Path, link: str) -> list
 def _peers(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
     fields = {key: read[key] for key in ("date", "version", "machine", "cores", "load", "contestants", "fov_y_deg", "frames")}
     rows = tuple(RenderRow(**{**row, "outputs": tuple(row["outputs"])}) for row in read["rows"])
-    return [render_text(Report(**fields, rows=rows, left_out=tuple(read["left_out"])), markdown=True)]
+    return [render_text(RenderReport(**fields, rows=rows, left_out=tuple(read["left_out"])), markdown=True)]
 
 
 def _scaling(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
@@ -126,7 +126,7 @@ _SECTIONS: dict[str, Callable[[str, Mapping[str, Any], Path, str], list[str]]] =
 
 
 def summary(tables: list[Table1]) -> list[str]:
-    """Returns what is fast and what is not, machine by machine, from the figures alone."""
+    """Returns a summary for each machine: which rows reach their limit, and what bounds them."""
     found = []
     for report in tables:
         rows = [row for row in report.rows if row.to == HOST and row.bounds]
@@ -144,8 +144,8 @@ def summary(tables: list[Table1]) -> list[str]:
     return found
 
 
-def _sentence(way: str, rows: list[Row]) -> str:
-    """Returns what a way is best and worst at."""
+def _sentence(way: str, rows: list[Table1Row]) -> str:
+    """Returns the best and the worst rows of a configuration."""
     if not rows:
         return f"- {way.capitalize()}: not measured."
     pictures = [row for row in rows if row.mode != SENSOR_ONLY]
@@ -165,5 +165,5 @@ def _sentence(way: str, rows: list[Row]) -> str:
     )
 
 
-def _substeps(row: Row) -> str:
+def _substeps(row: Table1Row) -> str:
     return f"{row.substeps} substep{'' if row.substeps == 1 else 's'}"

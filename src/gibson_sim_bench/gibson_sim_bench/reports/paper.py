@@ -1,4 +1,4 @@
-"""The table of the paper that this project is measured by, and what of it cannot be compared."""
+"""The reference table of the paper, and what is not comparable."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ SENSOR_ONLY = "sensor only"
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One row of the table: what is wanted of a frame, and what the paper has for it."""
+    """One row of the table: the outputs of a frame, and the values of the paper."""
 
     name: str
     outputs: tuple[Output, ...]
-    """Of the camera; empty = no image."""
+    """Outputs of the camera; empty = no image."""
     v2: float | None = None
-    """Frames a second of Gibson Env V2; None = the paper has no such row."""
+    """Frames per second of Gibson Env V2; None = the paper has no such row."""
     v1: float | None = None
-    """Frames a second of Gibson Env V1."""
+    """Frames per second of Gibson Env V1."""
     note: str = ""
-    """What is not comparable about it."""
+    """What is not comparable."""
 
 
 MODES = (
@@ -55,9 +55,9 @@ MODES = (
 )
 """The rows that can be measured."""
 FILLED = Mode(FILLER, ("rgb", "depth"), 61.7, 30.6, "not there: no filler in this version")
-"""The row that cannot."""
+"""The row that cannot be measured."""
 HOUSES = (("Hillsdale", 620.4, 752.9), ("Albertville", 422.0, 688.2))
-"""Name, frames a second of Gibson Env V2 and of Habitat-sim, drawing only, both on V2's hardware."""
+"""Name, frames per second of Gibson Env V2 and of Habitat-sim, rendering only, both on V2's hardware."""
 HOUSE_NOTE = (
     "the paper's scenes need a signed licence and cannot be shipped: ours are houses of ours made into what a scan would give, one mesh "
     "with one texture; the way of the camera is not known either"

@@ -18,10 +18,10 @@ _COLORS = {IN_PROCESS: "#1b6ca8", LOCKSTEP: "#e07b39", FREE: "#5b8c5a"}
 
 
 def require_matplotlib() -> None:
-    """Checks that plots can be drawn.
+    """Checks that matplotlib is installed.
 
     Raises:
-        ConfigError: matplotlib is not installed.
+        ConfigError: it is not.
     """
     if importlib.util.find_spec("matplotlib") is None:
         raise ConfigError("plots need matplotlib: pip install gibson_sim[analysis]")
@@ -37,7 +37,7 @@ def _figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tup
 
 
 def plot_table1(report: Table1, path: Path) -> None:
-    """Draws the rates of every mode, way and number of substeps, beside the paper's."""
+    """Plots the rates of all modes, configurations and numbers of substeps, beside those of the paper."""
     rows = [row for row in report.rows if row.substeps and row.to == HOST]
     counts = sorted({row.substeps for row in rows}, reverse=True)
     figure, axes = _figure(4.2 * max(1, len(counts)), 3.6, columns=max(1, len(counts)))
@@ -62,7 +62,7 @@ def plot_table1(report: Table1, path: Path) -> None:
 
 
 def plot_scaling(report: ScalingReport, path: Path) -> None:
-    """Draws time and memory of every kind of growth."""
+    """Plots time and memory against each quantity."""
     kinds = [kind for kind in KINDS if any(row.kind == kind.name for row in report.rows)]
     columns = min(4, max(1, len(kinds)))
     figure, axes = _figure(3.2 * columns, 2.8 * -(-len(kinds) // columns), -(-len(kinds) // columns), columns)
@@ -95,7 +95,7 @@ def _short(value: int) -> str:
 
 
 def plot_soak(report: SoakReport, path: Path) -> None:
-    """Draws memory and rates over time, of both halves."""
+    """Plots memory and rates of both parts over time."""
     figure, axes = _figure(9.0, 5.0, 2, 2)
     for column, (title, samples) in enumerate((("environment steps", report.environment), ("free-running", report.running))):
         for row, (ending, label) in enumerate(((" MB", "resident MB"), (" /s", "a second, of its median"))):
@@ -121,7 +121,7 @@ def plot_soak(report: SoakReport, path: Path) -> None:
 
 
 def _minutes(seconds: Sequence[float], count: int) -> list[float]:
-    """Returns the minutes of so many samples; rates come a little more or less often than looks."""
+    """Returns the times of ``count`` samples, minutes: rates may have a few samples more or fewer than memory."""
     last = seconds[-1] if seconds else float(count)
     return [last * (k + 1) / count / 60.0 for k in range(count)]
 

@@ -1,10 +1,10 @@
-"""The text of a report on rendering: plain for the terminal, or Markdown."""
+"""Text of a report on rendering: plain for the terminal, or Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gibson_sim_bench.render import Report, against_peers, growth
+from gibson_sim_bench.render import RenderReport, against_peers, growth
 
 _SHORT = {"rgb": "rgb", "depth": "depth", "semantic": "sem", "instance": "inst", "normal": "normal"}
 
@@ -14,7 +14,7 @@ def outputs_text(outputs: Sequence[str]) -> str:
     return "+".join(_SHORT.get(name, name) for name in outputs)
 
 
-def report_text(report: Report, *, markdown: bool = False, show_growth: bool = False) -> str:
+def report_text(report: RenderReport, *, markdown: bool = False, show_growth: bool = False) -> str:
     """Returns the whole report."""
     parts = ["\n".join(_header(report, markdown))]
     head = ("scene", "triangles", "size", "contestant", "outputs", "fps", "p5", "p95", "drawn")
@@ -41,7 +41,7 @@ def report_text(report: Report, *, markdown: bool = False, show_growth: bool = F
     return "\n\n".join(parts)
 
 
-def _header(report: Report, markdown: bool) -> list[str]:
+def _header(report: RenderReport, markdown: bool) -> list[str]:
     lines = [
         f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
         f"{report.frames} images each, vertical field of view {report.fov_y_deg:g} degrees. fps = 1 / median time of an image.",
@@ -53,7 +53,7 @@ def _header(report: Report, markdown: bool) -> list[str]:
 
 
 def table(head: Sequence[str], body: Sequence[Sequence[str]], markdown: bool, left: Sequence[int] = (0,)) -> str:
-    """Returns a table; columns named by ``left`` are aligned to the left, others to the right."""
+    """Returns a table; columns with an index in ``left`` are left-aligned, others right-aligned."""
     if markdown:
         rule = ["---" if k in left else "---:" for k in range(len(head))]
         return "\n".join("| " + " | ".join(row) + " |" for row in (head, rule, *body))

@@ -1,12 +1,12 @@
-"""The text of a report on ROS: what goes between processes, and what waiting costs."""
+"""Text of a report on ROS: messages between processes, and the cost of waiting."""
 
 from __future__ import annotations
 
 from gibson_sim_bench.reports.render import table
-from gibson_sim_bench.ros import Report, Spread, targets
+from gibson_sim_bench.ros import RosReport, Spread, targets
 
 
-def report_text(report: Report, *, markdown: bool = False) -> str:
+def report_text(report: RosReport, *, markdown: bool = False) -> str:
     """Returns the whole report, plain for the terminal or as Markdown."""
     parts = ["\n".join(_header(report, markdown))]
     for title, head, rows, left in (_trips(report), _transports(report), _clocks(report), _pipelines(report)):
@@ -21,18 +21,18 @@ def report_text(report: Report, *, markdown: bool = False) -> str:
     return "\n\n".join(parts)
 
 
-_Part = tuple[str, tuple[str, ...], list[tuple[str, ...]], tuple[int, ...]]
-"""Title, names of the columns, rows, and which columns are aligned to the left."""
+_Table = tuple[str, tuple[str, ...], list[tuple[str, ...]], tuple[int, ...]]
+"""Title, column headings, rows, and indices of left-aligned columns."""
 
 
-def _trips(report: Report) -> _Part:
+def _trips(report: RosReport) -> _Table:
     bodies = report.round_trips[0].bodies if report.round_trips else 0
     rows = [(r.executor, r.form, f"{r.per_s:,.0f}", *_numbers(r.us, 0)) for r in report.round_trips]
     title = f"State of {bodies} bodies (gibson_msgs/SceneState) to another process and back:"
     return title, ("executor", "form", "round trips/s", "median us", "p95", "p99"), [*rows], (0, 1)
 
 
-def _transports(report: Report) -> _Part:
+def _transports(report: RosReport) -> _Table:
     rows = [
         (t.executor, f"{t.size} RGB", f"{t.hz:g} Hz", str(t.sent), str(t.lost), *_numbers(t.ms, 2)) for t in report.transports
     ]
@@ -40,7 +40,7 @@ def _transports(report: Report) -> _Part:
     return title, ("executor", "image", "rate", "sent", "lost", "median ms", "p95", "p99"), [*rows], (0, 1)
 
 
-def _clocks(report: Report) -> _Part:
+def _clocks(report: RosReport) -> _Table:
     rows = [
         (c.executor, _yes(c.use_sim_time), _yes(c.parameter_services), f"{c.cpu_percent:.2f}", f"{c.clock_s:.1f} s")
         for c in report.clocks
@@ -49,7 +49,7 @@ def _clocks(report: Report) -> _Part:
     return "An idle node while /clock is published:", head, [*rows], (0, 1, 2)
 
 
-def _pipelines(report: Report) -> _Part:
+def _pipelines(report: RosReport) -> _Table:
     rows = [
         (
             *(str(p.size), f"{p.hz:g} Hz", str(p.due), str(p.received), str(p.lost), f"{p.per_s:.1f}"),
@@ -64,7 +64,7 @@ def _pipelines(report: Report) -> _Part:
     return title, head, [*rows], (0,)
 
 
-def _header(report: Report, markdown: bool) -> list[str]:
+def _header(report: RosReport, markdown: bool) -> list[str]:
     lines = [
         f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
         ", ".join(f"{name} {version}" for name, version in report.software.items()),

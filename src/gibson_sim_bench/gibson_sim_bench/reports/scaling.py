@@ -1,4 +1,4 @@
-"""The text of a report on scaling: plain for the terminal, or Markdown."""
+"""Text of a report on scaling: plain for the terminal, or Markdown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The text of a report on long runs: plain for the terminal, or Markdown."""
+"""Text of a report on long runs: plain for the terminal, or Markdown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The text of the paper's table: plain for the terminal, or Markdown."""
+"""Text of the paper's table: plain for the terminal, or Markdown."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gibson_sim_bench.reports.paper import FILLED, GENERAL, HOUSE_NOTE, MODES, V1_HARDWARE, V2_HARDWARE
 from gibson_sim_bench.reports.render import table
-from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, TENSOR, Row, Table1, paper_of, targets
+from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, TENSOR, Table1, Table1Row, paper_of, targets
 
 _STAGES = ("step", "convert", "draw", "read back", "encode", "publish", "transport")
 
@@ -30,14 +30,14 @@ def report_text(report: Table1, *, markdown: bool = False) -> str:
     return "\n\n".join(parts)
 
 
-_Part = tuple[str, tuple[str, ...], list[tuple[str, ...]], tuple[int, ...]]
-"""Title, names of the columns, rows, and which columns are aligned to the left."""
+_Table = tuple[str, tuple[str, ...], list[tuple[str, ...]], tuple[int, ...]]
+"""Title, column headings, rows, and indices of left-aligned columns."""
 
 
-def _physics(report: Table1) -> _Part:
-    """Returns the upper table: modes by ways, one line for each number of substeps."""
+def _physics(report: Table1) -> _Table:
+    """Returns the upper table: modes by configuration, one row for each number of substeps."""
     head = ("row", "substeps", "in process", "tensors", "lockstep", "free-running", "skipped", "V2", "V1")
-    found: dict[tuple[str, int], dict[str, Row]] = {}
+    found: dict[tuple[str, int], dict[str, Table1Row]] = {}
     for row in report.rows:
         if row.substeps:
             found.setdefault((row.mode, row.substeps), {})[TENSOR if row.to == TENSOR else row.way] = row
@@ -57,7 +57,7 @@ def _physics(report: Table1) -> _Part:
     return title, head, rows, (0,)
 
 
-def _houses(report: Table1) -> _Part:
+def _houses(report: Table1) -> _Table:
     rows = [
         (row.scene, f"{row.triangles:,}", row.mode, row.to, _rate(row.fps), _rate(row.p5), _rate(row.p95),
          *(_rate(paper_of(row)[who]) for who in ("v2", "habitat")))
@@ -69,7 +69,7 @@ def _houses(report: Table1) -> _Part:
     return title, head, rows, (0, 2, 3)
 
 
-def _bounds(report: Table1) -> _Part:
+def _bounds(report: Table1) -> _Table:
     rows: list[tuple[str, ...]] = [
         (
             *_of(row),
@@ -87,7 +87,7 @@ def _bounds(report: Table1) -> _Part:
     return "What bounds each row: its parts measured alone, and the rate if nothing else took time:", head, rows, (0, 1, 4, 5, 8)
 
 
-def _stages(report: Table1) -> _Part:
+def _stages(report: Table1) -> _Table:
     rows: list[tuple[str, ...]] = [
         (*_of(row), *(f"{row.stages[name]:.2f}" if name in row.stages else "" for name in _STAGES), f"{1e3 / row.fps:.2f}")
         for row in report.rows
@@ -102,12 +102,12 @@ def _stages(report: Table1) -> _Part:
     )
 
 
-def _of(row: Row) -> tuple[str, str, str]:
+def _of(row: Table1Row) -> tuple[str, str, str]:
     return row.way, row.mode if row.substeps else f"{row.mode}, {row.scene}", str(row.substeps) if row.substeps else "none"
 
 
 def _notes(report: Table1) -> list[str]:
-    """Returns what is not comparable, row by row, and why shares are as they are."""
+    """Returns what is not comparable, row by row, and how many rows are below their limit."""
     present = {row.mode for row in report.rows}
     found = [f"{mode.name}: {mode.note}." for mode in (*MODES, FILLED) if mode.note and mode.name in present | {FILLED.name}]
     if any(not row.substeps for row in report.rows):
@@ -119,7 +119,7 @@ def _notes(report: Table1) -> list[str]:
     return found
 
 
-def _ways(rows: Sequence[Row]) -> list[str]:
+def _ways(rows: Sequence[Table1Row]) -> list[str]:
     return list(dict.fromkeys(row.way for row in rows))
 
 

@@ -1,9 +1,10 @@
-"""The processes that ``gibson-sim bench ros`` measures: one role each, told by JSON on the command line, answered by JSON on stdout."""
+"""Processes of the benchmarks: one role each, with options as JSON on the command line and the answer as JSON on stdout."""
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -20,23 +21,25 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import SceneState as RosSceneState
+from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.ros import conversions
 from gibson_sim.ros.nodes.node_main import end_with_parent, keep_large_blocks, make_executor
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.wire.fast_publish import FastClock, FastSceneState, image_to_bytes
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, SceneState
 from gibson_sim_bench.roles.lockstep import controller, one_process
-from gibson_sim_bench.roles.table1 import exchange, exchange_back, soak_listener, table_free
+from gibson_sim_bench.roles.table1 import exchange, exchange_back, soak_subscriber, table_free
 from gibson_sim_bench.roles.waiting import PATIENCE_S, STRAGGLERS_S, settle, wait_until, waiter_of
 
 PING, PONG, IMAGES = "gibson_sim_bench/ping", "gibson_sim_bench/pong", "gibson_sim_bench/images"
 END = "end"
 """``frame_id`` of the last image."""
 WARM_UP_S = 1.0
+"""Time at the start that does not count, seconds."""
 
 
 def pong(executor: str, form: str) -> None:
-    """Sends every state back, until the process is ended."""
+    """Sends every state back until the process ends."""
     node = Node("bench_pong")
     publisher = node.create_publisher(RosSceneState, PONG, qos.STATE)
     subscription = node.create_subscription(RosSceneState, PING, publisher.publish, qos.STATE, raw=form == "bytes")
@@ -46,7 +49,7 @@ def pong(executor: str, form: str) -> None:
 
 
 def ping(executor: str, form: str, bodies: int, count: int) -> dict[str, Any]:
-    """Sends states, each when the one before has come back. Returns ``us``: how long each took, microseconds."""
+    """Sends states, each after the previous one has come back. Returns ``us``: the round-trip times, microseconds."""
     node = Node("bench_ping")
     publisher = node.create_publisher(RosSceneState, PING, qos.STATE)
     back: list[Any] = []
@@ -66,7 +69,7 @@ def ping(executor: str, form: str, bodies: int, count: int) -> dict[str, Any]:
         deadline = time.monotonic() + PATIENCE_S
         while not back:
             waiter.spin_once(timeout_sec=0.5)
-            # The very first may be lost while the peers match.
+            # The first one may be lost during discovery.
             if not back and step == 0:
                 publisher.publish(sent)
             if time.monotonic() > deadline:
@@ -83,7 +86,7 @@ def ping(executor: str, form: str, bodies: int, count: int) -> dict[str, Any]:
 
 
 def image_source(width: int, height: int, hz: float, count: int) -> dict[str, Any]:
-    """Sends images at a rate, as the render node does, after a second of others that do not count. Returns ``sent``."""
+    """Publishes images at a rate, as the render node does, after a warm-up of a second. Returns ``sent``."""
     node = Node("bench_image_source")
     publisher = node.create_publisher(Image, IMAGES, qos.SENSOR)
     pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
@@ -101,7 +104,7 @@ def image_source(width: int, height: int, hz: float, count: int) -> dict[str, An
 
 
 def image_sink(executor: str) -> dict[str, Any]:
-    """Takes images until the last. Returns ``ms``: how old each was, which carries the steady clock's time as its stamp."""
+    """Receives images until the last. Returns ``ms``: the age of each; its stamp is the time of the steady clock."""
     node = Node("bench_image_sink")
     ages: dict[str, float] = {}
 
@@ -115,7 +118,7 @@ def image_sink(executor: str) -> dict[str, Any]:
 
 
 def clock_source(hz: float) -> None:
-    """Publishes /clock until the process is ended."""
+    """Publishes /clock until the process ends."""
     node = Node("bench_clock")
     publisher = node.create_publisher(Clock, names.CLOCK, qos.CLOCK)
     clock, start, number = FastClock(), time.monotonic(), 0
@@ -125,10 +128,24 @@ def clock_source(hz: float) -> None:
         publisher.publish(clock.serialize(round(number * NS_PER_S / hz)))
 
 
-def listener(executor: str, use_sim_time: bool, parameter_services: bool, seconds: float) -> dict[str, Any]:
-    """Does nothing. Returns ``cpu_percent``, ``seconds``, and ``clock_s``: how far its clock got meanwhile."""
+def clock_arrivals(seconds: float) -> dict[str, Any]:
+    """Returns ``offset_s``: the least difference of wall time to the stamp of a /clock message, as it arrives. It is taken over ``seconds``."""
+    node, least = Node("bench_clock_arrivals"), [math.inf]
+
+    def on_clock(data: bytes) -> None:
+        least[0] = min(least[0], time.time() - stamp_ns(data) / NS_PER_S)
+
+    waiter = waiter_of("events", node, node.create_subscription(Clock, names.CLOCK, on_clock, qos.CLOCK, raw=True))
+    settle(waiter, seconds)
+    if not math.isfinite(least[0]):
+        raise TimeoutError(f"no {names.CLOCK} within {seconds:.0f} s")
+    return {"offset_s": least[0]}
+
+
+def idle_node(executor: str, use_sim_time: bool, parameter_services: bool, seconds: float) -> dict[str, Any]:
+    """Only waits. Returns ``cpu_percent``, ``seconds``, and ``clock_s``: the advance of its clock."""
     if executor == "polled":
-        return _polling_listener(seconds)
+        return _polling_idle_node(seconds)
     node = Node(
         "bench_listener",
         parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)],
@@ -148,36 +165,36 @@ def listener(executor: str, use_sim_time: bool, parameter_services: bool, second
     }
 
 
-def _polling_listener(seconds: float) -> dict[str, Any]:
-    """Does nothing either, but takes the newest /clock when it wants to know the time: no executor is woken."""
+def _polling_idle_node(seconds: float) -> dict[str, Any]:
+    """Only waits, and reads the newest /clock on demand: messages wake no executor."""
     node = Node("bench_listener", start_parameter_services=False)
     profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     handle = node.create_subscription(Clock, names.CLOCK, lambda msg: None, profile).handle
-    found: list[int] = []
+    stamps: list[int] = []
 
-    def look() -> bool:
+    def poll() -> bool:
         with handle:
-            taken = handle.take_message(Clock, False)
-        if taken is not None:
-            found.append(conversions.time_from_msg(taken[0].clock))
-        return taken is not None
+            message = handle.take_message(Clock, False)
+        if message is not None:
+            stamps.append(conversions.time_from_msg(message[0].clock))
+        return message is not None
 
-    wait_until(look, None)
+    wait_until(poll, None)
     time.sleep(WARM_UP_S)
-    look()
-    wall, cpu, first = time.monotonic(), _cpu_s(), found[-1]
+    poll()
+    wall, cpu, first = time.monotonic(), _cpu_s(), stamps[-1]
     time.sleep(seconds)
     passed, used = time.monotonic() - wall, _cpu_s() - cpu
-    look()
-    return {"cpu_percent": 100.0 * used / passed, "seconds": passed, "clock_s": (found[-1] - first) / NS_PER_S}
+    poll()
+    return {"cpu_percent": 100.0 * used / passed, "seconds": passed, "clock_s": (stamps[-1] - first) / NS_PER_S}
 
 
 def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
-    """Listens to a running simulation once all ``topics`` have had an image.
+    """Receives the states and images of a running simulation once all ``topics`` have had an image.
 
-    Returns ``seconds`` of wall time; ``states``: [stamp, published, how many cameras are due]; ``images``: by topic [stamp,
-    published, received]. Stamps are simulation time, others the system's clock, all nanoseconds. What was published when is what
-    the writer's DDS wrote into the sample; it has that clock in common with this process, which is on the same machine.
+    Returns ``seconds`` of wall time; ``states``: [stamp, published, number of due cameras]; ``images``: by topic [stamp, published,
+    received]. Stamps are simulation time, other times the system's clock, all nanoseconds. The time of publication is the source timestamp
+    of the DDS sample; publisher and subscriber are on one machine and share its clock.
     """
     node = Node("bench_pipeline_sink")
     states: list[tuple[int, int, int]] = []
@@ -192,11 +209,11 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
 
     for topic in topics:
         node.create_subscription(Image, topic, partial(on_image, topic), qos.SENSOR)
-    # The EventsExecutor gives no message info to callbacks.
+    # The EventsExecutor passes no message info to callbacks.
     waiter = make_executor("standard")
     waiter.add_node(node)
     wait_until(lambda: all(images.values()), waiter)
-    # Not before: physics holds the first tick until somebody listens to the state, and that is to be the renderer.
+    # Not before: physics holds the first tick until the state has a subscriber, which must be the render node.
     node.create_subscription(RosSceneState, names.SCENE_STATE, on_state, qos.TF)
     wait_until(lambda: bool(states), waiter)
     started = time.monotonic()
@@ -208,21 +225,21 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
 
 
 def _cpu_s() -> float:
-    """Returns the processor time of this process with all its threads, seconds: what /proc/self/stat counts, but finer."""
+    """Returns the processor time of all threads of this process, seconds: as /proc/self/stat, but with finer resolution."""
     return time.process_time()
 
 
 ROLES: dict[str, Callable[..., dict[str, Any] | None]] = {
     role.__name__: role
     for role in (
-        *(ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, one_process, controller),
-        *(exchange, exchange_back, table_free, soak_listener),
+        *(ping, pong, image_source, image_sink, clock_source, clock_arrivals, idle_node, pipeline_sink, one_process, controller),
+        *(exchange, exchange_back, table_free, soak_subscriber),
     )
 }
 
 
 def main() -> None:
-    """Plays the role named first on the command line with the options in the JSON behind it; prints what it found."""
+    """Runs the role named by the first argument with the options in the second, JSON; prints its answer."""
     role, options = sys.argv[1], json.loads(sys.argv[2])
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
     end_with_parent()

@@ -1,4 +1,4 @@
-"""Roles of ``gibson-sim bench table1`` and ``bench soak``: one who drives and looks while time runs freely; and messages alone."""
+"""Roles of ``gibson-sim bench table1`` and ``bench soak``: a subscriber that drives in a free-running simulation; messages alone."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from gibson_sim.ros.nodes.node_main import make_executor
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.wire.fast_publish import FastSceneState, image_to_bytes
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, SceneState
-from gibson_sim_bench.protocol import SETTLE_S, STEP_HZ, Commands
+from gibson_sim_bench.protocol import SETTLE_S, STEP_HZ, RandomCommands
 from gibson_sim_bench.roles.waiting import settle, wait_until, waiter_of
 
 STATE, PICTURE = "gibson_sim_bench/state", "gibson_sim_bench/picture"
 WARM_UP = 20
 """Exchanges that do not count."""
 FREE_WARM_UP_S = 0.5
+"""Wall time at the start of each case that does not count, seconds."""
 _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
     "rgb": ("rgb8", np.uint8, (3,)),
     "depth": ("32FC1", np.float32, ()),
@@ -40,21 +41,21 @@ _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
     "position": ("32FC3", np.float32, (3,)),
     "flow": ("32FC2", np.float32, (2,)),
 }
-"""Encoding, type and numbers a pixel of the image of each output."""
+"""Encoding, type and shape of a pixel, by output."""
 
 
-class Eyes:
-    """Takes the images of one row after the other, as bytes, and counts sets: all images of one stamp."""
+class ImageSetCounter:
+    """Subscribes to the images of one row at a time, as bytes, and counts complete sets: all images of one stamp."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._subscriptions: list[Any] = []
         self._stamps: dict[str, int] = {}
         self.sets: list[int] = []
-        """When each set was whole, steady clock, nanoseconds."""
+        """Times at which sets were complete, steady clock, nanoseconds."""
 
-    def look_at(self, topics: Sequence[str]) -> None:
-        """Listens to these topics and no others."""
+    def subscribe(self, topics: Sequence[str]) -> None:
+        """Subscribes to these topics and no others."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._stamps = dict.fromkeys(topics, -1)
@@ -65,7 +66,7 @@ class Eyes:
 
     @property
     def oldest_ns(self) -> float:
-        """Stamp up to which all images have come; infinite without topics."""
+        """Stamp up to which all images have arrived; infinite without topics."""
         return min(self._stamps.values(), default=math.inf)
 
     def _on_image(self, topic: str, message: bytes) -> None:
@@ -76,34 +77,34 @@ class Eyes:
             self.sets.append(time.monotonic_ns())
 
 
-class Driver:
-    """Publishes the commands of the table."""
+class CommandPublisher:
+    """Publishes the velocities of ``RandomCommands``."""
 
     def __init__(self, node: Node, substeps: int) -> None:
         self._publisher = node.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
-        self._commands, self._twist = Commands(substeps), Twist()
+        self._commands, self._twist = RandomCommands(substeps), Twist()
 
     def send(self) -> str:
-        """Sends the next command; returns its topic."""
+        """Publishes the next command; returns its topic."""
         self._twist.linear.x, self._twist.angular.z = self._commands.next()
         self._publisher.publish(self._twist)
         return self._publisher.topic_name
 
 
 def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[str, Any]:
-    """Looks at the topics of each case for so long, while the simulation runs as fast as it can.
+    """Receives the images of each case for ``seconds`` of wall time, while the simulation runs as fast as it can.
 
-    Returns ``received``: of each case, when its sets were whole; ``ticks``: how many ticks the simulation made meanwhile, by the stamps
+    Returns, for each case, ``received``: times at which its sets were complete; ``ticks``: number of ticks of the simulation, by the stamps
     of the odometry.
     """
     node = Node("bench_controller")
-    eyes, driver, ticks, stamps = Eyes(node), Driver(node, substeps), list[int](), list[int]()
+    images, commands, ticks, stamps = ImageSetCounter(node), CommandPublisher(node, substeps), list[int](), list[int]()
 
     def on_odometry(msg: Odometry) -> None:
         ticks.append(time.monotonic_ns())
         stamps.append(conversions.time_from_msg(msg.header.stamp))
         if len(ticks) % max(1, 24 // substeps) == 0:
-            driver.send()
+            commands.send()
 
     node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
     waiter = make_executor()
@@ -111,46 +112,46 @@ def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[st
     wait_until(lambda: bool(stamps) and stamps[-1] >= SETTLE_S * NS_PER_S, waiter, progress=lambda: len(ticks))
     found: dict[str, Any] = {"received": [], "ticks": []}
     for topics in cases:
-        eyes.look_at(topics)
-        wait_until(lambda: bool(ticks and (eyes.sets or not topics)), waiter, progress=lambda: len(ticks))  # noqa: B023
+        images.subscribe(topics)
+        wait_until(lambda: bool(ticks and (images.sets or not topics)), waiter, progress=lambda: len(ticks))  # noqa: B023
         settle(waiter, FREE_WARM_UP_S)
-        for kept in (ticks, stamps, eyes.sets):
+        for kept in (ticks, stamps, images.sets):
             kept.clear()
         settle(waiter, seconds)
-        found["received"].append(list(eyes.sets if topics else ticks))
+        found["received"].append(list(images.sets if topics else ticks))
         found["ticks"].append(round((stamps[-1] - stamps[0]) / NS_PER_S * STEP_HZ / substeps) + 1 if stamps else 0)
     return found
 
 
-def soak_listener(topics: list[str], seconds: float, interval: float) -> dict[str, Any]:
-    """Drives in a simulation and listens to it for so long, an interval at a time.
+def soak_subscriber(topics: list[str], seconds: float, interval: float) -> dict[str, Any]:
+    """Drives in a simulation and receives its images for ``seconds`` of wall time, an interval at a time.
 
-    Returns ``sets``: how many sets of images came in each; ``factors``: simulated seconds in each second of wall time.
+    Returns, for each interval, ``sets``: number of sets of images received; ``factors``: the real-time factor.
     """
     node = Node("bench_soak")
-    eyes, driver, stamp = Eyes(node), Driver(node, 4), [0]
+    images, commands, stamp = ImageSetCounter(node), CommandPublisher(node, 4), [0]
 
     def on_odometry(msg: Odometry) -> None:
         stamp[0] = conversions.time_from_msg(msg.header.stamp)
-        driver.send()
+        commands.send()
 
     node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
     waiter = make_executor()
     waiter.add_node(node)
-    eyes.look_at(topics)
-    wait_until(lambda: bool(eyes.sets and stamp[0]), waiter)
+    images.subscribe(topics)
+    wait_until(lambda: bool(images.sets and stamp[0]), waiter)
     found: dict[str, Any] = {"sets": [], "factors": []}
     for _ in range(max(1, round(seconds / interval))):
         before, began = stamp[0], time.monotonic()
-        eyes.sets.clear()
+        images.sets.clear()
         settle(waiter, interval)
-        found["sets"].append(len(eyes.sets))
+        found["sets"].append(len(images.sets))
         found["factors"].append((stamp[0] - before) / NS_PER_S / (time.monotonic() - began))
     return found
 
 
 def exchange_back(outputs: list[list[str]]) -> None:
-    """Answers each set of pictures with a state, until the process is ended; pictures and states are bytes."""
+    """Answers each set of images with a state until the process ends; images and states are bytes."""
     node = Node("bench_exchange_back")
     publisher = node.create_publisher(RosSceneState, STATE, qos.STATE)
     answer = FastSceneState(WORLD_FRAME, 1).serialize(_state(1), ())
@@ -173,10 +174,10 @@ def exchange_back(outputs: list[list[str]]) -> None:
 
 
 def exchange(outputs: list[list[str]], width: int, height: int, bodies: int, count: int) -> dict[str, Any]:
-    """Sends sets of pictures, each when the one before was answered by a state, and does nothing else.
+    """Sends sets of images, each after the previous one was answered by a state.
 
-    Returns ``rows``: of each set of outputs the milliseconds, medians, of ``convert`` (a state to bytes and back), ``encode``
-    (pictures to bytes), ``publish`` and ``transport`` (until the answer is there). No outputs = a picture of one pixel.
+    Returns ``rows``: for each set of outputs the median milliseconds of ``convert`` (a state to bytes and back), ``encode`` (images to
+    bytes), ``publish`` and ``transport`` (until the answer arrives). Without outputs an image of one pixel is sent.
     """
     node = Node("bench_exchange")
     answers: list[Any] = []

@@ -1,4 +1,4 @@
-"""``gibson-sim scene collision``: collision geometry for a mesh, as files: convex parts of an object, or what stands for a scan."""
+"""``gibson-sim scene collision``: writes collision geometry for a mesh: convex parts of an object, or the simplified mesh of a scan."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gibson_sim.errors import GibsonSimError
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "collision", help="write convex parts of an object's mesh, for its URDF, or see what becomes of a scan",
+        "collision", help="write convex parts of an object's mesh for its URDF, or simplify a scan",
         description="Convex parts are made by CoACD (pip install 'gibson_sim_tools[collision]'), or by V-HACD where that is not installed.",
     )  # fmt: skip
     parser.add_argument("mesh", type=Path, metavar="MESH", help="mesh file")
     parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="folder for part_0.obj, part_1.obj, ... (default: none is written)"
+        "--output", type=Path, metavar="DIR", help="folder for part_0.obj, part_1.obj, ... (default: write nothing)"
     )
     parser.add_argument("--scan", action="store_true", help="simplify it as `collision: simplified` does, z up, metres")
     parser.set_defaults(run=_run)

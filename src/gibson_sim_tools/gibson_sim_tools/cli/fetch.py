@@ -1,4 +1,4 @@
-"""``gibson-sim scene fetch``: public scenes from their origin, with their licence shown before."""
+"""``gibson-sim scene fetch``: downloads public scenes from their origin, after showing their licence."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def _accepted() -> bool:
     """Returns whether the user says yes.
 
     Raises:
-        ConfigError: there is nobody to ask.
+        ConfigError: standard input is no terminal.
     """
     if not sys.stdin.isatty():
-        raise ConfigError("nobody is there to accept the licence: run it in a terminal, or add --yes if you accept it")
+        raise ConfigError("there is no terminal to accept the licence in: run it in a terminal, or add --yes if you accept it")
     return input("download it under this licence? [y/N] ").strip().lower() in ("y", "yes")

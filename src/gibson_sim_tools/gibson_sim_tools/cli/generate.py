@@ -63,7 +63,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
 
 
 def _wanted(args: argparse.Namespace) -> list[tuple[Any, int, str]]:
-    """Returns kind, seed and name of the scenes that are to be made."""
+    """Returns kind, seed and name of the scenes to make."""
     if not args.shipped:
         return [(args.kind, args.seed, args.name or f"{args.kind}_{args.seed}")]
     from gibson_sim_tools.making.planning.shipped import SHIPPED

@@ -1,4 +1,4 @@
-"""``gibson-sim scene import``: other people's scenes as scenes of ours."""
+"""``gibson-sim scene import``: imports third-party scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.errors import ConfigError
 
 if TYPE_CHECKING:
     from gibson_sim.formats.mesh import UpAxis
-    from gibson_sim_tools.importing.run import Choices
+    from gibson_sim_tools.importing.run import ImportOptions
 
 
 def add_parser(subparsers: Any) -> None:
@@ -33,7 +33,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def add_choices(parser: argparse.ArgumentParser) -> None:
-    """Adds what the user may say of a source."""
+    """Adds the options of an import."""
     parser.add_argument("--name", default="", help="of the scene (default: that of the source)")
     parser.add_argument(
         "--up-axis",
@@ -47,22 +47,22 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-semantics", action="store_true", help="leave labels out; the scene is one object")
 
 
-def chosen(args: argparse.Namespace) -> Choices:
-    """Returns what the user says of a source.
+def chosen(args: argparse.Namespace) -> ImportOptions:
+    """Returns the options of an import.
 
     Raises:
-        ConfigError: the unit is unknown, or the axis is none.
+        ConfigError: the unit or the axis is invalid.
     """
     from gibson_sim_tools.importing.checks.gravity import direction
-    from gibson_sim_tools.importing.run import Choices
+    from gibson_sim_tools.importing.run import ImportOptions
 
     axis: UpAxis | None = args.up_axis if args.up_axis in ("x", "y", "z") else None
     up = direction(args.up_axis, "--up-axis") if args.up_axis is not None and axis is None else None
-    return Choices(args.name, axis, up, unit_m(args.unit), not args.no_semantics)
+    return ImportOptions(args.name, axis, up, unit_m(args.unit), not args.no_semantics)
 
 
 def unit_m(text: str | None) -> float | None:
-    """Returns metres per unit, or None where nothing was said.
+    """Returns metres per unit, or None without the option.
 
     Raises:
         ConfigError: the unit is unknown.

@@ -1,4 +1,4 @@
-"""``gibson-sim scene inspect`` and ``check``: what is in a scene, what will go wrong with it, and mending what can be mended."""
+"""``gibson-sim scene inspect`` and ``check``: prints facts about a scene, checks it, and repairs it."""
 
 from __future__ import annotations
 
@@ -14,47 +14,45 @@ from gibson_sim_tools.cli.importing import unit_m
 
 if TYPE_CHECKING:
     from gibson_sim.types import Vec3
-    from gibson_sim_tools.importing.checks.check import Report
+    from gibson_sim_tools.importing.checks.check import SceneReport
 
 _MOST_ALIKE = 3
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds both sub-commands."""
-    inspect = subparsers.add_parser("inspect", help="print what is in a scene: sizes, triangles, textures, floors, classes")
+    inspect = subparsers.add_parser("inspect", help="print facts about a scene: sizes, triangles, textures, floors, classes")
     inspect.set_defaults(run=_inspect)
     check = subparsers.add_parser(
-        "check", help="tell what will go wrong with a scene; exit code 1 if there is something",
+        "check", help="check a scene for problems; exit code 1 if there are any",
         description="Errors and warnings count; notes do not. docs/importing.md explains each finding.",
     )  # fmt: skip
     for parser in (inspect, check):
         parser.add_argument("scene", metavar="SCENE", help="name, folder or file of a scene")
         parser.add_argument("--json", action="store_true", help="as JSON")
-    check.add_argument("--fix", action="store_true", help="write a mended copy into --output and check that")
-    check.add_argument("--output", type=Path, metavar="DIR", help="new folder of the mended copy")
+    check.add_argument("--fix", action="store_true", help="write a repaired copy to --output and check that")
+    check.add_argument("--output", type=Path, metavar="DIR", help="new folder of the repaired copy")
     check.add_argument(
         "--max-texture", type=int, default=8192, metavar="PX", help="--fix: longest side of textures (default: 8192)"
     )
-    check.add_argument("--no-level", action="store_true", help="--fix: leave the scene turned as it is")
+    check.add_argument("--no-level", action="store_true", help="--fix: do not rotate the scene")
     check.add_argument(
         "--up", metavar="UP",
-        help="--fix: which way is about up in the scene, where that is not found: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
+        help="--fix: approximate up direction of the scene, if it is not found: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
     )  # fmt: skip
-    check.add_argument(
-        "--unit", metavar="UNIT", help="--fix: what the lengths are in: m, cm, mm, inch, foot, km, or metres per unit"
-    )
+    check.add_argument("--unit", metavar="UNIT", help="--fix: unit of the scene: m, cm, mm, inch, foot, km, or metres per unit")
     check.set_defaults(run=_check)
 
 
 @quiet()
-def _report(scene: str) -> Report:
+def _report(scene: str) -> SceneReport:
     from gibson_sim_tools.importing.checks.check import check_path
-    from gibson_sim_tools.importing.sources import Kind, identify
+    from gibson_sim_tools.importing.sources import SourceKind, identify
 
     path = Path(scene).expanduser()
     if path.exists() and "/" in str(path):
         kind = identify(path).kind
-        if kind in (Kind.GIBSON, Kind.REPLICA, Kind.USD, Kind.ARCHIVE):
+        if kind in (SourceKind.GIBSON, SourceKind.REPLICA, SourceKind.USD, SourceKind.ARCHIVE):
             raise SceneError(f"{scene}: is a {kind.value}; import it first: gibson-sim scene import {scene} --output DIR")
     return check_path(scene)
 
@@ -87,11 +85,11 @@ def _check(args: argparse.Namespace) -> ExitCode:
     if not args.fix:
         _print(report, args.json)
         return ExitCode.OK if report.clean else ExitCode.ERROR
-    from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
+    from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
 
     if not args.json:
         _print(report, False)
-    file, mended = fix_scene(report, args.output, Fix(factor, args.max_texture, not args.no_level, up))
+    file, mended = fix_scene(report, args.output, FixOptions(factor, args.max_texture, not args.no_level, up))
     if not args.json:
         unclear = any(finding.what == "up-unclear" for finding in mended.findings)
         print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'mended'}: {file}")
@@ -105,7 +103,7 @@ def _up(text: str | None) -> Vec3 | None:
     return None if text is None else direction(text)
 
 
-def _print(report: Report, as_json: bool) -> None:
+def _print(report: SceneReport, as_json: bool) -> None:
     if as_json:
         print(json.dumps(report.json(), indent=2))
         return
@@ -116,8 +114,8 @@ def _print(report: Report, as_json: bool) -> None:
     print(f"{name}{'clean' if report.clean else f'{faults} findings, {fixable} of them mended by --fix'}")
 
 
-def _print_lines(report: Report) -> None:
-    """Prints findings; of many of one kind, such as furniture with open undersides, the first ones and their number."""
+def _print_lines(report: SceneReport) -> None:
+    """Prints findings; of many of one kind, such as furniture with open undersides, the first ones and the number of the rest."""
     shown: dict[tuple[str, str], int] = {}
     for finding in report.findings:
         kind = (finding.level, finding.what)

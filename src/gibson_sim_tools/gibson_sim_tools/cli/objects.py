@@ -1,4 +1,4 @@
-"""``gibson-sim scene objects``: makes our own objects, with Blender."""
+"""``gibson-sim scene objects``: makes our objects with Blender."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gibson_sim.picture_files import write_picture
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "objects", help="make our own objects: meshes, URDFs and, if asked for, a picture of all of them"
+        "objects", help="make our objects with Blender: meshes, URDFs and, with --picture, a picture of them"
     )
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="make these alone (default: all)")
-    parser.add_argument("--output", default="scenes/objects", metavar="DIR", help="where to (default: scenes/objects)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="objects to make (default: all)")
+    parser.add_argument("--output", default="scenes/objects", metavar="DIR", help="output folder (default: scenes/objects)")
     parser.add_argument(
-        "--blender-python", default="", metavar="FILE", help="a Python that has Blender, `pip install bpy` (default: this one)"
+        "--blender-python", default="", metavar="FILE", help="Python with Blender, `pip install bpy` (default: this one)"
     )
-    parser.add_argument("--picture", default="", metavar="FILE", help="write a picture of them: a PNG")
-    parser.add_argument("--picture-only", action="store_true", help="make nothing, show what is in --output: needs no Blender")
-    parser.add_argument("--table", action="store_true", help="make nothing, print sizes, masses and joints as a table")
+    parser.add_argument("--picture", default="", metavar="FILE", help="write a picture of the objects, PNG")
+    parser.add_argument("--picture-only", action="store_true", help="only draw the objects in --output; needs no Blender")
+    parser.add_argument("--table", action="store_true", help="only print a table of sizes, masses and joints")
     parser.set_defaults(run=_run)
 
 

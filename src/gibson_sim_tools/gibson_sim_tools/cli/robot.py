@@ -1,4 +1,4 @@
-"""``gibson-sim scene robot``: shows a robot alone, writes a ``robot.yaml`` for a URDF, and makes the meshes of our mobile manipulator."""
+"""``gibson-sim scene robot``: draws a robot alone, writes a ``robot.yaml`` for a URDF, and makes the meshes of ``arm_bot``."""
 
 from __future__ import annotations
 
@@ -24,25 +24,29 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "robot", help="check a robot and draw it alone; write a robot.yaml for a URDF; make the meshes of arm_bot"
     )
-    parser.add_argument("robot", help="the name of a robot, a robot.yaml, a URDF or a xacro, or a folder with one")
-    parser.add_argument("--picture", default="", metavar="FILE", help="draw it: a PNG or a JPEG")
-    parser.add_argument("--pose", default="", metavar="NAME", help="one of its named poses (default: as it starts)")
+    parser.add_argument("robot", help="name of a robot, or a robot.yaml, URDF or xacro, or a folder with one")
+    parser.add_argument("--picture", default="", metavar="FILE", help="draw the robot: PNG or JPEG")
+    parser.add_argument("--pose", default="", metavar="NAME", help="a named pose of the robot (default: its initial pose)")
     parser.add_argument("--size", type=int, default=640, metavar="PX", help="edge of the picture (default: 640)")
     parser.add_argument(
-        "--yaw-deg", type=float, default=-35.0, metavar="DEG", help="seen from here; 0 = from ahead (default: -35)"
+        "--yaw-deg",
+        type=float,
+        default=-35.0,
+        metavar="DEG",
+        help="azimuth of the camera; 0 = straight ahead of the robot (default: -35)",
     )
     parser.add_argument(
-        "--write", default="", metavar="FILE", help="write what is guessed about a URDF as a robot.yaml, to be changed"
+        "--write", default="", metavar="FILE", help="write a robot.yaml with values guessed from a URDF, for editing"
     )
     parser.add_argument(
         "--xacro-arg",
         action="append",
         default=[],
         metavar="NAME:=VALUE",
-        help="an argument of the xacro, with --write; may be repeated",
+        help="xacro argument, with --write; may be repeated",
     )
     parser.add_argument(
-        "--make-meshes", action="store_true", help="first write meshes/ in the folder of its URDF anew (arm_bot alone)"
+        "--make-meshes", action="store_true", help="first rewrite meshes/ in the folder of its URDF (arm_bot only)"
     )
     parser.set_defaults(run=_run)
 
@@ -94,7 +98,7 @@ def _arguments(words: list[str]) -> dict[str, str]:
 
 
 def _write(description: Path, output: Path, arguments: dict[str, str]) -> None:
-    """Writes a ``robot.yaml`` with what is guessed about a description."""
+    """Writes a ``robot.yaml`` with values guessed from a description."""
     if description.suffix.lower() not in DESCRIPTION_SUFFIXES:
         raise RobotError(f"--write is for a URDF or a xacro; {description} is a robot.yaml already")
     if output.suffix.lower() not in (".yaml", ".yml"):

@@ -27,19 +27,19 @@ def add_parser(subparsers: Any) -> None:
 def _add_scan(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "scan",
-        help="scan a scene: posed RGB-D images with the defects of real scanners",
-        description="Turns a rig of cameras around at the fewest places that see nearly everything, and on the way between them, and writes "
-        "colour images, depth images and poses. An interrupted scan goes on where it stopped when the same command runs again.",
+        help="scan a scene: posed RGB-D images with the errors of real scanners",
+        description="Moves a rig of cameras through the fewest stations that see nearly everything, and writes colour images, depth images and "
+        "poses. The same command resumes an interrupted scan.",
     )
     parser.add_argument("scene", help="name, folder or file of a scene")
     parser.add_argument(
-        "--output", required=True, metavar="DIR", help="folder of the scan; new, empty, or the begin of the same scan"
+        "--output", required=True, metavar="DIR", help="folder of the scan: new, empty, or with the beginning of the same scan"
     )
     parser.add_argument(
         "--preset",
         default="kinect",
         choices=tuple(PRESETS),
-        help="defects and rig; single options replace parts of it (default: kinect)",
+        help="defects and rig; options override it (default: kinect)",
     )
     for title, part in _PARTS.items():
         add_settings(parser.add_argument_group(title), part, _names(part))
@@ -49,17 +49,19 @@ def _add_scan(subparsers: Any) -> None:
 def _add_fuse(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "fuse",
-        help="make a mesh with vertex colours of posed RGB-D: of our scans, and of Open3D, 7-Scenes and TUM folders",
+        help="fuse posed RGB-D (our scans; Open3D, 7-Scenes and TUM folders) into a mesh with vertex colours",
         description="Needs Open3D: pip install 'gibson_sim_tools[scanning]'.",
     )
-    parser.add_argument("folder", metavar="DIR", help="folder of posed RGB-D; its layout is found out")
+    parser.add_argument("folder", metavar="DIR", help="folder of posed RGB-D; the layout is detected")
     parser.add_argument("--output", required=True, metavar="FILE", help="the mesh, .ply")
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of the camera, pixels, in place of those of the folder")
     parser.add_argument(
-        "--depth-scale", type=float, metavar="X", help="units of the depth images in a metre, in place of those of the layout"
+        "--intrinsics", metavar="FX,FY,CX,CY", help="intrinsics of the camera, pixels; replace those of the folder"
     )
-    parser.add_argument("--compare", metavar="SCENE", help="measure the mesh against this scene, which was scanned")
-    parser.add_argument("--report", metavar="FILE", help="write what was measured as JSON")
+    parser.add_argument(
+        "--depth-scale", type=float, metavar="X", help="units of the depth images per metre; replaces that of the layout"
+    )
+    parser.add_argument("--compare", metavar="SCENE", help="compare the mesh with this scene, which was scanned")
+    parser.add_argument("--report", metavar="FILE", help="write the comparison as JSON")
     add_settings(parser, FuseSettings, _names(FuseSettings))
     parser.set_defaults(run=_fuse)
 
@@ -145,7 +147,7 @@ def _names(part: type[Any]) -> list[str]:
 
 
 def _chosen(part: type[Any], args: argparse.Namespace) -> Any:
-    """Returns settings: what was given as options, else as the preset has it, else the default."""
+    """Returns settings: from options, else from the preset, else the defaults."""
     names = _names(part)
     preset = {name: value for name, value in PRESETS[args.preset].items() if name in names}
     return part(**{**preset, **given(args, names)})

@@ -1,4 +1,4 @@
-"""Writes a scene to a folder."""
+"""Writes a generated scene to a folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def main(argv: list[str] | None = None) -> None:
     """Runs the generator that is named on the command line."""
     parser = argparse.ArgumentParser(prog="python -m gibson_sim_tools.generator", description=__doc__)
     parser.add_argument("scene", choices=SCENES)
-    parser.add_argument("folder", type=Path, help="made if it is not there; files of the same names are replaced")
+    parser.add_argument("folder", type=Path, help="created if missing; files of the same names are replaced")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--triangles", type=int, default=100_000, help="of rooms (default: 100000)")
     args = parser.parse_args(argv)

@@ -1,4 +1,4 @@
-"""The flat that comes with this package: a hall with a living room, a kitchen, a bedroom and a bathroom off it.
+"""Generates the scene ``flat``: a hall with a living room, a kitchen, a bedroom and a bathroom.
 
 Metres, x to the east, y to the north, z up, the origin at the south-west corner of the inside. Walls are 0.12 m thick and
 stand on the lines that the plan names.
@@ -18,7 +18,7 @@ import yaml
 from gibson_sim.picture_files import write_picture
 from gibson_sim.writing import write_file
 from gibson_sim_tools.generator import furniture, textures
-from gibson_sim_tools.generator.gltf import Paint, Solid, write_glb
+from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
 
 HEIGHT = 2.6
 THICKNESS = 0.12
@@ -30,8 +30,8 @@ This scene was made by gibson_sim_tools.generator, part of Gibson Sim, and is re
 
 
 @dataclass(frozen=True)
-class Room:
-    """A rectangular room between the lines of its walls."""
+class FlatRoom:
+    """A rectangular room between the centre lines of its walls."""
 
     name: str
     x0: float
@@ -48,20 +48,20 @@ class Room:
 
 
 ROOMS = (
-    Room("living", 0.0, 0.0, 5.2, 4.0, (0.90, 0.86, 0.78), "planks"),
-    Room("kitchen", 5.2, 0.0, 9.0, 4.0, (0.80, 0.86, 0.82), "tiles"),
-    Room("hall", 0.0, 4.0, 9.0, 5.4, (0.88, 0.84, 0.84), "planks"),
-    Room("bedroom", 0.0, 5.4, 5.4, 8.6, (0.74, 0.80, 0.88), "planks"),
-    Room("bathroom", 5.4, 5.4, 9.0, 8.6, (0.72, 0.86, 0.88), "tiles"),
+    FlatRoom("living", 0.0, 0.0, 5.2, 4.0, (0.90, 0.86, 0.78), "planks"),
+    FlatRoom("kitchen", 5.2, 0.0, 9.0, 4.0, (0.80, 0.86, 0.82), "tiles"),
+    FlatRoom("hall", 0.0, 4.0, 9.0, 5.4, (0.88, 0.84, 0.84), "planks"),
+    FlatRoom("bedroom", 0.0, 5.4, 5.4, 8.6, (0.74, 0.80, 0.88), "planks"),
+    FlatRoom("bathroom", 5.4, 5.4, 9.0, 8.6, (0.72, 0.86, 0.88), "tiles"),
 )
 
 
 _CLASSES = {"living": "living_room"}
-"""Of rooms whose name is another."""
+"""Room classes that differ from the name."""
 
 
 @dataclass(frozen=True)
-class Opening:
+class FlatOpening:
     """A hole in a wall, from ``start`` to ``end`` along it."""
 
     start: float
@@ -75,19 +75,19 @@ class Opening:
         return self.low > 0.0
 
 
-def _window(start: float, end: float, low: float = 0.85, high: float = 2.1) -> Opening:
-    return Opening(start, end, low, high)
+def _window(start: float, end: float, low: float = 0.85, high: float = 2.1) -> FlatOpening:
+    return FlatOpening(start, end, low, high)
 
 
 @dataclass(frozen=True)
-class Wall:
+class FlatWall:
     """A wall along x (``at`` is its y) or along y (``at`` is its x), from ``start`` to ``end``."""
 
     along: str
     at: float
     start: float
     end: float
-    openings: tuple[Opening, ...] = ()
+    openings: tuple[FlatOpening, ...] = ()
 
     def point(self, along: float, across: float, z: float) -> tuple[float, float, float]:
         """Returns a point given along the wall, across it from its middle line, and upwards."""
@@ -95,14 +95,14 @@ class Wall:
 
 
 WALLS = (
-    Wall("x", 0.0, 0.0, 9.0, (_window(0.7, 2.3), _window(2.9, 4.5), _window(6.5, 8.1, 1.05))),
-    Wall("x", 4.0, 0.0, 9.0, (Opening(3.6, 4.5), Opening(6.0, 6.9))),
-    Wall("x", 5.4, 0.0, 9.0, (Opening(2.0, 2.9), Opening(7.0, 7.9))),
-    Wall("x", 8.6, 0.0, 9.0, (_window(1.6, 3.6), _window(6.9, 7.7, 1.4))),
-    Wall("y", 0.0, 0.0, 8.6, (_window(1.2, 2.8), _window(6.2, 7.6))),
-    Wall("y", 9.0, 0.0, 8.6, (_window(1.0, 2.4, 1.05),)),
-    Wall("y", 5.2, 0.0, 4.0, (Opening(1.1, 2.3),)),
-    Wall("y", 5.4, 5.4, 8.6),
+    FlatWall("x", 0.0, 0.0, 9.0, (_window(0.7, 2.3), _window(2.9, 4.5), _window(6.5, 8.1, 1.05))),
+    FlatWall("x", 4.0, 0.0, 9.0, (FlatOpening(3.6, 4.5), FlatOpening(6.0, 6.9))),
+    FlatWall("x", 5.4, 0.0, 9.0, (FlatOpening(2.0, 2.9), FlatOpening(7.0, 7.9))),
+    FlatWall("x", 8.6, 0.0, 9.0, (_window(1.6, 3.6), _window(6.9, 7.7, 1.4))),
+    FlatWall("y", 0.0, 0.0, 8.6, (_window(1.2, 2.8), _window(6.2, 7.6))),
+    FlatWall("y", 9.0, 0.0, 8.6, (_window(1.0, 2.4, 1.05),)),
+    FlatWall("y", 5.2, 0.0, 4.0, (FlatOpening(1.1, 2.3),)),
+    FlatWall("y", 5.4, 5.4, 8.6),
 )
 STARTS = (
     ("hall", 1.0, 4.7, 0.0),
@@ -115,18 +115,18 @@ STARTS = (
 
 @dataclass
 class _Flat:
-    """The flat while it is made."""
+    """Writes the files of the flat and lists its objects."""
 
     folder: Path
     seed: int
     objects: list[dict[str, object]] = field(default_factory=list)
 
     def rng(self, name: str) -> np.random.Generator:
-        """Returns a generator of its own for each texture, so that a new texture changes no other."""
+        """Returns a random generator per texture, so that a new texture changes no other."""
         return np.random.default_rng([self.seed, *name.encode()])
 
     def texture(self, name: str, image: textures.Image, quality: int = 88) -> str:
-        """Writes a texture; returns its name as a mesh in ``assets`` sees it."""
+        """Writes a texture; returns its path relative to ``assets``."""
         path = self.folder / "assets" / "textures" / f"{name}.jpg"
         write_picture(path, image[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, quality), durable=False)
         return f"textures/{name}.jpg"
@@ -134,7 +134,7 @@ class _Flat:
     def add(
         self,
         name: str,
-        solid: Solid,
+        solid: MeshBuilder,
         semantic_class: str,
         *,
         collision: str = "same",
@@ -155,7 +155,7 @@ class _Flat:
         xy: tuple[float, float] = (0.0, 0.0),
         yaw_deg: float = 0.0,
     ) -> None:
-        """Lists an object whose mesh was written already."""
+        """Lists an object with an existing mesh."""
         item: dict[str, object] = {
             "name": name,
             "mesh": f"assets/{mesh}.glb",
@@ -205,18 +205,18 @@ def make_flat(folder: Path, seed: int = 1) -> None:
 
 
 def _make_walls(flat: _Flat) -> None:
-    """Walls in pieces around their openings; each side has the colour of the room that it faces."""
-    paints = {
-        room.name: Paint(
+    """Adds walls in pieces around their openings; each side has the colour of its room."""
+    materials = {
+        room.name: MeshMaterial(
             f"wall_{room.name}", flat.texture(f"wall_{room.name}", textures.wall(flat.rng(room.name), room.wall)), metres=HEIGHT
         )
         for room in ROOMS
     }
-    outside = Paint("facade", color=(0.8, 0.78, 0.74))
-    solid = Solid()
+    outside = MeshMaterial("facade", color=(0.8, 0.78, 0.74))
+    solid = MeshBuilder()
     half = THICKNESS / 2
     for wall in WALLS:
-        # Walls that meet overlap, so that no corner is open.
+        # Adjacent walls overlap, so that corners are closed.
         edges = [(wall.start - half, 0.0)]
         pieces: list[tuple[float, float, float, float]] = []
         at = edges[0][0]
@@ -228,14 +228,18 @@ def _make_walls(flat: _Flat) -> None:
             at = hole.end
         pieces.append((at, wall.end + half, 0.0, HEIGHT))
         for start, end, low, high in pieces:
-            _wall_piece(solid, wall, (start, end, low, high), paints, outside)
+            _wall_piece(solid, wall, (start, end, low, high), materials, outside)
     flat.add("walls", solid, "wall")
 
 
 def _wall_piece(
-    solid: Solid, wall: Wall, extent: tuple[float, float, float, float], paints: dict[str, Paint], outside: Paint
+    solid: MeshBuilder,
+    wall: FlatWall,
+    extent: tuple[float, float, float, float],
+    materials: dict[str, MeshMaterial],
+    outside: MeshMaterial,
 ) -> None:
-    """One box of a wall. Its sides are cut where the room behind them changes; the texture's height is the room's."""
+    """Adds one box of a wall. Its sides are split where the adjacent room changes; the texture spans the height of the room."""
     start, end, low, high = extent
     half = THICKNESS / 2
     cuts = sorted(
@@ -244,14 +248,14 @@ def _wall_piece(
     for side in (-1.0, 1.0):
         for a, b in pairwise(cuts):
             x, y, _ = wall.point((a + b) / 2, side * (half + 0.05), 0.0)
-            paint = next((paints[r.name] for r in ROOMS if r.holds(x, y)), outside)
-            # Seen from the side that it faces, a wall along x runs to the right on its south side, to the left on its north side.
+            material = next((materials[r.name] for r in ROOMS if r.holds(x, y)), outside)
+            # Seen from its room, a wall along x runs to the right on its south side, to the left on its north side.
             flip = (side > 0) == (wall.along == "x")
             p, q = (b, a) if flip else (a, b)
             corners = [wall.point(s, side * half, z) for s, z in ((p, low), (q, low), (q, high), (p, high))]
             uvs = [(s / HEIGHT, 1.0 - z / HEIGHT) for s, z in ((p, low), (q, low), (q, high), (p, high))]
-            solid.quad(paint, corners, uvs)
-    jamb = Paint("jamb", color=(0.86, 0.85, 0.82))
+            solid.quad(material, corners, uvs)
+    jamb = MeshMaterial("jamb", color=(0.86, 0.85, 0.82))
     ends = [wall.point(s, c, z) for s in (start, end) for c in (-half, half) for z in (low, high)]
     corners_low, corners_high = np.min(ends, axis=0), np.max(ends, axis=0)
     sides = ("-y", "+y") if wall.along == "x" else ("-x", "+x")
@@ -259,9 +263,9 @@ def _wall_piece(
 
 
 def _make_floors(flat: _Flat, footprints: Sequence[tuple[float, float, float, float]]) -> None:
-    """One floor a room with its own texture, shaded along the walls and under furniture; one ceiling a room."""
-    floors, ceilings = Solid(), Solid()
-    white = Paint("ceiling", flat.texture("ceiling", textures.ceiling()))
+    """Adds a floor and a ceiling per room; each floor has its own texture, shaded along walls and under furniture."""
+    floors, ceilings = MeshBuilder(), MeshBuilder()
+    white = MeshMaterial("ceiling", flat.texture("ceiling", textures.ceiling()))
     for room in ROOMS:
         size = (room.x1 - room.x0, room.y1 - room.y0)
         rng = flat.rng(f"floor_{room.name}")
@@ -270,21 +274,23 @@ def _make_floors(flat: _Flat, footprints: Sequence[tuple[float, float, float, fl
         else:
             base = textures.tiles(rng, size, PX_PER_M, (0.85, 0.83, 0.78) if room.name == "kitchen" else (0.62, 0.70, 0.74))
         inside = [(a - room.x0, b - room.y0, c - room.x0, d - room.y0) for a, b, c, d in footprints]
-        paint = Paint(f"floor_{room.name}", flat.texture(f"floor_{room.name}", textures.shaded_floor(base, PX_PER_M, inside)))
+        material = MeshMaterial(
+            f"floor_{room.name}", flat.texture(f"floor_{room.name}", textures.shaded_floor(base, PX_PER_M, inside))
+        )
         x0, y0, x1, y1 = room.x0, room.y0, room.x1, room.y1
         whole = [(0, 1), (1, 1), (1, 0), (0, 0)]
-        floors.quad(paint, [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)], whole)
+        floors.quad(material, [(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)], whole)
         ceilings.quad(white, [(x0, y1, HEIGHT), (x1, y1, HEIGHT), (x1, y0, HEIGHT), (x0, y0, HEIGHT)], whole)
     flat.add("floors", floors, "floor", collision="none")
     flat.add("ceilings", ceilings, "ceiling", collision="none")
 
 
 def _make_frames(flat: _Flat) -> None:
-    """Door frames, windows with what is behind them, skirting boards."""
-    frames, windows, skirting = Solid(), Solid(), Solid()
-    white = Paint("frame", color=(0.83, 0.82, 0.79))
-    view = Paint("view", flat.texture("view", textures.view_outside(flat.rng("view"))), unlit=True)
-    board = Paint("skirting", color=(0.8, 0.78, 0.74))
+    """Adds door frames, windows with the view behind them, and skirting boards."""
+    frames, windows, skirting = MeshBuilder(), MeshBuilder(), MeshBuilder()
+    white = MeshMaterial("frame", color=(0.83, 0.82, 0.79))
+    view = MeshMaterial("view", flat.texture("view", textures.view_outside(flat.rng("view"))), unlit=True)
+    board = MeshMaterial("skirting", color=(0.8, 0.78, 0.74))
     half = THICKNESS / 2
     for wall in WALLS:
         for hole in wall.openings:
@@ -297,52 +303,52 @@ def _make_frames(flat: _Flat) -> None:
     flat.add("door_frames", frames, "door_frame")
     flat.add("windows", windows, "window")
     flat.add("skirting", skirting, "skirting", collision="none")
-    door = Solid()
-    oak = Paint("entrance", "textures/oak.jpg", metres=1.0)
+    door = MeshBuilder()
+    oak = MeshMaterial("entrance", "textures/oak.jpg", metres=1.0)
     door.box((8.88, 4.3, 0.0), (8.94, 5.2, 2.05), oak)
-    door.cylinder((8.86, 4.42, 1.02), 0.02, 0.1, Paint("handle", color=(0.35, 0.33, 0.3)))
+    door.cylinder((8.86, 4.42, 1.02), 0.02, 0.1, MeshMaterial("handle", color=(0.35, 0.33, 0.3)))
     flat.add("entrance_door", door, "door")
 
 
 def _span(
-    wall: Wall, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]
+    wall: FlatWall, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of a box given along and across a wall."""
+    """Returns the corners of a box, given along and across a wall."""
     a, b = wall.point(along[0], across[0], z[0]), wall.point(along[1], across[1], z[1])
     return np.minimum(a, b), np.maximum(a, b)
 
 
-def _door_frame(solid: Solid, wall: Wall, hole: Opening, paint: Paint) -> None:
+def _door_frame(solid: MeshBuilder, wall: FlatWall, hole: FlatOpening, material: MeshMaterial) -> None:
     deep, wide = THICKNESS / 2 + 0.015, 0.06
     for start in (hole.start - wide + 0.01, hole.end - 0.01):
-        solid.box(*_span(wall, (start, start + wide), (-deep, deep), (0.0, hole.high + wide)), paint)
-    solid.box(*_span(wall, (hole.start, hole.end), (-deep, deep), (hole.high - 0.01, hole.high + wide)), paint)
+        solid.box(*_span(wall, (start, start + wide), (-deep, deep), (0.0, hole.high + wide)), material)
+    solid.box(*_span(wall, (hole.start, hole.end), (-deep, deep), (hole.high - 0.01, hole.high + wide)), material)
 
 
-def _window_parts(solid: Solid, wall: Wall, hole: Opening, paint: Paint, view: Paint) -> None:
+def _window_parts(solid: MeshBuilder, wall: FlatWall, hole: FlatOpening, material: MeshMaterial, view: MeshMaterial) -> None:
     deep, bar = 0.03, 0.05
     for start in (hole.start, hole.end - bar, (hole.start + hole.end - bar) / 2):
-        solid.box(*_span(wall, (start, start + bar), (-deep, deep), (hole.low, hole.high)), paint)
+        solid.box(*_span(wall, (start, start + bar), (-deep, deep), (hole.low, hole.high)), material)
     for low in (hole.low, hole.high - bar):
-        solid.box(*_span(wall, (hole.start, hole.end), (-deep, deep), (low, low + bar)), paint)
+        solid.box(*_span(wall, (hole.start, hole.end), (-deep, deep), (low, low + bar)), material)
     sill = 0.12 if wall.at in (0.0,) else -0.12
-    solid.box(*_span(wall, (hole.start - 0.05, hole.end + 0.05), (0.0, sill), (hole.low - 0.03, hole.low)), paint)
+    solid.box(*_span(wall, (hole.start - 0.05, hole.end + 0.05), (0.0, sill), (hole.low - 0.03, hole.low)), material)
     inward = 1.0 if wall.at == 0.0 else -1.0
-    # Seen from inside the picture runs from left to right.
+    # Seen from inside, the picture runs from left to right.
     flip = (inward > 0) == (wall.along == "x")
     p, q = (hole.end, hole.start) if flip else (hole.start, hole.end)
     corners = [wall.point(s, 0.0, z) for s, z in ((p, hole.low), (q, hole.low), (q, hole.high), (p, hole.high))]
     solid.quad(view, corners, [(0, 1), (1, 1), (1, 0), (0, 0)])
 
 
-def _skirting(solid: Solid, wall: Wall, side: float, paint: Paint, half: float) -> None:
-    """Boards of 8 cm along one side of a wall, between its doors, inside the flat."""
+def _skirting(solid: MeshBuilder, wall: FlatWall, side: float, material: MeshMaterial, half: float) -> None:
+    """Adds 8 cm skirting along one side of a wall, between its doors, inside the flat."""
     x, y, _ = wall.point((wall.start + wall.end) / 2, side * (half + 0.05), 0.0)
     if not any(r.holds(x, y) for r in ROOMS):
         return
     at = wall.start
     for hole in [*(h for h in wall.openings if not h.is_window), None]:
         end = wall.end if hole is None else hole.start - 0.05
-        solid.box(*_span(wall, (at, end), (side * half, side * (half + 0.014)), (0.0, 0.08)), paint)
+        solid.box(*_span(wall, (at, end), (side * half, side * (half + 0.014)), (0.0, 0.08)), material)
         if hole is not None:
             at = hole.end + 0.05

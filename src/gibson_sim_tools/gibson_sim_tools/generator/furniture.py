@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gibson_sim_tools.generator import textures
-from gibson_sim_tools.generator.gltf import Paint, Solid
+from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial
 
 SaveTexture = Callable[[str, textures.Image], str]
 MakeRng = Callable[[str], np.random.Generator]
@@ -17,12 +17,12 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A piece of furniture in its place."""
+class FlatPiece:
+    """A piece of furniture and its pose."""
 
     name: str
     semantic_class: str
-    solid: Solid | None
+    solid: MeshBuilder | None
     """None = the mesh of another piece, see ``mesh``."""
     xy: tuple[float, float] = (0.0, 0.0)
     yaw_deg: float = 0.0
@@ -33,31 +33,31 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class _Paints:
-    oak: Paint
-    walnut: Paint
-    white: Paint
-    sofa: Paint
-    pillow: Paint
-    linen: Paint
-    rug: Paint
-    runner: Paint
-    books: Paint
-    ceramic: Paint
-    steel: Paint
-    dark: Paint
-    leaf: Paint
-    pot: Paint
-    shade: Paint
-    stone: Paint
-    mirror: Paint
+class _Materials:
+    oak: MeshMaterial
+    walnut: MeshMaterial
+    white: MeshMaterial
+    sofa: MeshMaterial
+    pillow: MeshMaterial
+    linen: MeshMaterial
+    rug: MeshMaterial
+    runner: MeshMaterial
+    books: MeshMaterial
+    ceramic: MeshMaterial
+    steel: MeshMaterial
+    dark: MeshMaterial
+    leaf: MeshMaterial
+    pot: MeshMaterial
+    shade: MeshMaterial
+    stone: MeshMaterial
+    mirror: MeshMaterial
 
 
-def _paints(save: SaveTexture, rng: MakeRng) -> _Paints:
-    def texture(name: str, image: textures.Image, metres: float = 1.0) -> Paint:
-        return Paint(name, save(name, image), metres=metres)
+def _materials(save: SaveTexture, rng: MakeRng) -> _Materials:
+    def texture(name: str, image: textures.Image, metres: float = 1.0) -> MeshMaterial:
+        return MeshMaterial(name, save(name, image), metres=metres)
 
-    return _Paints(
+    return _Materials(
         oak=texture("oak", textures.wood(rng("oak"), (0.72, 0.54, 0.34)), 0.8),
         walnut=texture("walnut", textures.wood(rng("walnut"), (0.44, 0.29, 0.19)), 0.8),
         white=texture("lacquer", textures.plain(rng("lacquer"), (0.91, 0.9, 0.88), 64, 0.012), 0.5),
@@ -67,20 +67,20 @@ def _paints(save: SaveTexture, rng: MakeRng) -> _Paints:
         rug=texture("rug", textures.fabric(rng("rug"), (0.62, 0.26, 0.22)), 0.6),
         runner=texture("runner", textures.fabric(rng("runner"), (0.35, 0.38, 0.46)), 0.6),
         books=texture("books", textures.book_spines(rng("books")), 0.9),
-        ceramic=Paint("ceramic", color=(0.88, 0.88, 0.87)),
-        steel=Paint("steel", color=(0.45, 0.46, 0.47)),
-        dark=Paint("dark", color=(0.02, 0.02, 0.024)),
-        leaf=Paint("leaf", color=(0.06, 0.20, 0.05)),
-        pot=Paint("pot", color=(0.55, 0.20, 0.10)),
-        shade=Paint("lampshade", color=(1.0, 0.88, 0.66), unlit=True),
+        ceramic=MeshMaterial("ceramic", color=(0.88, 0.88, 0.87)),
+        steel=MeshMaterial("steel", color=(0.45, 0.46, 0.47)),
+        dark=MeshMaterial("dark", color=(0.02, 0.02, 0.024)),
+        leaf=MeshMaterial("leaf", color=(0.06, 0.20, 0.05)),
+        pot=MeshMaterial("pot", color=(0.55, 0.20, 0.10)),
+        shade=MeshMaterial("lampshade", color=(1.0, 0.88, 0.66), unlit=True),
         stone=texture("worktop", textures.plain(rng("worktop"), (0.26, 0.26, 0.28), 128, 0.2), 0.6),
-        mirror=Paint("mirror", color=(0.62, 0.70, 0.74), unlit=True),
+        mirror=MeshMaterial("mirror", color=(0.62, 0.70, 0.74), unlit=True),
     )
 
 
-def furnish(save: SaveTexture, rng: MakeRng) -> list[Piece]:
-    """Returns everything that stands, lies or hangs in the flat; writes the textures through ``save``."""
-    p = _paints(save, rng)
+def furnish(save: SaveTexture, rng: MakeRng) -> list[FlatPiece]:
+    """Returns the furniture of the flat; writes textures through ``save``."""
+    p = _materials(save, rng)
     pieces = [
         _put("sofa", "sofa", _sofa(p), (1.35, 2.4), 90.0, (1.8, 0.9)),
         _put("coffee_table", "table", _table(p.walnut, 1.0, 0.55, 0.42), (2.75, 2.4), 90.0, (1.0, 0.55)),
@@ -111,9 +111,9 @@ def furnish(save: SaveTexture, rng: MakeRng) -> list[Piece]:
         ("chair_4", (8.0, 1.9), 180.0),
         ("desk_chair", (0.95, 6.9), -90.0),
     ):
-        pieces.append(Piece(name, "chair", None, xy, yaw, mesh="chair", footprint=_footprint(xy, yaw, (0.42, 0.42))))
+        pieces.append(FlatPiece(name, "chair", None, xy, yaw, mesh="chair", footprint=_footprint(xy, yaw, (0.42, 0.42))))
     pieces.append(
-        Piece(
+        FlatPiece(
             "nightstand_2",
             "nightstand",
             None,
@@ -129,24 +129,26 @@ def furnish(save: SaveTexture, rng: MakeRng) -> list[Piece]:
 def _put(
     name: str,
     semantic_class: str,
-    solid: Solid,
+    solid: MeshBuilder,
     xy: tuple[float, float],
     yaw_deg: float,
     size: tuple[float, float] | None,
     collision: str = "same",
-) -> Piece:
-    return Piece(name, semantic_class, solid, xy, yaw_deg, collision, footprint=_footprint(xy, yaw_deg, size) if size else None)
+) -> FlatPiece:
+    return FlatPiece(
+        name, semantic_class, solid, xy, yaw_deg, collision, footprint=_footprint(xy, yaw_deg, size) if size else None
+    )
 
 
 def _footprint(xy: tuple[float, float], yaw_deg: float, size: tuple[float, float]) -> Box:
-    """Returns the upright box about a turned one of ``size`` (across, deep)."""
+    """Returns the bounding rectangle of a rotated one of ``size`` (width, depth)."""
     c, s = abs(math.cos(math.radians(yaw_deg))), abs(math.sin(math.radians(yaw_deg)))
     w, h = (size[0] * c + size[1] * s) / 2, (size[0] * s + size[1] * c) / 2
     return (xy[0] - w, xy[1] - h, xy[0] + w, xy[1] + h)
 
 
-def _pictures(save: SaveTexture, rng: MakeRng, p: _Paints) -> list[Piece]:
-    """Paintings, each with a frame, hanging on walls; (x, y) is on the wall, the yaw turns -y into the room."""
+def _pictures(save: SaveTexture, rng: MakeRng, p: _Materials) -> list[FlatPiece]:
+    """Returns framed paintings on walls; (x, y) is on the wall, -y of the piece points into the room."""
     hung = (
         (0.075, 3.35, 90.0),
         (3.15, 5.325, 0.0),
@@ -158,31 +160,31 @@ def _pictures(save: SaveTexture, rng: MakeRng, p: _Paints) -> list[Piece]:
     pieces = []
     for number, (x, y, yaw) in enumerate(hung, start=1):
         name = f"painting_{number}"
-        solid = Solid()
-        art = Paint(name, save(name, textures.painting(rng(name))))
+        solid = MeshBuilder()
+        art = MeshMaterial(name, save(name, textures.painting(rng(name))))
         solid.box((-0.43, -0.025, 1.15), (0.43, 0.0, 1.8), p.walnut)
         front = [(-0.38, -0.027, 1.2), (0.38, -0.027, 1.2), (0.38, -0.027, 1.75), (-0.38, -0.027, 1.75)]
         solid.quad(art, front, [(0, 1), (1, 1), (1, 0), (0, 0)])
-        pieces.append(Piece(name, "painting", solid, (x, y), yaw, "none"))
+        pieces.append(FlatPiece(name, "painting", solid, (x, y), yaw, "none"))
     return pieces
 
 
-def _legs(solid: Solid, paint: Paint, half: tuple[float, float], height: float, thick: float = 0.05) -> None:
+def _legs(solid: MeshBuilder, material: MeshMaterial, half: tuple[float, float], height: float, thick: float = 0.05) -> None:
     for sx in (-1, 1):
         for sy in (-1, 1):
             x, y = sx * (half[0] - thick), sy * (half[1] - thick)
-            solid.box((x - thick / 2, y - thick / 2, 0.0), (x + thick / 2, y + thick / 2, height), paint)
+            solid.box((x - thick / 2, y - thick / 2, 0.0), (x + thick / 2, y + thick / 2, height), material)
 
 
-def _table(paint: Paint, width: float, depth: float, height: float) -> Solid:
-    solid = Solid()
-    solid.cushion((-width / 2, -depth / 2, height - 0.035), (width / 2, depth / 2, height), paint, 0.012, 1)
-    _legs(solid, paint, (width / 2, depth / 2), height - 0.035)
+def _table(material: MeshMaterial, width: float, depth: float, height: float) -> MeshBuilder:
+    solid = MeshBuilder()
+    solid.cushion((-width / 2, -depth / 2, height - 0.035), (width / 2, depth / 2, height), material, 0.012, 1)
+    _legs(solid, material, (width / 2, depth / 2), height - 0.035)
     return solid
 
 
-def _chair(p: _Paints) -> Solid:
-    solid = Solid()
+def _chair(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     _legs(solid, p.oak, (0.22, 0.22), 0.43, 0.04)
     solid.cushion((-0.21, -0.21, 0.43), (0.21, 0.21, 0.48), p.sofa, 0.02)
     for x in (-0.19, 0.16):
@@ -191,8 +193,8 @@ def _chair(p: _Paints) -> Solid:
     return solid
 
 
-def _sofa(p: _Paints) -> Solid:
-    solid = Solid()
+def _sofa(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-0.85, -0.38, 0.0), (0.85, 0.42, 0.1), p.dark)
     solid.cushion((-0.9, -0.42, 0.09), (0.9, 0.45, 0.3), p.sofa, 0.04)
     solid.cushion((-0.9, 0.2, 0.25), (0.9, 0.45, 0.82), p.sofa, 0.08)
@@ -205,8 +207,8 @@ def _sofa(p: _Paints) -> Solid:
     return solid
 
 
-def _armchair(p: _Paints) -> Solid:
-    solid = Solid()
+def _armchair(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     _legs(solid, p.walnut, (0.36, 0.36), 0.14, 0.05)
     solid.cushion((-0.38, -0.38, 0.13), (0.38, 0.38, 0.42), p.pillow, 0.06)
     solid.cushion((-0.38, 0.2, 0.35), (0.38, 0.4, 0.9), p.pillow, 0.08)
@@ -215,8 +217,8 @@ def _armchair(p: _Paints) -> Solid:
     return solid
 
 
-def _tv(p: _Paints) -> Solid:
-    solid = Solid()
+def _tv(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-0.65, -0.2, 0.08), (0.65, 0.2, 0.45), p.walnut)
     solid.box((-0.6, -0.16, 0.0), (0.6, 0.16, 0.08), p.dark)
     for x in (-0.64, 0.005):
@@ -227,8 +229,8 @@ def _tv(p: _Paints) -> Solid:
     return solid
 
 
-def _bookshelf(p: _Paints) -> Solid:
-    solid = Solid()
+def _bookshelf(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     for x in (-0.5, 0.47):
         solid.box((x, -0.15, 0.0), (x + 0.03, 0.15, 1.9), p.oak)
     solid.box((-0.47, 0.13, 0.0), (0.47, 0.15, 1.9), p.oak)
@@ -245,8 +247,8 @@ def _bookshelf(p: _Paints) -> Solid:
     return solid
 
 
-def _plant(p: _Paints, rng: np.random.Generator) -> Solid:
-    solid = Solid()
+def _plant(p: _Materials, rng: np.random.Generator) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.cylinder((0, 0, 0), 0.13, 0.3, p.pot, top=0.17)
     solid.cylinder((0, 0, 0.3), 0.02, 0.5, p.walnut, top=0.012, sides=8)
     for number in range(26):
@@ -260,22 +262,22 @@ def _plant(p: _Paints, rng: np.random.Generator) -> Solid:
     return solid
 
 
-def _lamp(p: _Paints) -> Solid:
-    solid = Solid()
+def _lamp(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.cylinder((0, 0, 0), 0.15, 0.025, p.dark)
     solid.cylinder((0, 0, 0.025), 0.014, 1.35, p.steel, sides=10)
     solid.cylinder((0, 0, 1.35), 0.2, 0.28, p.shade, top=0.13)
     return solid
 
 
-def _rug(paint: Paint, width: float, depth: float) -> Solid:
-    solid = Solid()
-    solid.box((-width / 2, -depth / 2, 0.0), (width / 2, depth / 2, 0.006), paint)
+def _rug(material: MeshMaterial, width: float, depth: float) -> MeshBuilder:
+    solid = MeshBuilder()
+    solid.box((-width / 2, -depth / 2, 0.0), (width / 2, depth / 2, 0.006), material)
     return solid
 
 
-def _counter(p: _Paints) -> Solid:
-    solid = Solid()
+def _counter(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-1.35, -0.24, 0.0), (1.35, 0.3, 0.1), p.dark)
     solid.box((-1.35, -0.28, 0.1), (1.35, 0.3, 0.87), p.white)
     for number in range(4):
@@ -293,8 +295,8 @@ def _counter(p: _Paints) -> Solid:
     return solid
 
 
-def _fridge(p: _Paints) -> Solid:
-    solid = Solid()
+def _fridge(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.cushion((-0.31, -0.28, 0.03), (0.31, 0.31, 1.85), p.steel, 0.02)
     for low, high in ((0.06, 0.62), (0.65, 1.82)):
         solid.cushion((-0.3, -0.31, low), (0.3, -0.27, high), p.white, 0.012, 1)
@@ -303,9 +305,9 @@ def _fridge(p: _Paints) -> Solid:
     return solid
 
 
-def _bed(p: _Paints) -> Solid:
+def _bed(p: _Materials) -> MeshBuilder:
     """The head is at -y."""
-    solid = Solid()
+    solid = MeshBuilder()
     _legs(solid, p.walnut, (0.8, 1.0), 0.16, 0.08)
     solid.box((-0.82, -1.05, 0.16), (0.82, 1.03, 0.3), p.walnut)
     solid.cushion((-0.82, -1.08, 0.16), (0.82, -1.0, 1.0), p.walnut, 0.03)
@@ -316,8 +318,8 @@ def _bed(p: _Paints) -> Solid:
     return solid
 
 
-def _nightstand(p: _Paints, width: float = 0.42, depth: float = 0.4, height: float = 0.5) -> Solid:
-    solid = Solid()
+def _nightstand(p: _Materials, width: float = 0.42, depth: float = 0.4, height: float = 0.5) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-width / 2, -depth / 2, 0.08), (width / 2, depth / 2, height), p.oak)
     _legs(solid, p.oak, (width / 2, depth / 2), 0.08, 0.04)
     drawer = (height - 0.12) / 2
@@ -330,8 +332,8 @@ def _nightstand(p: _Paints, width: float = 0.42, depth: float = 0.4, height: flo
     return solid
 
 
-def _wardrobe(p: _Paints) -> Solid:
-    solid = Solid()
+def _wardrobe(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-0.475, -0.28, 0.0), (0.475, 0.3, 2.1), p.oak)
     for x in (-0.47, 0.003):
         solid.cushion((x, -0.3, 0.06), (x + 0.467, -0.28, 2.08), p.white, 0.01, 1)
@@ -340,8 +342,8 @@ def _wardrobe(p: _Paints) -> Solid:
     return solid
 
 
-def _bath(p: _Paints) -> Solid:
-    solid = Solid()
+def _bath(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-0.85, -0.36, 0.0), (0.85, -0.3, 0.52), p.ceramic)
     solid.box((-0.85, 0.3, 0.0), (0.85, 0.36, 0.52), p.ceramic)
     for x in (-0.85, 0.77):
@@ -353,8 +355,8 @@ def _bath(p: _Paints) -> Solid:
     return solid
 
 
-def _basin(p: _Paints) -> Solid:
-    solid = Solid()
+def _basin(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.box((-0.38, -0.2, 0.15), (0.38, 0.22, 0.75), p.walnut)
     for x in (-0.375, 0.005):
         solid.cushion((x, -0.215, 0.17), (x + 0.37, -0.2, 0.73), p.white, 0.008, 1)
@@ -365,8 +367,8 @@ def _basin(p: _Paints) -> Solid:
     return solid
 
 
-def _toilet(p: _Paints) -> Solid:
-    solid = Solid()
+def _toilet(p: _Materials) -> MeshBuilder:
+    solid = MeshBuilder()
     solid.cushion((-0.12, -0.2, 0.0), (0.12, 0.3, 0.36), p.ceramic, 0.05)
     solid.cushion((-0.19, -0.33, 0.3), (0.19, 0.2, 0.42), p.ceramic, 0.06)
     solid.cushion((-0.19, 0.14, 0.38), (0.19, 0.32, 0.8), p.ceramic, 0.03)

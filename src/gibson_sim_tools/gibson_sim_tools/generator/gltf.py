@@ -1,4 +1,4 @@
-"""Meshes in the making, and writing them as glTF 2.0 (binary, textures beside it). Built z up, written y up."""
+"""Builds meshes from quads, z up, and writes them as binary glTF 2.0, y up, with external textures."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gibson_sim.formats.glb import glb_bytes
+from gibson_sim.formats.glb import GlbBuilder
 from gibson_sim.writing import write_file
 
 F32 = NDArray[np.float32]
-_ARRAY, _INDICES = 34962, 34963
-_FLOAT, _UINT = 5126, 5125
 
 
 @dataclass(frozen=True)
-class Paint:
+class MeshMaterial:
     """A material: a texture file beside the mesh, or a plain colour."""
 
     name: str
@@ -33,35 +31,35 @@ class Paint:
 
 
 @dataclass
-class Solid:
-    """A mesh in the making: quads by paint. Metres, z up."""
+class MeshBuilder:
+    """Builds a mesh from primitives, grouped by material. Metres, z up."""
 
-    points: dict[Paint, list[F32]] = field(default_factory=dict)
+    points: dict[MeshMaterial, list[F32]] = field(default_factory=dict)
     """(N, 8) blocks: position, normal, uv (v = 0 at the top of the image)."""
-    faces: dict[Paint, list[NDArray[np.uint32]]] = field(default_factory=dict)
+    faces: dict[MeshMaterial, list[NDArray[np.uint32]]] = field(default_factory=dict)
 
-    def add(self, paint: Paint, positions: ArrayLike, normals: ArrayLike, uvs: ArrayLike, triangles: ArrayLike) -> None:
+    def add(self, material: MeshMaterial, positions: ArrayLike, normals: ArrayLike, uvs: ArrayLike, triangles: ArrayLike) -> None:
         """Adds triangles (F, 3) over positions (N, 3), normals (N, 3) and uvs (N, 2)."""
-        before = sum(len(block) for block in self.points.setdefault(paint, []))
+        before = sum(len(block) for block in self.points.setdefault(material, []))
         block = np.hstack([np.asarray(a, dtype=np.float32) for a in (positions, normals, uvs)])
-        self.points[paint].append(block)
-        self.faces.setdefault(paint, []).append(np.asarray(triangles, dtype=np.uint32) + np.uint32(before))
+        self.points[material].append(block)
+        self.faces.setdefault(material, []).append(np.asarray(triangles, dtype=np.uint32) + np.uint32(before))
 
-    def quad(self, paint: Paint, corners: ArrayLike, uvs: ArrayLike | None = None) -> None:
+    def quad(self, material: MeshMaterial, corners: ArrayLike, uvs: ArrayLike | None = None) -> None:
         """Adds a flat quad, corners (4, 3) counter-clockwise seen from outside, the first at the lower left.
 
-        Without ``uvs`` the texture repeats every ``paint.metres``, upright along the first edge; with them, (4, 2).
+        Without ``uvs`` the texture repeats every ``material.metres``, upright along the first edge; with them, (4, 2).
         """
         p = np.asarray(corners, dtype=np.float64)
         u, v = p[1] - p[0], p[3] - p[0]
         normal = np.cross(u, v)
         normal /= np.linalg.norm(normal)
-        w, h = np.linalg.norm(u) / paint.metres, np.linalg.norm(v) / paint.metres
+        w, h = np.linalg.norm(u) / material.metres, np.linalg.norm(v) / material.metres
         repeated = np.array([[0, 0], [w, 0], [w, -h], [0, -h]])
-        self.add(paint, p, np.tile(normal, (4, 1)), repeated if uvs is None else uvs, [[0, 1, 2], [0, 2, 3]])
+        self.add(material, p, np.tile(normal, (4, 1)), repeated if uvs is None else uvs, [[0, 1, 2], [0, 2, 3]])
 
-    def box(self, low: ArrayLike, high: ArrayLike, paint: Paint, *, but: Iterable[str] = ()) -> None:
-        """Adds a box; ``but`` names faces to leave out, of -x +x -y +y -z +z. What stands on the floor has no underside."""
+    def box(self, low: ArrayLike, high: ArrayLike, material: MeshMaterial, *, but: Iterable[str] = ()) -> None:
+        """Adds a box without the faces in ``but``, of -x +x -y +y -z +z; a box on the floor has no underside."""
         hidden = {*but, "-z"} if np.asarray(low, dtype=float)[2] <= 0.0 else set(but)
         (x0, y0, z0), (x1, y1, z1) = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         corners = {
@@ -74,31 +72,38 @@ class Solid:
         }
         for side, quad in corners.items():
             if side not in hidden:
-                self.quad(paint, quad)
+                self.quad(material, quad)
 
     def cylinder(
-        self, center: ArrayLike, radius: float, height: float, paint: Paint, *, top: float | None = None, sides: int = 20
+        self,
+        center: ArrayLike,
+        radius: float,
+        height: float,
+        material: MeshMaterial,
+        *,
+        top: float | None = None,
+        sides: int = 20,
     ) -> None:
         """Adds an upright cylinder, or a cone with radius ``top`` above, standing on ``center``."""
         c, top = np.asarray(center, dtype=float), radius if top is None else top
         angle = np.linspace(0.0, 2 * np.pi, sides + 1)
         around = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
         low, high = c + around * radius, c + around * top + np.array([0, 0, height])
-        u = angle / (2 * np.pi) * (2 * np.pi * radius / paint.metres)
-        uv = np.concatenate([np.stack([u, 0 * u], 1), np.stack([u, 0 * u - height / paint.metres], 1)])
+        u = angle / (2 * np.pi) * (2 * np.pi * radius / material.metres)
+        uv = np.concatenate([np.stack([u, 0 * u], 1), np.stack([u, 0 * u - height / material.metres], 1)])
         i = np.arange(sides)
         n = sides + 1
         triangles = np.concatenate([np.stack([i, i + 1, i + 1 + n], 1), np.stack([i, i + 1 + n, i + n], 1)])
-        self.add(paint, np.concatenate([low, high]), np.tile(around, (2, 1)), uv, triangles)
+        self.add(material, np.concatenate([low, high]), np.tile(around, (2, 1)), uv, triangles)
         for ring, r, up in ((high, top, 1.0), (low, radius, -1.0)):
             if r <= 0.0 or (up < 0 and c[2] <= 0.0):
                 continue
             middle = c + np.array([0, 0, height if up > 0 else 0.0])
             fan = np.stack([np.zeros(sides, int), i + 1, i + 2], 1)[:, :: 1 if up > 0 else -1]
             points = np.concatenate([middle[None], ring])
-            self.add(paint, points, np.tile([0, 0, up], (len(points), 1)), points[:, :2] / paint.metres, fan)
+            self.add(material, points, np.tile([0, 0, up], (len(points), 1)), points[:, :2] / material.metres, fan)
 
-    def cushion(self, low: ArrayLike, high: ArrayLike, paint: Paint, round_by: float = 0.05, steps: int = 2) -> None:
+    def cushion(self, low: ArrayLike, high: ArrayLike, material: MeshMaterial, round_by: float = 0.05, steps: int = 2) -> None:
         """Adds a box with rounded edges and corners of radius ``round_by``."""
         low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         center, half = (low + high) / 2, (high - low) / 2
@@ -117,8 +122,8 @@ class Solid:
                 normal = p - core
                 normal /= np.linalg.norm(normal, axis=1, keepdims=True)
                 triangles = np.concatenate([np.stack([i, i + n, i + n + 1], 1), np.stack([i, i + n + 1, i + 1], 1)])
-                uv = np.stack([ga.ravel(), -gb.ravel()], 1) / paint.metres
-                self.add(paint, core + round_by * normal + center, normal, uv, triangles if side > 0 else triangles[:, ::-1])
+                uv = np.stack([ga.ravel(), -gb.ravel()], 1) / material.metres
+                self.add(material, core + round_by * normal + center, normal, uv, triangles if side > 0 else triangles[:, ::-1])
 
     @property
     def triangle_count(self) -> int:
@@ -126,65 +131,31 @@ class Solid:
         return sum(len(f) for blocks in self.faces.values() for f in blocks)
 
 
-def write_glb(path: Path, solid: Solid) -> None:
-    """Writes a solid as GLB, its textures by their file names."""
-    binary = bytearray()
-    views: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
-    images: list[str] = []
-    materials: list[dict[str, Any]] = []
-    primitives: list[dict[str, Any]] = []
-
-    def accessor(data: NDArray[Any], target: int, kind: str, **more: Any) -> int:
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": data.nbytes, "target": target})
-        binary.extend(np.ascontiguousarray(data).tobytes())
-        component = _UINT if target == _INDICES else _FLOAT
-        count = data.size if kind == "SCALAR" else len(data)
-        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": count, "type": kind, **more})
-        return len(accessors) - 1
-
-    for paint, blocks in solid.points.items():
+def write_glb(path: Path, mesh: MeshBuilder) -> None:
+    """Writes a mesh as GLB with external textures."""
+    builder = GlbBuilder()
+    for material, blocks in mesh.points.items():
         rows = np.concatenate(blocks)
-        position, normal = (_y_up(rows[:, k : k + 3]) for k in (0, 3))
         attributes = {
-            "POSITION": accessor(position, _ARRAY, "VEC3", min=position.min(0).tolist(), max=position.max(0).tolist()),
-            "NORMAL": accessor(normal, _ARRAY, "VEC3"),
-            "TEXCOORD_0": accessor(rows[:, 6:8], _ARRAY, "VEC2"),
+            "POSITION": builder.attribute(_y_up(rows[:, :3]), bounds=True),
+            "NORMAL": builder.attribute(_y_up(rows[:, 3:6])),
+            "TEXCOORD_0": builder.attribute(rows[:, 6:8]),
         }
-        indices = accessor(np.concatenate(solid.faces[paint]).ravel(), _INDICES, "SCALAR")
-        primitives.append({"attributes": attributes, "indices": indices, "material": len(materials)})
-        materials.append(_material(paint, images))
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "gibson_sim_tools.generator"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": path.stem}],
-        "meshes": [{"primitives": primitives}],
-        "materials": materials,
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(binary)}],
-    }
-    if images:
-        document["images"] = [{"uri": name} for name in images]
-        document["textures"] = [{"source": i} for i in range(len(images))]
-    if any(p.unlit for p in solid.points):
-        document["extensionsUsed"] = ["KHR_materials_unlit"]
-    write_file(path, glb_bytes(document, binary), durable=False)
+        indices = builder.indices(np.concatenate(mesh.faces[material]))
+        builder.primitive(attributes, indices, builder.material(_material(material, builder)))
+    write_file(path, builder.to_bytes(path.stem), durable=False)
 
 
 def _y_up(z_up: F32) -> F32:
     """Returns (N, 3) vectors in the axes of glTF: x stays, up is y."""
-    return np.ascontiguousarray(np.stack([z_up[:, 0], z_up[:, 2], -z_up[:, 1]], axis=1), dtype=np.float32)
+    return np.stack([z_up[:, 0], z_up[:, 2], -z_up[:, 1]], axis=1)
 
 
-def _material(paint: Paint, images: list[str]) -> dict[str, Any]:
-    surface: dict[str, Any] = {"baseColorFactor": [*paint.color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
-    if paint.texture:
-        if paint.texture not in images:
-            images.append(paint.texture)
-        surface["baseColorTexture"] = {"index": images.index(paint.texture)}
-    material: dict[str, Any] = {"name": paint.name, "pbrMetallicRoughness": surface, "doubleSided": True}
-    if paint.unlit:
-        material["extensions"] = {"KHR_materials_unlit": {}}
-    return material
+def _material(material: MeshMaterial, builder: GlbBuilder) -> dict[str, Any]:
+    surface: dict[str, Any] = {"baseColorFactor": [*material.color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
+    if material.texture:
+        surface["baseColorTexture"] = {"index": builder.texture_file(material.texture)}
+    out: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+    if material.unlit:
+        out["extensions"] = {"KHR_materials_unlit": {}}
+    return out

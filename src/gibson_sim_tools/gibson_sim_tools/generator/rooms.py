@@ -1,4 +1,4 @@
-"""A floor of an indoor building as a scan would give it: dense, uneven surfaces and one baked atlas. For measuring renderers.
+"""Generates an indoor floor like a scan, for benchmarks of renderers: dense, uneven surfaces and one baked atlas.
 
 Twelve rooms of 14 x 10 m, 2.6 m high, joined by doors and furnished. The plan is always the same; the seed decides furniture,
 unevenness and pictures; the number of triangles decides nothing but the density. x to the east, y to the north, z up, the origin
@@ -23,8 +23,8 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
 from gibson_sim.picture_files import write_picture
 from gibson_sim.writing import write_file
 from gibson_sim_tools.generator import rooms_atlas, rooms_furniture
-from gibson_sim_tools.generator.gltf import Paint, Solid, write_glb
-from gibson_sim_tools.generator.rooms_atlas import Face
+from gibson_sim_tools.generator.gltf import MeshBuilder, MeshMaterial, write_glb
+from gibson_sim_tools.generator.rooms_atlas import AtlasFace
 from gibson_sim_tools.generator.rooms_furniture import RoundedBox
 
 F64 = NDArray[np.float64]
@@ -38,14 +38,14 @@ DOOR_WIDTH = 1.0
 DOOR_HEIGHT = 2.05
 CAMERA_HEIGHT = 1.2
 _BELOW = 0.03
-"""Walls reach this far below the floor and above the ceiling, which are uneven."""
+"""Extension of walls below the uneven floor and above the uneven ceiling, metres."""
 _TOUR = ((0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2), (0, 1))
-"""(column, row) of the rooms in the order in which the camera visits them."""
+"""(column, row) of the rooms in the order of the camera path."""
 _MORE_DOORS = (((1, 0), (1, 1)), ((2, 1), (3, 1)), ((0, 1), (1, 1)))
 _DOOR_SHIFT = (0.3, -0.4, 0.1, 0.35, -0.2, -0.35, 0.25, 0.0, -0.3, 0.4, -0.1, 0.2, 0.5, -0.5, 0.4)
-"""Doors stand this far from the middle of their walls, metres."""
+"""Offsets of doors from the centres of their walls, metres."""
 FURNITURE_DENSITY = 0.7
-"""Edges of triangles of furniture, as a part of those of the building."""
+"""Edge length of furniture triangles relative to those of the building."""
 _WALLS = ((0.86, 0.82, 0.74), (0.70, 0.78, 0.82), (0.84, 0.74, 0.70), (0.76, 0.82, 0.70), (0.88, 0.86, 0.84), (0.80, 0.72, 0.56))
 _FLOORS = (
     ("planks", (0.68, 0.50, 0.32)),
@@ -56,32 +56,32 @@ _FLOORS = (
 
 
 @dataclass(frozen=True)
-class Door:
+class Doorway:
     """An opening in the wall between two rooms."""
 
     rooms: tuple[tuple[int, int], tuple[int, int]]
     axis: int
-    """The axis along which it is walked through: 0 = x."""
+    """Axis of passage: 0 = x."""
     at: float
-    """Coordinate along ``axis`` of the middle of the wall."""
+    """Coordinate of the wall's centre along ``axis``."""
     middle: float
-    """Coordinate along the wall of the middle of the door."""
+    """Coordinate of the door's centre along the wall."""
 
     def point(self, through: float) -> tuple[float, float]:
-        """Returns the place ``through`` metres behind the middle of the door, seen from its first room."""
+        """Returns the point ``through`` metres behind the centre of the door, seen from its first room."""
         forward = 1.0 if sum(self.rooms[1]) > sum(self.rooms[0]) else -1.0
         along = self.at + forward * through
         return (along, self.middle) if self.axis == 0 else (self.middle, along)
 
 
-def _doors() -> tuple[Door, ...]:
+def _doors() -> tuple[Doorway, ...]:
     pairs = [*zip(_TOUR, (*_TOUR[1:], _TOUR[0]), strict=True), *_MORE_DOORS]
     doors = []
     for (a, b), shift in zip(pairs, _DOOR_SHIFT, strict=True):
         axis = 0 if a[0] != b[0] else 1
         lines, others = (COLUMNS, ROWS) if axis == 0 else (ROWS, COLUMNS)
         across = a[1 - axis]
-        doors.append(Door((a, b), axis, lines[max(a[axis], b[axis])], (others[across] + others[across + 1]) / 2 + shift))
+        doors.append(Doorway((a, b), axis, lines[max(a[axis], b[axis])], (others[across] + others[across + 1]) / 2 + shift))
     return tuple(doors)
 
 
@@ -90,17 +90,17 @@ DOORS = _doors()
 
 @dataclass(frozen=True)
 class Sheet:
-    """A flat surface that is scanned unevenly: a rectangle with at most one rectangular hole."""
+    """An uneven, nearly flat surface: a rectangle with at most one rectangular hole."""
 
-    face: Face
+    face: AtlasFace
     origin: F64
     """(3,), the corner with the least u and v."""
     u: F64
     """(3,), unit vector."""
     v: F64
-    """(3,), unit vector; ``u x v`` is the way the surface faces."""
+    """(3,), unit vector; ``u x v`` is the normal."""
     breaks_u: tuple[float, ...]
-    """Metres along u where vertices must lie: both ends, and the sides of the hole."""
+    """Required vertex positions along u, metres: both ends, and the sides of the hole."""
     breaks_v: tuple[float, ...]
     hole: tuple[float, float, float, float] | None = None
     """(u0, u1, v0, v1), metres."""
@@ -152,7 +152,7 @@ class Sheet:
 class BoxSide:
     """One of the six sides of a rounded box."""
 
-    face: Face
+    face: AtlasFace
     box: RoundedBox
     axis: int
     side: float
@@ -179,7 +179,7 @@ class BoxSide:
         normal = p - core
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         local = core + self.box.radius * normal
-        # Vertices on an edge belong to two sides: what moves them must depend on the place alone.
+        # Vertices on an edge belong to two sides, so their displacement depends on the position alone.
         height = 0.004 * min(1.0, float(half.min()) / 0.1)
         local = local + (height * wobble(local + self.box.center, seed + 2, 0.4))[:, None] * normal
         triangles = _grid_triangles(len(along[0]), len(along[1]), rng)
@@ -187,7 +187,7 @@ class BoxSide:
         return self.box.to_world(local), place, triangles if self.side > 0 else triangles[:, ::-1]
 
 
-Surface = Sheet | BoxSide
+ScannedSurface = Sheet | BoxSide
 
 
 def _cells(breaks: tuple[float, ...], step: float) -> int:
@@ -200,7 +200,7 @@ def _nodes(breaks: tuple[float, ...], step: float) -> F64:
 
 
 def _grid_triangles(n_u: int, n_v: int, rng: np.random.Generator) -> I64:
-    """Returns (2 cells, 3): two triangles a cell, counter-clockwise, the diagonal by chance."""
+    """Returns (2 cells, 3): two counter-clockwise triangles per cell, with a random diagonal."""
     corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
     a, b, c, d = corner, corner + n_v, corner + n_v + 1, corner + 1
     one = np.stack([a, b, c, a, c, d], axis=1)
@@ -209,7 +209,7 @@ def _grid_triangles(n_u: int, n_v: int, rng: np.random.Generator) -> I64:
 
 
 def wobble(points: ArrayLike, seed: int, length: float) -> F64:
-    """Returns smooth noise, (N,), about -1 to 1, of points (N, 3) in metres; waves are about ``length`` metres long."""
+    """Returns smooth noise, (N,), about -1 to 1, at points (N, 3) in metres, with a wavelength of about ``length`` metres."""
     rng = np.random.default_rng([seed, 77])
     waves = rng.normal(size=(6, 3))
     waves *= (2 * math.pi / length * rng.uniform(0.7, 1.4, 6) / np.linalg.norm(waves, axis=1))[:, None]
@@ -217,15 +217,15 @@ def wobble(points: ArrayLike, seed: int, length: float) -> F64:
     return total
 
 
-def _building(rng: np.random.Generator) -> Iterator[Surface]:
+def _building(rng: np.random.Generator) -> Iterator[ScannedSurface]:
     for number, (column, row) in enumerate(product(range(len(COLUMNS) - 1), range(len(ROWS) - 1))):
         low, high = (COLUMNS[column], ROWS[row]), (COLUMNS[column + 1], ROWS[row + 1])
         size = (high[0] - low[0], high[1] - low[1])
         kind, tint = _FLOORS[number % len(_FLOORS)]
         across = ((0.0, size[0]), (0.0, size[1]))
         ex, ey = np.eye(3)[:2]
-        yield Sheet(Face("floor", "floor", size, kind, tint), np.array([*low, 0.0]), ex, ey, *across)
-        above = Face("ceiling", "ceiling", (size[1], size[0]), "plaster", (0.92, 0.92, 0.9))
+        yield Sheet(AtlasFace("floor", "floor", size, kind, tint), np.array([*low, 0.0]), ex, ey, *across)
+        above = AtlasFace("ceiling", "ceiling", (size[1], size[0]), "plaster", (0.92, 0.92, 0.9))
         yield Sheet(above, np.array([*low, HEIGHT]), ey, ex, across[1], across[0])
         color = _WALLS[int(rng.integers(len(_WALLS)))]
         for axis, side in product((0, 1), (-1, 1)):
@@ -247,7 +247,7 @@ def _wall(room: tuple[int, int], axis: int, side: int, color: tuple[float, float
     length, height = end - start, HEIGHT + 2 * _BELOW
     neighbour = (room[0] + side, room[1]) if axis == 0 else (room[0], room[1] + side)
     door = next((d for d in DOORS if set(d.rooms) == {room, neighbour}), None)
-    # Every wall has vertices at the height of the doors, so that walls meet without cracks.
+    # Every wall has vertices at door height, so that walls join without cracks.
     top = DOOR_HEIGHT + _BELOW
     breaks_u: tuple[float, ...] = (0.0, length)
     hole = None
@@ -255,12 +255,12 @@ def _wall(room: tuple[int, int], axis: int, side: int, color: tuple[float, float
         middle = abs(door.middle - first)
         hole = (middle - DOOR_WIDTH / 2, middle + DOOR_WIDTH / 2, 0.0, top)
         breaks_u = (0.0, *hole[:2], length)
-    face = Face("walls", "wall", (length, height), "wall" if door is not None else "decorated wall", color)
+    face = AtlasFace("walls", "wall", (length, height), "wall" if door is not None else "decorated wall", color)
     return Sheet(face, origin, u, np.array([0.0, 0.0, 1.0]), breaks_u, (0.0, top, height), hole)
 
 
-def _door_reveals(door: Door) -> Iterator[Sheet]:
-    """The two sides and the top of a doorway."""
+def _door_reveals(door: Doorway) -> Iterator[Sheet]:
+    """Yields the two sides and the top of a doorway."""
     white = (0.90, 0.89, 0.86)
     through, along, up = np.eye(3)[door.axis], np.eye(3)[1 - door.axis], np.eye(3)[2]
     deep, top = (0.0, 2 * HALF_WALL), DOOR_HEIGHT + _BELOW
@@ -270,13 +270,19 @@ def _door_reveals(door: Door) -> Iterator[Sheet]:
         forward = -side * float(np.linalg.det(np.stack([through, up, along])))
         origin = base + through * (door.at - forward * HALF_WALL)
         yield Sheet(
-            Face("walls", "wall", (deep[1], top), "plaster", white), origin, forward * through, up, deep, (0.0, top), rough=0.0
+            AtlasFace("walls", "wall", (deep[1], top), "plaster", white),
+            origin,
+            forward * through,
+            up,
+            deep,
+            (0.0, top),
+            rough=0.0,
         )
     span = (0.0, DOOR_WIDTH)
     origin = along * (door.middle - DOOR_WIDTH / 2) + up * DOOR_HEIGHT
     first, second = (along, through) if np.linalg.det(np.stack([along, through, up])) < 0 else (through, along)
     breaks = (span, deep) if first is along else (deep, span)
-    face = Face("walls", "wall", (breaks[0][1], breaks[1][1]), "plaster", white)
+    face = AtlasFace("walls", "wall", (breaks[0][1], breaks[1][1]), "plaster", white)
     yield Sheet(face, origin + through * (door.at - HALF_WALL), first, second, *breaks, rough=0.0)
 
 
@@ -291,12 +297,12 @@ def _furniture(seed: int) -> Iterator[BoxSide]:
         for box in piece.boxes:
             for axis, side in product(range(3), (-1.0, 1.0)):
                 a, b = (axis + 1) % 3, (axis + 2) % 3
-                face = Face(piece.name, piece.semantic_class, (2 * box.half[a], 2 * box.half[b]), box.pattern, box.color)
+                face = AtlasFace(piece.name, piece.semantic_class, (2 * box.half[a], 2 * box.half[b]), box.pattern, box.color)
                 yield BoxSide(face, box, axis, side)
 
 
 def rooms_parts(triangles: int, seed: int = 0, atlas: int = 4096) -> dict[str, tuple[str, MeshPart]]:
-    """Returns semantic class and mesh of every object by its name: floor, walls, ceiling, and each piece of furniture.
+    """Returns semantic class and mesh of every object by name: floor, walls, ceiling, and each piece of furniture.
 
     Args:
         triangles: of all parts together, met within 3 percent.
@@ -304,7 +310,7 @@ def rooms_parts(triangles: int, seed: int = 0, atlas: int = 4096) -> dict[str, t
         atlas: width and height of the one texture that all parts share, pixels.
     """
     rng = np.random.default_rng([seed, 3])
-    surfaces: list[Surface] = [*_building(rng), *_furniture(seed)]
+    surfaces: list[ScannedSurface] = [*_building(rng), *_furniture(seed)]
     step = _step_for(surfaces, triangles)
     places = rooms_atlas.pack([s.face.size for s in surfaces], atlas)
     pixels = rooms_atlas.paint([s.face for s in surfaces], places, seed)
@@ -329,8 +335,8 @@ def _part(vertices: F64, uvs: F64, triangles: I64, material: Material) -> MeshPa
     return MeshPart(vertices.astype(np.float32), normals, uvs.astype(np.float32), triangles.astype(np.uint32), material)
 
 
-def _step_for(surfaces: list[Surface], triangles: int) -> float:
-    """Returns the length of edges that gives about this many triangles."""
+def _step_for(surfaces: list[ScannedSurface], triangles: int) -> float:
+    """Returns the edge length that gives about this number of triangles."""
     low, high = 0.002, 3.0
     for _ in range(30):
         step = math.sqrt(low * high)
@@ -347,7 +353,7 @@ def rooms_mesh(triangles: int, seed: int = 0, atlas: int = 4096) -> Mesh:
 
 
 def merged(parts: dict[str, tuple[str, MeshPart]]) -> Mesh:
-    """Returns parts with one material as a mesh of one part."""
+    """Returns the parts, which share a material, as a mesh of one part."""
     every = [part for _, part in parts.values()]
     starts = np.cumsum([0, *(len(p.vertices) for p in every)])
     triangles = np.concatenate([p.triangles + np.uint32(start) for p, start in zip(every, starts, strict=False)])
@@ -357,7 +363,7 @@ def merged(parts: dict[str, tuple[str, MeshPart]]) -> Mesh:
 
 
 def _path() -> F64:
-    """Returns the drive through all rooms, (M, 2), closed: the last point is followed by the first."""
+    """Returns the closed camera path through all rooms, (M, 2)."""
     corners: list[tuple[float, float]] = []
     doors = DOORS[: len(_TOUR)]
     for number, (column, row) in enumerate(_TOUR):
@@ -366,7 +372,7 @@ def _path() -> F64:
         corners += [doors[number].point(-0.6), doors[number].point(0.0)]
     points = np.array(corners)
     for _ in range(4):
-        # Chaikin's corner cutting; it stays inside the corners, so it stays clear of the walls.
+        # Chaikin's corner cutting; the path stays inside its corners, clear of the walls.
         following = np.roll(points, -1, axis=0)
         points = np.stack([0.75 * points + 0.25 * following, 0.25 * points + 0.75 * following], axis=1).reshape(-1, 2)
     return points
@@ -424,7 +430,7 @@ def make_rooms(folder: Path, seed: int = 0, triangles: int = 100_000, atlas: int
 
 
 def _write(path: Path, part: MeshPart, texture: str) -> None:
-    solid = Solid()
+    solid = MeshBuilder()
     assert part.uvs is not None
-    solid.add(Paint("rooms", texture, unlit=True), part.vertices, part.normals, part.uvs, part.triangles)
+    solid.add(MeshMaterial("rooms", texture, unlit=True), part.vertices, part.normals, part.uvs, part.triangles)
     write_glb(path, solid)

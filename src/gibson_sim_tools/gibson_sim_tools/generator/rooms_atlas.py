@@ -1,4 +1,4 @@
-"""The atlas of the scanned rooms: packs one rectangle for each surface and paints it."""
+"""Packs and paints the atlas of the scanned rooms, one rectangle per surface."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from gibson_sim_tools.generator import textures
 F64 = NDArray[np.float64]
 Rgb = tuple[float, float, float]
 _GUTTER = 3
-"""Pixels around each rectangle that continue its picture, for filtering and small mip levels."""
+"""Border that extends each rectangle's picture, for filtering and small mip levels, pixels."""
 _FINE = 40
-"""From this many pixels a metre on patterns are painted; below that, plain colours."""
+"""Density from which patterns are painted instead of plain colours, pixels per metre."""
 
 
 @dataclass(frozen=True)
-class Face:
-    """What a surface looks like."""
+class AtlasFace:
+    """Size and appearance of a surface."""
 
     name: str
-    """Of the object that it belongs to."""
+    """Name of its object."""
     semantic_class: str
     size: tuple[float, float]
     """Width and height, metres."""
@@ -34,8 +34,8 @@ class Face:
 
 
 @dataclass(frozen=True)
-class Places:
-    """Where the surfaces lie in the atlas."""
+class AtlasLayout:
+    """Positions of the surfaces in the atlas."""
 
     size: int
     """Width and height of the atlas, pixels."""
@@ -44,8 +44,8 @@ class Places:
     """(x, y, width, height) of each surface, pixels, without its gutter; x and y are corners of pixels."""
 
 
-def pack(sizes: Sequence[tuple[float, float]], atlas: int) -> Places:
-    """Returns places for surfaces of these sizes (metres), at the finest scale at which all fit.
+def pack(sizes: Sequence[tuple[float, float]], atlas: int) -> AtlasLayout:
+    """Packs surfaces of these sizes (metres) at the finest scale at which all fit.
 
     Raises:
         ConfigError: the atlas is too small for so many surfaces.
@@ -60,11 +60,11 @@ def pack(sizes: Sequence[tuple[float, float]], atlas: int) -> Places:
             low, best = middle, rects
     if best is None:
         raise ConfigError(f"an atlas of {atlas} x {atlas} pixels is too small for {len(sizes)} surfaces; take 1024 or more")
-    return Places(atlas, low, best)
+    return AtlasLayout(atlas, low, best)
 
 
 def _shelves(sizes: list[tuple[int, int]], atlas: int) -> list[tuple[int, int, int, int]] | None:
-    """Returns rectangles on shelves, highest first, or None if they do not fit."""
+    """Returns rectangles packed on shelves, highest first, or None if they do not fit."""
     rects: list[tuple[int, int, int, int]] = [(0, 0, 0, 0)] * len(sizes)
     x = y = shelf = 0
     for i in sorted(range(len(sizes)), key=lambda i: (-sizes[i][1], -sizes[i][0], i)):
@@ -78,7 +78,7 @@ def _shelves(sizes: list[tuple[int, int]], atlas: int) -> list[tuple[int, int, i
     return rects
 
 
-def paint(faces: Sequence[Face], places: Places, seed: int) -> NDArray[np.uint8]:
+def paint(faces: Sequence[AtlasFace], places: AtlasLayout, seed: int) -> NDArray[np.uint8]:
     """Returns the atlas, (size, size, 3) uint8 sRGB."""
     rng = np.random.default_rng([seed, 11])
     size = places.size
@@ -93,7 +93,7 @@ def paint(faces: Sequence[Face], places: Places, seed: int) -> NDArray[np.uint8]
 
 
 def _picture(
-    face: Face, shape: tuple[int, int], px_per_m: int, grain: NDArray[np.float32], rng: np.random.Generator
+    face: AtlasFace, shape: tuple[int, int], px_per_m: int, grain: NDArray[np.float32], rng: np.random.Generator
 ) -> textures.Image:
     """Returns (h, w, 3) uint8."""
     h, w = shape
@@ -124,14 +124,14 @@ def _picture(
 
 
 def _edges(x: F64, y: F64) -> F64:
-    """Returns how much light reaches each place: less near the edges, (h, w)."""
+    """Returns the light at each pixel, (h, w), less near the edges."""
     near = np.minimum(np.minimum(x, x[:, ::-1]), np.minimum(y, y[::-1]))
     result: F64 = 1.0 - 0.25 * np.exp(-near / 0.08)
     return result
 
 
 def _decorate(wall: textures.Image, px_per_m: int, rng: np.random.Generator) -> None:
-    """Hangs a picture or paints a window on a wall, at the height of the eyes."""
+    """Adds a picture or a window to a wall at eye height."""
     w = wall.shape[1]
     wide, tall = min(round(rng.uniform(0.7, 1.4) * px_per_m), w // 2), round(rng.uniform(0.6, 0.9) * px_per_m)
     made = textures.painting(rng) if rng.random() < 0.6 else textures.view_outside(rng)

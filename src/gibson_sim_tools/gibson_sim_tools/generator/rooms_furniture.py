@@ -1,4 +1,4 @@
-"""Furniture of the scanned rooms: rounded boxes along the walls, clear of doors and of the way of the camera."""
+"""Furniture of the scanned rooms: rounded boxes along the walls, clear of doors and of the camera path."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ F64 = NDArray[np.float64]
 Rgb = tuple[float, float, float]
 Rect = tuple[float, float, float, float]
 _CLEAR_OF_WAY = 0.4
-"""Between the way of the camera and furniture, metres."""
+"""Least distance between camera path and furniture, metres."""
 _CORNER = 1.0
-"""Furniture on the walls along y keeps this far from corners, where the walls along x may have some, metres."""
+"""Distance of furniture on walls along y from corners, which furniture on walls along x may occupy, metres."""
 
 
 @dataclass(frozen=True)
@@ -28,20 +28,20 @@ class RoundedBox:
     pattern: str
     color: Rgb
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of its piece, in the world."""
+    """Origin of its piece, world frame."""
     yaw: float = 0.0
-    """Of its piece, radians."""
+    """Yaw of its piece, radians."""
 
     def to_world(self, local: F64) -> F64:
-        """Returns points (N, 3), given relative to the centre of the box, in the world."""
+        """Returns points (N, 3), relative to the centre of the box, in the world frame."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         points: F64 = (local + self.center) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + self.origin
         return points
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A piece of furniture. In its own frame it stands on z = 0 with its back at y = 0, from x = 0 to its width."""
+class RoomsPiece:
+    """A piece of furniture. Its frame: on z = 0, back at y = 0, from x = 0 to its width."""
 
     name: str
     semantic_class: str
@@ -77,15 +77,15 @@ def _wood(rng: np.random.Generator) -> Rgb:
     return (0.68 * f, 0.48 * f, 0.30 * f)
 
 
-def _table(rng: np.random.Generator) -> Piece:
+def _table(rng: np.random.Generator) -> RoomsPiece:
     w, d, wood = float(rng.uniform(1.0, 1.5)), 0.7, _wood(rng)
     boxes = [*_legs(w, d, 0.71, wood), _box(0, w, 0.02, d, 0.70, 0.74, 0.015, "wood", wood)]
     boxes.append(_ball(0.3 * w, 0.35, 0.84, 0.1, "stripes", _color(rng)))
     boxes.append(_box(0.55 * w, 0.55 * w + 0.3, 0.2, 0.42, 0.74, 0.79, 0.01, "books", _color(rng)))
-    return Piece("", "table", (w, d), tuple(boxes))
+    return RoomsPiece("", "table", (w, d), tuple(boxes))
 
 
-def _sofa(rng: np.random.Generator) -> Piece:
+def _sofa(rng: np.random.Generator) -> RoomsPiece:
     w, d, cloth, other = float(rng.uniform(1.5, 1.9)), 0.85, _color(rng), _color(rng)
     boxes = [
         _box(0, w, 0.02, d, 0.08, 0.42, 0.07, "fabric", cloth),
@@ -95,19 +95,19 @@ def _sofa(rng: np.random.Generator) -> Piece:
         _box(0.25, 0.7, 0.22, 0.38, 0.42, 0.78, 0.07, "stripes", other),
         _box(w - 0.7, w - 0.25, 0.22, 0.38, 0.42, 0.78, 0.07, "stripes", other),
     ]
-    return Piece("", "sofa", (w, d), tuple(boxes))
+    return RoomsPiece("", "sofa", (w, d), tuple(boxes))
 
 
-def _cupboard(rng: np.random.Generator) -> Piece:
+def _cupboard(rng: np.random.Generator) -> RoomsPiece:
     w, d, h, wood = float(rng.uniform(0.8, 1.2)), 0.45, float(rng.uniform(0.9, 2.0)), _wood(rng)
     boxes = [_box(0, w, 0.02, d, 0.0, h, 0.02, "wood", wood)]
     for x in (0.02, w / 2 + 0.01):
         boxes.append(_box(x, x + w / 2 - 0.03, d - 0.01, d + 0.02, 0.08, h - 0.04, 0.01, "wood", wood))
     boxes += [_ball(w / 2 + x, d + 0.03, 0.55 * h, 0.02, "plaster", (0.3, 0.3, 0.3)) for x in (-0.06, 0.06)]
-    return Piece("", "cupboard", (w, d + 0.05), tuple(boxes))
+    return RoomsPiece("", "cupboard", (w, d + 0.05), tuple(boxes))
 
 
-def _shelf(rng: np.random.Generator) -> Piece:
+def _shelf(rng: np.random.Generator) -> RoomsPiece:
     w, d, h, wood = float(rng.uniform(0.7, 1.1)), 0.3, 1.8, _wood(rng)
     boxes = [_box(x, x + 0.03, 0.02, d, 0.0, h, 0.005, "wood", wood) for x in (0.0, w - 0.03)]
     for level in range(5):
@@ -118,10 +118,10 @@ def _shelf(rng: np.random.Generator) -> Piece:
             boxes.append(
                 _box(0.04, end, 0.03, 0.24, z + 0.03, z + float(rng.uniform(0.22, 0.33)), 0.01, "books", (0.5, 0.4, 0.3))
             )
-    return Piece("", "shelf", (w, d), tuple(boxes))
+    return RoomsPiece("", "shelf", (w, d), tuple(boxes))
 
 
-def _bed(rng: np.random.Generator) -> Piece:
+def _bed(rng: np.random.Generator) -> RoomsPiece:
     w, d, cloth, wood = 1.95, 0.9, _color(rng), _wood(rng)
     boxes = [
         _box(0, w, 0.02, d, 0.1, 0.3, 0.02, "wood", wood),
@@ -130,35 +130,35 @@ def _bed(rng: np.random.Generator) -> Piece:
         _box(0.08, 0.5, 0.15, d - 0.15, 0.46, 0.62, 0.07, "fabric", (0.9, 0.9, 0.9)),
         _box(0, 0.05, 0.02, d, 0.1, 0.95, 0.02, "wood", wood),
     ]
-    return Piece("", "bed", (w, d), tuple(boxes))
+    return RoomsPiece("", "bed", (w, d), tuple(boxes))
 
 
-def _chair(rng: np.random.Generator) -> Piece:
+def _chair(rng: np.random.Generator) -> RoomsPiece:
     w, wood = 0.46, _wood(rng)
     boxes = [*_legs(w, w, 0.44, wood, 0.04), _box(0, w, 0.03, w, 0.43, 0.48, 0.02, "fabric", _color(rng))]
     boxes.append(_box(0, w, 0.03, 0.08, 0.46, 0.95, 0.02, "wood", wood))
-    return Piece("", "chair", (w, w), tuple(boxes))
+    return RoomsPiece("", "chair", (w, w), tuple(boxes))
 
 
-def _lamp(rng: np.random.Generator) -> Piece:
+def _lamp(rng: np.random.Generator) -> RoomsPiece:
     boxes = [
         _box(0.05, 0.35, 0.05, 0.35, 0.0, 0.04, 0.015, "plaster", (0.25, 0.25, 0.26)),
         _box(0.185, 0.215, 0.185, 0.215, 0.03, 1.45, 0.01, "plaster", (0.3, 0.3, 0.3)),
         _box(0.02, 0.38, 0.02, 0.38, 1.35, 1.7, 0.12, "stripes", (0.95, 0.88, 0.7)),
     ]
-    return Piece("", "lamp", (0.4, 0.4), tuple(boxes))
+    return RoomsPiece("", "lamp", (0.4, 0.4), tuple(boxes))
 
 
-def _plant(rng: np.random.Generator) -> Piece:
+def _plant(rng: np.random.Generator) -> RoomsPiece:
     boxes = [_box(0.1, 0.4, 0.1, 0.4, 0.0, 0.32, 0.06, "plaster", (0.62, 0.33, 0.22))]
     for _ in range(9):
         x, y = rng.uniform(0.12, 0.38, 2)
         green = (0.16, float(rng.uniform(0.32, 0.55)), 0.14)
         boxes.append(_ball(float(x), float(y), float(rng.uniform(0.45, 1.1)), float(rng.uniform(0.06, 0.12)), "carpet", green))
-    return Piece("", "plant", (0.5, 0.5), tuple(boxes))
+    return RoomsPiece("", "plant", (0.5, 0.5), tuple(boxes))
 
 
-_MAKERS: tuple[Callable[[np.random.Generator], Piece], ...] = (
+_MAKERS: tuple[Callable[[np.random.Generator], RoomsPiece], ...] = (
     _table,
     _sofa,
     _cupboard,
@@ -173,14 +173,14 @@ _MAKERS: tuple[Callable[[np.random.Generator], Piece], ...] = (
 
 def furnish(
     rooms: Sequence[Rect], doors: Sequence[tuple[int, float, float]], way: F64, rng: np.random.Generator
-) -> Iterator[Piece]:
-    """Yields pieces in their places, with unique names.
+) -> Iterator[RoomsPiece]:
+    """Yields placed pieces with unique names.
 
     Args:
         rooms: (x0, y0, x1, y1), the insides of the walls, metres.
-        doors: axis that is walked along, coordinate along it, and middle along the wall.
-        way: (M, 2), where the camera drives.
-        rng: decides what stands where.
+        doors: axis of passage, coordinate along it, and centre along the wall.
+        way: (M, 2), camera path.
+        rng: decides kinds and positions.
     """
     count: dict[str, int] = {}
     for room in rooms:
@@ -191,7 +191,7 @@ def furnish(
             yield replace(piece, name=f"{piece.semantic_class}_{count[piece.semantic_class]}")
 
 
-def _along_walls(room: Rect, doors: Sequence[tuple[int, float, float]], rng: np.random.Generator) -> Iterator[Piece]:
+def _along_walls(room: Rect, doors: Sequence[tuple[int, float, float]], rng: np.random.Generator) -> Iterator[RoomsPiece]:
     x0, y0, x1, y1 = room
     # Wall: axis of its normal, coordinate, from, to, origin of a piece at ``s`` along it, yaw (y of the piece points into the room).
     walls = (
@@ -213,25 +213,25 @@ def _along_walls(room: Rect, doors: Sequence[tuple[int, float, float]], rng: np.
                 s += float(rng.uniform(0.1, 0.35))
 
 
-def _in_the_room(room: Rect, rng: np.random.Generator) -> Iterator[Piece]:
+def _in_the_room(room: Rect, rng: np.random.Generator) -> Iterator[RoomsPiece]:
     x, y = (room[0] + room[2]) / 2, (room[1] + room[3]) / 2
     lamp = (
         _box(-0.01, 0.01, -0.01, 0.01, 2.25, 2.62, 0.004, "plaster", (0.2, 0.2, 0.2)),
         _ball(0.0, 0.0, 2.15, 0.17, "stripes", (0.97, 0.93, 0.82)),
     )
-    yield _placed(Piece("", "ceiling_lamp", (0.0, 0.0), lamp), (x, y, 0.0), 0.0)
+    yield _placed(RoomsPiece("", "ceiling_lamp", (0.0, 0.0), lamp), (x, y, 0.0), 0.0)
     for _ in range(3):
         r = float(rng.uniform(0.08, 0.2))
         at = (float(rng.uniform(room[0] + 1.0, room[2] - 1.0)), float(rng.uniform(room[1] + 1.0, room[3] - 1.0)), r)
-        yield _placed(Piece("", "ball", (0.3, 0.3), (_ball(0.15, 0.15, 0.0, r, "stripes", _color(rng)),)), at, 0.0)
+        yield _placed(RoomsPiece("", "ball", (0.3, 0.3), (_ball(0.15, 0.15, 0.0, r, "stripes", _color(rng)),)), at, 0.0)
 
 
-def _placed(piece: Piece, origin: tuple[float, float, float], yaw: float) -> Piece:
+def _placed(piece: RoomsPiece, origin: tuple[float, float, float], yaw: float) -> RoomsPiece:
     return replace(piece, boxes=tuple(replace(b, origin=origin, yaw=yaw) for b in piece.boxes))
 
 
-def _is_clear(piece: Piece, way: F64) -> bool:
-    """Whether a piece leaves the camera its way; what hangs from the ceiling always does."""
+def _is_clear(piece: RoomsPiece, way: F64) -> bool:
+    """Returns whether a piece is clear of the camera path; ceiling lamps always are."""
     if piece.semantic_class == "ceiling_lamp":
         return True
     box = piece.boxes[0]

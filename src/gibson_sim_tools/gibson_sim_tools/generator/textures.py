@@ -32,7 +32,7 @@ def plain(rng: np.random.Generator, color: Rgb, size: int = 256, roughness: floa
 
 
 def wall(rng: np.random.Generator, color: Rgb, size: int = 256) -> Image:
-    """Painted plaster from ceiling (top row) to floor, darker towards both, as light from everywhere leaves it."""
+    """Painted plaster from ceiling (top row) to floor, darker towards both, as under ambient light."""
     v = np.linspace(0.0, 1.0, size)[:, None]
     shade = 1.0 - 0.22 * np.exp(-v / 0.06) - 0.26 * np.exp(-(1.0 - v) / 0.07) - 0.05 * v
     grain = noise(rng, size, size, (6, 6), 6) * 0.025
@@ -91,11 +91,11 @@ def tiles(rng: np.random.Generator, metres: tuple[float, float], px_per_m: int, 
 
 
 def shaded_floor(base: Floats, px_per_m: int, footprints: list[tuple[float, float, float, float]]) -> Image:
-    """Darkens a floor along its walls and under furniture, as light from everywhere would.
+    """Darkens a floor along its walls and under furniture, as under ambient light.
 
     Args:
         base: (H, W, 3), 0 to 1; row 0 is the far (greatest y) wall.
-        px_per_m: pixels of a metre.
+        px_per_m: pixels per metre.
         footprints: (x0, y0, x1, y1) of furniture, metres from the lower left corner of the room.
     """
     height, width = base.shape[:2]
@@ -118,7 +118,7 @@ def ceiling(size: int = 128) -> Image:
 
 
 def view_outside(rng: np.random.Generator, height: int = 256, width: int = 384) -> Image:
-    """What is seen through a window: sky, far trees, a lawn."""
+    """The view through a window: sky, distant trees, a lawn."""
     v = np.linspace(0.0, 1.0, height)[:, None, None]
     sky = (1 - v) * np.array([0.55, 0.74, 0.95]) + v * np.array([0.93, 0.96, 0.98])
     out = np.repeat(sky, width, axis=1)
@@ -135,7 +135,7 @@ def view_outside(rng: np.random.Generator, height: int = 256, width: int = 384) 
 
 
 def painting(rng: np.random.Generator, height: int = 192, width: int = 256) -> Image:
-    """An abstract picture with a dark signature at its lower right, so that a mirrored one is noticed."""
+    """An abstract picture with a dark signature at its lower right, which makes mirroring visible."""
     palette = rng.uniform(0.15, 0.95, (6, 3))
     canvas = np.tile(palette[0], (height, width, 1)).copy()
     for color in palette[1:]:
@@ -151,7 +151,7 @@ def painting(rng: np.random.Generator, height: int = 192, width: int = 256) -> I
 
 
 def book_spines(rng: np.random.Generator, height: int = 96, width: int = 256) -> Image:
-    """A row of books seen from their backs."""
+    """A row of book spines."""
     out = np.full((height, width, 3), 0.1)
     x = 0
     while x < width - 4:

@@ -1,1 +1,1 @@
-"""Brings other people's scenes into our own format, tells what is wrong with them, and mends what it can."""
+"""Imports third-party scenes into our format, checks them, and repairs what can be repaired."""

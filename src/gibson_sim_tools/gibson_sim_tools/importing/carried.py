@@ -1,4 +1,4 @@
-"""What a finished scene carries beside its meshes: rooms, maps, free poses, licence, thumbnail. What is missing, and what no longer fits."""
+"""Checks what a finished scene carries beside its meshes (rooms, maps, free poses, licence, thumbnail): what is missing or out of date."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ F64 = NDArray[np.float64]
 
 
 def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *, reach: float = 1.0) -> F64:
-    """Returns the level distance, metres, from places to the nearest triangle between two heights, (N,); at most ``reach``.
+    """Returns the horizontal distance, metres, from places to the nearest triangle between two heights, (N,); at most ``reach``.
 
     Args:
         corners: (F, 3, 3), world frame, metres.
         places: (N, 2), world x, y.
-        low: what is lower is no obstacle, metres.
-        high: nor is what is higher.
-        reach: metres.
+        low: lower edge of the obstacles that count, metres.
+        high: their upper edge, metres.
+        reach: largest distance that is measured, metres.
     """
     triangles = np.asarray(corners, dtype=np.float64).reshape(-1, 3, 3)
     between = (triangles[:, :, 2].max(axis=1) > low) & (triangles[:, :, 2].min(axis=1) < high)
@@ -43,7 +43,7 @@ def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *
 
 
 def _distances(polygons: F64, point: F64) -> F64:
-    """Returns the distances (P,) of convex polygons (P, K, 2), corners repeated, from a point (2,); 0 in them."""
+    """Returns the distances (P,) from a point (2,) to convex polygons (P, K, 2) with repeated corners; 0 inside a polygon."""
     edges = np.roll(polygons, -1, axis=1) - polygons
     to = point - polygons
     length = np.einsum("pki,pki->pk", edges, edges)
@@ -56,11 +56,11 @@ def _distances(polygons: F64, point: F64) -> F64:
 
 THUMBNAIL = "thumbnail.jpg"
 _SLACK = 0.001
-"""Metres: heights and places in the files are rounded."""
+"""Tolerance for the rounded heights and positions in the files, metres."""
 
 
 def missing(scene: SceneSpec) -> list[str]:
-    """Returns what a scene of ours lacks, in words; nothing of one that has no scene.yaml."""
+    """Returns what a scene lacks, in words; nothing for a scene without a scene.yaml."""
     if not (scene.root / DESCRIPTION).is_file():
         return []
     files = [*(f"floor_trav_{number}.png" for number in range(len(scene.floors))), FLOORS, FREE_POSES, "LICENSE", THUMBNAIL]
@@ -68,17 +68,17 @@ def missing(scene: SceneSpec) -> list[str]:
 
 
 def is_begun(scene: SceneSpec) -> bool:
-    """Returns whether somebody has begun to finish a scene: others need none of all that."""
+    """Returns whether a scene has rooms, free poses or a thumbnail; other scenes need none of the rest either."""
     return bool(scene.rooms) or any((scene.root / name).is_file() for name in (FREE_POSES, THUMBNAIL))
 
 
 def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:
-    """Yields what its maps and free poses say that is not so, in words.
+    """Yields, in words, what the maps and free poses of a scene state wrongly.
 
     Args:
         scene: as it was loaded.
-        radius: of a robot that must have room at every free pose, metres.
-        height: of that robot.
+        radius: of the robot that must fit at every free pose, metres.
+        height: of that robot, metres.
     """
     yield from _floors(scene)
     try:
@@ -100,7 +100,7 @@ def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]
 def free_distances(
     scene: SceneSpec, poses: Sequence[FreePose], height: float
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Returns metres from poses to the nearest thing, bodies too, up to a robot's height, (N,); at most 1; 1 on floors that are not there."""
+    """Returns the distances, (N,), metres, at most 1, from poses to the nearest obstacle or body below ``height``; 1 on missing floors."""
     out = np.ones(len(poses))
     if not poses:
         return out

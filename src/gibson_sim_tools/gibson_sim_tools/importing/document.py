@@ -1,4 +1,4 @@
-"""A scene on its way into our own format: what the importers make, and the folder that is written of it."""
+"""The result of an importer, and the scene folder that is written from it."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from gibson_sim_tools.importing.glb import write_glb
 from gibson_sim_tools.importing.left_out import LEFT_OUT, left_out_text
 
 ASSETS = "assets"
-"""Folder of meshes and textures in what is written."""
+"""Folder of meshes and textures in a written scene."""
 BAKED_LIGHT: Mapping[str, Any] = {"sun": 0.0, "ambient": 1.0}
-"""Of scans: the light of the room is in their textures."""
+"""``light`` of a scan, whose textures contain the light of the room."""
 
 
 SIMPLIFIED = "simplified"
@@ -42,7 +42,7 @@ class ImportedObject:
 
     name: str
     shape: Path | Mesh | Mapping[str, Any]
-    """A mesh file; a mesh that is to be written as GLB (z up, metres); or keys of a primitive."""
+    """A mesh file; a mesh to be written as GLB (z up, metres); or the keys of a primitive."""
     pose: Pose = field(default_factory=Pose)
     scale: Vec3 = (1.0, 1.0, 1.0)
     up_axis: str = ""
@@ -54,51 +54,51 @@ class ImportedObject:
     collision: Path | Mesh | str = "same"
     """``same``, ``none``, ``simplified``, or a mesh in the frame of the shape."""
     visible: bool = True
-    """False = it is solid, and not drawn."""
+    """False = it collides and is not drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorPicture:
-    """A map that came with a scene, beside our own ones, which are made of its triangles."""
+    """A map image that came with a scene; our own maps are made from its triangles."""
 
     file: Path
     resolution: float
     """Metres per pixel."""
     number: int
-    """Of its floor, from the lowest."""
+    """Index of its floor, from the lowest."""
 
 
 @dataclass(slots=True, eq=False)
 class ImportedScene:
-    """What an importer found."""
+    """What an importer read."""
 
     name: str
     kind: str
-    """What it was, in words: ``Gibson folder``."""
+    """Kind of the source, in words: ``Gibson folder``."""
     root: Path
-    """Folder that all its files lie in."""
+    """Folder that holds all its files."""
     objects: list[ImportedObject] = field(default_factory=list)
     description: str = ""
     light: Mapping[str, Any] = field(default_factory=dict)
     floors: tuple[float, ...] = ()
-    """Heights from the lowest, metres; empty = found by whoever loads it."""
+    """Heights from the lowest, metres; empty = estimated on loading."""
     ground_z: float | None = None
     gravity: Vec3 | None = None
     rooms: tuple[RoomSpec, ...] = ()
     starts: list[dict[str, Any]] = field(default_factory=list)
     maps: list[FloorPicture] = field(default_factory=list)
     licences: list[Path] = field(default_factory=list)
-    """Files that say who made it and what is allowed."""
+    """Licence and attribution files."""
     warnings: list[str] = field(default_factory=list)
     home: Path | None = None
-    """Folder that a scene.yaml beside the source goes to; None = that of the source."""
+    """Folder for a scene.yaml beside the source; None = the folder of the source."""
     loader: MeshLoader | None = None
-    """One that has read the meshes already, so that they need not be read again."""
+    """A loader that has the meshes in its cache."""
 
 
 @contextmanager
 def new_folder(output: Path) -> Iterator[Path]:
-    """Yields an empty folder beside ``output`` that takes its name once the block ends well; nothing is left where it does not.
+    """Yields an empty folder beside ``output``; it is renamed to ``output`` if the block succeeds, and removed if not.
 
     Raises:
         SceneError: there is something at ``output`` already, or it cannot be written.
@@ -129,7 +129,7 @@ def write_scene(scene: ImportedScene, output: Path) -> Path:
         SceneError: the folder is not empty, or a file cannot be read or written.
     """
     with new_folder(output) as folder:
-        writer = _Writer(scene.root, folder, scene.loader)
+        writer = _MeshCopier(scene.root, folder, scene.loader)
         document = scene_document(scene, writer)
         write_file(folder / DESCRIPTION, document)
         writer.maps(scene.maps, scene.floors)
@@ -145,8 +145,8 @@ def _write_left_out(scene: ImportedScene, folder: Path) -> None:
         write_file(folder / LEFT_OUT, text)
 
 
-def scene_document(scene: ImportedScene, writer: Placer) -> str:
-    """Returns the text of the scene.yaml; ``writer`` says where the files are, and puts them there."""
+def scene_document(scene: ImportedScene, writer: MeshPlacer) -> str:
+    """Returns the text of the scene.yaml; ``writer`` places the mesh files and returns their paths."""
     names: dict[str, int] = {}
     document: dict[str, Any] = {"name": scene.name}
     document["description"] = scene.description or f"Imported from a {scene.kind}"
@@ -172,7 +172,7 @@ def scene_document(scene: ImportedScene, writer: Placer) -> str:
     return head + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=140)
 
 
-def _object(item: ImportedObject, writer: Placer, names: dict[str, int]) -> dict[str, Any]:
+def _object(item: ImportedObject, writer: MeshPlacer, names: dict[str, int]) -> dict[str, Any]:
     names[item.name] = names.get(item.name, 0) + 1
     name = item.name if names[item.name] == 1 else f"{item.name}_{names[item.name]}"
     out: dict[str, Any] = {"name": name}
@@ -200,12 +200,12 @@ def _object(item: ImportedObject, writer: Placer, names: dict[str, int]) -> dict
     return out
 
 
-class Placer:
-    """Says where a mesh lies that a scene.yaml names. This one leaves files where they are; new meshes go below ``folder``.
+class MeshPlacer:
+    """Returns the paths of meshes for a scene.yaml. Leaves files where they are; new meshes are written below ``folder``.
 
     Args:
-        root: folder that the files of the source lie in.
-        folder: the one of the scene.yaml.
+        root: folder of the source files.
+        folder: folder of the scene.yaml.
     """
 
     def __init__(self, root: Path, folder: Path) -> None:
@@ -214,7 +214,7 @@ class Placer:
         self._taken: set[str] = set()
 
     def mesh(self, shape: Path | Mesh, name: str) -> str:
-        """Returns the path of a mesh, relative to the scene.yaml; one that is no file becomes one."""
+        """Returns the path of a mesh, relative to the scene.yaml; writes it if it is in memory."""
         if isinstance(shape, Mesh):
             return self._written(shape, name)
         return self._file(Path(os.path.realpath(shape)), name)
@@ -235,8 +235,8 @@ class Placer:
         return relative
 
 
-class _Writer(Placer):
-    """Copies every file that a mesh needs, at the same place below ``assets`` as it has below the root of the source."""
+class _MeshCopier(MeshPlacer):
+    """Copies every file of a mesh below ``assets``, at its path relative to the root of the source."""
 
     def __init__(self, root: Path, folder: Path, loader: MeshLoader | None) -> None:
         super().__init__(root, folder)
@@ -258,7 +258,7 @@ class _Writer(Placer):
         return relative
 
     def maps(self, maps: Sequence[FloorPicture], floors: Sequence[float]) -> None:
-        """Writes maps that came with the scene as those of Nav2: an image and a YAML file each."""
+        """Writes the maps of the source in Nav2's format: an image and a YAML file each."""
         from gibson_sim_tools.importing.floor_pictures import write_nav2_map
 
         for picture in maps:
@@ -267,7 +267,7 @@ class _Writer(Placer):
 
 
 def write_in_place(scene: ImportedScene, folder: Path) -> Path:
-    """Writes a scene.yaml into the folder of the source, whose files stay where they are, and returns it.
+    """Writes a scene.yaml into the folder of the source, whose files stay where they are, and returns its path.
 
     Raises:
         SceneError: there is one already, or a file of the scene lies elsewhere.
@@ -283,7 +283,7 @@ def write_in_place(scene: ImportedScene, folder: Path) -> Path:
         raise SceneError(
             f"{outside[0]}: lies outside {folder}, where the scene.yaml would go; give --output FOLDER to copy all files"
         )
-    write_file(path, scene_document(scene, Placer(folder, folder)))
+    write_file(path, scene_document(scene, MeshPlacer(folder, folder)))
     _write_left_out(scene, folder)
     return path
 
@@ -300,7 +300,7 @@ def rpy_deg(matrix: Any) -> list[float]:
 
 
 def file_name(name: str) -> str:
-    """Returns a name that every file system takes."""
+    """Returns a name that is valid on every file system."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._")[:80] or "object"
 
 

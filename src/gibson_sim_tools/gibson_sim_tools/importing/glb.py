@@ -1,4 +1,4 @@
-"""Writes a mesh as one GLB file, its textures inside: glTF 2.0, y up, metres."""
+"""Writes a mesh as one GLB file with embedded textures: glTF 2.0, y up, metres."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.formats.glb import glb_bytes
-from gibson_sim.formats.mesh import TO_Z_UP, Material, Mesh, MeshPart, TextureSource
+from gibson_sim.formats.glb import GlbBuilder
+from gibson_sim.formats.mesh import TO_Z_UP, Material, Mesh, TextureSource
 from gibson_sim.geometry.colours import linear16_from_srgb8, linear_from_srgb
 from gibson_sim.writing import write_file
 
-_FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _JPEG_QUALITY = 94
-_MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _ALPHA = {"opaque": "OPAQUE", "mask": "MASK", "blend": "BLEND"}
 
 
@@ -26,17 +24,27 @@ def write_glb(path: Path, mesh: Mesh, images: dict[int, bytes] | None = None) ->
 
     Args:
         path: of the file; its folder must exist.
-        mesh: what to write. Normals, occlusion and other further textures are written too.
-        images: encoded PNG or JPEG files to take for textures, by ``id()`` of the ``TextureSource``; others are encoded.
+        mesh: mesh to write, with all its material maps.
+        images: encoded PNG or JPEG files by ``id()`` of their ``TextureSource``; other textures are encoded here.
     """
-    document = _Document(images or {})
+    builder = GlbBuilder()
+    materials = _Materials(builder, images or {})
+    to_file = TO_Z_UP["y"].astype(np.float32)
     for part in mesh.parts:
-        document.add(part)
-    write_file(path, document.glb(path.stem), durable=False)
+        attributes = {
+            "POSITION": builder.attribute(part.vertices @ to_file, bounds=True),
+            "NORMAL": builder.attribute(part.normals @ to_file),
+        }
+        if part.uvs is not None:
+            attributes["TEXCOORD_0"] = builder.attribute(part.uvs)
+        if part.colors is not None and part.material.colored:
+            attributes["COLOR_0"] = builder.attribute(_linear16(part.colors), "u2", normalized=True)
+        builder.primitive(attributes, builder.indices(part.triangles), materials.index(part.material))
+    write_file(path, builder.to_bytes(path.stem), durable=False)
 
 
 def encoded(pixels: NDArray[np.uint8]) -> bytes:
-    """Returns an image as PNG where it has an alpha that matters, else as JPEG."""
+    """Returns an image as PNG if a pixel is transparent, else as JPEG."""
     clear = pixels.shape[2] == 4 and bool((pixels[:, :, 3] < 255).any())
     suffix, code = (".png", cv2.COLOR_RGBA2BGRA) if clear else (".jpg", cv2.COLOR_RGB2BGR)
     bgr = cv2.cvtColor(np.ascontiguousarray(pixels if clear else pixels[:, :, :3]), code)
@@ -46,67 +54,21 @@ def encoded(pixels: NDArray[np.uint8]) -> bytes:
     return bytes(data)
 
 
-class _Document:
-    """A glTF file while it is put together."""
+class _Materials:
+    """The materials of a mesh and their textures, each once in the file."""
 
-    def __init__(self, images: dict[int, bytes]) -> None:
-        self._given = images
-        self._binary = bytearray()
-        self._views: list[dict[str, int]] = []
-        self._accessors: list[dict[str, Any]] = []
+    def __init__(self, builder: GlbBuilder, images: dict[int, bytes]) -> None:
+        self._builder, self._given = builder, images
         self._materials: dict[Material, int] = {}
-        self._sources: list[dict[str, Any]] = []
         self._textures: dict[int, int] = {}
-        self._images: list[dict[str, Any]] = []
-        self._primitives: list[dict[str, Any]] = []
-        self._unlit = False
 
-    def add(self, part: MeshPart) -> None:
-        to_file = TO_Z_UP["y"].astype(np.float32)
-        position = np.ascontiguousarray(part.vertices @ to_file)
-        attributes = {
-            "POSITION": self._accessor(position, "VEC3", _FLOAT, min=position.min(0).tolist(), max=position.max(0).tolist()),
-            "NORMAL": self._accessor(np.ascontiguousarray(part.normals @ to_file), "VEC3", _FLOAT),
-        }
-        if part.uvs is not None:
-            attributes["TEXCOORD_0"] = self._accessor(part.uvs, "VEC2", _FLOAT)
-        if part.colors is not None and part.material.colored:
-            attributes["COLOR_0"] = self._accessor(_linear16(part.colors), "VEC4", _USHORT, normalized=True)
-        indices = self._accessor(part.triangles.astype(np.uint32).ravel(), "SCALAR", _UINT)
-        self._primitives.append({"attributes": attributes, "indices": indices, "material": self._material(part.material)})
-
-    def glb(self, name: str) -> bytes:
-        document: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "gibson_sim_tools.importing"},
-            "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": name}],
-            "meshes": [{"primitives": self._primitives}], "materials": self._sources,
-            "accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(self._binary)}],
-        }  # fmt: skip
-        if self._images:
-            document["images"] = self._images
-            document["textures"] = [{"source": k} for k in range(len(self._images))]
-        if self._unlit:
-            document["extensionsUsed"] = ["KHR_materials_unlit"]
-        return glb_bytes(document, self._binary)
-
-    def _view(self, data: bytes) -> int:
-        self._binary.extend(b"\0" * (-len(self._binary) % 4))
-        self._views.append({"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)})
-        self._binary.extend(data)
-        return len(self._views) - 1
-
-    def _accessor(self, values: NDArray[Any], kind: str, component: int, **more: Any) -> int:
-        view = self._view(np.ascontiguousarray(values).tobytes())
-        self._accessors.append({"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more})
-        return len(self._accessors) - 1
-
-    def _material(self, material: Material) -> int:
+    def index(self, material: Material) -> int:
+        """Returns the index of a material in the file."""
         if material not in self._materials:
-            self._materials[material] = len(self._sources)
-            self._sources.append(self._source(material))
+            self._materials[material] = self._builder.material(self._object(material))
         return self._materials[material]
 
-    def _source(self, m: Material) -> dict[str, Any]:
+    def _object(self, m: Material) -> dict[str, Any]:
         linear = linear_from_srgb(m.base_color[:3]).tolist()
         surface: dict[str, Any] = {
             "baseColorFactor": [*linear, m.base_color[3]], "metallicFactor": m.metallic, "roughnessFactor": m.roughness,
@@ -116,7 +78,6 @@ class _Document:
         if m.alpha_mode == "mask":
             out["alphaCutoff"] = m.alpha_cutoff
         if m.unlit:
-            self._unlit = True
             out["extensions"] = {"KHR_materials_unlit": {}}
         if any(m.emissive):
             out["emissiveFactor"] = [min(c, 1.0) for c in m.emissive]
@@ -133,10 +94,7 @@ class _Document:
 
     def _texture(self, texture: TextureSource) -> int:
         if id(texture) not in self._textures:
-            data = self._given.get(id(texture)) or encoded(texture.pixels)
-            kind = next((kind for magic, kind in _MIME.items() if data.startswith(magic)), "image/png")
-            self._textures[id(texture)] = len(self._images)
-            self._images.append({"bufferView": self._view(data), "mimeType": kind})
+            self._textures[id(texture)] = self._builder.texture_data(self._given.get(id(texture)) or encoded(texture.pixels))
         return self._textures[id(texture)]
 
 

@@ -1,4 +1,4 @@
-"""Labels of HM3D: ``NAME.semantic.glb`` shows every object in a colour of its own, and ``NAME.semantic.txt`` says which."""
+"""Labels of HM3D: ``NAME.semantic.glb`` draws every object in one colour, and ``NAME.semantic.txt`` maps colours to objects."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.mesh import Mesh, MeshPart
@@ -14,30 +15,29 @@ from gibson_sim.quoting import quoted
 from gibson_sim_tools.importing.labels import LabelledFaces
 
 _TOLERANCE = 2
+"""Largest difference of a colour channel, 0 to 255, between texture and list."""
 
 
 def labelled_faces_of_textures(mesh: Mesh, lists: Path) -> tuple[LabelledFaces, dict[int, str]]:
-    """Returns where which object is, and the class of each.
+    """Returns the labelled faces of a mesh, and the class of each object.
 
     Args:
-        mesh: the one with colours, textures or colours of vertices; world frame.
-        lists: the text: lines of number, colour (RRGGBB), "class", region.
+        mesh: the mesh with coloured textures or vertices; world frame.
+        lists: text file with lines of number, colour (RRGGBB), "class", region.
 
     Raises:
-        SceneError: the text cannot be read, or no colour of it is on the mesh.
+        SceneError: the text cannot be read, or the mesh has none of its colours.
     """
     colors, classes = _table(lists)
     numbers = np.array(list(colors), dtype=np.int64)
     known = np.array(list(colors.values()), dtype=np.int64).reshape(-1, 3)
-    keys = known @ (65536, 256, 1)
-    order = np.argsort(keys)
+    tree = cKDTree(known)
     centres, objects = [], []
     for part in mesh.parts:
-        seen = _colors(part).astype(np.int64)
-        place = np.clip(np.searchsorted(keys[order], seen @ (65536, 256, 1)), 0, len(keys) - 1)
-        exact = np.abs(known[order][place] - seen).max(axis=1) <= _TOLERANCE
-        centres.append(part.vertices[part.triangles].mean(axis=1, dtype=np.float64)[exact])
-        objects.append(numbers[order][place][exact])
+        difference, nearest = tree.query(_colors(part), p=np.inf)
+        found = difference <= _TOLERANCE
+        centres.append(part.vertices[part.triangles].mean(axis=1, dtype=np.float64)[found])
+        objects.append(numbers[nearest[found]])
     faces = LabelledFaces(np.concatenate(centres), np.concatenate(objects))
     if not len(faces.objects):
         raise SceneError(
@@ -51,12 +51,12 @@ def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]
     classes: dict[int, str] = {}
     for row in csv.reader(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         if len(row) < 3:
-            continue  # the title
+            continue  # the header
         try:
-            number, color = int(row[0]), bytes.fromhex(row[1].strip())
+            number, (red, green, blue) = int(row[0]), bytes.fromhex(row[1].strip())
         except ValueError as e:
             raise SceneError(f"{path}: {quoted(','.join(row))} is no number, colour and class ({e}); get the file again") from e
-        colors[number] = (color[0], color[1], color[2])
+        colors[number] = (red, green, blue)
         classes[number] = row[2]
     if not colors:
         raise SceneError(f"{path}: names no object; get the file again, or use --no-semantics")
@@ -64,7 +64,7 @@ def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]
 
 
 def _colors(part: MeshPart) -> NDArray[np.uint8]:
-    """Returns the colour in the middle of each triangle, (F, 3)."""
+    """Returns the colour at the centre of each triangle, (F, 3)."""
     if part.colors is not None:
         return part.colors[part.triangles[:, 0]]
     texture = part.material.texture

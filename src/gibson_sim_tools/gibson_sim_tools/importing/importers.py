@@ -27,40 +27,40 @@ from gibson_sim_tools.importing.floor_pictures import GIBSON_RESOLUTION
 from gibson_sim_tools.importing.hm3d import labelled_faces_of_textures
 from gibson_sim_tools.importing.labels import LabelledFaces, class_name, habitat_classes, replica_classes, take_apart, transfer
 from gibson_sim_tools.importing.scans import is_scan
-from gibson_sim_tools.importing.sources import MAX_BYTES, Kind, Source
+from gibson_sim_tools.importing.sources import MAX_BYTES, Source, SourceKind
 from gibson_sim_tools.importing.usd import read_usd
 
 _OBJECT_ID = ("object_id", "objectId", "segment")
 _MOST_OBJECTS = 5000
 _ALONG = 0.996
-"""Cosine of the angle to an axis of the file: a floor that is nearer to lying across it is left to the check."""
+"""Cosine of the angle between up and an axis of the file, from which up counts as that axis; the check corrects the rest."""
 UNSEEN = ""
-"""Stands for the visual of what has none."""
+"""Key for collision shapes without a visual."""
 _LICENCES = ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING", "SOURCE.txt", "license.txt")
 
 
 @dataclass(frozen=True, slots=True)
-class Choices:
-    """What the user says of a source, where it does not say it itself."""
+class ImportOptions:
+    """Options of an import; they override what the source says."""
 
     name: str = ""
     up_axis: UpAxis | None = None
     up: Vec3 | None = None
-    """Which way is up in a mesh file, unit vector in its axes; for what no ``up_axis`` says."""
+    """Up direction of a mesh file, unit vector in its axes, where it lies along none of them."""
     unit_m: float | None = None
     semantics: bool = True
-    """Take meshes with labels apart into objects."""
+    """Split labelled meshes into objects."""
 
 
-def read_source(source: Source, choices: Choices) -> ImportedScene:
-    """Returns what is in a source.
+def read_source(source: Source, choices: ImportOptions) -> ImportedScene:
+    """Reads a source.
 
     Raises:
         SceneError: it cannot be read.
     """
-    readers: dict[Kind, Callable[[Source, Choices], ImportedScene]] = {
-        Kind.GIBSON: _gibson, Kind.REPLICA: _replica, Kind.HABITAT: _habitat, Kind.WORLD: _world,
-        Kind.USD: _usd, Kind.MESH: _mesh, Kind.OURS: _world,
+    readers: dict[SourceKind, Callable[[Source, ImportOptions], ImportedScene]] = {
+        SourceKind.GIBSON: _gibson, SourceKind.REPLICA: _replica, SourceKind.HABITAT: _habitat, SourceKind.WORLD: _world,
+        SourceKind.USD: _usd, SourceKind.MESH: _mesh, SourceKind.OURS: _world,
     }  # fmt: skip
     reader = readers.get(source.kind)
     if reader is None:
@@ -90,7 +90,7 @@ def _with_warnings(scene: ImportedScene, mesh: Mesh) -> Mesh:
 # Gibson and iGibson
 
 
-def _gibson(source: Source, choices: Choices) -> ImportedScene:
+def _gibson(source: Source, choices: ImportOptions) -> ImportedScene:
     scene = _scene(source, source.folder.resolve().name)
     scene.light = BAKED_LIGHT
     coarse = source.folder / "mesh_z_up_downsampled.obj"
@@ -114,7 +114,7 @@ def _gibson(source: Source, choices: Choices) -> ImportedScene:
 
 
 def _floor_heights(path: Path) -> tuple[float, ...]:
-    """Returns the heights in a ``floors.txt``, one a line, from the lowest; nothing where there is no such file."""
+    """Returns the heights in a ``floors.txt``, one per line, from the lowest; empty if the file is missing."""
     if not path.is_file():
         return ()
     try:
@@ -142,7 +142,7 @@ def _semantic_obj(source: Source) -> tuple[LabelledFaces, dict[int, str]] | None
 # Replica
 
 
-def _replica(source: Source, choices: Choices) -> ImportedScene:
+def _replica(source: Source, choices: ImportOptions) -> ImportedScene:
     scene = _scene(source, source.folder.resolve().name)
     if not (source.semantics and choices.semantics):
         mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
@@ -171,7 +171,7 @@ def _bytes(path: Path) -> bytes:
 # Matterport, HM3D and Gibson as Habitat has them
 
 
-def _habitat(source: Source, choices: Choices) -> ImportedScene:
+def _habitat(source: Source, choices: ImportOptions) -> ImportedScene:
     scene = _scene(source, source.file.name.split(".")[0])
     scene.light = BAKED_LIGHT
     if not choices.semantics:
@@ -196,7 +196,7 @@ def _habitat(source: Source, choices: Choices) -> ImportedScene:
 
 
 def _turn(up: UpAxis, mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Returns what undoes the turn that the loader made, and makes that of another axis, (4, 4)."""
+    """Returns the transform, (4, 4), that replaces the loader's up-axis rotation by the one for another axis."""
     matrix = np.eye(4)
     matrix[:3, :3] = TO_Z_UP[up] @ TO_Z_UP[mesh.up_axis].T
     return matrix
@@ -205,14 +205,14 @@ def _turn(up: UpAxis, mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.flo
 # Plain meshes
 
 
-def _mesh(source: Source, choices: Choices) -> ImportedScene:
+def _mesh(source: Source, choices: ImportOptions) -> ImportedScene:
     return _single(_scene(source, source.file.name.split(".")[0]), source, choices)
 
 
-def _single(scene: ImportedScene, source: Source, choices: Choices) -> ImportedScene:
+def _single(scene: ImportedScene, source: Source, choices: ImportOptions) -> ImportedScene:
     mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
     if not all(file.is_relative_to(scene.root) for file in mesh.files):
-        # meshes/ beside materials/textures/, as Gazebo has it: what it names lies in its package.
+        # Gazebo's layout has meshes/ beside materials/textures/: the files that the mesh names lie in its package.
         scene.root = scene.home = Path(os.path.commonpath([scene.root, *(file.parent for file in mesh.files)]))
     axis, up = choices.up_axis, choices.up
     if axis is None and up is None:
@@ -225,17 +225,17 @@ def _single(scene: ImportedScene, source: Source, choices: Choices) -> ImportedS
     return scene
 
 
-def _whole(name: str, source: Source, choices: Choices, mesh: Mesh) -> ImportedObject:
-    """Returns the one object that a file is."""
+def _whole(name: str, source: Source, choices: ImportOptions, mesh: Mesh) -> ImportedObject:
+    """Returns the whole file as one object."""
     collision = SIMPLIFIED if is_scan(mesh) else "same"
     return ImportedObject(name, source.file, up_axis=choices.up_axis or "", unit_m=choices.unit_m, collision=collision)
 
 
 def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, Vec3 | None]:
-    """Returns the axis of the file that is up, or None if that is the one of its format; and the direction, in the axes of the file,
-    that is up where it points against that axis, or lies along none.
+    """Returns the up axis of the file, None = as its format says; and the up direction in the axes of the file, if it is opposite to that
+    axis or along none.
 
-    Scans that were put together in the frame of their first camera have y down, or are turned anyhow.
+    Scans in the frame of their first camera have y down or an arbitrary orientation.
     """
     vertices, triangles = mesh.merged()
     guess = guess_up(vertices, triangles, told=mesh.files[0].suffix.lower() not in UNTOLD_SUFFIXES)
@@ -269,7 +269,7 @@ def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, Vec3 | None
     return axis, (float(straight[0]), float(straight[1]), float(straight[2])) if down else None
 
 
-def _usd(source: Source, choices: Choices) -> ImportedScene:
+def _usd(source: Source, choices: ImportOptions) -> ImportedScene:
     scene = _scene(source, source.file.stem)
     scene.objects, warnings = read_usd(source.file, choices.up_axis, choices.unit_m)
     scene.warnings += warnings
@@ -279,7 +279,7 @@ def _usd(source: Source, choices: Choices) -> ImportedScene:
 # Worlds
 
 
-def _world(source: Source, choices: Choices) -> ImportedScene:
+def _world(source: Source, choices: ImportOptions) -> ImportedScene:
     builder = read_scene(source.file, source.file)
     spec = builder.finish()
     out = from_spec(spec, _scene(source, spec.name))
@@ -288,7 +288,7 @@ def _world(source: Source, choices: Choices) -> ImportedScene:
 
 
 def from_spec(spec: SceneSpec, out: ImportedScene) -> ImportedScene:
-    """Fills a scene with what a loaded one has, its files where they are."""
+    """Fills ``out`` from a loaded scene, whose files stay where they are."""
     out.warnings += list(spec.warnings)
     out.floors, out.ground_z = spec.floors, spec.ground_z
     out.gravity = spec.gravity if spec.gravity != (0.0, 0.0, -9.81) else None
@@ -308,7 +308,7 @@ def from_spec(spec: SceneSpec, out: ImportedScene) -> ImportedScene:
 
 
 def light_document(light: LightSpec) -> dict[str, object]:
-    """Returns what differs from the usual light, for the ``light`` of a scene.yaml; not lamps and surroundings."""
+    """Returns the settings of ``light`` in a scene.yaml that differ from the defaults, without lamps and surroundings."""
     usual = LightSpec()
     names = ("sun_direction", "sun", "sun_color", "ambient", "background", "shadows")
     changed = {name: getattr(light, name) for name in names if getattr(light, name) != getattr(usual, name)}
@@ -316,11 +316,11 @@ def light_document(light: LightSpec) -> dict[str, object]:
 
 
 def assigned(spec: SceneSpec) -> dict[str, list[CollisionSpec]]:
-    """Returns the collision shapes of each visual: those of its name, or of its name with a number; of ``UNSEEN`` those of what is not drawn."""
+    """Returns the collision shapes of each visual, matched by name (also with a number behind it); ``UNSEEN``: those without a visual."""
     known = {v.name for v in spec.visuals}
     out: dict[str, list[CollisionSpec]] = {}
     for collision in spec.collisions:
-        # The second shape of a thing is called <thing>_2.
+        # The second shape of an object is called <object>_2.
         stem, _, number = collision.name.rpartition("_")
         owner = collision.name if collision.name in known else stem if number.isdecimal() and stem in known else UNSEEN
         out.setdefault(owner, []).append(collision)
@@ -340,7 +340,7 @@ def _object(visual: VisualSpec, collisions: list[CollisionSpec], loader: MeshLoa
             return replace(item, collision="same")
         if only.kind == "mesh" and visual.shape.kind == "mesh" and only.size == visual.shape.size:
             return replace(item, collision=Path(only.mesh))
-    # In the frame of the visual, whose pose and scale the collision mesh gets too.
+    # In the frame of the visual, whose pose and scale also apply to the collision mesh.
     factors = np.diag([*scale, 1.0])
     to_visual = np.linalg.inv(matrix_from_pose(visual.pose) @ factors)
     parts = [part for c in collisions for part in loader.shape(c.shape).transformed(to_visual @ matrix_from_pose(c.pose)).parts]

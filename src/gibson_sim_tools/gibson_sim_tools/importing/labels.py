@@ -1,4 +1,4 @@
-"""Takes a mesh apart by the objects that its faces belong to."""
+"""Splits a labelled mesh into objects."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from gibson_sim_tools.importing.document import ImportedObject
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 NEAR = 0.1
-"""A face takes the label of the nearest labelled face, if that is this near, metres."""
+"""Largest distance from a face to the labelled face whose label it gets, metres."""
 _MAX_JSON = 64 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFaces:
-    """Where which object is."""
+    """Faces with object labels."""
 
     centres: F64
     """(F, 3), metres, world frame."""
@@ -38,9 +38,9 @@ def take_apart(mesh: Mesh, objects: list[I64], classes: Mapping[int, str]) -> li
     """Returns one object for each number, named after its class: ``chair_12``.
 
     Args:
-        mesh: all of it, world frame.
-        objects: for each part, (F,): number of the object of each triangle.
-        classes: class of each number; what is not there is unlabelled.
+        mesh: the whole mesh, world frame.
+        objects: for each part, (F,): object number of each triangle.
+        classes: class of each number; missing numbers are unlabelled.
     """
     pieces: dict[int, list[MeshPart]] = {}
     for part, numbers in zip(mesh.parts, objects, strict=True):
@@ -55,7 +55,7 @@ def take_apart(mesh: Mesh, objects: list[I64], classes: Mapping[int, str]) -> li
 
 
 def some_triangles(part: MeshPart, chosen: NDArray[np.bool_]) -> MeshPart:
-    """Returns some of the triangles of a part, with the vertices that they need."""
+    """Returns some of the triangles of a part, with the vertices that they use."""
     used, inverse = np.unique(part.triangles[chosen], return_inverse=True)
     return replace(
         part,
@@ -68,7 +68,7 @@ def some_triangles(part: MeshPart, chosen: NDArray[np.bool_]) -> MeshPart:
 
 
 def transfer(mesh: Mesh, labelled: LabelledFaces) -> list[I64]:
-    """Returns for each part of a mesh the object that each of its triangles belongs to, (F,); -1 = none is near."""
+    """Returns for each part of a mesh the object number of each triangle, (F,); -1 = no labelled face within ``NEAR``."""
     tree = cKDTree(labelled.centres)
     out = []
     for part in mesh.parts:
@@ -81,7 +81,7 @@ def transfer(mesh: Mesh, labelled: LabelledFaces) -> list[I64]:
 
 
 def class_name(text: str) -> str:
-    """Returns a class name as ours are: lower case, words joined by ``_``."""
+    """Returns a class name in our form: lower case, words joined by ``_``; empty for names that mean "unlabelled"."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
     return "" if name in ("undefined", "unknown", "unlabeled", "unlabelled", "other", "void") else name
 

@@ -1,4 +1,4 @@
-"""What an import could not use of its source, kept beside the scene.yaml: its files no longer name it, ``check`` repeats it."""
+"""The list of what an import could not use, kept beside the scene.yaml so that ``check`` can repeat it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from gibson_sim.reading import is_file, read_yaml_file
 LEFT_OUT = "left_out.yaml"
 """File in the folder of a scene."""
 _LONGEST = 1000
-"""Characters of a line."""
+"""Length limit of a line, characters."""
 _HEAD = "# What the source of this scene names and could not be used. `gibson-sim scene check` repeats it; delete what you have mended.\n"
 
 
 def left_out_text(lines: Iterable[str]) -> str:
-    """Returns the text of the file for these lines; empty = there are none."""
+    """Returns the text of the file for these lines; empty if there are none."""
     entries = [{"kind": kind_of(line).name.lower(), "text": str(line)} for line in dict.fromkeys(lines)]
     return _HEAD + yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=10_000) if entries else ""
 
 
 def read_left_out(folder: Path) -> Sequence[Omission]:
-    """Returns what an import noted in the folder of a scene; nothing where there is no such file.
+    """Returns the omissions that an import noted in the folder of a scene; empty without such a file.
 
     Raises:
         SceneError: the file cannot be read.

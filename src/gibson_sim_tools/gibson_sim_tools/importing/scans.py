@@ -1,4 +1,4 @@
-"""Tells scans, whose floors are bumpy and whose triangles are many, from meshes that somebody modelled."""
+"""Distinguishes scans, which have bumpy floors and many triangles, from modelled meshes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.triangle_meshes import components, weld
 
 SCAN_FROM = 20_000
-"""A mesh of so many triangles, most of which hang together, is taken for a scan."""
+"""Least number of triangles of a scan, most of them connected."""
 SCAN_SHARE = 0.5
-"""Of the triangles that hang together."""
+"""Least fraction of a scan's triangles in its largest connected component."""
 
 
 def is_scan(mesh: Mesh) -> bool:

@@ -1,4 +1,4 @@
-"""Says what kind of scene a file or folder is."""
+"""Identifies the kind of scene in a file or folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
 POINT_SUFFIXES = (".pcd", ".xyz", ".pts", ".ptx", ".las", ".laz", ".e57", ".splat", ".spz")
 MAX_BYTES = 4 * 2**30
-"""Of a mesh file."""
+"""Size limit of a mesh file."""
 GIBSON_MESH = "mesh_z_up.obj"
 _ADVICE = {
     ".blend": "export it from Blender as glTF (.glb)", ".fbx": "export it as glTF (.glb), for example with Blender",
@@ -30,8 +30,8 @@ _ADVICE = {
 }  # fmt: skip
 
 
-class Kind(Enum):
-    """What a source is, with its name in words."""
+class SourceKind(Enum):
+    """Kind of a source; the value is its name in messages."""
 
     GIBSON = "Gibson folder"
     REPLICA = "Replica folder"
@@ -45,27 +45,27 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What to import."""
+    """A scene to import."""
 
-    kind: Kind
+    kind: SourceKind
     file: Path
-    """The mesh, world or archive; of ``GIBSON`` and ``REPLICA`` the main mesh."""
+    """The mesh, world or archive; for ``GIBSON`` and ``REPLICA`` the main mesh."""
     folder: Path
-    """Folder that all files of the scene lie in."""
+    """Folder of all files of the scene."""
     semantics: tuple[Path, ...] = ()
-    """Mesh with labels, and the list of their classes."""
+    """Labelled mesh, and the list of its classes."""
 
 
 def identify(path: Path) -> Source:
-    """Returns what a file or folder is.
+    """Returns the source in a file or folder.
 
     Raises:
-        SceneNotFoundError: there is nothing, or nothing that is a scene.
-        SceneError: it is of a kind that cannot be read; says what to do.
+        SceneNotFoundError: the path does not exist or holds no scene.
+        SceneError: the kind cannot be read; the message says what to do.
     """
     if not path.exists():
         raise SceneNotFoundError(f"{path}: there is nothing; give a file or a folder")
-    # What worlds name is sought in the folders above: those of a relative path, or of one through `..`, are not its parents.
+    # Files named in worlds are looked up in parent folders, which a relative path, or one through `..`, does not name.
     if path.is_dir():
         return _folder(Path(os.path.realpath(path)))
     path = Path(os.path.realpath(path.parent)) / path.name
@@ -75,9 +75,9 @@ def identify(path: Path) -> Source:
 
 def _folder(path: Path) -> Source:
     if (path / DESCRIPTION).is_file():
-        return Source(Kind.OURS, path / DESCRIPTION, path)
+        return Source(SourceKind.OURS, path / DESCRIPTION, path)
     if (path / GIBSON_MESH).is_file():
-        return Source(Kind.GIBSON, path / GIBSON_MESH, path, _existing(path, ("semantic.obj",)))
+        return Source(SourceKind.GIBSON, path / GIBSON_MESH, path, _existing(path, ("semantic.obj",)))
     if (path / "layout").is_dir() and (path / "urdf").is_dir():
         raise SceneError(
             f"{path}: is an interactive iGibson scene, whose furniture lies in another data set under another licence; it is not read. "
@@ -85,7 +85,7 @@ def _folder(path: Path) -> Source:
         )
     labelled = _existing(path / "habitat", ("mesh_semantic.ply", "info_semantic.json"))
     if (path / "mesh.ply").is_file() and (labelled or (path / "textures").is_dir()):
-        return Source(Kind.REPLICA, path / "mesh.ply", path, labelled if len(labelled) == 2 else ())
+        return Source(SourceKind.REPLICA, path / "mesh.ply", path, labelled if len(labelled) == 2 else ())
     habitat = _habitat_mesh(path)
     if habitat is not None:
         return _file(habitat)
@@ -100,29 +100,29 @@ def _folder(path: Path) -> Source:
 def _file(path: Path) -> Source:
     name, suffix = path.name.lower(), path.suffix.lower()
     if name.endswith(ARCHIVE_SUFFIXES):
-        return Source(Kind.ARCHIVE, path, path.parent)
+        return Source(SourceKind.ARCHIVE, path, path.parent)
     if suffix in POINT_SUFFIXES:
         raise SceneError(f"{path}: {POINT_CLOUD_ADVICE}")
     if suffix in _ADVICE:
         raise SceneError(f"{path}: a {suffix} file cannot be read; {_ADVICE[suffix]}")
     if suffix in USD_SUFFIXES:
-        return Source(Kind.USD, path, path.parent)
+        return Source(SourceKind.USD, path, path.parent)
     if path.name == GIBSON_MESH or (path.name == "mesh.ply" and (path.parent / "habitat").is_dir()):
         return _folder(path.parent)
     semantics = _habitat_semantics(path)
     if semantics:
-        return Source(Kind.HABITAT, path, path.parent, semantics)
+        return Source(SourceKind.HABITAT, path, path.parent, semantics)
     return _described(path, path.parent)
 
 
 def _described(file: Path, folder: Path) -> Source:
     suffix = file.suffix.lower()
     if is_sdf_world(file) or file.name.lower().endswith((".dmd.yaml", ".dmd.yml")):
-        return Source(Kind.WORLD, file, folder)
+        return Source(SourceKind.WORLD, file, folder)
     if suffix in MESH_SUFFIXES:
-        return Source(Kind.MESH, file, folder)
+        return Source(SourceKind.MESH, file, folder)
     if suffix in (".yaml", ".yml"):
-        return Source(Kind.OURS, file, folder)
+        return Source(SourceKind.OURS, file, folder)
     known = ", ".join((*MESH_SUFFIXES, *USD_SUFFIXES, ".world", ".sdf", ".dmd.yaml", *ARCHIVE_SUFFIXES))
     raise SceneError(f"{file}: {quoted(suffix or 'no suffix')} is no format of a scene that can be read; known: {known}")
 
@@ -132,7 +132,7 @@ def _existing(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:
 
 
 def _habitat_mesh(folder: Path) -> Path | None:
-    """Returns the mesh of a folder as Habitat's data sets have them: ``NAME.glb`` beside ``NAME.semantic.glb``, ``NAME.scn``, ..."""
+    """Returns the mesh in a folder with Habitat's layout: ``NAME.glb`` beside ``NAME.semantic.glb``, ``NAME.scn``, ..."""
     meshes = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".glb")
     plain = [p for p in meshes if not p.name.endswith((".semantic.glb", ".basis.glb"))]
     with_labels = [p for p in plain if _habitat_semantics(p)]
@@ -143,7 +143,7 @@ def _habitat_mesh(folder: Path) -> Path | None:
 
 
 def _habitat_semantics(mesh: Path) -> tuple[Path, ...]:
-    """Returns the mesh with labels and the list of classes that lie beside a Habitat mesh, or nothing."""
+    """Returns the labelled mesh and the class list beside a Habitat mesh; empty if there are none."""
     stem = os.path.splitext(mesh.name)[0].removesuffix(".basis")
     folder = mesh.parent
     for labelled, lists in (

@@ -26,10 +26,10 @@ _MOST_MESHES = 20_000
 
 
 def require_usd() -> None:
-    """Checks that ``usd-core`` is there.
+    """Checks that ``usd-core`` is installed.
 
     Raises:
-        EnvironmentProblemError: it is not; says how to get it.
+        EnvironmentProblemError: it is not; the message says how to install it.
     """
     if importlib.util.find_spec("pxr") is None:
         raise EnvironmentProblemError("USD files are read through usd-core, which is not installed: pip install usd-core")
@@ -65,7 +65,7 @@ def read_usd(path: Path, up_axis: UpAxis | None, unit_m: float | None) -> tuple[
 
 
 class _Stage:
-    """A stage while it is read."""
+    """Reads the meshes of one stage."""
 
     def __init__(self, path: Path, stage: Any, up_axis: UpAxis | None, unit_m: float | None) -> None:
         from pxr import UsdGeom
@@ -150,7 +150,7 @@ class _Stage:
         return build_part(what, points[corners[kept]], inverse.reshape(-1, 3), None, uvs, look, matrix, tints)
 
     def _primvar(self, prim: Any, names: tuple[str, ...], corners: I64, sizes: I64, width: int) -> F64 | None:
-        """Returns one row of numbers for each corner, (C, width), or None."""
+        """Returns a primvar at each corner, (C, width), or None."""
         from pxr import UsdGeom
 
         api = UsdGeom.PrimvarsAPI(prim)
@@ -189,7 +189,7 @@ class _Stage:
         )  # fmt: skip
 
     def _input(self, shader: Any, name: str) -> tuple[Any, Any]:
-        """Returns the texture and the value of an input of a shader, each None where there is none."""
+        """Returns the texture and the value of a shader input; each may be None."""
         source = shader.GetInput(name)
         if not source:
             return None, None
@@ -221,7 +221,7 @@ class _Stage:
 
 
 def _label(prim: Any) -> str:
-    """Returns the class of a prim or of what it belongs to, where one is written down; else nothing."""
+    """Returns the class of a prim or of its nearest labelled ancestor; empty if there is none."""
     while prim and str(prim.GetPath()) != "/":
         for attribute in prim.GetAttributes():
             if attribute.GetName().startswith("semantic:") and attribute.GetName().endswith(":params:semanticData"):

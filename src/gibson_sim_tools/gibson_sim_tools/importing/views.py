@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix, turned
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix, rotated
 from gibson_sim.maps.bodies import still_visuals
 from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, make_floor_map
 from gibson_sim.maps.traversability import scene_triangles
@@ -25,17 +25,17 @@ from gibson_sim.types import CameraSpec, Pose, SceneState
 Rgb = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 WIDTH, HEIGHT = 640, 480
-"""Of one picture, pixels."""
+"""Size of one picture, pixels."""
 EYE_HEIGHT = 1.25
 """Metres above the floor."""
 CUT_HEIGHT = 2.1
-"""Of the view from above: what is higher than this above the floor is cut away."""
+"""Height above the floor at which the top view cuts the building, metres."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
 _COLUMNS, _GAP, _CAPTION = 3, 6, 22
 _PAPER, _INK = 250, (50, 50, 50)
 _PLACES, _HEADINGS = 15, 8
 _FAR_ENOUGH, _APART = 5.0, 2.0
-"""Metres: of what is seen, and between views."""
+"""Depth of a good view, and distance between views, metres."""
 _FREE, _OCCUPIED, _UNKNOWN = (255, 255, 255), (40, 40, 40), (178, 178, 178)
 
 
@@ -43,9 +43,9 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     """Returns pictures of a scene, (H, W, 3) uint8 sRGB.
 
     Args:
-        scene: what to look at.
-        views: pictures at eye height, spread over the free floor.
-        floor_z: height of the floor to look at; None = the one that robots start on.
+        scene: the scene.
+        views: number of pictures at eye height, spread over the free floor.
+        floor_z: height of the floor to show; None = the one that robots start on.
 
     Raises:
         SceneError: the scene has no free floor.
@@ -69,8 +69,8 @@ def gallery_of_scenes(scenes: Iterable[SceneSpec], views: int) -> Rgb:
     """Returns pictures at eye height of several scenes, a row for each, (H, W, 3) uint8 sRGB.
 
     Args:
-        scenes: what to look at.
-        views: pictures of each; a scene with several floors shows them in turn, the lowest first.
+        scenes: the scenes.
+        views: pictures of each; the floors of a scene alternate, the lowest first.
 
     Raises:
         SceneError: a scene has no free floor.
@@ -102,7 +102,7 @@ def _drawn(renderer: Renderer, scene: SceneSpec, camera: CameraSpec) -> Rgb:
 
 
 def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> list[CameraSpec]:
-    """Returns cameras at eye height from which much of a floor is seen."""
+    """Returns cameras at eye height that see much of a floor."""
     candidates = free_places(floor, _PLACES)
     if not len(candidates):
         raise SceneError(
@@ -115,7 +115,7 @@ def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> 
 
 def _heading(camera: CameraSpec) -> float:
     """Returns the heading of a level camera's picture, radians."""
-    x, y, _ = turned(camera.pose.quat_xyzw, (0.0, 0.0, 1.0))
+    x, y, _ = rotated(camera.pose.quat_xyzw, (0.0, 0.0, 1.0))
     return math.atan2(y, x)
 
 
@@ -133,19 +133,19 @@ def _floor_with_bodies(scene: SceneSpec) -> FloorMap:
 
 
 def free_places(floor: FloorMap, count: int) -> F64:
-    """Returns world x, y, (N, 2), of free places far from each other, two thirds of them in the largest free region."""
+    """Returns free places, (N, 2), world x, y, far from each other; two thirds of them are in the largest free region."""
     inside = _spread(floor, floor.largest_free_region(ROBOT_RADIUS), count - count // 3)
     return np.concatenate([inside, _spread(floor, floor.inflate(ROBOT_RADIUS), count // 3)])
 
 
 def _spread(floor: FloorMap, region: NDArray[np.bool_], count: int) -> F64:
-    """Returns places of a region, the most open one first, then always the one farthest from all before."""
+    """Returns places in a region by farthest-point sampling, beginning at the most open one."""
     cells = np.argwhere(region)
     if not len(cells) or not count:
         return np.zeros((0, 2))
     room = floor.distance_to_obstacle[tuple(cells.T)]
     points = floor.centers(cells)
-    # Close to a wall there is nothing but the wall to be seen.
+    # Close to a wall, a camera sees nothing but the wall.
     roomy = room >= min(0.45, float(np.quantile(room, 0.6)))
     points, room = points[roomy], room[roomy]
     chosen = [int(room.argmax())]
@@ -157,11 +157,11 @@ def _spread(floor: FloorMap, region: NDArray[np.bool_], count: int) -> F64:
 
 
 def _best(renderer: Renderer, state: SceneState, places: F64, z: float, count: int) -> tuple[F64, list[float]]:
-    """Returns places (N, 2) and headings from which much of the scene is seen, and not from too near, far from each other.
+    """Returns places (N, 2) and headings, far from each other, that see much of the scene and nothing too near.
 
-    Each candidate is drawn as a stamp: what its depth says is what a person would see.
+    Each candidate is rendered as a thumbnail and scored by its depth.
     """
-    # Along none of the walls, which mostly lie along x and y.
+    # Not parallel to the walls, most of which run along x or y.
     headings = ((np.arange(_HEADINGS) + 0.4) * 2 * math.pi / _HEADINGS).tolist()
     at = np.repeat(places, _HEADINGS, axis=0)
     yaws = np.tile(headings, len(places))
@@ -172,7 +172,7 @@ def _best(renderer: Renderer, state: SceneState, places: F64, z: float, count: i
         assert depth is not None
         seen = np.isfinite(depth)
         if seen.any():
-            # Things stand before walls where the depth varies; a view along a wall or at one shows neither.
+            # Depth varies where objects stand before walls; a view along or onto a wall shows neither.
             far, varied = float(np.median(depth[seen])), float(np.std(np.minimum(depth[seen], 2 * _FAR_ENOUGH)))
             worth[k] = float(seen.mean()) * min(far / _FAR_ENOUGH, 1.0) * (0.5 + min(varied, 1.0))
     chosen: list[int] = []
@@ -181,7 +181,7 @@ def _best(renderer: Renderer, state: SceneState, places: F64, z: float, count: i
         chosen.append(int((worth * apart).argmax()))
         distance = np.linalg.norm(at - at[chosen[-1]], axis=1)
         turn = np.abs((yaws - yaws[chosen[-1]] + math.pi) % (2 * math.pi) - math.pi)
-        # From the same place, the other way is another picture too.
+        # The opposite heading at the same place is another picture.
         apart = np.minimum(apart, np.clip(distance / _APART + 0.25 * turn / math.pi, 0.01, 1.0))
     return at[chosen], [float(yaws[k]) for k in chosen]
 
@@ -193,7 +193,7 @@ def _eye(x: float, y: float, z: float, yaw: float) -> CameraSpec:
 
 
 def _from_above(scene: SceneSpec) -> CameraSpec:
-    """Returns a camera that sees the whole floor, as though the building were cut at ``CUT_HEIGHT``."""
+    """Returns a top-view camera of the whole floor, the building cut at ``CUT_HEIGHT``."""
     vertices, _ = collision_triangles(scene)
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     (width, depth), middle = (high - low).tolist(), (low + high) / 2
@@ -208,7 +208,7 @@ def _from_above(scene: SceneSpec) -> CameraSpec:
 
 
 def map_picture(floor: FloorMap, places: F64, yaws: Sequence[float]) -> Rgb:
-    """Returns the floor map, (HEIGHT, WIDTH, 3): north up, free white, occupied dark, unknown grey, and where views were made."""
+    """Returns the floor map, (HEIGHT, WIDTH, 3), north up, with the views: free = white, occupied = dark, unknown = grey."""
     colors = np.empty((*floor.shape, 3), dtype=np.uint8)
     colors[:] = _UNKNOWN
     colors[floor.floor] = _FREE

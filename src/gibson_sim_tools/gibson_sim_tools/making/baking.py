@@ -1,4 +1,4 @@
-"""Runs Blender on a plan, in a process of its own, and makes the scene folder of what it baked."""
+"""Runs Blender on a plan in a separate process, and makes the scene folder from the bake."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gibson_sim_tools.making.scene_folder import write_scene_folder
 from gibson_sim_tools.making.surroundings import write_surroundings
 
 Tell = Callable[[str, float, float | None], None]
-"""Told what is being done, how much is done (0 to 1), and how many seconds are left (None = not known)."""
+"""Receives the current task, the fraction that is done (0 to 1), and the seconds left (None = unknown)."""
 _LAST_LINES = 12
 
 
@@ -43,12 +43,12 @@ def make_scene(
 
     Args:
         building: the plan.
-        quality: how finely.
-        folder: of the scene; new, or holding an earlier one of the generator.
-        python: interpreter that has Blender.
-        resume: go on with what an interrupted run of the same plan left.
-        command: that the scene says it was made by.
-        tell: is told of the progress.
+        quality: resolution and samples.
+        folder: of the scene; new, or with an earlier scene of the generator.
+        python: interpreter with Blender.
+        resume: continue an interrupted run of the same plan.
+        command: command line recorded in the scene.
+        tell: progress callback.
 
     Raises:
         SceneError: Blender is missing or failed, or the scene became too large.
@@ -71,7 +71,7 @@ def make_scene(
 
 
 def work_folder(building: Building, quality: Quality) -> Path:
-    """Returns where unfinished atlases of a plan are kept."""
+    """Returns the cache folder for the unfinished atlases of a plan."""
     key = hashlib.sha256(repr((building, quality, gibson_sim.__version__)).encode()).hexdigest()[:16]
     return cache_folder("making") / f"{building.name}-{key}"
 
@@ -80,7 +80,7 @@ def check_blender(python: str) -> None:
     """Checks that an interpreter has Blender.
 
     Raises:
-        SceneError: it has not, or cannot be run.
+        SceneError: it has not, or does not run.
     """
     try:
         found = subprocess.run(
@@ -122,7 +122,7 @@ def _bake(python: str, work: Path, tell: Tell) -> None:
 
 
 def _message(line: str) -> dict[str, Any] | None:
-    """Returns what a line tells, or None if it is one of Blender's own."""
+    """Returns the message in an output line, or None for a line of Blender's own."""
     try:
         message = json.loads(line)
     except ValueError:
@@ -131,13 +131,13 @@ def _message(line: str) -> dict[str, Any] | None:
 
 
 class _TimeLeft:
-    """Guesses how long something takes from how long it took so far."""
+    """Estimates the remaining time from the elapsed time."""
 
     def __init__(self) -> None:
         self._first: tuple[float, float] | None = None
 
     def after(self, done: float, now_s: float) -> float | None:
-        """Returns the seconds that are left, None = not known yet."""
+        """Returns the seconds left; None = unknown yet."""
         if self._first is None:
             self._first = (done, now_s)
         part, since = done - self._first[0], now_s - self._first[1]

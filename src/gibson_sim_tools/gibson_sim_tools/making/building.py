@@ -1,6 +1,6 @@
-"""A building as a plan: rooms, walls, openings, furniture, lamps. What the generator decides and the modeller builds. Plain values.
+"""The plan of a building: rooms, walls, openings, furniture, lamps; the planner makes it, the modeller builds it. Plain values.
 
-The frame is that of the scene: z up, metres, the ground floor at z = 0. A piece of furniture has its own frame: the origin in the middle of its
+The frame is that of the scene: z up, metres, the ground floor at z = 0. The frame of a piece of furniture has its origin at the centre of the
 underside, x to its front, y to its left.
 """
 
@@ -28,18 +28,18 @@ class Opening:
     sill: float
     """Height of its lower edge above the floor of its storey; 0 for doors and passages."""
     height: float
-    """Of the opening itself."""
+    """Height of the opening."""
     swing: int = 0
-    """Of a door: 1 = it opens to the left of the wall's direction, -1 = to the right; 0 = no leaf."""
+    """Side to which a door opens: 1 = left of the wall's direction, -1 = right, 0 = no leaf."""
     hinge: Literal["start", "end"] = "start"
-    """Side of the opening, along the wall, at which a door hangs."""
+    """Side of the opening, along the wall, with the hinge of a door."""
     body: str = ""
-    """Name of the object (a folder of ``scenes/objects``) that hangs in a door as a body that moves; empty = none."""
+    """Name of the object (a folder of ``scenes/objects``) that is the movable leaf of a door; empty = none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A straight wall, by its middle line."""
+    """A straight wall along its centre line."""
 
     start: Point
     end: Point
@@ -53,7 +53,7 @@ class Wall:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A room, bounded by the middle lines of its walls."""
+    """A room, bounded by the centre lines of its walls."""
 
     name: str
     kind: str
@@ -68,7 +68,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Storey:
-    """A floor of a building with what stands around it."""
+    """A storey: its rooms and walls."""
 
     floor_z: float
     height: float
@@ -90,19 +90,19 @@ class Stair:
     tread: float
     """Depth of a step, metres."""
     steps: int
-    """Rises, all equal. There is one tread fewer, since the last rise ends on the floor above: the flight is ``(steps - 1) * tread`` long."""
+    """Number of equal rises. The last rise ends on the floor above, so the flight is ``(steps - 1) * tread`` long."""
     hole: tuple[Point, ...]
     """Corners of the hole in the floor above, counter-clockwise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Furniture, or anything else that stands, hangs or lies and does not move."""
+    """Furniture, or any other static object."""
 
     name: str
-    """Its own; unique in the building."""
+    """Unique in the building."""
     kind: str
-    """What it is: a name of ``catalogue.CATALOGUE``."""
+    """Key of ``catalogue.CATALOGUE``."""
     storey: int
     room: str
     position: Vec3
@@ -115,7 +115,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Something that moves: an object of ``scenes/objects``, as a body of its own."""
+    """A movable object of ``scenes/objects``."""
 
     name: str
     model: str
@@ -123,27 +123,27 @@ class Body:
     position: Vec3
     yaw: float = 0.0
     joints: Mapping[str, float] = field(default_factory=dict)
-    """Where its joints are at the start: radians or metres."""
+    """Initial joint positions: radians or metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A source of light that the bake sees."""
+    """A light source in the bake."""
 
     kind: Literal["ceiling", "pendant", "floor", "desk", "panel", "spot"]
     position: Vec3
-    """Of the middle of what shines."""
+    """Centre of the light-emitting part."""
     power: float
-    """Watts of light, as Blender counts them."""
+    """Power in Blender's watts."""
     temperature: float = 3000.0
     """Kelvin."""
     size: float = 0.2
-    """Diameter, or edge, of what shines, metres."""
+    """Diameter or edge of the light-emitting part, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A named place for a robot."""
+    """A named start pose."""
 
     name: str
     position: Vec3
@@ -152,7 +152,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Building:
-    """All of it."""
+    """The whole plan."""
 
     name: str
     kind: BuildingKind
@@ -164,7 +164,7 @@ class Building:
     starts: tuple[Start, ...]
     stairs: tuple[Stair, ...] = ()
     sun_direction: Vec3 = (0.45, 0.6, -0.66)
-    """The way the sun's light travels."""
+    """Direction in which sunlight travels."""
     sun: float = 3.0
     """Strength of the sun, W/m²."""
     sky: float = 1.0
@@ -179,4 +179,4 @@ MATERIALS = (
     "fabric_striped", "leather_brown", "leather_black", "metal_steel", "metal_black", "metal_brass", "plastic_white", "plastic_black", "plastic_red",
     "ceramic_white", "glass", "mirror", "stone_dark", "paper", "leaves", "soil", "screen", "cardboard",
 )  # fmt: skip
-"""Names that surfaces may have."""
+"""Names of surface materials."""

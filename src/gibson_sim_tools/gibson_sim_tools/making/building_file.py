@@ -1,4 +1,4 @@
-"""Plans of buildings as files, so that another program, with another Python, can read them. JSON; NumPy only."""
+"""Reads and writes plans of buildings as JSON, for a program with another Python. NumPy only."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gibson_sim_tools.making.building import Building
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How finely a scene is baked."""
+    """Resolution and samples of a bake."""
 
     atlases: int
     size_px: int
-    """Edge of each atlas; a whole multiple of 2."""
+    """Edge of each atlas, pixels; a multiple of 2."""
     samples: int
-    """Rays for each pixel of the light."""
+    """Samples per pixel of the light."""
     jpeg: int = 85
-    """Quality of the images, 1 to 100."""
+    """JPEG quality, 1 to 100."""
 
     def __post_init__(self) -> None:
         if self.atlases < 1 or self.samples < 1 or self.size_px < 64 or self.size_px % 2 or not 1 <= self.jpeg <= 100:
@@ -43,13 +43,13 @@ QUALITIES = {
 
 
 def write_plan(path: Path, building: Building, quality: Quality) -> None:
-    """Writes a plan; the same plan gives the same bytes."""
+    """Writes a plan; equal plans give equal bytes."""
     values = {"building": dataclasses.asdict(building), "quality": dataclasses.asdict(quality)}
     write_file(path, json.dumps(values, sort_keys=True, separators=(",", ":")) + "\n")
 
 
 def read_plan(path: Path) -> tuple[Building, Quality]:
-    """Returns what ``write_plan`` wrote.
+    """Reads a plan that ``write_plan`` wrote.
 
     Raises:
         SceneError: the file holds no plan.
@@ -62,7 +62,7 @@ def read_plan(path: Path) -> tuple[Building, Quality]:
 
 
 def _read(kind: Any, value: Any) -> Any:
-    """Returns a value of JSON as the type that an annotation names."""
+    """Returns a JSON value, converted to an annotated type."""
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         return kind(**{f.name: _read(hints[f.name], value[f.name]) for f in dataclasses.fields(kind)})  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""What is seen through the windows: sky, trees and meadow as a camera sees them that is exposed for the room."""
+"""Draws the view through the windows (sky, trees, meadow) as a camera exposed for the room sees it."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def outside(seed: int) -> NDArray[np.uint8]:
     for haze, top, tone in ((0.6, 15.0, (0.50, 0.60, 0.52)), (0.35, 11.0, (0.36, 0.47, 0.28)), (0.12, 6.0, (0.30, 0.42, 0.20))):
         _trees(picture, rng, top * (0.35 + 0.9 * _outline(rng)), tone, haze)
     image = cv2.GaussianBlur(picture, (0, 0), 1.6)
-    # The room is what the camera is exposed for: outside is too bright.
+    # The exposure is for the room, so the outside is overexposed.
     return np.asarray(np.clip(np.round((1 - (1 - np.clip(image, 0, 1)) * 0.62) * 255), 0, 255), dtype=np.uint8)
 
 
 def _noise(rng: np.random.Generator, octaves: int, falloff: float) -> F64:
-    """Returns noise about 0.5, (HEIGHT, WIDTH), that goes on across the seam."""
+    """Returns noise about 0.5, (HEIGHT, WIDTH), seamless across the left and right edges."""
     result, total = np.zeros((HEIGHT, WIDTH), dtype=np.float32), 0.0
     for k in range(octaves):
         rows, columns, weight = 2 ** (k + 1), 2 ** (k + 2), falloff**k
@@ -47,7 +47,7 @@ def _noise(rng: np.random.Generator, octaves: int, falloff: float) -> F64:
 def _trees(
     picture: NDArray[np.float32], rng: np.random.Generator, top: F64, tone: tuple[float, float, float], haze: float
 ) -> None:
-    """Draws a line of trees, whose crowns are many bunches of leaves, lit from above. ``top``: (WIDTH,), degrees."""
+    """Draws a line of trees whose crowns are many clusters of leaves, lit from above. ``top``: (WIDTH,), degrees."""
     per_degree = HEIGHT / 180.0
     for x in np.sort(rng.uniform(0, WIDTH, 150)):
         tall = float(top[int(x)]) * rng.uniform(0.7, 1.1) * per_degree
@@ -59,7 +59,7 @@ def _trees(
             light = (0.55 + 0.75 * up + rng.uniform(-0.2, 0.2)) * color
             hazy = light + haze * (np.array([0.90, 0.93, 0.95]) - light)
             radius = max(2, round(rng.uniform(0.06, 0.15) * tall))
-            for turn in (-WIDTH, 0, WIDTH):  # the left edge goes on at the right one
+            for turn in (-WIDTH, 0, WIDTH):  # the left edge continues at the right one
                 cv2.circle(picture, (middle[0] + turn, middle[1]), radius, hazy.tolist(), -1, cv2.LINE_AA)
 
 

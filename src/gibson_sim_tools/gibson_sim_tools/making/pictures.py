@@ -1,4 +1,4 @@
-"""Pictures of a finished scene: its thumbnail, and views for whoever judges it."""
+"""Renders a finished scene: its thumbnail, and views for inspection."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FOV = math.radians(62.0)
 
 
 def eye(position: Vec3, yaw: float, pitch: float = _TILT) -> CameraSpec:
-    """Returns a camera that stands in the scene; ``pitch`` is downwards, radians."""
+    """Returns a camera in the scene; ``pitch``: downwards, radians."""
     T = matrix_from_pose(pose_from_xyz_rpy(position, (0.0, pitch, yaw)))
     return CameraSpec(
         "eye", "", Pose(position, quat_from_matrix(T[:3, :3] @ R_LINK_OPTICAL)), WIDTH, HEIGHT, _FOV, outputs=("rgb",), samples=4
@@ -33,7 +33,7 @@ def eye(position: Vec3, yaw: float, pitch: float = _TILT) -> CameraSpec:
 
 
 def views(folder: Path, cameras: Sequence[CameraSpec]) -> list[Rgb]:
-    """Returns pictures of a scene with its bodies where they start, (480, 640, 3) uint8 sRGB."""
+    """Returns pictures of a scene with its bodies in their initial poses, (480, 640, 3) uint8 sRGB."""
     with Simulation(folder, None) as sim:
         return [frame.rgb for frame in sim.render_all(cameras) if frame.rgb is not None]
 

@@ -1,4 +1,4 @@
-"""Images of baked light: gaps filled, light and colour put together, tones as of a photograph. NumPy only."""
+"""Processes baked images: fills gaps, removes hidden texels, exposes and tone-maps. NumPy only."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from gibson_sim.geometry.colours import LUMINANCE, srgb_from_linear
 
 F32 = NDArray[np.float32]
 _MIDDLE = 0.48
-"""Linear brightness that the middle of a scene's tones gets before the curve."""
+"""Linear brightness of a scene's middle tones before the tone curve."""
 _BALANCE = 0.6
-"""Part of the tint of all light that is taken out."""
+"""Fraction of the light's overall tint that white balance removes."""
 _SHUT = 1e-6
 _RUN = 3
 _REACH = 16
-"""Pixels."""
+"""Search radius for a covered pixel, pixels."""
 _SHOULDER = 4.2
-"""Linear brightness that becomes white."""
+"""Linear brightness that maps to white."""
 
 
 def filled(image: F32, covered: NDArray[np.bool_]) -> F32:
-    """Returns an image (H, W, C) whose gaps have the colours around them.
+    """Returns an image (H, W, C) whose gaps are filled from their surroundings.
 
-    Beside a chart lie its own colours, so that nothing of its neighbour bleeds into it; the rest is pushed and pulled through ever smaller images.
+    Each chart is extended by its own colours, so that its neighbours do not bleed into it; the rest is filled by push-pull over an image pyramid.
     """
     image, weight = _grown(image, covered.astype(np.float32)[..., None])
     levels = [(image * weight, weight)]
@@ -43,9 +43,9 @@ def filled(image: F32, covered: NDArray[np.bool_]) -> F32:
 
 
 def mirrored(image: F32, covered: NDArray[np.bool_]) -> F32:
-    """Returns an image (H, W, C) whose gaps show what lies beside them, mirrored at their edges.
+    """Returns an image (H, W, C) whose gaps are filled with their surroundings, mirrored at their edges.
 
-    A gap then is as noisy as its surroundings, and who takes out the noise sees no edge there. What is far from everything is ``filled``.
+    The gaps are then as noisy as their surroundings, and the denoiser sees no edge there. Pixels far from every chart are ``filled``.
     """
     rows, columns, found = _nearest(covered)
     height, width = covered.shape
@@ -58,7 +58,7 @@ def mirrored(image: F32, covered: NDArray[np.bool_]) -> F32:
 
 
 def _nearest(covered: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
-    """Returns row and column of a covered pixel near each pixel, and whether there is one within about ``_REACH``, by jump flooding.
+    """Returns row and column of a nearby covered pixel of each pixel, and whether one is within about ``_REACH``, by jump flooding.
 
     Rong, Tan, "Jump Flooding in GPU with Applications to Voronoi Diagram and Distance Transform", I3D 2006.
     """
@@ -80,20 +80,20 @@ def _nearest(covered: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.
 
 
 def _overlap(j: int, i: int, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Returns the pixels that have a neighbour ``j`` rows and ``i`` columns away, and these neighbours."""
+    """Returns the slices of the pixels with a neighbour ``j`` rows and ``i`` columns away, and of these neighbours."""
     pairs = [(slice(max(-k, 0), n - max(k, 0)), slice(max(k, 0), n - max(-k, 0))) for k, n in ((j, shape[0]), (i, shape[1]))]
     return (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1])
 
 
 def hidden(openness: F32, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Returns what lies within something else, as a wall does behind its skirting, (H, W).
+    """Returns the mask of texels inside other geometry, (H, W), as of a wall behind its skirting.
 
-    That is where runs of pixels are open nowhere, and the pixels beside these, which are hidden in part. In corners, too, some are by chance,
-    but seldom three in a row.
+    These are runs of pixels without openness, and their partly hidden neighbours. In corners, single pixels are closed by chance, but seldom
+    three in a row.
 
     Args:
-        openness: (H, W): part of the directions in which nothing is near, with its noise.
-        covered: (H, W): where there is a surface.
+        openness: (H, W): fraction of directions without near geometry, with its noise.
+        covered: (H, W): mask of surfaces.
     """
     shut = covered & (openness <= _SHUT)
     runs = np.pad(_opened(shut, 0) | _opened(shut, 1), 1)
@@ -102,7 +102,7 @@ def hidden(openness: F32, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _opened(mask: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """Returns what belongs to runs of at least ``_RUN`` along an axis."""
+    """Returns the mask of runs of at least ``_RUN`` pixels along an axis."""
     width = [(0, 0), (0, 0)]
     width[axis] = (_RUN - 1, _RUN - 1)
     padded = np.pad(mask, width)
@@ -112,7 +112,7 @@ def _opened(mask: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
 
 
 def _grown(image: F32, covered: F32) -> tuple[F32, F32]:
-    """Returns image and coverage (H, W, 1) after every chart has grown by one pixel."""
+    """Returns image and coverage (H, W, 1) with every chart dilated by one pixel."""
     padded, mask = (np.pad(a, [(1, 1), (1, 1), (0, 0)]) for a in (image * covered, covered))
     height, width = image.shape[:2]
     total, count = np.zeros_like(image), np.zeros_like(covered)
@@ -124,7 +124,7 @@ def _grown(image: F32, covered: F32) -> tuple[F32, F32]:
 
 
 def doubled(image: F32) -> F32:
-    """Returns an image (H, W, C) of twice the size; pixels are squares, values between their middles are mixed."""
+    """Returns an image (H, W, C) at twice the size, interpolated linearly between pixel centres."""
     for axis in (0, 1):
         before = np.concatenate([image.take([0], axis), image.take(range(image.shape[axis] - 1), axis)], axis)
         after = np.concatenate([image.take(range(1, image.shape[axis]), axis), image.take([-1], axis)], axis)
@@ -136,7 +136,7 @@ def doubled(image: F32) -> F32:
 
 
 def exposure_of(samples: list[F32]) -> F32:
-    """Returns the factors (3,) of red, green and blue that expose a scene well and take most of the tint out of its light.
+    """Returns the factors (3,) of red, green and blue for exposure and white balance.
 
     Args:
         samples: (N, 3) linear colours in their light. What lies in the dark, behind and below things, does not count.
@@ -151,7 +151,7 @@ def exposure_of(samples: list[F32]) -> F32:
 
 
 def toned(linear: ArrayLike) -> NDArray[np.uint8]:
-    """Returns sRGB, 8 bits, of linear colours: straight in the shadows, bent towards white in the lights, as a camera does.
+    """Returns 8-bit sRGB of linear colours, tone-mapped: linear in the shadows, compressed in the highlights.
 
     The curve is that of Reinhard et al., "Photographic Tone Reproduction for Digital Images" (2002), equation 4, on the brightest channel, mixed
     with the same on each channel, so that what is bright loses its colour.
@@ -160,7 +160,7 @@ def toned(linear: ArrayLike) -> NDArray[np.uint8]:
     peak = np.maximum(color.max(axis=-1, keepdims=True), 1e-6)
     kept = color * (_curve(peak) / peak)
     srgb = srgb_from_linear(0.55 * kept + 0.45 * _curve(color))
-    # A little more contrast about the middle, as pictures of cameras have.
+    # Slightly more contrast in the middle tones, as in photographs.
     curved = srgb + 0.13 * (srgb - 0.5) * (1 - (2 * srgb - 1) ** 2) * 2
     return np.asarray(np.clip(np.round(curved * 255), 0, 255), dtype=np.uint8)
 

@@ -1,4 +1,4 @@
-"""Makes a finished scene of what Blender baked: meshes, atlases, scene.yaml, licence, thumbnail. Needs no Blender."""
+"""Makes a finished scene from a bake: meshes, atlases, scene.yaml, licence. Needs no Blender."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.picture_files import write_picture
 from gibson_sim.writing import write_file
 from gibson_sim_tools.making.building import Building
 from gibson_sim_tools.making.building_file import Quality
-from gibson_sim_tools.making.glb import Paint, Patch, write_boxes, write_glb
+from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_boxes, write_glb
 from gibson_sim_tools.making.outside import outside
 from gibson_sim_tools.making.pixels import F32, doubled, exposure_of, filled, toned
 from gibson_sim_tools.making.surroundings import ASSETS, SURROUNDINGS, plain_surroundings
@@ -28,9 +28,9 @@ LIMIT_BYTES = 12_000_000
 _GLASS_ALPHA = 0.16
 _NARROW_PX = 22
 _REFLECTED = 0.88
-"""Part of the light that a mirror gives back."""
+"""Reflectance of mirrors."""
 _ROOM_CLASSES = {"living": "living_room", "meeting": "meeting_room"}
-"""Kinds of rooms in plans that scenes call otherwise."""
+"""Room classes whose name differs from the kind in plans."""
 _LICENSE = """CC0 1.0 Universal (Public Domain Dedication)
 
 To the extent possible under law, the makers of this scene have waived all copyright and related or neighbouring rights to all files in this
@@ -41,17 +41,17 @@ The scene was made by `{command}`; nothing in it was taken from elsewhere.
 
 
 def write_scene_folder(building: Building, quality: Quality, work: Path, folder: Path, command: str) -> float:
-    """Writes all files of a scene but the thumbnail and what else is made by looking at it.
+    """Writes all files of a scene but those that need a renderer (thumbnail, surroundings).
 
     Args:
         building: the plan.
-        quality: as baked.
-        work: folder with what ``gibson_sim_tools.making.blender`` made.
-        folder: of the scene; what it held of these files is replaced.
-        command: that made it.
+        quality: quality of the bake.
+        work: output folder of ``gibson_sim_tools.making.blender``.
+        folder: of the scene; existing files are replaced.
+        command: command line recorded in scene.yaml.
 
     Returns:
-        How bright a white surface mostly is in it, linear.
+        The typical brightness of a white surface in the scene, linear.
 
     Raises:
         SceneError: something was not baked, or the scene is too large.
@@ -85,7 +85,7 @@ def _load(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> float:
-    """Writes the atlases; returns how bright a white surface mostly is in them, linear."""
+    """Writes the atlases; returns the typical brightness of a white surface in them, linear."""
     images = []
     for k in atlases:
         try:
@@ -106,7 +106,7 @@ def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atla
 
 
 def _white(shown: NDArray[np.float64], colors: F32) -> NDArray[np.float64]:
-    """Returns how bright white would be shown at each of N pixels that are neither dark nor in the dark."""
+    """Returns the brightness of white at the N pixels that are neither dark nor in shadow."""
     own, there = colors.mean(axis=1), shown.mean(axis=1)
     return np.asarray((there / np.maximum(own, 1e-6))[(own > 0.2) & (there > 0.05)])
 
@@ -116,10 +116,10 @@ def _write_image(path: Path, rgb: NDArray[np.uint8], jpeg: int) -> None:
 
 
 def calm_small_charts(light: F32, charts: NDArray[np.float64]) -> None:
-    """Smooths the light on narrow charts, along them: they hold too few pixels for the denoiser to go by.
+    """Smooths the light along narrow charts, which have too few pixels for the denoiser.
 
     Args:
-        light: (H, W, 4); the last channel is 1 where there is a surface; is changed.
+        light: (H, W, 4); the last channel is 1 on surfaces; changed in place.
         charts: (C, 4): low corner and size of each chart, pixels.
     """
     for x, y, width, height in charts:
@@ -138,7 +138,7 @@ def calm_small_charts(light: F32, charts: NDArray[np.float64]) -> None:
 
 
 def _mirrors(work: Path, atlas: int) -> Iterable[tuple[NDArray[np.float64], F32]]:
-    """Yields the corners (4, 2) of the mirrors in an atlas, and what they show."""
+    """Yields the corners (4, 2) and the reflection of each mirror in an atlas."""
     content = _load(work / "mirrors.npz")
     for name in content:
         number = name.removeprefix("image_")
@@ -147,10 +147,10 @@ def _mirrors(work: Path, atlas: int) -> Iterable[tuple[NDArray[np.float64], F32]
 
 
 def put_mirror(image: F32, uv: NDArray[np.float64], reflected: F32) -> None:
-    """Draws what a mirror shows into its atlas.
+    """Draws the reflection of a mirror into its atlas.
 
     Args:
-        image: (H, W, 3), row 0 at the bottom; is changed.
+        image: (H, W, 3), row 0 at the bottom; changed in place.
         uv: (4, 2): lower left, lower right, upper right, upper left corner of the mirror, 0 to 1.
         reflected: (h, w, 3), row 0 at the bottom.
     """
@@ -167,10 +167,10 @@ def put_mirror(image: F32, uv: NDArray[np.float64], reflected: F32) -> None:
 
 
 def compose(color: F32, light: F32) -> F32:
-    """Returns the colours (H, W, 3) in their light, linear.
+    """Returns the lit colours (H, W, 3), linear.
 
     Args:
-        color: (H, W, 4), linear; the last channel is 1 where there is a surface.
+        color: (H, W, 4), linear; the last channel is 1 on surfaces.
         light: (H / 2, W / 2, 4), light on white.
     """
     whole = filled(color[..., :3], color[..., 3] > 0.5)
@@ -201,14 +201,14 @@ def _patches(mesh: dict[str, NDArray[Any]], chosen: NDArray[np.int64]) -> Iterab
     for k in sorted(set(atlas.tolist())):
         rows = chosen[atlas == k]
         if k >= 0:
-            yield Patch(Paint(f"atlas_{k}.jpg"), mesh["corners"][rows].astype(float), mesh["uv"][rows].astype(float))
+            yield Patch(BakedMaterial(f"atlas_{k}.jpg"), mesh["corners"][rows].astype(float), mesh["uv"][rows].astype(float))
             continue
         looks = np.column_stack([mesh["tint"][rows], mesh["pattern"][rows]])
         for look in np.unique(looks, axis=0):
             same = rows[(looks == look).all(axis=1)]
             glass = mesh["patterns"].tolist()[int(look[3])] == "glass"
             color = (float(look[0]), float(look[1]), float(look[2]), _GLASS_ALPHA if glass else 1.0)
-            yield Patch(Paint(color=color), mesh["corners"][same].astype(float))
+            yield Patch(BakedMaterial(color=color), mesh["corners"][same].astype(float))
 
 
 def _description(building: Building, objects: list[dict[str, Any]], command: str) -> dict[str, Any]:
@@ -239,7 +239,7 @@ def _description(building: Building, objects: list[dict[str, Any]], command: str
 
 
 def rooms_document(building: Building) -> list[dict[str, Any]]:
-    """Returns the content of ``rooms`` in scene.yaml: every room to the middle lines of its walls."""
+    """Returns the content of ``rooms`` in scene.yaml: every room up to the centre lines of its walls."""
     return [
         {
             "name": room.name,
@@ -259,7 +259,7 @@ def _body(body: Any) -> dict[str, Any]:
         "pose": {"xyz": [round(v, 4) for v in body.position], "rpy_deg": [0.0, 0.0, round(math.degrees(body.yaw), 3)]},
     }
     if body.joints:
-        # Hinges are given in degrees, slides in metres.
+        # Hinges in degrees, slides in metres.
         slides = ("slide", "drawer")
         entry["joints"] = {k: round(v if k.startswith(slides) else math.degrees(v), 3) for k, v in body.joints.items()}
     return entry

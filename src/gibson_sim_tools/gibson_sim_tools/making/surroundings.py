@@ -1,4 +1,4 @@
-"""What lights the things that can be moved: the rooms themselves, as they are seen all around from where robots start."""
+"""Makes the environment map that lights movable bodies: the rooms, seen from the start poses."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ _ROWS = 64
 
 
 def plain_surroundings(path: Path, white: float) -> None:
-    """Writes surroundings that are alike in all directions.
+    """Writes a uniform environment map.
 
     Args:
         path: the file.
-        white: how bright a white surface becomes, linear.
+        white: brightness of a white surface, linear.
     """
     _write(path, np.full((_ROWS, 2 * _ROWS, 3), white, dtype=np.float32))
 
 
 def write_surroundings(folder: Path, building: Building, white: float) -> None:
-    """Writes the mean of what is seen from all starts of a finished scene, as bright as its baked light.
+    """Writes the mean panorama from all starts of a finished scene, as bright as its baked light.
 
     Args:
-        folder: of the scene, with plain surroundings.
+        folder: of the scene, with a uniform environment map.
         building: its plan.
-        white: how bright a white surface becomes on average, linear.
+        white: mean brightness of a white surface, linear.
     """
     cameras = [
         dataclasses.replace(
@@ -45,7 +45,7 @@ def write_surroundings(folder: Path, building: Building, white: float) -> None:
         for x, y, z in (start.position,)
     ]
     seen = np.mean([linear_from_srgb(rgb.astype(np.float32) / 255) for rgb in views(folder, cameras)], axis=0).astype(np.float32)
-    # The mean over all normals: the terms without direction, and a third of that of z².
+    # The mean over all normals: the constant terms, and a third of the z² term.
     factors = irradiance(seen)
     mean = float((factors[0] + factors[6] / 3).mean())
     _write(folder / ASSETS / SURROUNDINGS, seen * np.float32(white / max(mean, 1e-3)))

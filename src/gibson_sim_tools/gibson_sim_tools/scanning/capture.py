@@ -1,10 +1,10 @@
-"""Takes a scan: plans it, draws it with the renderer, spoils it, writes it as a folder. An interrupted one goes on where it stopped.
+"""Captures a scan: plans it, renders it, adds defects, and writes a folder. An interrupted scan resumes where it stopped.
 
-    scan.json        what was scanned, with every setting, and the views; ``frames`` = images there must be
+    scan.json        the scene, every setting, and the views; ``frames`` = number of images
     color/000000.jpg sRGB
     depth/000000.png 16 bit, millimetres along the optical axis, 0 = no depth; registered with the colours
-    poses.txt        where the scanner takes its camera to be: rows ``stamp tx ty tz qx qy qz qw`` of T_world_camera, optical frame
-    true_poses.txt   where it was
+    poses.txt        estimated camera poses: rows ``stamp tx ty tz qx qy qz qw`` of T_world_camera, optical frame
+    true_poses.txt   true camera poses
     trajectory.log   as poses.txt, for Open3D
     intrinsic.json   Open3D's format
 
@@ -36,7 +36,7 @@ from gibson_sim_tools.scanning.defects import image_effects, measured_depth, mea
 from gibson_sim_tools.scanning.intrinsics_files import write_intrinsics
 from gibson_sim_tools.scanning.layouts import DESCRIPTION, FORMAT, read_json
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, depth_units
-from gibson_sim_tools.scanning.route import View, plan_views
+from gibson_sim_tools.scanning.route import RigView, plan_views
 from gibson_sim_tools.scanning.settings import Defects, ScanCamera, TourSettings
 from gibson_sim_tools.scanning.stations import candidates, choose_stations, find_storeys
 from gibson_sim_tools.scanning.trajectories import write_stamped_poses, write_trajectory_log
@@ -46,17 +46,17 @@ Progress = Callable[[float], None]
 
 DEPTH_SCALE = 1000.0
 SURFACE_POINTS = 30_000
-"""Points of the scene's surface that the plan counts."""
+"""Number of surface samples that measure the coverage."""
 _AT_ONCE = 6
-"""Views that are drawn in one call."""
+"""Views rendered in one call."""
 _MOST = 1_000_000
 _BLUR_S = 0.1
-"""Seconds back to the state that motion blur is drawn from."""
+"""Age of the state from which motion blur starts, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanSettings:
-    """Everything that decides a scan of a scene."""
+    """All settings of a scan."""
 
     tour: TourSettings
     camera: ScanCamera
@@ -65,25 +65,25 @@ class ScanSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPlan:
-    """Where the rig goes."""
+    """Views of the rig, and what its stations cover."""
 
-    views: tuple[View, ...]
+    views: tuple[RigView, ...]
     stations: int
     coverage: float
-    """Part of what can be seen from free places that is seen from the stations."""
+    """Fraction of the surface visible from free places that the stations see."""
 
 
 def scan(
     scene: SceneSpec, folder: Path, settings: ScanSettings, *, cache: Path | None = None, progress: Progress = lambda _: None
 ) -> ScanPlan:
-    """Takes a scan of a scene, or what is missing of it, and returns its plan.
+    """Captures a scan of a scene, or the rest of an interrupted one, and returns its plan.
 
     Args:
-        scene: what to scan; robots are left out.
-        folder: what to write into. It may be new, empty, or hold the begin of the same scan.
-        settings: how.
-        cache: as ``Renderer`` takes it.
-        progress: told how much is done, 0 to 1.
+        scene: the scene; robots are left out.
+        folder: output: new, empty, or with the beginning of the same scan.
+        settings: settings of the scan.
+        cache: of ``Renderer``.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
         ScanError: the folder holds something else, or the rig fits nowhere.
@@ -103,7 +103,7 @@ def scan(
 
 
 class _Camera:
-    """The renderer, with a link for each view of a batch: each then has a motion of its own."""
+    """The renderer with one link per view of a batch, so that each view has its own motion."""
 
     def __init__(self, renderer: Renderer, revision: int, links: tuple[str, ...]) -> None:
         self._renderer, self._revision, self.links = renderer, revision, links
@@ -113,8 +113,8 @@ class _Camera:
         frames = self._renderer.render(self._state([np.eye(4)] * len(self.links), 0), cameras)
         return [f.depth for f in frames if f.depth is not None]
 
-    def frames(self, views: Sequence[View], cameras: Sequence[CameraSpec]) -> list[Frame]:
-        """Returns the pictures of cameras on the links of a batch of views."""
+    def frames(self, views: Sequence[RigView], cameras: Sequence[CameraSpec]) -> list[Frame]:
+        """Returns the frames of cameras on the links of a batch of views."""
         padded = [*views, *[views[-1]] * (len(self.links) - len(views))]
         now = self._state([v.T_world_rig for v in padded], NS_PER_S)
         before = self._state([v.earlier(_BLUR_S) for v in padded], round((1.0 - _BLUR_S) * NS_PER_S))
@@ -142,7 +142,7 @@ def _plan(scene: SceneSpec, settings: ScanSettings, camera: _Camera, progress: P
 
 
 class _Scanner:
-    """Takes the pictures that are not there yet."""
+    """Renders and writes the images that do not exist yet."""
 
     def __init__(self, folder: Path, settings: ScanSettings, plan: ScanPlan, camera: _Camera, shiny: frozenset[int]) -> None:
         self._folder, self._settings, self._plan, self._camera, self._shiny = folder, settings, plan, camera, shiny
@@ -187,7 +187,7 @@ class _Scanner:
 
 
 def mounts(tour: TourSettings) -> list[F64]:
-    """Returns T_rig_camera of each camera of the rig, (4, 4), optical frame."""
+    """Returns T_rig_camera of each camera, (4, 4), optical frame."""
     out = []
     for pitch in tour.pitches:
         T = matrix_from_pose(pose_from_xyz_rpy(rpy=(0.0, -math.radians(pitch), 0.0)))
@@ -197,7 +197,7 @@ def mounts(tour: TourSettings) -> list[F64]:
 
 
 def _shiny(classes: Sequence[str], defects: Defects) -> frozenset[int]:
-    """Returns the numbers of the semantic classes whose surfaces are shiny."""
+    """Returns the ids of the semantic classes with shiny surfaces."""
     words = [word.strip() for word in defects.shiny_classes.split(",") if word.strip()]
     if not defects.shiny_fraction:
         return frozenset()
@@ -205,7 +205,7 @@ def _shiny(classes: Sequence[str], defects: Defects) -> frozenset[int]:
 
 
 def _begun(folder: Path, scene: SceneSpec, settings: ScanSettings) -> ScanPlan | None:
-    """Returns the plan of the scan that was begun in a folder, or None where there is nothing.
+    """Returns the plan of an interrupted scan in a folder, or None for an empty or new folder.
 
     Raises:
         ScanError: the folder holds another scan, or something else.
@@ -223,13 +223,13 @@ def _begun(folder: Path, scene: SceneSpec, settings: ScanSettings) -> ScanPlan |
             f"--output {folder}: holds another scan (it differs in {', '.join(other)}); give another name, or the same options to go on with it"
         )
     try:
-        return ScanPlan(tuple(View(*values) for values in found["views"]), found["stations"], found["coverage"])
+        return ScanPlan(tuple(RigView(*values) for values in found["views"]), found["stations"], found["coverage"])
     except (KeyError, TypeError) as error:
         raise ScanError(f"{path}: is damaged ({error}); remove the folder and scan again") from error
 
 
 def _begin(folder: Path, scene: SceneSpec, settings: ScanSettings, plan: ScanPlan) -> None:
-    """Writes everything but the images; the description last, so that a folder with one is complete but for images."""
+    """Writes everything but the images, the description last: a folder with a description lacks images only."""
     for part in ("color", "depth"):
         (folder / part).mkdir(parents=True, exist_ok=True)
     rigs = np.stack([v.T_world_rig for v in plan.views])
@@ -237,7 +237,7 @@ def _begin(folder: Path, scene: SceneSpec, settings: ScanSettings, plan: ScanPla
     stamps = np.repeat([v.stamp_s for v in plan.views], len(on_rig))
     true = (rigs[:, None] @ on_rig[None]).reshape(-1, 4, 4)
     measured = (measured_poses(rigs, settings.defects, settings.tour.seed)[:, None] @ on_rig[None]).reshape(-1, 4, 4)
-    # Cameras of one rig have one moment; readers of stamps want them to differ.
+    # The cameras of a rig share a moment, but readers of stamped poses need distinct stamps.
     stamps += np.tile(np.arange(len(on_rig)) * 1e-3, len(rigs))
     write_stamped_poses(folder / "true_poses.txt", stamps, true)
     write_stamped_poses(folder / "poses.txt", stamps, measured)

@@ -1,4 +1,4 @@
-"""A scene as a scanner finds it: everything stands still, also what could move. Its pictures, its surface. Knows no OpenGL."""
+"""The static scene that a scanner sees, with all bodies at rest, and samples of its surface. Knows no OpenGL."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 SOLID_ALPHA = 0.9
-"""What is more transparent has no depth, so no scanner sees it."""
+"""Least alpha of a surface that gives depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """Points spread evenly over surfaces, world frame."""
+class SurfacePoints:
+    """Points spread evenly over a surface, world frame."""
 
     points: F64
     """(N, 3), metres."""
@@ -37,15 +37,15 @@ class Surface:
 
 
 def still_scene(scene: SceneSpec, links: tuple[str, ...] = ()) -> DrawnScene:
-    """Returns what a renderer draws: the scene without robots, standing still, and ``links`` for the rig."""
+    """Returns the scene for a renderer: without robots, all bodies static, with ``links`` for the rig."""
     return drawn_scene(replace(scene, visuals=still_visuals(scene), bodies=(), robots=()), links)
 
 
 def solid_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
-    """Returns all that is drawn and not transparent, as one mesh in the world frame: vertices (V, 3), triangles (F, 3).
+    """Returns all opaque visuals as one mesh in the world frame: vertices (V, 3), triangles (F, 3).
 
     Raises:
-        ScanError: there is nothing.
+        ScanError: there are none.
     """
     visuals = still_visuals(scene)
     loader = MeshLoader(scene_roots(replace(scene, visuals=visuals)), textures=False)
@@ -63,23 +63,23 @@ def solid_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
     return merge(pieces)
 
 
-def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng: np.random.Generator) -> Surface:
-    """Returns points spread over triangles, each square metre with as many.
+def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng: np.random.Generator) -> SurfacePoints:
+    """Returns points spread over triangles with uniform density.
 
     Args:
         vertices: (V, 3), metres.
         triangles: (F, 3), rows of ``vertices``.
-        count: how many points.
-        rng: decides where.
+        count: number of points.
+        rng: source of randomness.
     """
     corners = vertices[triangles]
     points, which = spread_over(corners, count, rng)
     if not len(points):
         raise ScanError("the mesh has no surface: all its triangles are without area")
-    return Surface(points, unit_normals(corners[which]))
+    return SurfacePoints(points, unit_normals(corners[which]))
 
 
-def seen_points(surface: Surface, depth: F32, K: F64, T_world_camera: F64, tolerance: float) -> NDArray[np.bool_]:
+def seen_points(surface: SurfacePoints, depth: F32, K: F64, T_world_camera: F64, tolerance: float) -> NDArray[np.bool_]:
     """Returns which points of a surface a depth image shows, (N,).
 
     Args:

@@ -1,4 +1,4 @@
-"""A mesh with a colour at each vertex, as scanners give them: its parts, its up, its file. Pure but for the file."""
+"""A mesh with vertex colours, as scanners produce it: welding, small parts, levelling, PLY. Pure but for the file."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _CAMERA_DEG = 50.0
-"""Up is this near to the mean of the cameras' -y: many look down most of the time."""
+"""Largest angle between up and the mean of the cameras' -y, degrees; many cameras look down most of the time."""
 _LEVEL_SHARE = 0.02
-"""Of the surface: less is no floor."""
+"""Least fraction of the surface that is a floor."""
 _FLOOR_DEG = 15.0
-"""Triangles whose normal is this near to up may be floor."""
+"""Largest angle between up and the normal of a floor triangle, degrees."""
 _FLOOR_BIN = 0.02
 _FLOOR_SHARE = 0.25
-"""Of the level area at the height where most of it is: the lowest height with as much is the floor's."""
+"""The floor is the lowest height with this fraction of the level area at the height that has most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColouredMesh:
-    """Triangles, counter-clockwise seen from where the camera was."""
+    """Triangles, counter-clockwise seen from the camera."""
 
     vertices: F32
     """(V, 3), metres."""
@@ -49,14 +49,14 @@ class ColouredMesh:
 
     @property
     def area(self) -> float:
-        """Square metres."""
+        """Surface area, square metres."""
         return float(np.linalg.norm(self.crosses(), axis=1).sum() / 2.0)
 
 
 def welded(mesh: ColouredMesh, size: float) -> ColouredMesh:
-    """Returns the mesh with vertices that lie in the same cube of edge ``size``, metres, as one, and without triangles that so lose their area.
+    """Returns the mesh with the vertices in each cube of edge ``size``, metres, merged, without the triangles that collapse.
 
-    Where a surface goes through corners of voxels, a distance field gives many triangles as thin as its rounding.
+    Where a surface passes through corners of voxels, a distance field gives many sliver triangles.
     """
     cells = np.rint(mesh.vertices.astype(np.float64) / size).astype(np.int64)
     cells -= cells.min(axis=0, initial=0)
@@ -78,9 +78,9 @@ def without_small_parts(mesh: ColouredMesh, least_area: float) -> ColouredMesh:
 
 
 def thinned(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
-    """Returns the mesh with about so many triangles, or more where that would tear it; its vertices are some of the given ones.
+    """Returns the mesh with about ``triangles`` triangles, or more if fewer would tear it; its vertices are a subset of the given ones.
 
-    Fast, and farther from the mesh than a method that moves vertices to where they fit best.
+    Faster and less accurate than a method that optimises vertex positions.
 
     Raises:
         MeshError: meshoptimizer is not installed.
@@ -89,7 +89,7 @@ def thinned(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
 
 
 def _subset(mesh: ColouredMesh, triangles: NDArray[Any]) -> ColouredMesh:
-    """Returns some triangles (F, 3) between the vertices of a mesh, with those vertices alone."""
+    """Returns the mesh of some triangles (F, 3), with the vertices that they use."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[triangles] = True
     number = np.cumsum(used) - 1
@@ -97,10 +97,10 @@ def _subset(mesh: ColouredMesh, triangles: NDArray[Any]) -> ColouredMesh:
 
 
 def level_transform(mesh: ColouredMesh, poses: F64) -> Mat4:
-    """Returns T_level_world, (4, 4): z up, the floor at z = 0, with as little turning as that takes.
+    """Returns T_level_world, (4, 4): z up, the floor at z = 0, by the smallest rotation.
 
-    Scans of others begin where the camera was. Cameras are held upright more or less, so up is near the mean of their -y; what is level
-    near there decides the rest, by the measure that ``gibson-sim scene check`` has.
+    Third-party scans have the frame of their first camera. Cameras are roughly upright, so up is near the mean of their -y; the level
+    surfaces near that direction decide, by the measure of ``gibson-sim scene check``.
 
     Args:
         mesh: in the frame of the scan.
@@ -148,7 +148,7 @@ def moved(mesh: ColouredMesh, T: Mat4) -> ColouredMesh:
 
 
 def write_ply(path: Path, mesh: ColouredMesh) -> None:
-    """Writes a binary PLY with colours of vertices, as most programs read it.
+    """Writes a binary PLY with vertex colours.
 
     Raises:
         WriteError: it cannot be written.

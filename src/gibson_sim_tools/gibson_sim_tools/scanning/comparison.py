@@ -1,4 +1,4 @@
-"""How good a fused mesh is: against the clean scene that was scanned."""
+"""Measures a fused mesh against the scene that was scanned."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim_tools.scanning.clean_scene import Surface, sample_surface, seen_points, solid_triangles
+from gibson_sim_tools.scanning.clean_scene import SurfacePoints, sample_surface, seen_points, solid_triangles
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
@@ -19,16 +19,16 @@ from gibson_sim_tools.scanning.trajectories import read_stamped_poses
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Distance = Callable[[F64, NDArray[Any], NDArray[np.int32]], NDArray[np.float32]]
-"""(points, vertices, triangles) -> distances of the points to the mesh."""
+"""(points, vertices, triangles) -> distances from the points to the mesh."""
 
 NEAR = 0.05
-"""Metres within which a surface counts as covered."""
+"""Distance within which a surface counts as covered, metres."""
 POINTS = 50_000
-"""Points on each of the two surfaces."""
+"""Number of samples on each of the two surfaces."""
 
 
 @dataclass(frozen=True, slots=True)
-class Distances:
+class DistanceStatistics:
     """Distances from one surface to another, millimetres."""
 
     median_mm: float
@@ -39,23 +39,23 @@ class Distances:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """A mesh against the clean scene."""
+class MeshComparison:
+    """A fused mesh compared with the scene."""
 
     triangles: int
     vertices: int
     area_m2: float
-    mesh_to_scene: Distances
-    """How wrong the mesh is."""
-    scene_to_mesh: Distances
-    """From what the images show of the scene: how much is missing."""
+    mesh_to_scene: DistanceStatistics
+    """Error of the mesh."""
+    scene_to_mesh: DistanceStatistics
+    """Distances from the surface that the images show: what is missing."""
     shown: float
-    """Part of all solid surfaces, also those inside and beneath furniture, that an image shows."""
+    """Fraction of all opaque surfaces, also inside and beneath furniture, that an image shows."""
     covered: float
-    """Part of what the images show that the mesh has within 5 cm."""
+    """Fraction of the shown surface that has the mesh within 5 cm."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Returns it for a JSON file."""
+        """Returns the comparison as plain values for JSON."""
         return asdict(self)
 
 
@@ -67,16 +67,16 @@ def compare(
     progress: Callable[[float], None] = lambda _: None,
     *,
     frames: Sequence[int] | None = None,
-) -> Comparison:
-    """Returns how a mesh differs from the clean scene, both in the frame of the scene.
+) -> MeshComparison:
+    """Compares a mesh with the scene, both in the frame of the scene.
 
     Args:
         mesh: fused from ``rgbd``.
-        rgbd: the scan; where it has true poses, they decide what was shown.
-        scene: what was scanned.
-        distance: measures points against a mesh.
-        progress: told how much is done, 0 to 1.
-        frames: numbers of those that were fused; None = all.
+        rgbd: the scan; its true poses, if any, decide what it shows.
+        scene: the scanned scene.
+        distance: distance function from points to a mesh.
+        progress: called with the fraction that is done, 0 to 1.
+        frames: numbers of the fused frames; None = all.
     """
     rng = np.random.default_rng(0)
     vertices, triangles = solid_triangles(scene)
@@ -85,7 +85,7 @@ def compare(
     own = sample_surface(mesh.vertices.astype(np.float64), mesh.triangles, POINTS, rng)
     there = distance(own.points, vertices, triangles)
     back = distance(clean.points[shown], mesh.vertices, mesh.triangles) if shown.any() else np.array([np.inf], dtype=np.float32)
-    return Comparison(
+    return MeshComparison(
         len(mesh.triangles),
         len(mesh.vertices),
         mesh.area,
@@ -97,9 +97,12 @@ def compare(
 
 
 def shown_points(
-    surface: Surface, rgbd: PosedRgbd, progress: Callable[[float], None] = lambda _: None, frames: Sequence[int] | None = None
+    surface: SurfacePoints,
+    rgbd: PosedRgbd,
+    progress: Callable[[float], None] = lambda _: None,
+    frames: Sequence[int] | None = None,
 ) -> Bools:
-    """Returns which points of a surface, (N,), at least one depth image, of ``frames`` or of all, shows to within 5 cm."""
+    """Returns which points of a surface, (N,), at least one depth image of ``frames`` (None = all) shows to within 5 cm."""
     true = rgbd.folder / "true_poses.txt"
     poses = _true_poses(true, rgbd) if true.is_file() else rgbd.poses
     shown = np.zeros(len(surface), dtype=bool)
@@ -107,7 +110,7 @@ def shown_points(
     for done, number in enumerate(numbers):
         frame = rgbd[number]
         left = ~shown
-        rest = Surface(surface.points[left], surface.normals[left])
+        rest = SurfacePoints(surface.points[left], surface.normals[left])
         shown[left] = seen_points(rest, frame.depth, rgbd.intrinsics.matrix, poses[number], NEAR)
         progress((done + 1) / len(numbers))
     return shown
@@ -118,6 +121,6 @@ def _true_poses(path: Path, rgbd: PosedRgbd) -> F64:
     return poses if len(poses) == len(rgbd) else rgbd.poses
 
 
-def _summary(distances: NDArray[np.float32]) -> Distances:
+def _summary(distances: NDArray[np.float32]) -> DistanceStatistics:
     mm = 1000.0 * distances.astype(np.float64)
-    return Distances(float(np.median(mm)), float(mm.mean()), float(np.percentile(mm, 95)), float(mm.max()))
+    return DistanceStatistics(float(np.median(mm)), float(mm.mean()), float(np.percentile(mm, 95)), float(mm.max()))

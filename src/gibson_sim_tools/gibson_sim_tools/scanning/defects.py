@@ -1,7 +1,7 @@
-"""What a scanner makes of true depths and true poses. Pure; all is decided by the seed and the number of the frame, so any order will do.
+"""Adds a scanner's errors to true depths and poses. Pure; seed and frame number decide everything, so frames may come in any order.
 
-Noise, steps, range and grazing angles are those of ``sensors.depth_noise``; here is what only scans need: edges, dark and shiny surfaces, and
-poses that are a little wrong.
+Noise, quantisation, range and grazing angles are those of ``sensors.depth_noise``. This module adds what only scans need: edges, dark and
+shiny surfaces, and pose errors.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EDGE_STEP = 0.04
-"""Two neighbouring pixels whose depths differ by more than this part of the nearer one lie on two sides of an edge."""
+"""Depth step between neighbouring pixels, as a fraction of the nearer depth, from which there is an edge."""
 DARK_LUMA = 40.0
-"""Pixels brighter than this, 0 to 255, are not dark."""
+"""Luma, 0 to 255, from which a pixel is not dark."""
 _PATCH_PX = 6
-"""Size of the patches in which depth is lost, pixels."""
-_TURN_AS_WAY = 0.15
-"""Metres of way that a turn by a radian counts as, for the drift."""
+"""Size of the patches without depth, pixels."""
+_ROTATION_WEIGHT = 0.15
+"""Weight of rotation against translation in the drift, m/rad."""
 _POSES, _DRIFT, _COLORS, _PATCHES = range(4)
 
 
 def generator(seed: int, purpose: int, number: int) -> np.random.Generator:
-    """Returns random numbers of their own for each purpose and frame, so that one setting does not change what another one does."""
+    """Returns a random generator per purpose and frame, so that settings do not affect each other's random numbers."""
     return np.random.default_rng([seed, purpose, number])
 
 
 def measured_depth(frame: Frame, defects: Defects, shiny: Bools | None, seed: int, number: int) -> F32:
-    """Returns the depths, (H, W) metres, that a scanner reports; NaN where it reports none.
+    """Returns the depths, (H, W) metres, that a scanner measures; NaN = none.
 
     Args:
-        frame: with the true depth and the colours.
-        defects: what to do.
-        shiny: (H, W), where a surface is shiny; None = nowhere.
+        frame: true depth and colours.
+        defects: settings.
+        shiny: (H, W), mask of shiny surfaces; None = none.
         seed: of the scan.
         number: of the frame.
     """
@@ -67,17 +67,17 @@ def measured_depth(frame: Frame, defects: Defects, shiny: Bools | None, seed: in
 
 
 def edges(depth: F32) -> Bools:
-    """Returns where a pixel and one beside it see surfaces at different depths, (H, W)."""
+    """Returns the mask of depth edges, (H, W)."""
     near = np.where(np.isfinite(depth), depth, np.float32(1e6))
     kernel = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(near, kernel), cv2.dilate(near, kernel)
-    # On a slanted plane the middle lies between the two; at an edge one side is flat.
+    # On a slanted plane the middle depth lies between both extremes; at an edge it equals one of them.
     step = np.minimum(high - near, near - low)
     return np.asarray((high - low > EDGE_STEP * low) & (step < 0.25 * (high - low)))
 
 
 def _spoil_edges(true: F32, depth: F32, defects: Defects, rng: np.random.Generator) -> None:
-    """Takes depth away beside edges, in patches, and puts some pixels between the two surfaces, in place."""
+    """Removes depth beside edges, in patches, and adds flying pixels between the two surfaces, in place."""
     if not (defects.edge_px or defects.flying_fraction):
         return
     at_edge = edges(true)
@@ -91,12 +91,12 @@ def _spoil_edges(true: F32, depth: F32, defects: Defects, rng: np.random.Generat
         low = cv2.erode(near, np.ones((3, 3), np.uint8))
         high = cv2.dilate(np.where(np.isfinite(true), true, np.float32(0.0)), np.ones((3, 3), np.uint8))
         part = rng.random(depth.shape, dtype=np.float32)
-        # Only there: away from edges nothing may have a depth, and an infinity less an infinity is a warning of numpy.
+        # Masked: away from edges both depths may be infinite, and inf - inf raises a warning of NumPy.
         depth[flies] = low[flies] + part[flies] * (high[flies] - low[flies])
 
 
 def _loss(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:
-    """Returns the part of the depth that is lost at each pixel, (H, W); None = nothing."""
+    """Returns the probability that a pixel loses its depth, (H, W); None = 0 everywhere."""
     loss: F32 | None = None
     if defects.dark_fraction and frame.rgb is not None:
         luma = frame.rgb.astype(np.float32) @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
@@ -108,7 +108,7 @@ def _loss(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:
 
 
 def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> F32:
-    """Returns smooth random numbers, evenly distributed in 0 to 1, (H, W): what lies below p is p of the image, in patches."""
+    """Returns smooth random numbers, uniform in 0 to 1, (H, W): values below p form patches that cover p of the image."""
     height, width = shape
     coarse = rng.standard_normal((height // _PATCH_PX + 3, width // _PATCH_PX + 3), dtype=np.float32)
     smooth = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
@@ -118,7 +118,7 @@ def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> F32:
 
 
 def image_effects(defects: Defects, seed: int, number: int) -> ImageEffects:
-    """Returns the effects on the colours of a frame: exposure and white balance differ from view to view."""
+    """Returns the image effects of a frame, with its own exposure and white balance."""
     rng = generator(seed, _COLORS, number)
     exposure, tint = rng.standard_normal(2)
     return ImageEffects(
@@ -133,16 +133,16 @@ def image_effects(defects: Defects, seed: int, number: int) -> ImageEffects:
 
 
 def measured_poses(T_world_rig: F64, defects: Defects, seed: int) -> F64:
-    """Returns where a rig takes itself to be, (N, 4, 4): a slow drift that grows with the way, and an error of each view of its own.
+    """Returns the estimated poses of a rig, (N, 4, 4): drift that grows with the distance, and an independent error of each view.
 
-    The first view has no drift; what drifts is the heading and the position, since a scanner knows where down is.
+    The first view has no drift. Only heading and position drift, because a scanner measures gravity.
     """
     measured = np.array(T_world_rig, dtype=np.float64)
     drift = np.eye(4)
     steps = generator(seed, _DRIFT, 0)
     for number in range(len(measured)):
         if number:
-            way = math.sqrt(_way(T_world_rig[number - 1], T_world_rig[number]))
+            way = math.sqrt(_travel(T_world_rig[number - 1], T_world_rig[number]))
             shift = steps.standard_normal(3) * defects.drift_m * way
             turn = steps.standard_normal() * math.radians(defects.drift_deg) * way
             drift = drift @ _about(T_world_rig[number, :3, 3], shift, np.array([0.0, 0.0, turn]))
@@ -154,14 +154,14 @@ def measured_poses(T_world_rig: F64, defects: Defects, seed: int) -> F64:
     return measured
 
 
-def _way(before: F64, after: F64) -> float:
-    """Returns the way from one pose to the next, metres, with a part of the turn."""
+def _travel(before: F64, after: F64) -> float:
+    """Returns the distance between two poses, metres, with the weighted rotation."""
     cosine = (float(np.trace(before[:3, :3].T @ after[:3, :3])) - 1.0) / 2.0
-    return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) + _TURN_AS_WAY * math.acos(min(max(cosine, -1.0), 1.0))
+    return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) + _ROTATION_WEIGHT * math.acos(min(max(cosine, -1.0), 1.0))
 
 
 def _about(center: F64, shift: F64, turn: F64) -> Mat4:
-    """Returns a small motion of the world, (4, 4): a turn about a point, and a shift."""
+    """Returns a rigid motion, (4, 4): a rotation vector about a point, and a shift."""
     motion = np.eye(4)
     motion[:3, :3] = _rotation(turn)
     motion[:3, 3] = center - motion[:3, :3] @ center + shift
@@ -169,7 +169,7 @@ def _about(center: F64, shift: F64, turn: F64) -> Mat4:
 
 
 def _rotation(vector: F64) -> F64:
-    """Returns the rotation (3, 3) about a vector, by its length, radians."""
+    """Returns the rotation matrix (3, 3) of a rotation vector, radians."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-15:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""From posed RGB-D to a mesh, and distances to meshes, by Open3D. The only file that imports it, when it is needed."""
+"""Fuses posed RGB-D into a mesh and measures distances to meshes, with Open3D. No other file imports it."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Progress = Callable[[float], None]
 
 _BLOCK_VOXELS = 16
 _FIRST_BLOCKS = 20_000
-"""Blocks that there is room for at first; it grows."""
+"""Initial capacity of the voxel grid, blocks; it grows."""
 _WELD = 0.1
-"""Parts of a voxel within which vertices become one."""
+"""Merging distance of vertices, voxels."""
 _ROUGHLY = 2
-"""Times as many triangles as are wanted are left to the better, slow way."""
+"""The fast simplification leaves this many times the requested triangles to the slow, accurate one."""
 _MOST_VERTICES = 60_000_000
 
 
 def open3d() -> Any:
-    """Returns the package.
+    """Returns the module ``open3d``.
 
     Raises:
-        EnvironmentProblemError: it is not installed, or cannot be loaded.
+        EnvironmentProblemError: it is not installed or cannot be loaded.
     """
     try:
         import open3d as package
@@ -45,20 +45,20 @@ def open3d() -> Any:
 
 
 def chosen_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
-    """Returns the numbers of the frames that are fused."""
+    """Returns the numbers of the frames to fuse."""
     return range(0, len(rgbd), settings.stride)
 
 
 def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> ColouredMesh:
-    """Returns the surface that posed RGB-D shows, in its world frame (or levelled): a truncated signed distance field, then its triangles.
+    """Returns the surface in posed RGB-D, in its world frame (or levelled): the triangles of a truncated signed distance field.
 
     Args:
-        rgbd: what to fuse.
-        settings: how.
-        progress: told how much is done, 0 to 1.
+        rgbd: the frames.
+        settings: settings of the fusion.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
-        EnvironmentProblemError: Open3D is not there.
+        EnvironmentProblemError: Open3D is not installed.
         ScanError: an image is broken, or nothing is in range.
     """
     o3d = open3d()
@@ -67,7 +67,7 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
         ("tsdf", "weight", "color"), (core.float32, core.uint16, core.uint16), ((1), (1), (3)),
         settings.voxel, _BLOCK_VOXELS, _FIRST_BLOCKS,
     )  # fmt: skip
-    # Open3D takes the pixel that a projected point lies in by cutting off decimals, as if centres were at halves; ours are whole numbers.
+    # Open3D truncates projected points to pixels, so its pixel centres are at halves; ours are at whole numbers.
     K = core.Tensor(rgbd.intrinsics.matrix + np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]))
     reach = (rgbd.depth_scale, settings.depth_max, settings.truncation)
     chosen = chosen_frames(rgbd, settings)
@@ -95,7 +95,7 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
 
 def _extracted(grid: Any, settings: FuseSettings) -> ColouredMesh:
     """Returns the triangles of a distance field."""
-    found = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # it takes what has a larger weight
+    found = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # the threshold is exclusive
     if found.is_empty():
         raise ScanError(_nothing(settings))
     if len(found.vertex.positions) > _MOST_VERTICES:
@@ -112,13 +112,12 @@ def _nothing(settings: FuseSettings) -> str:
 
 
 def simplified(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
-    """Returns the mesh with about so many triangles, where the surface bends least first (quadric error).
+    """Returns the mesh with about ``triangles`` triangles, simplified by quadric error.
 
-    Open3D moves vertices to where they fit best, but takes many times as long as meshoptimizer, which keeps them: that one makes a
-    beginning.
+    Open3D optimises vertex positions and takes many times as long as meshoptimizer, which keeps them and therefore goes first.
 
     Raises:
-        EnvironmentProblemError: Open3D is not there.
+        EnvironmentProblemError: Open3D is not installed.
         MeshError: meshoptimizer is not installed.
     """
     o3d = open3d()
@@ -134,7 +133,7 @@ def simplified(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
 
 
 def distances(points: F64, vertices: NDArray[Any], triangles: NDArray[np.int32]) -> F32:
-    """Returns the distance of points (N, 3) to the nearest place on a mesh, (N,), metres.
+    """Returns the distances (N,), metres, from points (N, 3) to a mesh.
 
     Raises:
         EnvironmentProblemError: Open3D is not there.

@@ -1,4 +1,4 @@
-"""Where the intrinsics of a set of images stand, in the formats that sets have them in."""
+"""Finds and reads the camera intrinsics of an image set in common formats."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gibson_sim.writing import write_file
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 
 INTRINSIC_FILES = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
-"""Names that are looked for first."""
+"""File names with priority."""
 _NAMED = re.compile(r"(intrinsic|calib|camera|kinect|^(depth_?)?k\.txt$|^_?info\.txt$|.*\.info\.txt$)", re.IGNORECASE)
 _ENDINGS = (".json", ".txt", ".yaml", ".yml")
 _FOLDERS = ("", "intrinsic", "intrinsics", "camera", "calibration")
@@ -29,12 +29,12 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
 def find_intrinsics(folder: Path, width: int, height: int) -> tuple[Intrinsics | None, str, tuple[str, ...]]:
-    """Returns the intrinsics that a file of a folder says, where they stand, and a warning for each file that looks like one and is none.
+    """Returns the intrinsics in a folder, the name of their file, and a warning for each candidate that could not be read.
 
     Args:
-        folder: of the set; also what is directly in it, in a folder ``intrinsic`` or ``camera``.
-        width: of the depth images, pixels; files without a size are taken to be for images of this one.
-        height: the same.
+        folder: of the set; its folders ``intrinsic``, ``camera`` etc. are searched too.
+        width: of the depth images, pixels; assumed for files that name no size.
+        height: of the depth images, pixels.
 
     Raises:
         ScanError: a file named after intrinsics holds none.
@@ -55,7 +55,7 @@ def find_intrinsics(folder: Path, width: int, height: int) -> tuple[Intrinsics |
 
 
 def _files(folder: Path) -> list[Path]:
-    """Returns what may hold intrinsics: those of Open3D's names first, of the depth camera before others."""
+    """Returns candidate files: Open3D's names first, depth cameras before others."""
     first = [folder / name for name in INTRINSIC_FILES if is_file(folder / name)]
     places = [folder / name if name else folder for name in _FOLDERS]
     rest = [
@@ -92,13 +92,13 @@ def _read(path: Path, width: int, height: int) -> Intrinsics:
 
 
 def _yaml(path: Path) -> object:
-    """Returns the values of a YAML file, also of one as OpenCV writes them."""
+    """Returns the values of a YAML file, also of OpenCV's dialect."""
     return parse_yaml(_OPENCV.sub(b"", read_file(path, MAX_YAML_BYTES)))
 
 
 def _of_text(path: Path, width: int, height: int) -> Intrinsics:
-    """Returns what a text says: fx fy cx cy, also after width and height or with their names, the rows of a matrix, or a line with an
-    equals sign and a matrix behind it.
+    """Returns the intrinsics in a text: fx fy cx cy, also with names or after width and height; the rows of a matrix; or a line
+    ``intrinsic = MATRIX``.
     """
     text = read_file(path).decode("utf-8", errors="replace")
     lines = [line.partition("#")[0].strip() for line in text.splitlines()]
@@ -119,10 +119,10 @@ def _of_text(path: Path, width: int, height: int) -> Intrinsics:
 
 
 def _of_matrix(numbers: Sequence[float], width: int, height: int) -> Intrinsics:
-    """Returns intrinsics of a matrix of 3x3, 3x4 or 4x4 numbers, by rows, or by columns as Open3D writes them.
+    """Returns the intrinsics in a 3x3, 3x4 or 4x4 matrix, by rows, or by columns as Open3D writes them.
 
     Raises:
-        ScanError: it is none, or is for larger images.
+        ScanError: it is no intrinsic matrix, or is for larger images.
     """
     shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(numbers))
     if shape is None:

@@ -1,6 +1,6 @@
-"""The layouts in which people hold posed RGB-D, each found out by itself: ours, Open3D's, 7-Scenes' and TUM's.
+"""Reads posed RGB-D in known folder layouts, which are detected: ours, Open3D's, 7-Scenes' and TUM's.
 
-A layout is a function that reads a folder, and one that tells whether a folder looks like it. The first that does, reads; it then either
+A layout has a function that recognises a folder and one that reads it. The first layout that recognises the folder reads it, and either
 returns the set or says what is missing.
 """
 
@@ -31,10 +31,10 @@ from gibson_sim_tools.scanning.trajectories import (
 F64 = NDArray[np.float64]
 
 DESCRIPTION = "scan.json"
-"""File that tells our scans from others'."""
+"""File that marks our scans."""
 FORMAT = "gibson_sim scan"
 TIME_TOLERANCE_S = 0.02
-"""TUM: colour, depth and pose this near in time belong together."""
+"""TUM: largest time difference between associated colour, depth and pose, seconds."""
 _IMAGES = (".jpg", ".jpeg", ".png")
 _COLOR_FOLDERS = ("color", "image", "rgb")
 _LOG_FILES = ("trajectory.log", "scene/trajectory.log", "test_scene/trajectory.log")
@@ -46,8 +46,8 @@ _MILLIMETRES, _TUM_SCALE = 1000.0, 5000.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Options:
-    """What the caller knows better than the folder."""
+class _Overrides:
+    """Values of the caller that replace those of the folder."""
 
     focal: tuple[float, float, float, float] | None
     """fx, fy, cx, cy, pixels."""
@@ -55,34 +55,34 @@ class _Options:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """One way to lay out posed RGB-D in a folder."""
+class FolderLayout:
+    """One layout of posed RGB-D in a folder."""
 
     name: str
     files: str
-    """What it consists of, for people."""
+    """Its files, for messages."""
     looks_like: Callable[[Path], bool]
-    read: Callable[[Path, _Options], PosedRgbd]
+    read: Callable[[Path, _Overrides], PosedRgbd]
 
 
 def open_posed_rgbd(
     folder: Path, *, focal: tuple[float, float, float, float] | None = None, depth_scale: float | None = None
 ) -> PosedRgbd:
-    """Returns the posed RGB-D in a folder, whatever its layout; no image is decoded before it is asked for.
+    """Returns the posed RGB-D in a folder of any known layout; images are decoded on access.
 
     Args:
-        folder: what holds it.
-        focal: fx, fy, cx, cy in pixels, in place of what the folder or its layout says.
-        depth_scale: units of the depth images in a metre, in place of what the layout says.
+        folder: the folder.
+        focal: fx, fy, cx, cy in pixels; replaces the value of the folder or the layout.
+        depth_scale: units of the depth images per metre; replaces the value of the layout.
 
     Raises:
-        ScanError: nothing is there, or no known layout, or something is missing; the text says what.
+        ScanError: the folder does not exist, has no known layout, or is incomplete; the message says what is missing.
     """
     if not folder.is_dir():
         raise ScanError(f"{folder}: is no folder; give the one that holds the images and poses")
     for layout in LAYOUTS:
         if layout.looks_like(folder):
-            return layout.read(folder, _Options(focal, depth_scale))
+            return layout.read(folder, _Overrides(focal, depth_scale))
     known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
     inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and any(layout.looks_like(p) for layout in LAYOUTS))
     if inside:
@@ -90,7 +90,7 @@ def open_posed_rgbd(
     raise ScanError(f"{folder}: no layout of posed RGB-D that is known. Known are: {known}")
 
 
-def _read_ours(folder: Path, options: _Options) -> PosedRgbd:
+def _read_ours(folder: Path, options: _Overrides) -> PosedRgbd:
     description = read_json(folder / DESCRIPTION)
     wanted = description.get("frames") if isinstance(description, dict) and description.get("format") == FORMAT else None
     if not isinstance(wanted, int):
@@ -105,7 +105,7 @@ def _read_ours(folder: Path, options: _Options) -> PosedRgbd:
     return _finished(folder, "gibson_sim", _in_order(folder, color, depth, poses), options, None, _MILLIMETRES)
 
 
-def _read_open3d(folder: Path, options: _Options) -> PosedRgbd:
+def _read_open3d(folder: Path, options: _Overrides) -> PosedRgbd:
     color = _images(next(folder / name for name in _COLOR_FOLDERS if (folder / name).is_dir()))
     log = next((folder / name for name in _LOG_FILES if (folder / name).is_file()), None)
     if log is None:
@@ -114,7 +114,7 @@ def _read_open3d(folder: Path, options: _Options) -> PosedRgbd:
     return _finished(folder, "open3d", files, options, _PRIMESENSE, _MILLIMETRES)
 
 
-def _read_seven_scenes(folder: Path, options: _Options) -> PosedRgbd:
+def _read_seven_scenes(folder: Path, options: _Overrides) -> PosedRgbd:
     frames: dict[int, dict[str, Path]] = {}
     for path in folder.iterdir():
         match = _SEVEN_SCENES_FRAME.match(path.name)
@@ -132,7 +132,7 @@ def _read_seven_scenes(folder: Path, options: _Options) -> PosedRgbd:
     return _finished(folder, "7-scenes", files, options, _SEVEN_SCENES, _MILLIMETRES)
 
 
-def _read_tum(folder: Path, options: _Options) -> PosedRgbd:
+def _read_tum(folder: Path, options: _Overrides) -> PosedRgbd:
     truth = folder / "groundtruth.txt"
     if not truth.is_file():
         raise ScanError(f"{folder}: has lists of images but no groundtruth.txt with their poses")
@@ -206,7 +206,7 @@ def _in_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses:
 
 
 def _finished(
-    folder: Path, layout: str, files: Sequence[FrameFiles], options: _Options, assumed: Intrinsics | None, depth_scale: float,
+    folder: Path, layout: str, files: Sequence[FrameFiles], options: _Overrides, assumed: Intrinsics | None, depth_scale: float,
     warnings: tuple[str, ...] = (),
 ) -> PosedRgbd:  # fmt: skip
     """Returns the set with its intrinsics: what the caller says, else the folder's file, else those of the layout's camera."""
@@ -246,7 +246,7 @@ def _read_matrix(path: Path) -> F64:
 
 
 def read_json(path: Path) -> Any:
-    """Returns what a JSON file holds.
+    """Returns the content of a JSON file.
 
     Raises:
         ScanError: it cannot be read, or is no JSON.
@@ -272,16 +272,16 @@ def _has_lists(folder: Path) -> bool:
     return lists or any((folder / name).is_file() for name in _ASSOCIATIONS)
 
 
-LAYOUTS: tuple[Layout, ...] = (
-    Layout(
+LAYOUTS: tuple[FolderLayout, ...] = (
+    FolderLayout(
         "gibson_sim", f"{DESCRIPTION}, color/, depth/, poses.txt, intrinsic.json",
         lambda folder: (folder / DESCRIPTION).is_file(), _read_ours,
     ),
-    Layout(
+    FolderLayout(
         "7-scenes", "frame-000000.color.png, frame-000000.depth.png, frame-000000.pose.txt",
         lambda folder: any(_SEVEN_SCENES_FRAME.match(p.name) for p in folder.glob("frame-*")), _read_seven_scenes,
     ),
-    Layout("tum", "rgb.txt and depth.txt (or associations.txt), groundtruth.txt", _has_lists, _read_tum),
-    Layout("open3d", "color/ or image/ or rgb/, depth/, trajectory.log (also in scene/)", _has_images, _read_open3d),
+    FolderLayout("tum", "rgb.txt and depth.txt (or associations.txt), groundtruth.txt", _has_lists, _read_tum),
+    FolderLayout("open3d", "color/ or image/ or rgb/, depth/, trajectory.log (also in scene/)", _has_images, _read_open3d),
 )  # fmt: skip
-"""In the order in which they are tried."""
+"""Layouts in the order of detection."""

@@ -1,8 +1,8 @@
-"""Posed RGB-D: colour images, depth images and where the camera was, whoever took them. Reads images; finding them is in ``layouts``.
+"""Posed RGB-D: colour images, depth images and camera poses from any source. Reads the images; ``layouts`` finds them.
 
-One camera without distortion takes all frames of a set; colours and depths lie on the same pixels (registered). A pose is
-``T_world_camera`` of the optical frame: x right, y down, z forward. What "world" is, the set decides: scans of others often begin at the
-first camera, with y down; those of our scanner are in the frame of their scene, z up.
+All frames of a set have one pinhole camera without distortion; colour and depth are registered (same pixels). A pose is
+``T_world_camera`` of the optical frame: x right, y down, z forward. The set defines its world frame: third-party scans often begin at the
+first camera, with y down; our scans are in the frame of their scene, z up.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.reading import read_file
 
 NO_DEPTH = (0, 65535)
-"""Values of a 16-bit depth image that mean "no depth": 0 in most sets, 65535 in some."""
+"""Values of a 16-bit depth image for "no depth": 0 in most sets, 65535 in some."""
 _MAX_SIDE = 16384
 _ORTHONORMAL = 1e-2
 
 
 class ScanError(GibsonSimError):
-    """A set of posed RGB-D cannot be read, a scan cannot be taken, or it cannot be fused."""
+    """Posed RGB-D cannot be read, captured or fused."""
 
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A pinhole without distortion. Pixel centres are at whole numbers."""
+    """Intrinsics of a pinhole camera without distortion. Pixel centres are at whole numbers."""
 
     width: int
     """Pixels."""
@@ -62,7 +62,7 @@ class Intrinsics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFiles:
-    """Where one frame lies, and where its camera was."""
+    """Image files and camera pose of one frame."""
 
     color: Path
     depth: Path
@@ -75,7 +75,7 @@ class RgbdFrame:
     """One frame in memory; the arrays belong to the caller. Row 0 is the top."""
 
     number: int
-    """Its place in the set, from 0."""
+    """Index in the set, from 0."""
     rgb: NDArray[np.uint8]
     """(H, W, 3) uint8, sRGB."""
     depth: NDArray[np.float32]
@@ -86,20 +86,20 @@ class RgbdFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedRgbd:
-    """A set of posed RGB-D in a folder: a sequence whose frames are read when they are asked for. ``layouts.open_posed_rgbd`` finds it.
+    """A set of posed RGB-D in a folder: a sequence that reads its frames on access. ``layouts.open_posed_rgbd`` opens it.
 
     ``len(rgbd)`` is the number of frames, ``rgbd[7]`` reads one, ``for frame in rgbd`` reads them in order, one at a time.
     """
 
     folder: Path
     layout: str
-    """Name of the layout that it was read in."""
+    """Name of its layout."""
     intrinsics: Intrinsics
     depth_scale: float
-    """Units of the depth images in a metre: 1000 = millimetres."""
+    """Units of the depth images per metre: 1000 = millimetres."""
     files: tuple[FrameFiles, ...]
     warnings: tuple[str, ...] = ()
-    """What was left out or assumed, one line each."""
+    """Omissions and assumptions, one line each."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.depth_scale) and self.depth_scale > 0.0):
@@ -118,7 +118,7 @@ class PosedRgbd:
 
         Raises:
             IndexError: there is no such frame.
-            ScanError: an image is missing or broken, or not of the size that the intrinsics are for.
+            ScanError: an image is missing or broken, or its size differs from that of the intrinsics.
         """
         files = self.files[number]
         color = read_image(files.color, cv2.IMREAD_COLOR)
@@ -148,14 +148,14 @@ class PosedRgbd:
 
 
 def metres(units: NDArray[np.uint16], depth_scale: float) -> NDArray[np.float32]:
-    """Returns depths, float32 metres, of a 16-bit image; NaN where it has none."""
+    """Returns the depths, float32 metres, of a 16-bit image; NaN = none."""
     depth = units.astype(np.float32) / np.float32(depth_scale)
     depth[np.isin(units, NO_DEPTH)] = np.nan
     return depth
 
 
 def depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.uint16]:
-    """Returns the 16-bit image of depths in metres; what is not finite, or does not fit, becomes 0 = no depth."""
+    """Returns the 16-bit image of depths in metres; values that are not finite or out of range become 0 = no depth."""
     with np.errstate(invalid="ignore"):
         units = np.rint(depth * np.float32(depth_scale))
         fits = (units > 0) & (units < NO_DEPTH[1])
@@ -163,7 +163,7 @@ def depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.ui
 
 
 def read_image(path: Path, flags: int) -> NDArray[Any]:
-    """Returns an image as OpenCV has it (blue, green, red).
+    """Returns an image in OpenCV's channel order (BGR).
 
     Raises:
         ScanError: it is missing or broken.
@@ -179,7 +179,7 @@ def read_image(path: Path, flags: int) -> NDArray[Any]:
 
 
 def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:
-    """Raises ScanError, which begins with ``what``, unless a (4, 4) matrix is a rigid transform."""
+    """Raises ScanError, whose message begins with ``what``, unless a (4, 4) matrix is a rigid transform."""
     R = T_world_camera[:3, :3]
     if not np.isfinite(T_world_camera).all():
         raise ScanError(f"{what}: the pose holds a NaN or an infinity; the camera was lost there: leave out this frame")

@@ -1,4 +1,4 @@
-"""The way of a scanner: from station to station by a short round, and the views on it. Pure and deterministic."""
+"""Plans the route of a scanner: a short open tour of the stations, and the views on it. Pure and deterministic."""
 
 from __future__ import annotations
 
@@ -8,23 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.maps.grid_graph import GridGraph
 from gibson_sim_tools.scanning.settings import TourSettings
-from gibson_sim_tools.scanning.stations import Station, Storey
+from gibson_sim_tools.scanning.stations import Station, StoreyFloor
 
 F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
-_NO_WAY = 1e6
-"""Metres that stand for "there is no way": another storey, or a closed door."""
+_UNREACHABLE = 1e6
+"""Length that stands for "no path" (another storey, a closed door), metres."""
 
 
 @dataclass(frozen=True, slots=True)
-class View:
-    """The rig at the moment of a picture, and how it moves."""
+class RigView:
+    """Pose and velocity of the rig at the moment of a view."""
 
     stamp_s: float
     x: float
@@ -46,56 +44,37 @@ class View:
         return matrix_from_pose(pose_from_xyz_rpy((self.x, self.y, self.z), (self.roll, self.pitch, self.yaw)))
 
     def earlier(self, seconds: float) -> Mat4:
-        """Returns T_world_rig some time before, (4, 4), if it has moved evenly."""
+        """Returns T_world_rig, (4, 4), ``seconds`` before, at constant velocity."""
         position = (self.x - seconds * self.velocity_x, self.y - seconds * self.velocity_y, self.z)
         return matrix_from_pose(pose_from_xyz_rpy(position, (self.roll, self.pitch, self.yaw - seconds * self.yaw_rate)))
 
 
-class Ways:
-    """Shortest ways over the free floor of one storey."""
+class StationPaths:
+    """Shortest paths over the free floor of one storey, between all pairs of its S stations."""
 
-    def __init__(self, storey: Storey) -> None:
-        self._map = storey.floor_map
-        self._cells: I64 = np.argwhere(storey.allowed)
-        number = np.full((storey.allowed.shape[0] + 2, storey.allowed.shape[1] + 2), -1, dtype=np.int64)
-        number[self._cells[:, 0] + 1, self._cells[:, 1] + 1] = np.arange(len(self._cells))
-        self._number = number
-        rows, columns, costs = [], [], []
-        for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
-            other = number[self._cells[:, 0] + 1 + dr, self._cells[:, 1] + 1 + dc]
-            here = np.flatnonzero(other >= 0)
-            rows.append(here)
-            columns.append(other[here])
-            costs.append(np.full(len(here), math.hypot(dr, dc) * self._map.resolution))
-        n = len(self._cells)
-        self._graph = sparse.csr_matrix((np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+    def __init__(self, storey: StoreyFloor, stations: Sequence[Station]) -> None:
+        graph = GridGraph(storey.allowed, storey.floor_map.resolution)
+        rows, columns = storey.floor_map.cells([(s.x, s.y) for s in stations]).T
+        self._nodes = graph.numbers[rows, columns]
+        self._points = storey.floor_map.centers(graph.cells)
+        self._paths = graph.shortest_paths(self._nodes)
+        self.lengths: F64 = self._paths.lengths[:, self._nodes]
+        """(S, S): metres from each station to each; +inf = no path."""
 
-    def lengths(self, stations: Sequence[Station]) -> tuple[F64, I64]:
-        """Returns lengths of the ways between stations (S, S), metres, and the predecessors (S, C) that ``way`` takes."""
-        nodes = [self._node(s) for s in stations]
-        lengths, before = csgraph.dijkstra(self._graph, directed=False, indices=nodes, return_predecessors=True)
-        return np.asarray(lengths[:, nodes]), np.asarray(before, dtype=np.int64)
-
-    def way(self, before: I64, start: Station, end: Station) -> F64:
-        """Returns the points of a way, (N, 2), metres; ``before`` is the row of predecessors that belongs to ``start``."""
-        first, node = self._node(start), self._node(end)
-        nodes = [node]
-        while node != first:
-            node = int(before[node])
-            nodes.append(node)
-        return self._map.centers(self._cells[nodes[::-1]])
-
-    def _node(self, station: Station) -> int:
-        row, column = self._map.cells((station.x, station.y))
-        return int(self._number[row + 1, column + 1])
+    def points(self, start: int, end: int) -> F64:
+        """Returns the points (N, 2), world metres, of the path between two stations, given by index."""
+        return self._points[self._paths.nodes(start, int(self._nodes[end]))]
 
 
-def short_round(lengths: F64) -> list[int]:
-    """Returns an order of all places in which the way through them is short, from the first one; both ends are open.
+def short_tour(lengths: F64) -> list[int]:
+    """Returns an order of all places whose open path is short, beginning with the first place.
 
-    The nearest one next, then two-opt until nothing gets shorter.
+    Nearest neighbour, then 2-opt until no exchange shortens the path.
+
+    Args:
+        lengths: (N, N), metres between places; +inf = no path.
     """
-    d = np.where(np.isfinite(lengths), lengths, _NO_WAY)
+    d = np.where(np.isfinite(lengths), lengths, _UNREACHABLE)
     order, left = [0], set(range(1, len(d)))
     while left:
         order.append(min(left, key=lambda k: (d[order[-1], k], k)))
@@ -114,15 +93,17 @@ def short_round(lengths: F64) -> list[int]:
     return order
 
 
-def plan_views(stations: Sequence[Station], storeys: Sequence[Storey], tour: TourSettings, turns: int, most: int) -> list[View]:
+def plan_views(
+    stations: Sequence[Station], storeys: Sequence[StoreyFloor], tour: TourSettings, turns: int, most: int
+) -> list[RigView]:
     """Returns the views of a scan in their order.
 
     Args:
-        stations: where the rig turns around.
-        storeys: that they are on.
+        stations: places of full turns.
+        storeys: storeys of the stations.
         tour: speeds and distances.
         turns: views at each station.
-        most: views in all; those on the way are thinned out to that.
+        most: limit of all views; views between stations are thinned out to it.
     """
     rng = np.random.default_rng([tour.seed, 2])
     walker = _Walker(tour, rng)
@@ -130,66 +111,67 @@ def plan_views(stations: Sequence[Station], storeys: Sequence[Storey], tour: Tou
         here = [s for s in stations if s.storey == number]
         if not here:
             continue
-        ways = Ways(storey)
-        lengths, before = ways.lengths(here)
-        order = short_round(lengths)
+        paths = StationPaths(storey, here)
+        order = short_tour(paths.lengths)
         for place, k in enumerate(order):
-            if place and np.isfinite(lengths[order[place - 1], k]) and tour.path_spacing > 0.0:
+            if place and np.isfinite(paths.lengths[order[place - 1], k]) and tour.path_spacing > 0.0:
                 last = order[place - 1]
-                walker.walk(ways.way(before[last], here[last], here[k]), here[last], here[k], storey.floor_z)
+                walker.walk(paths.points(last, k), here[last], here[k], storey.floor_z)
             walker.turn(here[k], storey.floor_z, turns)
-    return _thinned(walker.views, walker.on_way, most)
+    return _thinned(walker.views, walker.on_path, most)
 
 
 class _Walker:
-    """Keeps where the rig is, and the time."""
+    """Moves the rig and records its views."""
 
     def __init__(self, tour: TourSettings, rng: np.random.Generator) -> None:
         self._tour, self._rng = tour, rng
         self._time, self._yaw = 0.0, 0.0
-        self.views: list[View] = []
-        self.on_way: list[bool] = []
+        self.views: list[RigView] = []
+        self.on_path: list[bool] = []
 
     def turn(self, station: Station, floor_z: float, turns: int) -> None:
-        """Takes views all around a station."""
+        """Records views all around a station."""
         rate = math.radians(self._tour.turn_speed_deg)
         for _ in range(turns):
-            self._take((station.x, station.y, floor_z + station.height), (0.0, 0.0), rate, on_way=False)
+            self._record((station.x, station.y, floor_z + station.height), (0.0, 0.0), rate, on_path=False)
             self._yaw += 2.0 * math.pi / turns
             self._time += 2.0 * math.pi / turns / rate
 
     def walk(self, points: F64, start: Station, end: Station, floor_z: float) -> None:
-        """Takes views on a way, each looking along it."""
+        """Records views along a path, each in the direction of travel."""
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         length = float(arc[-1])
         stops = np.arange(1, int(length / self._tour.path_spacing) + 1) * self._tour.path_spacing
         for stop in stops[stops < length - 0.5 * self._tour.path_spacing]:
             here, ahead = (_along(points, arc, at) for at in (stop, min(stop + self._tour.path_spacing, length)))
-            way = ahead - here
-            self._yaw = math.atan2(way[1], way[0])
-            velocity = way / max(float(np.linalg.norm(way)), 1e-9) * self._tour.speed
+            step = ahead - here
+            self._yaw = math.atan2(step[1], step[0])
+            velocity = step / max(float(np.linalg.norm(step)), 1e-9) * self._tour.speed
             height = start.height + (end.height - start.height) * stop / length
-            self._take((here[0], here[1], floor_z + height), (velocity[0], velocity[1]), 0.0, on_way=True)
+            self._record((here[0], here[1], floor_z + height), (velocity[0], velocity[1]), 0.0, on_path=True)
             self._time += self._tour.path_spacing / self._tour.speed
         self._time += self._tour.path_spacing / self._tour.speed
 
-    def _take(self, position: tuple[float, float, float], velocity: tuple[float, float], rate: float, *, on_way: bool) -> None:
+    def _record(self, position: tuple[float, float, float], velocity: tuple[float, float], rate: float, *, on_path: bool) -> None:
         roll, pitch = self._rng.standard_normal(2) * math.radians(self._tour.wobble_deg)
         x, y, z = map(float, position)
         yaw = math.remainder(self._yaw, 2.0 * math.pi)
-        self.views.append(View(self._time, x, y, z, float(roll), float(pitch), yaw, float(velocity[0]), float(velocity[1]), rate))
-        self.on_way.append(on_way)
+        self.views.append(
+            RigView(self._time, x, y, z, float(roll), float(pitch), yaw, float(velocity[0]), float(velocity[1]), rate)
+        )
+        self.on_path.append(on_path)
 
 
 def _along(points: F64, arc: F64, at: float) -> F64:
     return np.array([np.interp(at, arc, points[:, k]) for k in range(2)])
 
 
-def _thinned(views: list[View], on_way: list[bool], most: int) -> list[View]:
-    """Returns at most so many views: evenly spread ones on the way are left out first, then those at the end."""
-    ways = np.flatnonzero(on_way)
-    room = max(most - (len(views) - len(ways)), 0)
-    if room < len(ways):
-        kept = set(ways[np.linspace(0, len(ways) - 1, room).round().astype(int)].tolist()) if room else set()
-        views = [v for k, v in enumerate(views) if not on_way[k] or k in kept]
+def _thinned(views: list[RigView], on_path: list[bool], most: int) -> list[RigView]:
+    """Returns at most ``most`` views: thins out those between stations evenly, then cuts the end."""
+    between = np.flatnonzero(on_path)
+    room = max(most - (len(views) - len(between)), 0)
+    if room < len(between):
+        kept = set(between[np.linspace(0, len(between) - 1, room).round().astype(int)].tolist()) if room else set()
+        views = [v for k, v in enumerate(views) if not on_path[k] or k in kept]
     return views[:most]

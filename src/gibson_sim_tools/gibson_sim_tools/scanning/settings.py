@@ -1,4 +1,4 @@
-"""What a scan is made with: how the rig goes, the camera, the defects; how it is fused. Presets say what known kinds of scanners do."""
+"""Settings of scans: route, camera, defects, fusion; presets for known kinds of scanners."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gibson_sim.settings import check_settings, setting
 
 @dataclass(frozen=True, slots=True)
 class TourSettings:
-    """Where the rig goes and looks."""
+    """Route of the rig and directions of its cameras."""
 
     coverage: float = setting(
         0.98, "Part of the surface that can be seen from free places that stations are added for", minimum=0.01, maximum=1.0
@@ -66,7 +66,7 @@ class TourSettings:
 
 @dataclass(frozen=True, slots=True)
 class ScanCamera:
-    """The camera; all cameras of a rig are alike."""
+    """The camera; all cameras of a rig are equal."""
 
     width: int = setting(640, "Image width", unit="px", minimum=16, maximum=8192)
     height: int = setting(480, "Image height", unit="px", minimum=16, maximum=8192)
@@ -79,7 +79,7 @@ class ScanCamera:
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """What a real scanner does to depths, poses and colours. The defaults do nothing but limit the range."""
+    """Errors of a real scanner in depths, poses and colours. The defaults only limit the range."""
 
     depth_constant: float = setting(
         0.0, "Depth noise: part that does not depend on the depth z", unit="m", minimum=0.0, maximum=1.0
@@ -143,7 +143,7 @@ class Defects:
 
 @dataclass(frozen=True, slots=True)
 class FuseSettings:
-    """How posed RGB-D becomes a mesh."""
+    """Settings of the fusion of posed RGB-D into a mesh."""
 
     voxel: float = setting(0.01, "Edge of a voxel: the size of the smallest triangles", unit="m", minimum=0.001, maximum=0.5)
     truncation: float = setting(4.0, "Voxels before and behind a surface that an image counts for", minimum=1.0, maximum=32.0)

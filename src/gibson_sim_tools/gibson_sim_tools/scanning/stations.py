@@ -1,4 +1,4 @@
-"""Where a scanner stands: the fewest places from which nearly everything is seen that can be seen from free floor. Pure."""
+"""Chooses the stations of a scanner: the fewest places that see nearly everything visible from free floor. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
 from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Pose
-from gibson_sim_tools.scanning.clean_scene import Surface
+from gibson_sim_tools.scanning.clean_scene import SurfacePoints
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
 
@@ -27,60 +27,60 @@ Draw = Callable[[Sequence[CameraSpec]], list[F32]]
 """Returns the depth images of cameras fixed to the world."""
 
 CANDIDATE_SPACING = 0.6
-"""Metres between places that are tried; more in large scenes."""
+"""Distance between candidates, metres; larger in large scenes."""
 MAX_CANDIDATES = 300
 PANORAMA_WIDTH = 512
-"""Pixels around."""
+"""Width of a panorama, pixels."""
 MAX_ANGLE_DEG = 78.0
-"""A surface seen under a larger angle from its normal does not count as seen."""
+"""Largest angle between the view ray and the normal of a visible surface, degrees."""
 _AT_ONCE = 8
 _HEADROOM = 0.1
 _TOO_NEAR = 0.5
-"""A place counts as taken where something is nearer to the cameras than this part of the clearance: what moves is on no map."""
+"""Fraction of the clearance within which an obstacle rules out a place: movable bodies are on no map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Storey:
+class StoreyFloor:
     """The free floor of one storey."""
 
     floor_map: FloorMap
     floor_z: float
     allowed: Bools
-    """(H, W): the rig may be here."""
+    """(H, W), cells that the rig may be in."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A place at which the rig turns around."""
+    """A place where the rig makes a full turn."""
 
     storey: int
     x: float
     y: float
     height: float
-    """Of the cameras above the floor."""
+    """Height of the cameras above the floor, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stations:
-    """The places, and what they see."""
+class ChosenStations:
+    """The chosen stations, and what they see."""
 
     stations: tuple[Station, ...]
     visible: Bools
-    """(N,): the points of the surface that can be seen from any free place."""
+    """(N,), surface points visible from any free place."""
     seen: Bools
-    """(N,): those that are seen from the stations."""
+    """(N,), surface points visible from the stations."""
 
     @property
     def coverage(self) -> float:
-        """Part of what can be seen that is seen."""
+        """Fraction of the visible points that the stations see."""
         return float(self.seen.sum() / max(self.visible.sum(), 1))
 
 
-def find_storeys(scene: SceneSpec, tour: TourSettings) -> tuple[Storey, ...]:
-    """Returns the floors of a scene on which the rig fits somewhere.
+def find_storeys(scene: SceneSpec, tour: TourSettings) -> tuple[StoreyFloor, ...]:
+    """Returns the storeys of a scene with room for the rig.
 
     Raises:
-        ScanError: it fits nowhere.
+        ScanError: there are none.
     """
     storeys = []
     for floor_z in scene.floors:
@@ -91,7 +91,7 @@ def find_storeys(scene: SceneSpec, tour: TourSettings) -> tuple[Storey, ...]:
         else:
             allowed = floor_map.largest_free_region(tour.clearance)
         if allowed.any():
-            storeys.append(Storey(floor_map, floor_z, allowed))
+            storeys.append(StoreyFloor(floor_map, floor_z, allowed))
     if not storeys:
         raise ScanError(
             f"scene {scene.name!r}: no place on the floor is {tour.clearance:g} m from everything; "
@@ -100,8 +100,8 @@ def find_storeys(scene: SceneSpec, tour: TourSettings) -> tuple[Storey, ...]:
     return tuple(storeys)
 
 
-def candidates(storeys: Sequence[Storey], tour: TourSettings) -> list[Station]:
-    """Returns places spread over the free floors, the open ones first; each has a height of its own."""
+def candidates(storeys: Sequence[StoreyFloor], tour: TourSettings) -> list[Station]:
+    """Returns candidate places spread over the free floors, the most open first, each with a random camera height."""
     rng = np.random.default_rng([tour.seed, 1])
     area = sum(float(s.allowed.sum()) * s.floor_map.resolution**2 for s in storeys)
     spacing = max(CANDIDATE_SPACING, math.sqrt(area / MAX_CANDIDATES))
@@ -120,24 +120,24 @@ def candidates(storeys: Sequence[Storey], tour: TourSettings) -> list[Station]:
 
 
 def choose_stations(
-    places: Sequence[Station], storeys: Sequence[Storey], surface: Surface, camera: ScanCamera, tour: TourSettings,
+    places: Sequence[Station], storeys: Sequence[StoreyFloor], surface: SurfacePoints, camera: ScanCamera, tour: TourSettings,
     reach: tuple[float, float], most: int, draw: Draw, progress: Callable[[float], None],
-) -> Stations:  # fmt: skip
-    """Returns the places that see the most, one after the other, until the coverage is reached.
+) -> ChosenStations:  # fmt: skip
+    """Chooses stations greedily by newly seen points, until the coverage is reached.
 
     Args:
-        places: to choose from.
-        storeys: that they are on.
-        surface: points to be seen.
-        camera: its field of view counts.
-        tour: what is wanted.
+        places: candidates.
+        storeys: storeys of the candidates.
+        surface: surface samples.
+        camera: its field of view limits what is seen.
+        tour: coverage, clearance and pitches.
         reach: least and greatest range, metres.
-        most: stations.
-        draw: draws panoramas.
-        progress: told how much is done, 0 to 1.
+        most: limit of stations.
+        draw: renders panoramas.
+        progress: called with the fraction that is done, 0 to 1.
 
     Raises:
-        ScanError: nothing can be seen from anywhere.
+        ScanError: no candidate sees anything.
     """
     seen = np.zeros((len(places), len(surface)), dtype=bool)
     for first in range(0, len(places), _AT_ONCE):
@@ -161,11 +161,11 @@ def choose_stations(
             break
         chosen.append(best)
         covered |= seen[best]
-    return Stations(tuple(places[k] for k in chosen), np.asarray(visible), np.asarray(covered))
+    return ChosenStations(tuple(places[k] for k in chosen), np.asarray(visible), np.asarray(covered))
 
 
 def panorama_camera(eye: F64, width: int = PANORAMA_WIDTH) -> CameraSpec:
-    """Returns a camera that sees depth all around, fixed to the world, upright."""
+    """Returns an upright equirectangular depth camera, fixed to the world."""
     return CameraSpec(
         "panorama", "", Pose((float(eye[0]), float(eye[1]), float(eye[2])), quat_from_matrix(R_LINK_OPTICAL)), width, width // 2,
         near=0.03, outputs=("depth",), projection="equirectangular",
@@ -173,20 +173,20 @@ def panorama_camera(eye: F64, width: int = PANORAMA_WIDTH) -> CameraSpec:
 
 
 def nearest_beside(panorama: F32) -> float:
-    """Returns the distance to the nearest thing at about the height of the eye of an equirectangular picture, metres."""
+    """Returns the distance, metres, to the nearest surface near the horizon of an equirectangular depth image."""
     rows = len(panorama)
     return float(panorama[3 * rows // 8 : 5 * rows // 8].min())
 
 
 def visible_from(
-    eye: F64, panorama: F32, surface: Surface, elevations: Sequence[tuple[float, float]], reach: tuple[float, float]
+    eye: F64, panorama: F32, surface: SurfacePoints, elevations: Sequence[tuple[float, float]], reach: tuple[float, float]
 ) -> Bools:
-    """Returns which points, (N,), cameras that turn about an upright axis see from a place.
+    """Returns which points, (N,), cameras see that turn about a vertical axis at a place.
 
     Args:
         eye: (3,), metres.
-        panorama: (H, W), distances of an upright equirectangular picture from there, metres.
-        surface: in the world frame.
+        panorama: (H, W), distances in an upright equirectangular image from there, metres.
+        surface: samples in the world frame.
         elevations: least and greatest angle above the horizon of each camera, radians.
         reach: least and greatest range, metres.
     """
@@ -199,10 +199,10 @@ def visible_from(
     seen &= np.any([(elevation >= low) & (elevation <= high) for low, high in elevations], axis=0)
     height, width = panorama.shape
     angle = 2.0 * math.pi / width
-    # Longitude grows to the right in the picture; x is its middle.
+    # Azimuth grows to the left in the image; +x is its middle.
     u = np.rint(-np.arctan2(ray[:, 1], ray[:, 0]) / angle + (width - 1) / 2).astype(np.int64) % width
     v = np.clip(np.rint(-elevation / angle + (height - 1) / 2).astype(np.int64), 0, height - 1)
-    # A pixel shows a patch of a slanted surface whose far end is this much farther.
+    # A pixel covers a patch of a slanted surface whose far end is this much farther.
     slack = 0.03 + angle * distance * np.sqrt(1.0 - np.minimum(cosine, 1.0) ** 2) / np.maximum(cosine, 0.1)
     return np.asarray(seen & (np.abs(panorama[v, u] - distance) < slack))
 

@@ -1,4 +1,4 @@
-"""Files of poses: Open3D's trajectory.log and TUM's rows of stamp, position, quaternion. Association of stamps. Pure but for files."""
+"""Reads and writes pose files (Open3D's trajectory.log, TUM's stamped rows) and associates stamps. Pure but for files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOG_ROWS = 5
 
 
 def read_lines(path: Path) -> list[tuple[int, str]]:
-    """Returns number and text of the lines of a text file that hold more than a comment (#).
+    """Returns number and text of the lines of a text file that are neither empty nor comments (#).
 
     Raises:
         ScanError: it cannot be read, or is no text.
@@ -36,10 +36,10 @@ def read_lines(path: Path) -> list[tuple[int, str]]:
 
 
 def numbers_of(path: Path, number: int, words: Sequence[str], count: int, what: str) -> list[float]:
-    """Returns ``count`` numbers of a line.
+    """Returns the ``count`` numbers of a line.
 
     Raises:
-        ScanError: there are others; ``what`` says what the line must hold.
+        ScanError: the line has other content; ``what`` describes what it must hold.
     """
     try:
         values = [float(word) for word in words]
@@ -51,10 +51,10 @@ def numbers_of(path: Path, number: int, words: Sequence[str], count: int, what: 
 
 
 def read_trajectory_log(path: Path) -> F64:
-    """Returns T_world_camera of all frames, (N, 4, 4), of a file in Open3D's format: a line of three numbers, then four rows, for each.
+    """Returns T_world_camera of all frames, (N, 4, 4), from a file in Open3D's format: per frame, a line of three numbers and four rows.
 
     Raises:
-        ScanError: the file is broken; the text names the line.
+        ScanError: the file is broken; the message names the line.
     """
     lines = read_lines(path)
     if len(lines) % _LOG_ROWS:
@@ -73,7 +73,7 @@ def read_trajectory_log(path: Path) -> F64:
 
 
 def write_trajectory_log(path: Path, poses: ArrayLike) -> None:
-    """Writes T_world_camera, (N, 4, 4), as Open3D reads them."""
+    """Writes T_world_camera, (N, 4, 4), in Open3D's format."""
     lines = []
     for number, pose in enumerate(np.asarray(poses, dtype=np.float64)):
         lines.append(f"{number} {number} {number + 1}")
@@ -82,7 +82,7 @@ def write_trajectory_log(path: Path, poses: ArrayLike) -> None:
 
 
 def read_stamped_poses(path: Path) -> tuple[F64, F64]:
-    """Returns stamps (N,), seconds, rising, and T_world_camera (N, 4, 4), of rows ``stamp tx ty tz qx qy qz qw`` (TUM).
+    """Returns stamps (N,), seconds, ascending, and T_world_camera (N, 4, 4), from rows ``stamp tx ty tz qx qy qz qw`` (TUM).
 
     Raises:
         ScanError: a line is broken, or two have the same stamp.
@@ -118,7 +118,7 @@ def write_stamped_poses(path: Path, stamps: ArrayLike, poses: ArrayLike) -> None
 
 
 def associate(first: ArrayLike, second: ArrayLike, tolerance_s: float) -> I64:
-    """Returns pairs (N, 2) of places in two lists of stamps, seconds: the nearest pairs first, each stamp once, in the order of time."""
+    """Returns index pairs (N, 2) of two lists of stamps, seconds: matched by smallest difference, each stamp once, sorted by time."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     order = np.argsort(b, kind="stable")
     pairs: list[tuple[float, int, int]] = []
@@ -135,13 +135,13 @@ def associate(first: ArrayLike, second: ArrayLike, tolerance_s: float) -> I64:
 
 
 def pose_at(stamps: F64, poses: F64, stamp: float, tolerance_s: float) -> F64 | None:
-    """Returns T_world_camera (4, 4) at a time: between the two poses around it, or the nearest one; None where it would be a guess.
+    """Returns T_world_camera (4, 4) at a time, interpolated or nearest; None if no pose is near enough.
 
     Args:
-        stamps: (N,), seconds, rising.
+        stamps: (N,), seconds, ascending.
         poses: (N, 4, 4).
         stamp: seconds.
-        tolerance_s: a pose this near counts; the two around ``stamp`` may be three times as far apart.
+        tolerance_s: limit for the nearest pose, seconds; the gap that is interpolated may be three times as long.
     """
     after = int(np.searchsorted(stamps, stamp))
     if 0 < after < len(stamps) and stamps[after] - stamps[after - 1] <= 3.0 * tolerance_s:

@@ -17,7 +17,7 @@ from gibson_sim.bags.comparison.figures import figures, text_table
 from gibson_sim.bags.comparison.page import number, page
 from gibson_sim.bags.comparison.pictures import picture_statistics, thumbnail
 from gibson_sim.bags.comparison.plots import draw_plots, require_matplotlib
-from gibson_sim.bags.comparison.recording import Commands, Pictures, Recording, Track
+from gibson_sim.bags.comparison.recorded_drive import Commands, Pictures, PlanarTrack, RecordedDrive
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.robots.load import load_robot
 
@@ -31,15 +31,15 @@ def pictures(value: int) -> Pictures:
     return Pictures(np.array([1.0, 8.0]), np.stack([statistics] * 2), np.stack([histogram] * 2), (thumbnail(rgb),) * 2)
 
 
-def recording(name: str, late: float = 0.0, scale: float = 1.0, start: float = 0.0, value: int = 128) -> Recording:
+def recording(name: str, late: float = 0.0, scale: float = 1.0, start: float = 0.0, value: int = 128) -> RecordedDrive:
     """Returns a drive with two steps, whose odometry is late by ``late`` seconds and tells ``scale`` of the way."""
     asked = np.where((SENT >= 2.0) & (SENT < 6.0), 0.3, 0.0)
     speed = 0.3 * (np.clip((T - 2.0 - late) * 3.0, 0.0, 1.0) - np.clip((T - 6.0 - late) * 3.0, 0.0, 1.0))
     zero, way = 0.0 * T, np.cumsum(speed) / 30
-    return Recording(
+    return RecordedDrive(
         path=Path(name), duration=12.0, topics={"cmd_vel": "/cmd_vel", "odom": "/odom"},
-        commands=Commands(SENT, asked, 0.0 * SENT), odometry=Track(T, scale * way, zero, zero, scale * speed, zero, "/odom"),
-        truth=Track(T, start + way, zero, zero, speed, zero, "/ground_truth/odom"), pictures=pictures(value),
+        commands=Commands(SENT, asked, 0.0 * SENT), odometry=PlanarTrack(T, scale * way, zero, zero, scale * speed, zero, "/odom"),
+        truth=PlanarTrack(T, start + way, zero, zero, speed, zero, "/ground_truth/odom"), pictures=pictures(value),
         notes=("no imu: nothing of it",),
     )  # fmt: skip
 
@@ -90,7 +90,7 @@ def test_poses_are_seen_from_the_start_if_asked() -> None:
 
 
 def test_recordings_that_have_next_to_nothing_are_compared(tmp_path: Path) -> None:
-    empty = Recording(Path("empty"), 0.0, {}, notes=("no odom",))
+    empty = RecordedDrive(Path("empty"), 0.0, {}, notes=("no odom",))
     found = compare(empty, empty, load_robot("gibson_bot"))
     assert (found.rows, found.parameters, draw_plots(found)) == ((), (), [])
     assert "no odom" in page(found, [], "gibson_bot")

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from gibson_sim.bags.comparison.drift import drift, fit_alphas, slip_variance
-from gibson_sim.bags.comparison.recording import Track
+from gibson_sim.bags.comparison.recorded_drive import PlanarTrack
 from gibson_sim.robots.drives.base import DeadReckoning
 from gibson_sim.robots.drives.wheel_odometry import OdometryNoise
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 
 
-def integrated(t: np.ndarray, forward: np.ndarray, turn: np.ndarray) -> Track:
+def integrated(t: np.ndarray, forward: np.ndarray, turn: np.ndarray) -> PlanarTrack:
     """Returns the track of motions (N - 1,) between the times (N,)."""
     path, rows, yaw = DeadReckoning(), [(0.0, 0.0)], np.concatenate([[0.0], np.cumsum(turn)])
     for way, angle in zip(forward.tolist(), turn.tolist(), strict=True):
         path.add(way, 0.0, angle, 0.02)
         rows.append((path.odometry.x, path.odometry.y))
     x, y = np.array(rows).T
-    return Track(t, x, y, yaw, np.full(len(t), np.nan), np.full(len(t), np.nan))
+    return PlanarTrack(t, x, y, yaw, np.full(len(t), np.nan), np.full(len(t), np.nan))
 
 
 T = np.arange(0.0, 60.0, 0.02)
@@ -84,7 +84,7 @@ def test_error_of_turning_in_place_is_its_scale() -> None:
 
 
 def test_start_of_the_truth_does_not_matter() -> None:
-    moved = Track(
+    moved = PlanarTrack(
         T, 3.0 - TRUTH.y, 7.0 + TRUTH.x, TRUTH.yaw + math.pi / 2, TRUTH.linear, TRUTH.angular
     )  # turned by 90 degrees, then shifted
     found = drift(TRUTH, moved)
@@ -93,7 +93,7 @@ def test_start_of_the_truth_does_not_matter() -> None:
 
 
 def test_recordings_without_a_common_time_have_no_drift() -> None:
-    later = Track(T + 100.0, TRUTH.x, TRUTH.y, TRUTH.yaw, TRUTH.linear, TRUTH.angular)
+    later = PlanarTrack(T + 100.0, TRUTH.x, TRUTH.y, TRUTH.yaw, TRUTH.linear, TRUTH.angular)
     assert drift(TRUTH, later) is None
 
 
@@ -123,5 +123,5 @@ def test_random_errors_of_the_simulated_odometry_are_recovered() -> None:
 
 
 def test_a_short_drive_says_nothing_of_random_errors() -> None:
-    short = Track(T[:100], TRUTH.x[:100], TRUTH.y[:100], TRUTH.yaw[:100], TRUTH.linear[:100], TRUTH.angular[:100])
+    short = PlanarTrack(T[:100], TRUTH.x[:100], TRUTH.y[:100], TRUTH.yaw[:100], TRUTH.linear[:100], TRUTH.angular[:100])
     assert fit_alphas(short, short) is None

@@ -17,7 +17,7 @@ from gibson_sim.bags.comparison.identify import (
     with_limits,
 )
 from gibson_sim.bags.comparison.parameters import CERTAINTY
-from gibson_sim.bags.comparison.recording import Commands, Track
+from gibson_sim.bags.comparison.recorded_drive import Commands, PlanarTrack
 from gibson_sim.robots.drive_spec import DifferentialSpec
 from gibson_sim.robots.drives import PlanarVelocity, make_drive
 from gibson_sim.robots.path_tracking import ScriptedDrive
@@ -35,7 +35,7 @@ COMMANDS = Commands(SENT, *np.array([SCRIPT.command(t) for t in SENT.tolist()]).
 
 def odometry(
     spec: DifferentialSpec, gains: tuple[float, float] = (1.0, 1.0), ticks: int = 0, commands: Commands = COMMANDS
-) -> Track:
+) -> PlanarTrack:
     """Returns odometry at 60 Hz of a robot with this drive, delay included, whose odometry tells ``gains`` of the motion."""
     t, linear, angular = wanted_velocities(commands, 0.0, SCRIPT.duration, HZ, 0.5)
     linear, angular = limited_velocities(spec, linear, angular, 1.0 / HZ)
@@ -44,10 +44,10 @@ def odometry(
         linear, angular = counted_velocities(free, WheelOdometrySpec(encoder_ticks=ticks), linear, angular, HZ)
     rows = slice(3, None, 4)
     nothing = np.zeros(len(t[rows]))
-    return Track(t[rows] + 1.0 / HZ, nothing, nothing, nothing, gains[0] * linear[rows], gains[1] * angular[rows])
+    return PlanarTrack(t[rows] + 1.0 / HZ, nothing, nothing, nothing, gains[0] * linear[rows], gains[1] * angular[rows])
 
 
-def fitted(spec: DifferentialSpec, track: Track) -> DriveFit:
+def fitted(spec: DifferentialSpec, track: PlanarTrack) -> DriveFit:
     found = fit_drive(spec, COMMANDS, track)
     assert found is not None
     return found

@@ -16,7 +16,7 @@ from gibson_sim.bags.comparison.lidar import (
     resolution_of,
     scan_poses,
 )
-from gibson_sim.bags.comparison.recording import OccupancyMap, Scans, Track
+from gibson_sim.bags.comparison.recorded_drive import OccupancyMap, PlanarTrack, Scans
 
 BEAMS, SCANS = 180, 100
 STEP = 2 * math.pi / BEAMS
@@ -37,8 +37,8 @@ def scans(ranges: np.ndarray, mount: tuple[float, float, float] = (0.0, 0.0, 0.0
     return Scans(T[: len(ranges)], ranges, 0.0, STEP, 0.1, 12.0, mount)
 
 
-def track(poses: np.ndarray) -> Track:
-    return Track(T, *poses.T, np.full(len(T), np.nan), np.full(len(T), np.nan))
+def track(poses: np.ndarray) -> PlanarTrack:
+    return PlanarTrack(T, *poses.T, np.full(len(T), np.nan), np.full(len(T), np.nan))
 
 
 def noisy(sigma: float, dropout: float = 0.0, step: float = 0.0) -> Scans:
@@ -112,6 +112,6 @@ def test_no_matches_give_no_residuals() -> None:
 
 
 def test_scan_outside_the_track_has_no_pose() -> None:
-    poses = scan_poses(scans(np.tile(exact(), (SCANS, 1))), Track(*(np.arange(2.0),) * 6))
+    poses = scan_poses(scans(np.tile(exact(), (SCANS, 1))), PlanarTrack(*(np.arange(2.0),) * 6))
     assert np.isfinite(poses[:11]).all()
     assert np.isnan(poses[11:]).all()

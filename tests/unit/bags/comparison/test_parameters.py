@@ -11,9 +11,9 @@ import yaml
 
 from gibson_sim.bags.comparison.drift import Drift, Scales
 from gibson_sim.bags.comparison.identify import DriveFit, Estimate
-from gibson_sim.bags.comparison.measure import Measured
+from gibson_sim.bags.comparison.measure import Measurements
 from gibson_sim.bags.comparison.parameters import Parameter, fitted_parameters
-from gibson_sim.bags.comparison.recording import Recording
+from gibson_sim.bags.comparison.recorded_drive import RecordedDrive
 from gibson_sim.bags.comparison.robot_file import robot_file, write_fitted
 from gibson_sim.errors import RobotError
 from gibson_sim.robots.load import load_robot
@@ -23,12 +23,12 @@ from support.robots import write_gibson_bot
 NOTHING = np.zeros(0)
 
 
-def measured(delay: float, acceleration: float, gains: tuple[float, float], scales: Scales | None) -> Measured:
+def measured(delay: float, acceleration: float, gains: tuple[float, float], scales: Scales | None) -> Measurements:
     """Returns a recording that says this of its drive, exactly."""
     estimates = [Estimate(value, 0.0) for value in (delay, acceleration, 3 * acceleration, *gains)]
     fit = DriveFit(*estimates, 0.0, 0.0, NOTHING, NOTHING, NOTHING)
     drift = None if scales is None else Drift(10.0, 10.0, scales, 0.0, 0.0, {}, 0.0, 0.0)
-    return Measured(Recording(Path("bag"), 10.0, {}), (), fit=fit, drift=drift)
+    return Measurements(RecordedDrive(Path("bag"), 10.0, {}), (), fit=fit, drift=drift)
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def robot(tmp_path: Path) -> RobotSpec:
 EXACT = Scales(1.0, 1.0, 0.0)
 
 
-def values(real: Measured, sim: Measured, robot: RobotSpec) -> dict[str, float]:
+def values(real: Measurements, sim: Measurements, robot: RobotSpec) -> dict[str, float]:
     return {one.name: one.new for one in fitted_parameters(real, sim, robot)}
 
 

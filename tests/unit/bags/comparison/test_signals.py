@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.bags.comparison.imu_noise import imu_noise
-from gibson_sim.bags.comparison.recording import Commands, ImuSamples, Track
+from gibson_sim.bags.comparison.recorded_drive import Commands, ImuSamples, PlanarTrack
 from gibson_sim.bags.comparison.signals import held, rests, speeds, stretches
 from gibson_sim.robots.drives import active_command
 from gibson_sim.types import NS_PER_S, VelocityCommand
@@ -25,9 +25,9 @@ def imu(gyro_noise: float = 1e-3, bias: tuple[float, float, float] = (0.0, 0.0, 
     return ImuSamples(T, gyro, accel)
 
 
-def track() -> Track:
+def track() -> PlanarTrack:
     speed = np.where(MOVES, 0.3, 0.0)
-    return Track(T, np.cumsum(speed) * 0.01, 0 * T, 0 * T, speed, 0 * T)
+    return PlanarTrack(T, np.cumsum(speed) * 0.01, 0 * T, 0 * T, speed, 0 * T)
 
 
 def test_last_value_is_held_until_its_time_out() -> None:
@@ -76,6 +76,6 @@ def test_noise_and_bias_at_rest_are_those_put_in() -> None:
 def test_speeds_come_from_poses_where_the_source_has_none() -> None:
     yaw = np.full(len(T), np.pi / 3)
     nothing = np.full(len(T), np.nan)
-    forward, turning = speeds(Track(T, 0.2 * T * np.cos(yaw), 0.2 * T * np.sin(yaw), yaw, nothing, nothing))
+    forward, turning = speeds(PlanarTrack(T, 0.2 * T * np.cos(yaw), 0.2 * T * np.sin(yaw), yaw, nothing, nothing))
     assert forward == pytest.approx(np.full(len(T), 0.2))
     assert turning == pytest.approx(np.zeros(len(T)))

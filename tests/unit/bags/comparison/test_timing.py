@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gibson_sim.bags.comparison.recording import Arrivals
+from gibson_sim.bags.comparison.recorded_drive import Arrivals
 from gibson_sim.bags.comparison.timing import topic_timing
 
 MS = 1_000_000

@@ -1,4 +1,4 @@
-"""Archives, meshes and images that mean no good: one clear line, bounded memory, and nothing outside the folder."""
+"""Malicious archives, meshes and images: one clear line, bounded memory, and nothing outside the folder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from support.interiors import room, write_gibson_folder, write_obj
 from support.plys import ply
 
 MEMORY_KB = 150_000
-"""What reading bad input may take at most, beside what the process has."""
+"""Memory that reading bad input may add to that of the process."""
 
 
 def _zip(path: Path, files: dict[str, bytes], kind: int = zipfile.ZIP_DEFLATED) -> Path:
@@ -168,7 +168,7 @@ def test_an_archive_that_is_cut_is_refused(tmp_path: Path, kept: float) -> None:
 
 
 def _import_error(path: Path, output: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Returns the one line of an import that fails, which leaves nothing behind."""
+    """Returns the one line of a failing import, which leaves nothing behind."""
     before = _everything(output.parent)
     with pytest.raises(SystemExit) as ended:
         main(["scene", "import", str(path), "--output", str(output)])
@@ -230,7 +230,7 @@ def test_a_texture_outside_the_folder_is_not_read(tmp_path: Path) -> None:
 
 
 def _png(width: int, height: int) -> bytes:
-    """Returns a PNG that says it is so large, and ends soon."""
+    """Returns a truncated PNG whose header names this size."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

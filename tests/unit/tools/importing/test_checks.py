@@ -1,4 +1,4 @@
-"""What is wrong with a scene is found, with numbers, and mended where it can be."""
+"""Problems of a scene are found, with numbers, and repaired where possible."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
-from gibson_sim_tools.importing.checks.check import Report, check_path
+from gibson_sim_tools.importing.checks.check import SceneReport, check_path
 from gibson_sim_tools.importing.checks.faults import find_faults
-from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
+from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
 from gibson_sim_tools.importing.checks.gravity import guess_unit, guess_up, rotation_to_z
 from support.interiors import SIZE, box_faces, room, triangles, turned, write_gibson_folder, write_obj
 from support.surfaces import bumpy_grid
 
 
-def _found(report: Report) -> dict[str, str]:
-    """Returns the level of each kind of finding but those about open rims."""
+def _found(report: SceneReport) -> dict[str, str]:
+    """Returns the level of each kind of finding, except open boundaries."""
     return {f.what: f.level for f in report.findings}
 
 
@@ -191,7 +191,7 @@ def test_a_tilted_scan_in_centimetres_with_turned_faces_is_mended(tmp_path: Path
     quads[8] = quads[8, ::-1]
     report = check_path(_scene(tmp_path / "a", 100.0 * turned(corners, 0, 5.0), quads))
     assert {"not-level", "not-metres", "inverted"} <= set(_found(report))
-    file, mended = fix_scene(report, tmp_path / "b", Fix(unit_m=0.01))
+    file, mended = fix_scene(report, tmp_path / "b", FixOptions(unit_m=0.01))
     assert mended.clean, mended.findings
     assert mended.facts is not None and mended.facts.size == pytest.approx(SIZE, abs=1e-3)
     assert mended.scene is not None
@@ -231,7 +231,7 @@ def test_a_huge_texture_is_told_before_it_is_decoded_and_made_smaller(tmp_path: 
     cv2.imwrite(str(folder / "atlas.png"), picture)
     report = check_path(folder)
     assert _found(report)["huge-texture"] == "warning"
-    _, mended = fix_scene(report, tmp_path / "b", Fix(max_texture=512))
+    _, mended = fix_scene(report, tmp_path / "b", FixOptions(max_texture=512))
     assert mended.clean and mended.scene is not None
     (part,) = MeshLoader(scene_roots(mended.scene)).shape(mended.scene.visuals[0].shape).parts
     assert part.material.texture is not None and part.material.texture.pixels.shape == (4, 512, 3)

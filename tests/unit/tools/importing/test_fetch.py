@@ -1,4 +1,4 @@
-"""Public scenes come from their origin: licence first, checked, gone on with, and never outside their folders."""
+"""Public scenes are downloaded from their origin: licence first, checked, resumed, and never outside their folders."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from support.interiors import write_gibson_folder
 
 
 class Server:
-    """Files over HTTP, with what can go wrong."""
+    """Serves files over HTTP, with faults."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.cut_after: int | None = None
-        """Bytes after which the next answer breaks off; None = it does not."""
+        """Bytes after which the next response ends; None = complete."""
         self.ranges: list[str] = []
-        """What was asked for, in order; "" = all."""
+        """Requested ranges, in order; "" = all."""
         outer = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -124,7 +124,7 @@ def test_a_download_goes_on_where_it_was_cut_off(
     assert "run the command again to go on" in capsys.readouterr().err
     assert _fetch(recipe, "--yes", "--output", tmp_path / "out") == 0
     assert "bytes=100-" in server.ranges
-    # What had come whole was not asked for again.
+    # A complete file is not requested again.
     assert server.ranges.count("bytes=100-") == 1 and len(server.ranges) == 7
 
 

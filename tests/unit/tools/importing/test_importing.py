@@ -1,4 +1,4 @@
-"""Folders, meshes and worlds of other people become scenes of ours."""
+"""Third-party folders, meshes and worlds become our scenes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.importing.checks.check import check_path
-from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
-from gibson_sim_tools.importing.run import Choices, import_scene
+from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
+from gibson_sim_tools.importing.run import ImportOptions, import_scene
 from gibson_sim_tools.importing.scans import is_scan
 from support.gltf import Gltf
 from support.interiors import SIZE, room, turned, write_gibson_folder, write_obj, write_replica_folder
@@ -124,7 +124,7 @@ def test_a_replica_folder_falls_apart_into_its_objects(tmp_path: Path) -> None:
 
 
 def test_a_replica_folder_may_stay_one_object(tmp_path: Path) -> None:
-    scene = import_scene(write_replica_folder(tmp_path / "room_0"), tmp_path / "out", Choices(semantics=False)).scene
+    scene = import_scene(write_replica_folder(tmp_path / "room_0"), tmp_path / "out", ImportOptions(semantics=False)).scene
     assert [v.semantic_class for v in scene.visuals] == [""]
 
 
@@ -298,7 +298,7 @@ def test_a_scan_collides_in_its_simple_form_and_so_is_its_mended_copy(tmp_path: 
     assert any(c.shape.kind == "box" for c in imported.scene.collisions)
     rooms = "rooms: [{name: hall, class: hall, polygon: [[-3, -2], [3, -2], [3, 2], [-3, 2]]}]\n"
     imported.file.write_text(imported.file.read_text() + rooms)
-    file, report = fix_scene(check_path(imported.file), tmp_path / "mended", Fix(level=False))
+    file, report = fix_scene(check_path(imported.file), tmp_path / "mended", FixOptions(level=False))
     assert "collision: simplified" in file.read_text()
     assert report.scene is not None and [room.name for room in report.scene.rooms] == ["hall"]
 

@@ -1,4 +1,4 @@
-"""Pieces of floor that gaps in a scan keep apart are told; those behind walls are not."""
+"""Pieces of floor that gaps in a scan separate are reported; those behind walls are not."""
 
 from __future__ import annotations
 

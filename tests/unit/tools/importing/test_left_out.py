@@ -1,4 +1,4 @@
-"""What an import cannot use: it stays visible as itself, and is not forgotten."""
+"""What an import cannot use stays visible by its own name and is listed."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.importing.checks.check import Report, check_path
-from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
+from gibson_sim_tools.importing.checks.check import SceneReport, check_path
+from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
 from gibson_sim_tools.importing.left_out import LEFT_OUT
 from gibson_sim_tools.importing.run import import_scene
 from support.interiors import room, write_obj
@@ -29,7 +29,7 @@ def world(folder: Path, **models: str) -> Path:
     return folder / "models" / "w.world"
 
 
-def texts(report: Report, what: str) -> list[str]:
+def texts(report: SceneReport, what: str) -> list[str]:
     return [finding.text for finding in report.findings if finding.what == what]
 
 
@@ -48,7 +48,7 @@ def test_what_is_not_drawn_is_named_and_stays_a_thing_of_its_own(tmp_path: Path)
     imported = import_scene(path, tmp_path / "out")
     assert [visual.name for visual in imported.scene.visuals] == ["room"]
     assert [collision.name for collision in imported.scene.collisions] == ["room", "room_guard"]
-    fixed, _ = fix_scene(check_path(tmp_path / "out"), tmp_path / "fixed", Fix())
+    fixed, _ = fix_scene(check_path(tmp_path / "out"), tmp_path / "fixed", FixOptions())
     assert [collision.name for collision in load_scene(fixed).collisions] == ["room", "room_guard"]
 
 
@@ -66,7 +66,7 @@ def test_check_repeats_what_the_import_left_out_and_fix_keeps_it(tmp_path: Path)
     (missing,) = texts(report, "missing")
     assert "gone.dae is not there" in missing
     assert not report.clean
-    _, again = fix_scene(report, tmp_path / "fixed", Fix())
+    _, again = fix_scene(report, tmp_path / "fixed", FixOptions())
     assert texts(again, "missing") == [missing]
 
 
@@ -79,7 +79,7 @@ def test_missing_textures_are_not_forgotten_by_a_mended_copy(tmp_path: Path) -> 
     report = check_path(tmp_path / "out")
     # Once, although both the import and the file itself tell of it.
     (texture,) = texts(report, "missing-texture")
-    _, again = fix_scene(report, tmp_path / "fixed", Fix())
+    _, again = fix_scene(report, tmp_path / "fixed", FixOptions())
     assert [text.split("assets/")[-1] for text in texts(again, "missing-texture")] == [texture.split("assets/")[-1]]
     assert not again.clean
 

@@ -1,4 +1,4 @@
-"""Up is found however a scene is turned, or said to be unclear; what is upright stays; nothing is mended for the worse."""
+"""Up is found in any orientation, or reported as unclear; upright scenes stay; no repair makes a scene worse."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.patches import flat_patches
 from gibson_sim.geometry.upright import find_candidates
-from gibson_sim_tools.importing.checks.check import Finding, Report, check_path
+from gibson_sim_tools.importing.checks.check import SceneFinding, SceneReport, check_path
 from gibson_sim_tools.importing.checks.facts import SceneFacts
-from gibson_sim_tools.importing.checks.fix import Fix, fix_scene, made_worse
+from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene, made_worse
 from gibson_sim_tools.importing.checks.gravity import UpGuess, direction, direction_text, guess_up, level_near, rotation_to_z
 from gibson_sim_tools.importing.document import rpy_deg
-from gibson_sim_tools.importing.run import Choices, import_scene
+from gibson_sim_tools.importing.run import ImportOptions, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
 from support.plys import ply
 from support.scans import noisy_room
@@ -125,7 +125,7 @@ def test_a_level_room_with_floors_at_three_heights_is_mended_level(tmp_path: Pat
     folder.mkdir()
     write_obj(folder / "room.obj", corners, quads)
     (folder / "scene.yaml").write_text("name: stages\nobjects: [{name: room, mesh: room.obj}]\n")
-    _, mended = fix_scene(check_path(folder), tmp_path / "b", Fix())
+    _, mended = fix_scene(check_path(folder), tmp_path / "b", FixOptions())
     assert mended.facts is not None and mended.facts.tilt_deg < 0.02
     assert not {"no-room", "no-floor", "not-level"} & {f.what for f in mended.findings}
 
@@ -140,7 +140,7 @@ def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pyte
     up = np.array([0.0, np.sin(np.radians(30)), np.cos(np.radians(30))])
     monkeypatch.setattr("gibson_sim_tools.importing.checks.fix.level_near", lambda *_: tuple(up))
     with pytest.raises(SceneError, match="nothing was written: a mended copy of 'bent' would be worse than it is"):
-        fix_scene(report, tmp_path / "b", Fix(up=(0.0, 0.0, 1.0)))
+        fix_scene(report, tmp_path / "b", FixOptions(up=(0.0, 0.0, 1.0)))
     assert not (tmp_path / "b").exists()
 
 
@@ -149,7 +149,7 @@ def test_only_what_could_be_told_before_counts_as_worse(tmp_path: Path) -> None:
     write_obj(tmp_path / "up.obj", corners, quads)
     write_obj(tmp_path / "side.obj", turned(corners, 0, -90.0), quads)
     up, side = check_path(tmp_path / "up.obj"), check_path(tmp_path / "side.obj")
-    bad = Report((Finding("no-room", "warning", "nothing is free"),), up.facts)
+    bad = SceneReport((SceneFinding("no-room", "warning", "nothing is free"),), up.facts)
     assert made_worse(up, bad) == ["nothing is free"]
     assert made_worse(side, bad) == []
     assert made_worse(bad, up) == []
@@ -206,7 +206,7 @@ def test_starts_are_turned_with_the_scene(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(
         f"name: t\nstarts: [{{name: door, xyz: [{x}, {y}, {z}]}}]\nobjects: [{{name: room, mesh: room.obj}}]\n"
     )
-    _, mended = fix_scene(check_path(tmp_path), tmp_path / "b", Fix())
+    _, mended = fix_scene(check_path(tmp_path), tmp_path / "b", FixOptions())
     assert mended.scene is not None
     (start,) = mended.scene.starts
     assert start.pose.position == pytest.approx((-1.0, -1.0, 0.0), abs=0.01)
@@ -244,7 +244,7 @@ def test_an_import_whose_up_is_not_clear_says_so(tmp_path: Path) -> None:
     write_obj(tmp_path / "box.obj", room(furniture=False)[0] @ random_rotation(5).T, room(furniture=False)[1])
     (warning, *_) = import_scene(tmp_path / "box.obj", tmp_path / "out").warnings
     assert "which way is up is not clear" in warning and "--up-axis=" in warning
-    assert Choices().up is None
+    assert ImportOptions().up is None
 
 
 # What was levelled before
@@ -265,27 +265,27 @@ def test_a_levelling_that_laid_a_scan_on_a_wall_is_taken_back(tmp_path: Path) ->
     vertices, faces = NOISY
     report = check_path(_laid_on_a_wall(tmp_path / "a", vertices, faces))
     assert report.facts is not None and report.facts.tilt_deg == pytest.approx(90.0, abs=0.5)
-    _, mended = fix_scene(report, tmp_path / "b", Fix())
+    _, mended = fix_scene(report, tmp_path / "b", FixOptions())
     assert mended.facts is not None and mended.facts.tilt_deg < 0.5
     assert mended.facts.size[2] == pytest.approx(2.4, abs=0.1)
 
 
 def test_an_empty_room_that_a_levelling_laid_on_a_wall_is_stood_up_as_its_file_has_it(tmp_path: Path) -> None:
     corners, quads = room(furniture=False)
-    _, mended = fix_scene(check_path(_laid_on_a_wall(tmp_path / "a", corners, triangles(quads))), tmp_path / "b", Fix())
+    _, mended = fix_scene(check_path(_laid_on_a_wall(tmp_path / "a", corners, triangles(quads))), tmp_path / "b", FixOptions())
     assert mended.facts is not None and mended.facts.size[2] == pytest.approx(2.5, abs=0.01)
 
 
 def test_islands_that_a_sloping_floor_hid_do_not_keep_it_from_being_levelled() -> None:
     facts = check_facts(tilt_deg=1.2)
-    before = Report((Finding("not-level", "warning", "the floor is 1.20 degrees out of level"),), facts)
-    fresh = Finding("islands", "warning", "the free floor at z = 0.00 m is in 3 pieces")
-    assert made_worse(before, Report((fresh,), check_facts(tilt_deg=0.1))) == []
-    assert made_worse(Report((), facts), Report((fresh,), check_facts(tilt_deg=0.1))) == [fresh.text]
-    blocked = Finding("no-room", "warning", "no place is free")
-    assert made_worse(before, Report((blocked,), check_facts(tilt_deg=0.1))) == [blocked.text]
-    steep = Report(before.findings, check_facts(tilt_deg=12.0))
-    assert made_worse(steep, Report((blocked,), check_facts(tilt_deg=0.1))) == []
+    before = SceneReport((SceneFinding("not-level", "warning", "the floor is 1.20 degrees out of level"),), facts)
+    fresh = SceneFinding("islands", "warning", "the free floor at z = 0.00 m is in 3 pieces")
+    assert made_worse(before, SceneReport((fresh,), check_facts(tilt_deg=0.1))) == []
+    assert made_worse(SceneReport((), facts), SceneReport((fresh,), check_facts(tilt_deg=0.1))) == [fresh.text]
+    blocked = SceneFinding("no-room", "warning", "no place is free")
+    assert made_worse(before, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == [blocked.text]
+    steep = SceneReport(before.findings, check_facts(tilt_deg=12.0))
+    assert made_worse(steep, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == []
 
 
 def check_facts(tilt_deg: float) -> SceneFacts:
@@ -307,7 +307,7 @@ def test_floors_ground_and_rooms_are_turned_with_the_scene(tmp_path: Path) -> No
         f"name: t\nfloor_z: {z}\nground_z: {z}\nrooms: [{{name: hall, class: corridor, floor: 0, polygon: {polygon}}}]\n"
         "objects: [{name: room, mesh: room.obj}]\n"
     )
-    _, mended = fix_scene(check_path(tmp_path), tmp_path / "b", Fix())
+    _, mended = fix_scene(check_path(tmp_path), tmp_path / "b", FixOptions())
     assert mended.scene is not None
     assert mended.scene.floors == pytest.approx((1.0,), abs=0.01) and mended.scene.ground_z == pytest.approx(1.0, abs=0.01)
     (hall,) = mended.scene.rooms
@@ -350,7 +350,7 @@ def test_the_floor_of_a_scene_that_sloped_is_found_anew(tmp_path: Path) -> None:
     write_obj(tmp_path / "room.obj", turned(corners + np.array([2.0, 1.0, 0.0]), 1, 12.0), quads)
     report = check_path(tmp_path / "room.obj")
     assert report.scene is not None and report.scene.floor_estimated
-    _, mended = fix_scene(report, tmp_path / "b", Fix(up=tuple(turned(np.array([[0.0, 0.0, 1.0]]), 1, 12.0)[0])))
+    _, mended = fix_scene(report, tmp_path / "b", FixOptions(up=tuple(turned(np.array([[0.0, 0.0, 1.0]]), 1, 12.0)[0])))
     assert mended.scene is not None
     assert mended.scene.floors == pytest.approx((0.0,), abs=0.01)
     assert "no-room" not in {f.what for f in mended.findings}
@@ -373,7 +373,7 @@ def test_a_scan_that_stands_on_a_wall_or_its_ceiling_does_not_pass_for_upright(s
     assert verdict(vertices, kept, np.eye(3)) == "upright"
 
 
-def test_what_is_unclear_stays_so_until_somebody_says_which_way_is_up(
+def test_what_is_unclear_stays_so_until_the_user_says_which_way_is_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     corners, quads = room()

@@ -14,7 +14,7 @@ from gibson_sim.errors import EnvironmentProblemError, SceneError
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim_tools.importing import usd
-from gibson_sim_tools.importing.run import Choices, import_scene
+from gibson_sim_tools.importing.run import ImportOptions, import_scene
 
 STAGE = """#usda 1.0
 (
@@ -101,13 +101,13 @@ def test_meshes_come_with_transforms_colours_and_textures(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("up", "unit", "choices", "size"),
     [
-        ("Y", 0.01, Choices(), (0.01, 0.03, 0.01)),
-        ("Z", 0.01, Choices(), (0.01, 0.01, 0.03)),
-        ("Y", 0.01, Choices(up_axis="z", unit_m=1.0), (1, 1, 3)),
+        ("Y", 0.01, ImportOptions(), (0.01, 0.03, 0.01)),
+        ("Z", 0.01, ImportOptions(), (0.01, 0.01, 0.03)),
+        ("Y", 0.01, ImportOptions(up_axis="z", unit_m=1.0), (1, 1, 3)),
     ],
 )
 def test_up_axis_and_unit_of_the_stage_are_obeyed_unless_the_user_says_otherwise(
-    tmp_path: Path, up: str, unit: float, choices: Choices, size: tuple[float, float, float]
+    tmp_path: Path, up: str, unit: float, choices: ImportOptions, size: tuple[float, float, float]
 ) -> None:
     scene = import_scene(_stage(tmp_path, up, unit), tmp_path / "out", choices).scene
     vertices, _ = collision_triangles(scene)

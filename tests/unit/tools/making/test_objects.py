@@ -1,4 +1,4 @@
-"""Our objects: what is written is what was meant, and small enough."""
+"""Our objects: correct physics, correct files, small enough."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from gibson_sim_tools.making.objects import program
 from gibson_sim_tools.making.objects.catalogue import OBJECTS
 from gibson_sim_tools.making.objects.joined import door_names
 from gibson_sim_tools.making.objects.model import (
-    Link,
+    ObjectLink,
     ObjectModel,
-    Solid,
+    Primitive,
     ball,
     box,
     mass_properties,
@@ -53,34 +53,34 @@ def model_of(one: ObjectModel, folder: Path) -> UrdfModel:
 
 
 def test_a_box_has_the_inertia_of_the_textbook() -> None:
-    mass = mass_properties(Link("a", 12.0, (box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0)),)))
+    mass = mass_properties(ObjectLink("a", 12.0, (box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0)),)))
     assert mass.center == pytest.approx([0.5, 1.0, 1.5])
     np.testing.assert_allclose(mass.inertia, np.diag([13.0, 10.0, 5.0]), atol=1e-12)
 
 
 def test_a_cylinder_and_a_ball_have_the_inertia_of_the_textbook() -> None:
-    mass = mass_properties(Link("a", 2.0, (upright(0.5, 0.0, 3.0),)))
+    mass = mass_properties(ObjectLink("a", 2.0, (upright(0.5, 0.0, 3.0),)))
     np.testing.assert_allclose(mass.inertia, np.diag([1.625, 1.625, 0.25]), atol=1e-12)
-    np.testing.assert_allclose(mass_properties(Link("a", 5.0, (ball(0.5),))).inertia, np.eye(3) * 0.5, atol=1e-12)
+    np.testing.assert_allclose(mass_properties(ObjectLink("a", 5.0, (ball(0.5),))).inertia, np.eye(3) * 0.5, atol=1e-12)
 
 
 def test_two_solids_share_the_mass_by_their_volume_about_a_common_centre() -> None:
-    one, other = Solid("sphere", (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)), Solid("sphere", (0.1, 0.0, 0.0), (2.0, 0.0, 0.0))
-    mass = mass_properties(Link("a", 2.0, (one, other)))
+    one, other = Primitive("sphere", (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)), Primitive("sphere", (0.1, 0.0, 0.0), (2.0, 0.0, 0.0))
+    mass = mass_properties(ObjectLink("a", 2.0, (one, other)))
     assert mass.center == pytest.approx([1.0, 0.0, 0.0])
     # Two balls of 1 kg: 2/5 r^2 each, and 1 m away from the centre.
     np.testing.assert_allclose(mass.inertia, np.diag([0.008, 2.008, 2.008]), atol=1e-12)
 
 
 def test_a_turned_box_has_a_turned_inertia() -> None:
-    lying = mass_properties(Link("a", 12.0, (Solid("box", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0)),)))
+    lying = mass_properties(ObjectLink("a", 12.0, (Primitive("box", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0)),)))
     np.testing.assert_allclose(lying.inertia, np.diag([13.0, 5.0, 10.0]), atol=1e-12)
 
 
 def test_a_wall_of_boxes_stays_within_its_radius() -> None:
-    for solid in ring_wall(0.1, 0.1, 0.0, 0.2, 0.01):
-        corners = [np.array([x, y, z]) * solid.size / 2 for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-        radii = [np.hypot(*(rotation(solid.rpy) @ corner + solid.middle)[:2]) for corner in corners]
+    for primitive in ring_wall(0.1, 0.1, 0.0, 0.2, 0.01):
+        corners = [np.array([x, y, z]) * primitive.size / 2 for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+        radii = [np.hypot(*(rotation(primitive.rpy) @ corner + primitive.middle)[:2]) for corner in corners]
         assert max(radii) == pytest.approx(0.1, abs=0.006)
 
 
@@ -136,17 +136,19 @@ def test_what_stands_has_its_origin_in_the_middle_of_its_underside(name: str, fo
     model = model_of(OBJECTS[name], folder)
     vertices = np.concatenate([loader.shape(v.shape).merged()[0] for v in model.links[0].visuals])
     assert vertices[:, 2].min() == pytest.approx(0.0, abs=5e-4)
-    lowest = min(_lowest(solid) for solid in OBJECTS[name].links[0].solids)
+    lowest = min(_lowest(primitive) for primitive in OBJECTS[name].links[0].primitives)
     assert lowest == pytest.approx(0.0, abs=1.5e-3), "what is drawn stands on what collides"
 
 
-def _lowest(solid: Solid) -> float:
-    if solid.kind == "sphere":
-        return solid.middle[2] - solid.size[0]
-    if solid.kind == "cylinder":
-        upright_ = abs(solid.rpy[1]) < 0.1
-        return solid.middle[2] - (solid.size[1] / 2 if upright_ else solid.size[0])
-    return solid.middle[2] - (solid.size[2] / 2 * math.cos(solid.rpy[1]) + solid.size[0] / 2 * abs(math.sin(solid.rpy[1])))
+def _lowest(primitive: Primitive) -> float:
+    if primitive.kind == "sphere":
+        return primitive.middle[2] - primitive.size[0]
+    if primitive.kind == "cylinder":
+        upright_ = abs(primitive.rpy[1]) < 0.1
+        return primitive.middle[2] - (primitive.size[1] / 2 if upright_ else primitive.size[0])
+    return primitive.middle[2] - (
+        primitive.size[2] / 2 * math.cos(primitive.rpy[1]) + primitive.size[0] / 2 * abs(math.sin(primitive.rpy[1]))
+    )
 
 
 def test_all_objects_together_are_small_and_free(folder: Path) -> None:

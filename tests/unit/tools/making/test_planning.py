@@ -1,4 +1,4 @@
-"""Plans of buildings: what an architect, a furnisher and a robot ask of them."""
+"""Plans of buildings: requirements of architecture, furniture and robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The meshes of our mobile manipulator."""
+"""The meshes of ``arm_bot``."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gibson_sim.description.shapes import Shape
 from gibson_sim.formats.load_mesh import load_shape
 from gibson_sim.robots.load import load_robot
 from gibson_sim_tools.making.robots.arm_bot import FINISHES, arm_bot_solids, write_arm_bot
-from gibson_sim_tools.making.robots.surfaces import Section, Solid, box, loft, tube
+from gibson_sim_tools.making.robots.surfaces import ClosedSurface, Section, box, loft, tube
 
 
-def volume(solid: Solid) -> float:
-    """Of a closed surface whose triangles face outward, cubic metres."""
+def volume(solid: ClosedSurface) -> float:
+    """Returns the volume of a closed surface with outward triangles, cubic metres."""
     a, b, c = (solid.vertices[solid.triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 

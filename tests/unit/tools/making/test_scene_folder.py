@@ -1,4 +1,4 @@
-"""Finished scenes, from what Blender baked to the folder that is loaded. Without Blender, but for the last test."""
+"""Finished scenes, from Blender's bake to a folder that loads. Only the last test needs Blender."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from gibson_sim_tools.making.blender.assembly import assemble
 from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
 from gibson_sim_tools.making.blender.furniture.catalogue import BUILDERS, build_piece
 from gibson_sim_tools.making.blender.looks import LOOKS
-from gibson_sim_tools.making.blender.shapes import Solid, Surface
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface
 from gibson_sim_tools.making.blender.shell import build_shell, widened
 from gibson_sim_tools.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
 from gibson_sim_tools.making.building_file import QUALITIES, Quality, read_plan, write_plan
 from gibson_sim_tools.making.catalogue import CATALOGUE
-from gibson_sim_tools.making.glb import Paint, Patch, write_glb
+from gibson_sim_tools.making.glb import BakedMaterial, Patch, write_glb
 from gibson_sim_tools.making.pixels import doubled, exposure_of, filled, hidden, mirrored, toned
 from gibson_sim_tools.making.planning.planner import plan_building
 from gibson_sim_tools.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_piece_and_another_gives_another() -> None:
 
 
 def test_the_faces_of_all_shapes_look_outwards() -> None:
-    solid, plain = Solid(np.random.default_rng(0)), Surface("plain")
+    solid, plain = ObjectBuilder(np.random.default_rng(0)), Surface("plain")
     parts = {
         "chamfered box": solid.box((0, 0, 0), (1, 2, 3), plain),
         "sharp box": solid.box((0, 0, 0), (1, 2, 3), plain, 0.0),
@@ -239,7 +239,7 @@ def test_a_quality_of_nothing_is_refused() -> None:
 
 def test_a_mesh_is_read_as_it_was_written(tmp_path: Path) -> None:
     corners = np.array([[[0, 0, 0], [2.0, 0, 0], [0, 1, 0.5]], [[2.0, 0, 0], [2, 1, 0.5], [0, 1, 0.5]]])
-    write_glb(tmp_path / "a.glb", [Patch(Paint(color=(0.5, 0.25, 1.0, 1.0)), corners)])
+    write_glb(tmp_path / "a.glb", [Patch(BakedMaterial(color=(0.5, 0.25, 1.0, 1.0)), corners)])
     part = load_mesh(tmp_path / "a.glb", [tmp_path]).parts[0]
     assert len(part.vertices) == 4
     assert np.allclose(part.vertices[part.triangles], corners, atol=1e-4)

@@ -1,4 +1,4 @@
-"""A scene as a scanner finds it."""
+"""The static scene that a scanner sees."""
 
 from __future__ import annotations
 

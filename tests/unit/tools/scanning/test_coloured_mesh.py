@@ -1,4 +1,4 @@
-"""Meshes as scanners give them."""
+"""Meshes with vertex colours, as scanners produce them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a scanner makes of true depths and poses."""
+"""A scanner's errors in depths and poses."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_without_noise_poses_are_true():
     assert np.allclose(measured_poses(poses(5), CLEAN, 0), poses(5), atol=1e-12)
 
 
-def test_pose_noise_has_the_size_that_was_asked_for():
+def test_pose_noise_has_the_requested_size():
     found = np.linalg.inv(poses(400)) @ measured_poses(poses(400), replace(CLEAN, pose_noise_m=0.003, pose_noise_deg=0.3), 0)
     assert found[:, :3, 3].std() == pytest.approx(0.003, rel=0.1)
     turns = np.degrees(np.stack([found[:, 2, 1], found[:, 0, 2], found[:, 1, 0]]))

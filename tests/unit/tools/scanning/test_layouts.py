@@ -1,4 +1,4 @@
-"""Folders of posed RGB-D in every layout, and what is said where something is missing."""
+"""Folders of posed RGB-D in every layout, and the errors for incomplete ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a scanner stands, and the way that it goes: in an empty room of 6 m x 4 m, whose depths are computed."""
+"""Stations and route of a scanner, in an empty room of 6 m x 4 m with computed depths."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import pytest
 
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.types import CameraSpec
-from gibson_sim_tools.scanning.clean_scene import Surface, sample_surface, seen_points
+from gibson_sim_tools.scanning.clean_scene import SurfacePoints, sample_surface, seen_points
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.scanning.route import plan_views, short_round
+from gibson_sim_tools.scanning.route import plan_views, short_tour
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
-from gibson_sim_tools.scanning.stations import Station, Storey, candidates, choose_stations, visible_from
+from gibson_sim_tools.scanning.stations import Station, StoreyFloor, candidates, choose_stations, visible_from
 
 SIZE = np.array([6.0, 4.0, 2.5])
 TOUR = TourSettings(pitches_deg="-40,0,40")
 WIDE = ScanCamera(fov_y_deg=60.0)
 
 
-def empty_storey(*, wall: bool = False) -> Storey:
+def empty_storey(*, wall: bool = False) -> StoreyFloor:
     floor = np.ones((80, 120), dtype=bool)
     occupied = np.zeros_like(floor)
     if wall:
         occupied[:50, 60] = True
     floor_map = FloorMap(0.05, (0.0, 0.0), occupied, floor)
-    return Storey(floor_map, 0.0, floor_map.inflate(0.3))
+    return StoreyFloor(floor_map, 0.0, floor_map.inflate(0.3))
 
 
-def room() -> Surface:
+def room() -> SurfacePoints:
     """Points on all six sides."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * SIZE
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -56,7 +56,9 @@ def panoramas(cameras: Sequence[CameraSpec]) -> list[np.ndarray]:
     return out
 
 
-def choose(tour: TourSettings = TOUR, most: int = 100, reach: tuple[float, float] = (0.1, 10.0), surface: Surface | None = None):
+def choose(
+    tour: TourSettings = TOUR, most: int = 100, reach: tuple[float, float] = (0.1, 10.0), surface: SurfacePoints | None = None
+):
     storeys = [empty_storey()]
     return choose_stations(
         candidates(storeys, tour), storeys, surface or room(), WIDE, tour, reach, most, panoramas, lambda _: None
@@ -76,7 +78,7 @@ def test_a_room_is_seen_all_around_from_its_middle():
     seen = visible_from(eye, panorama, surface, [(-0.2, 0.2)], (0.1, 10.0))
     elevation = np.arcsin((surface.points - eye)[:, 2] / np.linalg.norm(surface.points - eye, axis=1))
     assert not seen[np.abs(elevation) > 0.2].any()
-    behind = Surface(surface.points + 0.5 * np.sign(surface.points - eye), surface.normals)
+    behind = SurfacePoints(surface.points + 0.5 * np.sign(surface.points - eye), surface.normals)
     assert visible_from(eye, panorama, behind, [(-1.6, 1.6)], (0.1, 10.0)).mean() < 0.01
 
 
@@ -114,11 +116,11 @@ def test_nothing_in_range_is_an_error():
         choose(reach=(0.01, 0.02))
 
 
-def test_a_round_has_no_crossing():
+def test_a_tour_has_no_crossing():
     """Corners of a square, given crosswise."""
     points = np.array([[0, 0], [1, 1], [1, 0], [0, 1]], dtype=float)
     lengths = np.linalg.norm(points[:, None] - points[None], axis=2)
-    order = short_round(lengths)
+    order = short_tour(lengths)
     assert sum(lengths[a, b] for a, b in itertools.pairwise(order)) == pytest.approx(3.0)
 
 
@@ -126,7 +128,7 @@ def stations() -> list[Station]:
     return [Station(0, 1.0, 1.0, 1.3), Station(0, 5.0, 1.0, 1.5)]
 
 
-def test_the_way_goes_around_a_wall_and_looks_ahead():
+def test_the_route_goes_around_a_wall_and_looks_ahead():
     storey = empty_storey(wall=True)
     views = plan_views(stations(), [storey], TOUR, 4, 1000)
     way = [v for v in views if v.velocity_x or v.velocity_y]
@@ -149,7 +151,7 @@ def test_a_rig_turns_all_around_at_a_station():
     assert math.atan2(before[1, 0], before[0, 0]) == pytest.approx(math.radians(-3.0))
 
 
-def test_views_on_the_way_are_thinned_out_first():
+def test_views_between_stations_are_thinned_out_first():
     views = plan_views(stations(), [empty_storey()], TOUR, 4, 10)
     assert len(views) == 10
     assert sum(v.yaw_rate > 0 for v in views) == 8
@@ -157,7 +159,7 @@ def test_views_on_the_way_are_thinned_out_first():
 
 
 def test_seen_points_agree_with_the_depth():
-    surface = Surface(
+    surface = SurfacePoints(
         np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, -2.0], [9.0, 0.0, 2.0]]), np.tile([0.0, 0.0, 1.0], (4, 1))
     )
     K = np.array([[10.0, 0, 5], [0, 10.0, 5], [0, 0, 1]])

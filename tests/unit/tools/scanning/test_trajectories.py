@@ -1,4 +1,4 @@
-"""Files of poses, and times that belong together."""
+"""Pose files, and the association of stamps."""
 
 from __future__ import annotations
 

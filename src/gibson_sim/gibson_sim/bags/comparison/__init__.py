@@ -1,4 +1,4 @@
-"""Two bags side by side, a real robot's and a simulated one's: what differs, and what in the ``robot.yaml`` would bring them closer.
+"""Compares the bag of a real robot with that of a simulated one, and fits values of the ``robot.yaml`` that reduce the differences.
 
-Each metric is a pure function on arrays; ``load`` alone reads bags, ``plots`` alone draws. Must not import rclpy.
+Each metric is a pure function on arrays; only ``load`` reads bags, only ``plots`` draws. Must not import rclpy.
 """

@@ -1,4 +1,4 @@
-"""Two recordings side by side: one row for each figure, the parameters that would bring them closer. Pure."""
+"""Compares two recordings: one row for each metric, and the fitted parameters. Pure."""
 
 from __future__ import annotations
 
@@ -13,67 +13,54 @@ from scipy.spatial import cKDTree
 from gibson_sim.bags.comparison.drift import Drift
 from gibson_sim.bags.comparison.imu_noise import NoiseModel
 from gibson_sim.bags.comparison.lidar import Residuals, residuals_at_matches, scan_poses
-from gibson_sim.bags.comparison.measure import Assumptions, Measured, measure
+from gibson_sim.bags.comparison.measure import Assumptions, Measurements, measure
 from gibson_sim.bags.comparison.parameters import Parameter, fitted_parameters
 from gibson_sim.bags.comparison.pictures import STATISTICS, exposure_stops, histogram_distance
-from gibson_sim.bags.comparison.recording import F64, Recording, Track
+from gibson_sim.bags.comparison.recorded_drive import F64, PlanarTrack, RecordedDrive
 from gibson_sim.bags.comparison.response import AxisResponse
 from gibson_sim.robots.spec import RobotSpec
 
 FARTHEST, FARTHEST_TURN = 0.15, np.radians(6.0)
-"""Metres and radians: poses farther apart do not match."""
-
-
-def from_start(poses: F64, start: F64) -> F64:
-    """Returns poses (N, 3), x, y, yaw, in the frame of the pose ``start``, (3,)."""
-    dx, dy = poses[:, 0] - start[0], poses[:, 1] - start[1]
-    cos, sin = np.cos(start[2]), np.sin(start[2])
-    return np.stack([dx * cos + dy * sin, dy * cos - dx * sin, poses[:, 2] - start[2]], axis=1)
-
-
-def matches(a: F64, b: F64, farthest: float = FARTHEST, farthest_turn: float = FARTHEST_TURN) -> NDArray[np.intp]:
-    """Returns (K, 2): rows of ``a`` with the nearest row of ``b``, no row of ``b`` twice, in the order of ``a``.
-
-    Args:
-        a: (N, 3), x, y (m), yaw (rad); rows with NaN match nothing.
-        b: (M, 3), in the same frame.
-        farthest: Metres.
-        farthest_turn: Radians.
-    """
-    rows_a, rows_b = (np.flatnonzero(np.isfinite(poses).all(axis=1)) for poses in (a, b))
-    if not len(rows_a) or not len(rows_b):
-        return np.zeros((0, 2), dtype=np.intp)
-    # A turn of farthest_turn counts as much as a way of farthest.
-    lever = farthest / (2 * np.sin(farthest_turn / 2))
-    points = [
-        np.stack([p[:, 0], p[:, 1], lever * np.cos(p[:, 2]), lever * np.sin(p[:, 2])], axis=1) for p in (a[rows_a], b[rows_b])
-    ]
-    distance, nearest = cKDTree(points[1]).query(points[0], distance_upper_bound=1.5 * farthest)
-    pairs, used = [], set()
-    for i in np.argsort(distance, kind="stable"):
-        if np.isfinite(distance[i]) and nearest[i] not in used:
-            used.add(nearest[i])
-            pairs.append((rows_a[i], rows_b[nearest[i]]))
-    return np.array(sorted(pairs), dtype=np.intp).reshape(-1, 2)
-
-
+"""Largest distance between matching poses, m and rad."""
 SCAN_MATCH = 0.05, math.radians(3.0)
-"""Metres and radians between poses whose scans are compared."""
+"""Largest distance between poses whose scans are compared, m and rad."""
 TIMED_ROLES = ("odom", "truth", "imu", "scan", "image")
+"""Roles whose topics' timing is compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Result of ``compare``."""
+
+    real: Measurements
+    sim: Measurements
+    rows: tuple[Row, ...]
+    parameters: tuple[Parameter, ...]
+    pictures: MatchedPictures | None
+    scan_residuals: Residuals | None
+    """Real minus simulated ranges at matched poses."""
+    alignment: str
+    """How the poses of both recordings were aligned."""
+    notes: tuple[str, ...]
+
+    @property
+    def differing(self) -> tuple[Row, ...]:
+        """Rows with a notable difference, the largest first."""
+        return tuple(sorted((row for row in self.rows if row.weight >= 1.0), key=lambda row: -row.weight))
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure of both recordings."""
+    """One metric of both recordings."""
 
     group: str
     name: str
     unit: str
     real: float
-    """NaN = it does not say."""
+    """NaN = the recording does not determine it."""
     sim: float
     notable: float
-    """A difference from which on it is worth a look."""
+    """Smallest notable difference."""
     change: str = ""
     """What to change in the ``robot.yaml``."""
 
@@ -84,17 +71,17 @@ class Row:
 
     @property
     def weight(self) -> float:
-        """Difference in units of what is notable; 0 where one of them is missing."""
+        """Absolute difference in units of ``notable``; 0 if a value is missing."""
         weight = abs(self.difference) / self.notable if self.notable > 0 else 0.0
         return weight if math.isfinite(weight) else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedPictures:
-    """Images of both at nearly the same poses."""
+    """Images of both recordings at nearly the same poses."""
 
     pairs: NDArray[np.intp]
-    """(K, 2), rows of the pictures of both."""
+    """(K, 2), rows of the real and the simulated pictures."""
     real: F64
     """(8,), mean of ``STATISTICS``."""
     sim: F64
@@ -102,39 +89,18 @@ class MatchedPictures:
     """Mean over the pairs."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """The result."""
-
-    real: Measured
-    sim: Measured
-    rows: tuple[Row, ...]
-    parameters: tuple[Parameter, ...]
-    pictures: MatchedPictures | None
-    scan_residuals: Residuals | None
-    """Real minus simulated ranges at matched poses."""
-    alignment: str
-    """How poses of both were brought together."""
-    notes: tuple[str, ...]
-
-    @property
-    def differing(self) -> tuple[Row, ...]:
-        """The rows that are worth a look, those that differ most first."""
-        return tuple(sorted((row for row in self.rows if row.weight >= 1.0), key=lambda row: -row.weight))
-
-
 def compare(
-    real: Recording, sim: Recording, robot: RobotSpec, assumptions: Assumptions | None = None, align: str = "auto"
+    real: RecordedDrive, sim: RecordedDrive, robot: RobotSpec, assumptions: Assumptions | None = None, align: str = "auto"
 ) -> Comparison:
     """Returns how two recordings differ.
 
     Args:
-        real: Of the real robot.
-        sim: Of ``robot``, simulated.
-        robot: As it was simulated.
-        assumptions: What no bag says.
-        align: ``map``: both have poses in one map; ``start``: both are seen from where they started; ``auto``: the map where both have
-            a pose in one.
+        real: Recording of the real robot.
+        sim: Recording of ``robot``, simulated.
+        robot: The simulated robot.
+        assumptions: Values that no bag contains.
+        align: ``map``: both have poses in one map; ``start``: poses are relative to the start of each; ``auto``: the map if both have
+            poses in one.
     """
     assumptions = assumptions or Assumptions()
     a, b = measure(real, robot.drive, assumptions), measure(sim, robot.drive, assumptions)
@@ -148,8 +114,8 @@ def compare(
     return Comparison(a, b, tuple(_with_hint(row, hints) for row in rows), parameters, pictures, residuals, how, tuple(notes))
 
 
-def _stuck(measured: Measured) -> Iterator[str]:
-    """Yields a note where the robot did not move as its wheels did."""
+def _stuck(measured: Measurements) -> Iterator[str]:
+    """Yields a note if the robot did not move as its wheels did."""
     if measured.drift is not None and measured.drift.stuck_s > 0.0:
         yield (
             f"for {measured.drift.stuck_s:.0f} s wheels and truth disagree by far: the robot was stuck or pushed there; "
@@ -158,7 +124,7 @@ def _stuck(measured: Measured) -> Iterator[str]:
 
 
 def _with_hint(row: Row, hints: dict[str, Parameter]) -> Row:
-    """Returns the row with what to change: it has the name of a parameter in the place of that, or a text."""
+    """Returns the row with the names of parameters in ``change`` replaced by their old and new values; other text stays."""
     names = row.change.split()
     if not names or not all("." in name and name.replace(".", "").replace("_", "").isalnum() for name in names):
         return row
@@ -166,7 +132,7 @@ def _with_hint(row: Row, hints: dict[str, Parameter]) -> Row:
     return Row(row.group, row.name, row.unit, row.real, row.sim, row.notable, ", ".join(told))
 
 
-def _velocity(a: Measured, b: Measured) -> Iterator[Row]:
+def _velocity(a: Measurements, b: Measurements) -> Iterator[Row]:
     if a.fit is not None and b.fit is not None:
         delays = 1e3 * a.fit.delay.value, 1e3 * b.fit.delay.value
         yield Row("velocity", "delay over the whole drive", "ms", *delays, 10.0, "drive.command_delay")
@@ -190,13 +156,13 @@ def _velocity(a: Measured, b: Measured) -> Iterator[Row]:
         yield Row(group, "settled velocity over command", "", of_a.gain, of_b.gain, 0.01, hint)
 
 
-def _limit(measured: Measured, key: str, response: AxisResponse) -> float:
-    """Returns the acceleration limit: that of the fit, else the slope of the steps."""
+def _limit(measured: Measurements, key: str, response: AxisResponse) -> float:
+    """Returns the acceleration limit by the fit, else by the slope of the steps."""
     fitted = None if measured.fit is None else getattr(measured.fit, f"{key}_acceleration")
     return response.median("acceleration") if fitted is None else float(fitted.value)
 
 
-def _drift(a: Measured, b: Measured) -> Iterator[Row]:
+def _drift(a: Measurements, b: Measurements) -> Iterator[Row]:
     if a.drift is None or b.drift is None:
         return
     group, real, sim = "odometry", a.drift, b.drift
@@ -215,7 +181,7 @@ def _drift(a: Measured, b: Measured) -> Iterator[Row]:
 
 
 def _end_error(drift: Drift) -> float:
-    """Returns the error at the end in per cent of the path; NaN where there is hardly one."""
+    """Returns the final position error, % of the path length; NaN for paths below 0.5 m."""
     return 100 * drift.end_error_m / drift.path_m if drift.path_m > 0.5 else math.nan
 
 
@@ -223,7 +189,7 @@ def _larger(*values: float) -> float:
     return max((abs(value) for value in values if math.isfinite(value)), default=0.0)
 
 
-def _imu(a: Measured, b: Measured) -> Iterator[Row]:
+def _imu(a: Measurements, b: Measurements) -> Iterator[Row]:
     if a.imu is None or b.imu is None:
         return
     for name, unit, key, real, sim, least in (
@@ -242,12 +208,12 @@ def _imu(a: Measured, b: Measured) -> Iterator[Row]:
 
 
 def _instabilities(real: NoiseModel, sim: NoiseModel) -> tuple[float, float]:
-    """Returns those of both; NaN where the recording ends before the curve rises, so that there is but a limit."""
+    """Returns both bias instabilities; NaN if the recording ends before the curve rises, so that only an upper limit is known."""
     first, second = (one.instability if one.reaches else math.nan for one in (real, sim))
     return first, second
 
 
-def _lidar(a: Measured, b: Measured, matched: Residuals | None) -> Iterator[Row]:
+def _lidar(a: Measurements, b: Measurements, matched: Residuals | None) -> Iterator[Row]:
     real, sim = a.lidar, b.lidar
     if real is not None and sim is not None:
         noise = 1e3 * real.range_noise, 1e3 * sim.range_noise
@@ -291,7 +257,7 @@ def _pictures_rows(matched: MatchedPictures | None) -> Iterator[Row]:
     yield Row("images at the same poses", "distance of histograms", "", matched.histogram_distance, 0.0, 0.05)
 
 
-def _timing(a: Measured, b: Measured) -> Iterator[Row]:
+def _timing(a: Measurements, b: Measurements) -> Iterator[Row]:
     for role in TIMED_ROLES:
         real, sim = ((one.timing or {}).get(one.recording.topics.get(role, "")) for one in (a, b))
         if real is None or sim is None or not (real.rate_hz and sim.rate_hz):
@@ -305,8 +271,8 @@ def _timing(a: Measured, b: Measured) -> Iterator[Row]:
         yield Row(group, "missing messages", "%", 100.0 * real.missing_part, 100.0 * sim.missing_part, 1.0)
 
 
-def _aligned(real: Recording, sim: Recording, align: str) -> tuple[str, tuple[Track, Track] | None]:
-    """Returns how the poses were brought together, and both tracks in one frame; None = one has no poses."""
+def _aligned(real: RecordedDrive, sim: RecordedDrive, align: str) -> tuple[str, tuple[PlanarTrack, PlanarTrack] | None]:
+    """Returns how the poses were aligned, and both tracks in one frame; None = one has no poses."""
     both_mapped = real.truth is not None and sim.truth is not None
     on_map = align == "map" or (align == "auto" and both_mapped)
     tracks = [one.truth if on_map and one.truth is not None else one.odometry or one.truth for one in (real, sim)]
@@ -317,13 +283,13 @@ def _aligned(real: Recording, sim: Recording, align: str) -> tuple[str, tuple[Tr
     return "poses seen from the start of each", (_from_start(tracks[0]), _from_start(tracks[1]))
 
 
-def _from_start(track: Track) -> Track:
+def _from_start(track: PlanarTrack) -> PlanarTrack:
     poses = np.stack([track.x, track.y, track.yaw], axis=1)
     x, y, yaw = from_start(poses, poses[0]).T
-    return Track(track.t, x, y, yaw, track.linear, track.angular, track.source)
+    return PlanarTrack(track.t, x, y, yaw, track.linear, track.angular, track.source)
 
 
-def _pictures(real: Recording, sim: Recording, a: Track, b: Track) -> MatchedPictures | None:
+def _pictures(real: RecordedDrive, sim: RecordedDrive, a: PlanarTrack, b: PlanarTrack) -> MatchedPictures | None:
     if real.pictures is None or sim.pictures is None:
         return None
     pairs = matches(np.stack(a.at(real.pictures.t), axis=1), np.stack(b.at(sim.pictures.t), axis=1))
@@ -334,8 +300,41 @@ def _pictures(real: Recording, sim: Recording, a: Track, b: Track) -> MatchedPic
     return MatchedPictures(pairs, means[0], means[1], float(np.mean(distances)))
 
 
-def _scans(real: Recording, sim: Recording, a: Track, b: Track) -> Residuals | None:
+def _scans(real: RecordedDrive, sim: RecordedDrive, a: PlanarTrack, b: PlanarTrack) -> Residuals | None:
     if real.scans is None or sim.scans is None:
         return None
     poses = scan_poses(real.scans, a), scan_poses(sim.scans, b)
     return residuals_at_matches(real.scans, poses[0], sim.scans, poses[1], matches(*poses, *SCAN_MATCH))
+
+
+def from_start(poses: F64, start: F64) -> F64:
+    """Returns poses (N, 3), x, y, yaw, relative to the pose ``start``, (3,)."""
+    dx, dy = poses[:, 0] - start[0], poses[:, 1] - start[1]
+    cos, sin = np.cos(start[2]), np.sin(start[2])
+    return np.stack([dx * cos + dy * sin, dy * cos - dx * sin, poses[:, 2] - start[2]], axis=1)
+
+
+def matches(a: F64, b: F64, farthest: float = FARTHEST, farthest_turn: float = FARTHEST_TURN) -> NDArray[np.intp]:
+    """Returns (K, 2): rows of ``a`` with the nearest row of ``b``, no row of ``b`` twice, in the order of ``a``.
+
+    Args:
+        a: (N, 3), x, y (m), yaw (rad); rows with NaN match nothing.
+        b: (M, 3), in the same frame.
+        farthest: Largest distance, metres.
+        farthest_turn: Largest difference of headings, radians.
+    """
+    rows_a, rows_b = (np.flatnonzero(np.isfinite(poses).all(axis=1)) for poses in (a, b))
+    if not len(rows_a) or not len(rows_b):
+        return np.zeros((0, 2), dtype=np.intp)
+    # A rotation by farthest_turn weighs as much as a translation by farthest.
+    lever = farthest / (2 * np.sin(farthest_turn / 2))
+    points = [
+        np.stack([p[:, 0], p[:, 1], lever * np.cos(p[:, 2]), lever * np.sin(p[:, 2])], axis=1) for p in (a[rows_a], b[rows_b])
+    ]
+    distance, nearest = cKDTree(points[1]).query(points[0], distance_upper_bound=1.5 * farthest)
+    pairs, used = [], set()
+    for i in np.argsort(distance, kind="stable"):
+        if np.isfinite(distance[i]) and nearest[i] not in used:
+            used.add(nearest[i])
+            pairs.append((rows_a[i], rows_b[nearest[i]]))
+    return np.array(sorted(pairs), dtype=np.intp).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Odometry against the truth: scales, relative errors over distances and turns, errors that add up at random. Pure."""
+"""Odometry against ground truth: scales, relative errors over distances and turns, random errors. Pure."""
 
 from __future__ import annotations
 
@@ -9,103 +9,104 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gibson_sim.bags.comparison.recording import F64, Track
+from gibson_sim.bags.comparison.recorded_drive import F64, PlanarTrack
 
 LENGTHS = (1.0, 2.0, 5.0, 10.0)
-"""Metres of path over which relative errors are looked at."""
+"""Lengths of path over which relative errors are measured, metres."""
 _STUCK, _STUCK_TURN = 0.05, 0.1
-"""Metres and radians a second."""
+"""Disagreement of wheels and truth within a second from which on the robot counts as stuck, m and rad."""
 _LEAST_PATH, _LEAST_TURN = 1.0, math.radians(90.0)
-_LEAST_PIECES = 4
-"""Pieces of a second that must agree before scales are told."""
+"""Motion below which scales are undetermined, m and rad."""
+_LEAST_SEGMENTS = 4
+"""Segments of a second that must agree for a finite deviation."""
 _LEAST_SPREAD = 2e-4
-"""Metres or radians in a second that are no difference."""
+"""Lower bound of the spread of residuals, metres or radians within a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """Motion by the wheels = these times the true motion, over pieces of a second, but for those that stand out."""
+    """Ratios of the motion by odometry to the true motion, over segments of a second, outliers excluded."""
 
     forward: float
-    """NaN where the robot went less than 1 m."""
+    """NaN if the robot moved less than 1 m."""
     turn: float
-    """NaN where it turned less than 90 degrees."""
+    """NaN if it turned less than 90 degrees."""
     veer: float
-    """rad/m: turn that the wheels tell on top, for each true metre forward."""
+    """Additional turn by odometry for each true metre forward, rad/m."""
     forward_deviation: float = 0.0
-    """Standard deviations of these three; infinite where hardly any piece tells."""
+    """Standard deviations of these three; infinite if too few segments determine them."""
     turn_deviation: float = 0.0
     veer_deviation: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """How far odometry leaves the truth."""
+    """Errors of odometry against ground truth."""
 
     path_m: float
     turned_rad: float
     scales: Scales
     end_error_m: float
-    """Where odometry says that the robot ended, seen from its start, against where it did."""
+    """Final position error, relative to the start."""
     end_error_rad: float
     error_per_m: dict[float, float]
-    """Length of a piece of path -> mean error of its end over its length, m/m."""
+    """Length of path -> mean relative position error over such segments, m/m."""
     turn_per_m: float
-    """rad/m: mean error of the heading over pieces of the shortest length, over that length."""
+    """Mean heading error over segments of the shortest length, rad/m."""
     turn_per_rad: float
-    """Mean error of the heading over the angle turned, in quarters of a turn; NaN where it turned less."""
+    """Mean heading error over quarter turns, rad/rad; NaN if the robot turned less."""
     stuck: tuple[tuple[float, float], ...] = ()
-    """(begin, end), seconds, in which wheels and truth disagree by far: the robot was stuck, pushed, or its truth was wrong."""
+    """(begin, end), seconds, of large disagreement between wheels and truth: the robot was stuck or pushed, or its truth was wrong."""
 
     @property
     def stuck_s(self) -> float:
-        """Seconds of these together."""
+        """Total duration of ``stuck``, seconds."""
         return sum(end - begin for begin, end in self.stuck)
 
 
 @dataclass(frozen=True, slots=True)
 class Alphas:
-    """Errors at random: those of ``WheelOdometrySpec``, and the standard deviation of each estimate as a part of it."""
+    """Random errors as in ``WheelOdometrySpec``."""
 
     alpha1: float
     alpha2: float
     alpha3: float
     alpha4: float
     uncertainty: float
-    """Of the standard deviations; 0.1 needs about 50 independent metres and radians."""
+    """Relative standard deviation of the estimated standard deviations; 0.1 needs about 50 independent metres and radians."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """Motions over pieces of time, by the wheels and in truth, in the frame of the base at the begin of each."""
+class MotionSegments:
+    """Motions over time segments, by odometry and in truth, in the frame of the base at the start of each."""
 
     begin: F64
     """(K,), seconds."""
     forward: F64
     turn: F64
-    """(K,), by the wheels, m and rad."""
+    """(K,), by odometry, m and rad."""
     true_forward: F64
     true_turn: F64
     path: F64
-    """(K,), metres of true path, forward or backward."""
+    """(K,), length of the true path, forward or backward, metres."""
     swept: F64
-    """(K,), radians turned in truth, to either side."""
+    """(K,), true rotation to either side, radians."""
 
 
-def common(odometry: Track, truth: Track) -> tuple[F64, Track, Track] | None:
-    """Returns the times of the truth within both, and both tracks there; None = they do not overlap."""
+def common(odometry: PlanarTrack, truth: PlanarTrack) -> tuple[F64, PlanarTrack, PlanarTrack] | None:
+    """Returns the times of the truth within both tracks, and both tracks at them; None = they do not overlap."""
     t = truth.t[(truth.t >= odometry.t[0]) & (truth.t <= odometry.t[-1])]
     if len(t) < 3:
         return None
     x, y, yaw = odometry.at(t)
     nothing = np.full(len(t), np.nan)
     kept = np.searchsorted(truth.t, t)
-    true = Track(t, truth.x[kept], truth.y[kept], truth.yaw[kept], nothing, nothing)
-    return t, Track(t, x, y, yaw, nothing, nothing), true
+    true = PlanarTrack(t, truth.x[kept], truth.y[kept], truth.yaw[kept], nothing, nothing)
+    return t, PlanarTrack(t, x, y, yaw, nothing, nothing), true
 
 
-def cut_pieces(odometry: Track, truth: Track, seconds: float = 1.0) -> Pieces | None:
-    """Returns the motions over consecutive pieces of time; None = there is no common time."""
+def motion_segments(odometry: PlanarTrack, truth: PlanarTrack, seconds: float = 1.0) -> MotionSegments | None:
+    """Returns the motions over consecutive time segments; None = the tracks do not overlap."""
     found = common(odometry, truth)
     if found is None:
         return None
@@ -116,20 +117,20 @@ def cut_pieces(odometry: Track, truth: Track, seconds: float = 1.0) -> Pieces | 
     steps = np.concatenate([[0.0], np.cumsum(np.abs(_advances(true)))])
     sweeps = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(true.yaw)))])
     ways = [np.concatenate([[0.0], np.cumsum(_advances(track))]) for track in (odom, true)]
-    return Pieces(
+    return MotionSegments(
         t[a], ways[0][b] - ways[0][a], odom.yaw[b] - odom.yaw[a], ways[1][b] - ways[1][a], true.yaw[b] - true.yaw[a],
         steps[b] - steps[a], sweeps[b] - sweeps[a],
     )  # fmt: skip
 
 
-def _advances(track: Track) -> F64:
-    """Returns the signed way forward of every step, (N - 1,)."""
+def _advances(track: PlanarTrack) -> F64:
+    """Returns the signed forward distance of every step, (N - 1,), metres."""
     yaw = (track.yaw[1:] + track.yaw[:-1]) / 2
     return np.diff(track.x) * np.cos(yaw) + np.diff(track.y) * np.sin(yaw)
 
 
-def scales(pieces: Pieces) -> Scales:
-    """Returns how the wheels' motion relates to the true one; pieces at which the robot was stuck or pushed do not count."""
+def scales(pieces: MotionSegments) -> Scales:
+    """Returns the ratios of odometry to the truth; segments in which the robot was stuck or pushed do not count."""
     goes, turns = pieces.path.sum() >= _LEAST_PATH, pieces.swept.sum() >= _LEAST_TURN
     moving = (pieces.path > 0.01) | (pieces.swept > 0.02) | (np.abs(pieces.forward) > 0.01) | (np.abs(pieces.turn) > 0.02)
     way, angle = pieces.true_forward[moving], pieces.true_turn[moving]
@@ -146,10 +147,10 @@ def scales(pieces: Pieces) -> Scales:
 
 
 def _robust(columns: F64, target: F64) -> list[tuple[float, float]]:
-    """Returns the coefficients, C of them, of columns (K, C) that add up to ``target`` (K,), and the standard deviation of each.
+    """Returns the C coefficients of a robust fit of columns (K, C) to ``target`` (K,), and the standard deviation of each.
 
-    See P. J. Huber, "Robust Statistics" (1981): least squares again and again, where large residuals count less (Huber), then not at
-    all (Tukey). The deviation is that of the jackknife over the rows; it is infinite where less than two thirds of them agree.
+    Iteratively reweighted least squares, with Huber's weights, then Tukey's; see P. J. Huber, "Robust Statistics" (1981).
+    The deviation is that of the jackknife over the rows; it is infinite if less than two thirds of them agree.
     """
     weights: F64 = np.ones(len(target))
     found: F64 = np.zeros(columns.shape[1])
@@ -166,11 +167,11 @@ def _robust(columns: F64, target: F64) -> list[tuple[float, float]]:
 
 
 def _jackknife(columns: F64, residuals: F64, weights: F64) -> list[float]:
-    """Returns the standard deviations, C of them, of weighted least squares, by leaving out one row after the other."""
+    """Returns the C standard deviations of weighted least squares by the jackknife over rows."""
     whole = (columns * weights[:, None]).T @ columns
     variance = np.zeros(columns.shape[1])
     agreeing = np.count_nonzero(weights > 0.1)
-    if agreeing < max(_LEAST_PIECES, len(weights) * 2 / 3):
+    if agreeing < max(_LEAST_SEGMENTS, len(weights) * 2 / 3):
         return [math.inf] * columns.shape[1]
     for row, residual, weight in zip(columns, residuals.tolist(), weights.tolist(), strict=True):
         rest = whole - weight * np.outer(row, row)
@@ -180,9 +181,9 @@ def _jackknife(columns: F64, residuals: F64, weights: F64) -> list[float]:
     return [float(value) for value in np.sqrt(variance)]
 
 
-def drift(odometry: Track, truth: Track) -> Drift | None:
-    """Returns how far odometry leaves the truth; None = they have no time in common, or nothing moved."""
-    pieces, found = cut_pieces(odometry, truth), common(odometry, truth)
+def drift(odometry: PlanarTrack, truth: PlanarTrack) -> Drift | None:
+    """Returns the errors of odometry; None = the tracks do not overlap, or the robot did not move."""
+    pieces, found = motion_segments(odometry, truth), common(odometry, truth)
     if pieces is None or found is None:
         return None
     _, odom, true = found
@@ -206,8 +207,8 @@ def drift(odometry: Track, truth: Track) -> Drift | None:
     )  # fmt: skip
 
 
-def _stuck(pieces: Pieces, of: Scales) -> tuple[tuple[float, float], ...]:
-    """Returns the times of pieces whose motions differ by 5 cm or 0.1 rad from what the scales explain."""
+def _stuck(pieces: MotionSegments, of: Scales) -> tuple[tuple[float, float], ...]:
+    """Returns the times of segments whose motions differ by 5 cm or 0.1 rad from what the scales explain."""
     forward, turn = (1.0 if math.isnan(scale) else scale for scale in (of.forward, of.turn))
     far = np.abs(pieces.forward - forward * pieces.true_forward) > _STUCK
     far |= np.abs(pieces.turn - turn * pieces.true_turn - of.veer * pieces.true_forward) > _STUCK_TURN
@@ -215,15 +216,15 @@ def _stuck(pieces: Pieces, of: Scales) -> tuple[tuple[float, float], ...]:
     return tuple((begin, begin + seconds) for begin in pieces.begin[far].tolist())
 
 
-def _relative_errors(odom: Track, true: Track, way: F64, length: float) -> tuple[F64, F64]:
-    """Returns errors (m, rad) at the ends of all pieces of ``length`` of the way, starting at every tenth of it."""
+def _relative_errors(odom: PlanarTrack, true: PlanarTrack, way: F64, length: float) -> tuple[F64, F64]:
+    """Returns errors (m, rad) at the ends of all segments of ``length``, starting at every tenth of it."""
     starts = np.unique(np.searchsorted(way, np.arange(0.0, way[-1] - length, length / 10)))
     ends = np.searchsorted(way, way[starts] + length)
     kept = ends < len(way)
     return _relative(odom, true, starts[kept], ends[kept])
 
 
-def _relative(odom: Track, true: Track, a: NDArray[np.intp], b: NDArray[np.intp]) -> tuple[F64, F64]:
+def _relative(odom: PlanarTrack, true: PlanarTrack, a: NDArray[np.intp], b: NDArray[np.intp]) -> tuple[F64, F64]:
     """Returns (position error m, heading error rad), each (K,), of the motions from poses ``a`` to poses ``b``."""
     ends = []
     for track in (odom, true):
@@ -235,22 +236,22 @@ def _relative(odom: Track, true: Track, a: NDArray[np.intp], b: NDArray[np.intp]
 
 
 def slip_variance(amount: F64) -> F64:
-    """Returns the variance of an error over a motion of ``amount`` units, where each unit has an error of its own of variance 1.
+    """Returns the variance of an error over a motion of ``amount`` units, each with an independent error of variance 1.
 
-    The units begin anywhere, so a piece of one unit holds parts of two: d^2 - d^3/3 up to one unit, d - 1/3 beyond.
+    The units begin anywhere, so a segment of one unit overlaps two: d^2 - d^3/3 up to one unit, d - 1/3 beyond.
     """
     return np.where(amount <= 1.0, amount**2 - amount**3 / 3.0, amount - 1.0 / 3.0)
 
 
-def fit_alphas(odometry: Track, truth: Track, seconds: float = 4.0) -> Alphas | None:
-    """Returns the random errors of odometry, by maximum likelihood; None = less than 20 m and 20 rad, or no truth.
+def fit_alphas(odometry: PlanarTrack, truth: PlanarTrack, seconds: float = 4.0) -> Alphas | None:
+    """Returns the random errors of odometry by maximum likelihood; None = less than 20 m or 20 rad, or no truth.
 
     Args:
-        odometry: By the wheels.
-        truth: Must be far better than odometry: its own errors count as the wheels'.
-        seconds: Length of the pieces, whose errors are taken to be independent.
+        odometry: Wheel odometry.
+        truth: Must be far more accurate than odometry: its own errors are attributed to the wheels.
+        seconds: Length of the segments, whose errors are assumed to be independent.
     """
-    pieces = cut_pieces(odometry, truth, seconds)
+    pieces = motion_segments(odometry, truth, seconds)
     if pieces is None or pieces.path.sum() < 20.0 or pieces.swept.sum() < 20.0:
         return None
     of = scales(pieces)
@@ -264,7 +265,7 @@ def fit_alphas(odometry: Track, truth: Track, seconds: float = 4.0) -> Alphas | 
 
 
 def _likeliest(error: F64, a: F64, b: F64) -> tuple[float, float]:
-    """Returns (p, q), each 0 or more, of errors (K,) whose variances are p a + q b."""
+    """Returns the maximum-likelihood (p, q), each 0 or more, for errors (K,) with variances p a + q b."""
     moved = (a + b) > 1e-3
     error, a, b = error[moved], a[moved], b[moved]
     floor = 1e-12
@@ -276,5 +277,5 @@ def _likeliest(error: F64, a: F64, b: F64) -> tuple[float, float]:
     start = math.log(max(float(np.sum(error**2)) / max(float(np.sum(a + b)), 1e-9), 1e-11))
     found = minimize(cost, [start, start], method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-6})
     p, q = (float(value) for value in np.exp(found.x))
-    # Below this the data cannot tell it from none.
+    # A smaller one cannot be told from 0.
     return (p if p > 1e-3 * q else 0.0), (q if q > 1e-3 * p else 0.0)

@@ -1,7 +1,7 @@
-"""Finds the resolution of wheel encoders in the velocities that odometry tells. Pure.
+"""Estimates the resolution of wheel encoders from the velocities of odometry. Pure.
 
-An encoder counts whole ticks, so the speed of a wheel, taken over one step, is a multiple of one number. That number is looked for as
-the period of the speeds. Odometry that was averaged shows no such steps: then its noise is matched by that of the simulator's odometry.
+An encoder counts whole ticks, so the speed of a wheel over one step is a multiple of a quantum, which is found as the period of
+the speeds. Averaged odometry shows no quantum: then the noise of simulated odometry is matched to the recorded noise.
 """
 
 from __future__ import annotations
@@ -15,38 +15,40 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from gibson_sim.bags.comparison.identify import DriveFit, Estimate, counted_velocities, wheel_rows, with_limits
-from gibson_sim.bags.comparison.recording import F64, Track
+from gibson_sim.bags.comparison.recorded_drive import F64, PlanarTrack
 from gibson_sim.bags.comparison.signals import inside, speeds, stretches
 from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 
 _MOST_TICKS, _LEAST_TICKS = 200_000, 16
+"""Range of the estimate, ticks a turn."""
 _SETTLE_S = 0.3
+"""Time after a change of speed for which odometry is not even, seconds."""
 _LEAST_NOISE = 2e-4
-"""m/s: odometry with less noise is exact."""
+"""Noise below which odometry counts as exact, m/s."""
 _CLEAR = 0.9
-"""How much of the speeds must have one phase for a period to be one; 1 = all."""
+"""Phase coherence of the speeds, 0 to 1, from which on a period is accepted."""
 _PERIOD_DEVIATION, _NOISE_DEVIATION = 0.01, 0.05
-"""Least standard deviations of ticks, as a part of them, that are found as a period and by their noise."""
+"""Lower bounds of the relative standard deviation of ticks found as a period, and by their noise."""
 _LONGEST_STRETCH, _LEAST_STRETCHES = 40, 4.0
-"""Samples of a stretch that count, and how many stretches of one length tell a noise."""
+"""Samples of a stretch that count, at most, and the number of equal stretches that determine a noise, at least."""
 _MOST_STEPS = 60.0
-"""Periods in the fastest speed: beyond, the gains are not known well enough to tell their phase."""
+"""Periods in the highest speed, at most: beyond, the gains are too uncertain to determine the phase."""
 
 
 def fit_ticks(
-    spec: DriveSpec, fit: DriveFit, odometry: Track, *, step_hz: int = 240, without: Sequence[tuple[float, float]] = ()
+    spec: DriveSpec, fit: DriveFit, odometry: PlanarTrack, *, step_hz: int = 240, without: Sequence[tuple[float, float]] = ()
 ) -> Estimate | None:
-    """Returns the ticks a turn with which simulated odometry is as coarse as the recorded one; None = it is exact, or never even.
+    """Returns the ticks a turn with which simulated odometry is as coarse as the recorded one; None = exact, or never at constant speed.
 
     A car's steering has encoders too, which are not modelled: None for it.
 
     Args:
         spec: The drive.
         fit: Of the recording.
-        odometry: The recording's.
-        step_hz: Steps a second of the simulation that the ticks are for.
-        without: (begin, end), seconds, of what is left out: there the robot was stuck.
+        odometry: Of the recording.
+        step_hz: Step rate of the simulation that the ticks are for.
+        without: (begin, end), seconds, of excluded times, in which the robot was stuck.
     """
     if isinstance(spec, AckermannSpec):
         return None
@@ -65,19 +67,19 @@ def fit_ticks(
 
 
 def common_step(values: F64, least: float, most: float) -> float | None:
-    """Returns the largest number of which all of ``values`` (N,) are multiples, but for small errors; None = there is none.
+    """Returns the largest number of which all ``values`` (N,) are multiples up to small errors; None = there is none.
 
     Args:
-        values: In any unit; those near 0 say nothing.
-        least: Smallest number that is looked for.
-        most: Largest one.
+        values: In any unit; those near 0 are ignored.
+        least: Lower bound of the search.
+        most: Upper bound of the search.
     """
     largest = float(np.abs(values).max(initial=0.0))
     moving = values[np.abs(values) > 0.05 * largest]
     least, most = max(least, largest / _MOST_STEPS), min(most, largest)
     if len(moving) < 50 or least >= most:
         return None
-    # Neighbours on the grid differ by a tenth of a turn at the largest value.
+    # The phases of the largest value at neighbouring grid points differ by a tenth of a turn.
     turns = np.arange(largest / most, largest / least, 0.1)
     clear = np.array([abs(np.mean(np.exp(2j * np.pi * moving * (turn / largest)))) for turn in turns])
     found = np.flatnonzero(clear > _CLEAR * max(_CLEAR, float(clear.max())))
@@ -91,28 +93,27 @@ def common_step(values: F64, least: float, most: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class SpeedNoise:
-    """Standard deviations of odometry's velocities while the model moves evenly, without what changes slowly."""
+    """Standard deviations of odometry's velocities while the model moves at constant speed, slow changes excluded."""
 
     linear: float
     """m/s."""
     angular: float
     """rad/s."""
     deviation: float
-    """Standard deviation of ``linear``, as a part of it, by the stretches that differ; infinite of few: at one speed counting may make
-    no noise, or twice that of another."""
+    """Relative standard deviation of ``linear``, from the scatter over stretches; infinite for few: quantisation noise depends on speed."""
 
 
-def odometry_noise(fit: DriveFit, odometry: Track, without: Sequence[tuple[float, float]] = ()) -> SpeedNoise | None:
-    """Returns the noise of odometry, apart from what is in ``without``, (begin, end) seconds; None = the model never moves evenly.
+def odometry_noise(fit: DriveFit, odometry: PlanarTrack, without: Sequence[tuple[float, float]] = ()) -> SpeedNoise | None:
+    """Returns the noise of odometry outside ``without``, (begin, end) seconds; None = the model is never at constant speed.
 
-    It is that of the differences of neighbours: what changes slowly is slip or a wrong model, not the noise of counting.
+    It is computed from differences of neighbouring samples: slow changes are slip or a wrong model, not quantisation noise.
     """
     linear, angular = speeds(odometry)
     even = _even(fit) & ~inside(fit.t, without)
     squares, freedom = [], []
     for first, past in stretches(even):
         if past - first >= 8:
-            # A long stretch at one speed says no more than a short one.
+            # A long stretch at one speed carries no more information than a short one.
             count = min(past - first - 1, _LONGEST_STRETCH)
             freedom.append(count)
             squares.append([float(np.mean(np.diff(values[first:past]) ** 2)) / 2.0 * count for values in (linear, angular)])
@@ -129,14 +130,14 @@ def odometry_noise(fit: DriveFit, odometry: Track, without: Sequence[tuple[float
 
 
 def _even(fit: DriveFit) -> NDArray[np.bool_]:
-    """Returns where the model neither stands nor has changed its speed for a moment, (N,)."""
+    """Returns where the model moves and its speed has settled, (N,)."""
     change = np.abs(np.gradient(fit.linear, fit.t)) * 0.2 + np.abs(np.gradient(fit.angular, fit.t)) * 0.05 > 1e-4
     last = np.maximum.accumulate(np.where(change, fit.t, -np.inf))
     return (fit.t - last > _SETTLE_S) & ~change & (np.abs(fit.linear) + np.abs(fit.angular) > 0.02)
 
 
 def _fit_by_noise(spec: DriveSpec, fit: DriveFit, measured: float, gains: list[float], step_hz: int) -> int | None:
-    """Returns the ticks a turn at which simulated odometry has the ``measured`` noise, m/s; None = with none it has."""
+    """Returns the ticks a turn at which simulated odometry has the ``measured`` noise, m/s; None = there are none."""
     begin, end = float(fit.t[0]), float(fit.t[-1])
     t = begin + np.arange(round((end - begin) * step_hz)) / step_hz
     even = np.interp(t, fit.t, _even(fit).astype(np.float64)) > 0.0
@@ -149,7 +150,7 @@ def _fit_by_noise(spec: DriveSpec, fit: DriveFit, measured: float, gains: list[f
         errors = WheelOdometrySpec(encoder_ticks=round(math.exp(log_ticks)))
         counted = counted_velocities(free, errors, linear, angular, step_hz)
         rows = np.clip(stamps, 0, len(t) - 1)
-        simulated = Track(fit.t, fit.t, fit.t, fit.t, counted[0][rows] * gains[0], counted[1][rows] * gains[1])
+        simulated = PlanarTrack(fit.t, fit.t, fit.t, fit.t, counted[0][rows] * gains[0], counted[1][rows] * gains[1])
         found = odometry_noise(fit, simulated)
         return -12.0 if found is None else math.log(max(found.linear, 1e-9)) - math.log(measured)
 

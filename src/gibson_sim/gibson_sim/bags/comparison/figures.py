@@ -1,4 +1,4 @@
-"""A comparison as plain values, for JSON, and as lines of text. Pure."""
+"""Formats a comparison as plain values for JSON, and as lines of text. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gibson_sim.bags.comparison.robot_file import rounded
 
 
 def figures(comparison: Comparison) -> dict[str, Any]:
-    """Returns all figures as values that JSON knows: what is not a number is null."""
+    """Returns all metrics as values for JSON; NaN and infinity become null."""
     return {
         "real": str(comparison.real.recording.path),
         "sim": str(comparison.sim.recording.path),
@@ -48,7 +48,7 @@ def _plain(value: Any) -> Any:
 
 
 def text_table(comparison: Comparison, most: int = 12) -> str:
-    """Returns what differs most, and the parameters that would change, as text."""
+    """Returns the largest differences with the parameters to change, as text."""
     lines = [["what differs most", "real", "simulated", "change in robot.yaml"]]
     lines += [
         [f"{row.group}: {row.name}", number(row.real, row.unit), number(row.sim, row.unit), row.change]

@@ -1,8 +1,7 @@
-"""Finds delay, acceleration limits and gains of a drive by fitting the simulator's own model of it to commands and odometry. Pure.
+"""Identifies delay, acceleration limits and gains of a drive by fitting the simulator's own model to commands and odometry. Pure.
 
-The model is that of ``robots.drives``: a command waits, then the base's velocity approaches it at a limited rate; odometry tells a part
-of that velocity. Delay and gain do not change what happens before them, so they are applied to the model's output, and only
-limits need the drive to be stepped anew.
+The model is that of ``robots.drives``: after a delay, the base's velocity approaches the command at a limited rate; odometry reports that
+velocity times a gain. Delay and gain are applied to the model's output, so only other limits need another simulation of the drive.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from gibson_sim.bags.comparison.recording import F64, Commands, Track
+from gibson_sim.bags.comparison.recorded_drive import F64, Commands, PlanarTrack
 from gibson_sim.bags.comparison.signals import held, inside, speeds, stretches
 from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
 from gibson_sim.robots.drives import PlanarVelocity, make_drive
@@ -24,146 +23,71 @@ from gibson_sim.robots.drives.wheel_odometry import OdometryNoise
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 from gibson_sim.types import NS_PER_S
 
-_SETTLED = 1e-9
-
-
-def wanted_velocities(commands: Commands, begin: float, end: float, step_hz: int, timeout: float) -> tuple[F64, F64, F64]:
-    """Returns the times of physics steps, and the velocities in force at their begin (m/s, rad/s), each (N,).
-
-    Each value is what ``active_command`` gives at that time for the last command.
-    """
-    t = begin + np.arange(max(0, round((end - begin) * step_hz))) / step_hz
-    return t, held(commands.t, commands.linear, t, timeout), held(commands.t, commands.angular, t, timeout)
-
-
-def with_limits(spec: DriveSpec, linear: float, angular: float) -> DriveSpec:
-    """Returns the drive with other acceleration limits (m/s^2, rad/s^2), without delay and slip."""
-    if isinstance(spec, AckermannSpec):
-        return replace(spec, max_linear_acceleration=linear, command_delay=0.0, slip=0.0)
-    return replace(
-        spec, max_linear_acceleration=linear, max_angular_acceleration=angular, command_delay=0.0, slip=0.0, turn_slip=0.0
-    )
-
-
-def limited_velocities(spec: DriveSpec, linear: F64, angular: F64, dt: float) -> tuple[F64, F64]:
-    """Returns what the drive tells its base at the end of each step, (N,) each, m/s and rad/s; it starts at rest.
-
-    Args:
-        spec: The drive.
-        linear: (N,), wanted at each step, m/s.
-        angular: (N,), rad/s.
-        dt: Seconds of a step.
-    """
-    drive = make_drive(spec)
-    out = np.zeros((len(linear), 2))
-    velocity, settles = drive.velocity, not isinstance(spec, AckermannSpec) and spec.command_delay == 0.0
-    # A car steers on while it stands, a delay holds back what comes. Any other drive that has arrived stays so while the same is wanted.
-    changes = np.concatenate([[0], np.flatnonzero((np.diff(linear) != 0) | (np.diff(angular) != 0)) + 1, [len(linear)]])
-    for first, past in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True):
-        wanted = PlanarVelocity(
-            float(linear[first]) if past > first else 0.0, 0.0, float(angular[first]) if past > first else 0.0
-        )
-        for i in range(first, past):
-            drive.targets(wanted, dt)
-            before, velocity = velocity, drive.velocity
-            out[i] = velocity.linear, velocity.angular
-            if settles and i > first and abs(velocity.linear - before.linear) + abs(velocity.angular - before.angular) < _SETTLED:
-                out[i:past] = out[i]
-                break
-    return out[:, 0], out[:, 1]
-
-
-def counted_velocities(spec: DriveSpec, odometry: WheelOdometrySpec, linear: F64, angular: F64, step_hz: int) -> tuple[F64, F64]:
-    """Returns what odometry says of a base that moves so, (N,) each, m/s and rad/s: each over the last step, as it is published.
-
-    Args:
-        spec: The drive; without slip, since wheels count what they roll.
-        odometry: Its errors.
-        linear: (N,), m/s, at each step.
-        angular: (N,), rad/s.
-        step_hz: Steps a second.
-    """
-    drive = make_drive(spec)
-    noise = OdometryNoise(odometry, "robot", 0, left=[wheel.is_left for wheel in drive.wheels])
-    rows = wheel_rows(spec)
-    turns = np.stack([linear, angular], axis=1) @ rows.T / step_hz
-    out = np.zeros((len(linear), 2))
-    for a, b in stretches(np.any(turns != 0.0, axis=1)):
-        for i in range(a, b):
-            increments = noise.wheels(turns[i].tolist())
-            forward, _, turn = noise.motion(i * NS_PER_S // step_hz, *drive.travel(increments, ()))
-            out[i] = forward * step_hz, turn * step_hz
-    return out[:, 0], out[:, 1]
-
-
-def wheel_rows(spec: DriveSpec) -> F64:
-    """Returns the (wheels, 2) matrix from (forward m/s, yaw rad/s) of the base to speeds of the driven wheels, rad/s."""
-    if isinstance(spec, AckermannSpec):
-        return np.array([[1.0, -spec.wheel_separation / 2], [1.0, spec.wheel_separation / 2]]) / spec.wheel_radius
-    free = with_limits(spec, 1e9, 1e9)
-    rows = []
-    for linear, angular in ((1.0, 0.0), (0.0, 1.0)):
-        drive = make_drive(replace(free, max_linear=1.0, max_angular=1.0))
-        rows.append(drive.targets(PlanarVelocity(linear, 0.0, angular), 1.0).speeds)
-    return np.array(rows).T
-
-
 LEAST_LINEAR, LEAST_ANGULAR = 0.05, 0.1
-"""m/s and rad/s: commands that change by less teach nothing."""
+"""Smallest range of commands from which a response is identified, m/s and rad/s."""
 _MODEL_HZ = 240
+"""Steps of the model a second."""
 _EARLIEST, _LONGEST_DELAY = -0.05, 1.0
-"""Seconds. The clock by which commands were noted moves in ticks, so odometry may seem to follow before its command."""
+"""Bounds of the delay, seconds. The clock of the commands moves in ticks, so odometry may seem to precede its command."""
 _SEGMENT_S = 1.0
-"""Length of the segments of a drive whose errors are taken to be independent, seconds."""
+"""Length of the segments of a drive whose errors are assumed to be independent, seconds."""
 _STEPS = (5e-4, 1e-3, 1e-3, 1e-3, 1e-3)
-"""By which each parameter is varied for derivatives."""
+"""Step of each parameter for numerical derivatives."""
 _SOFT = 0.3
-"""Residuals beyond this part of the spread of the speed count less."""
+"""Scale of the robust loss, as a part of the spread of the speed."""
+_SETTLED = 1e-9
+"""Change of the velocity in a step below which a drive has settled, m/s + rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveFit:
+    """The identified response of a drive; None = not determined by the recording."""
+
+    delay: Estimate
+    """Seconds from the recorded command to odometry."""
+    linear_acceleration: Estimate | None
+    """m/s^2, in units of the commands."""
+    angular_acceleration: Estimate | None
+    """rad/s^2."""
+    linear_gain: Estimate | None
+    """Ratio of the forward speed by odometry to the commanded one."""
+    angular_gain: Estimate | None
+    linear_rms: float
+    """Root mean square of the residuals, m/s."""
+    angular_rms: float
+    """rad/s."""
+    t: F64
+    """(N,), times of odometry, seconds."""
+    linear: F64
+    """(N,), velocity of the model, m/s."""
+    angular: F64
+    """(N,), rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number, and its standard deviation as far as the fit knows it."""
+    """A value and its standard deviation."""
 
     value: float
     deviation: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveFit:
-    """How a drive answers; None = the recording cannot tell."""
-
-    delay: Estimate
-    """Seconds from the recorded command to odometry."""
-    linear_acceleration: Estimate | None
-    """m/s^2, in the unit of commands."""
-    angular_acceleration: Estimate | None
-    """rad/s^2."""
-    linear_gain: Estimate | None
-    """Forward speed by odometry over the one commanded."""
-    angular_gain: Estimate | None
-    linear_rms: float
-    """m/s: what the model does not explain."""
-    angular_rms: float
-    """rad/s."""
-    t: F64
-    """(N,), seconds: times of odometry."""
-    linear: F64
-    """(N,), m/s: the model."""
-    angular: F64
-
-
 def fit_drive(
-    spec: DriveSpec, commands: Commands, odometry: Track, *, timeout: float = 0.5, without: Sequence[tuple[float, float]] = ()
+    spec: DriveSpec,
+    commands: Commands,
+    odometry: PlanarTrack,
+    *,
+    timeout: float = 0.5,
+    without: Sequence[tuple[float, float]] = (),
 ) -> DriveFit | None:
-    """Returns the drive that explains the recording best; None = nothing was commanded that could tell.
+    """Returns the drive that explains the recording best; None = the commands vary too little.
 
     Args:
-        spec: The kind of drive and its greatest speeds; its acceleration limits, delay and slip are not used.
+        spec: The kind of drive and its maximum speeds; its acceleration limits, delay and slip are not used.
         commands: As recorded.
-        odometry: By the wheels.
-        timeout: Seconds after which a command no longer counts.
-        without: (begin, end), seconds, of what is left out: there the robot was stuck.
+        odometry: Wheel odometry.
+        timeout: Command timeout, seconds.
+        without: (begin, end), seconds, of excluded times, in which the robot was stuck.
     """
     problem = _Problem(spec, commands, odometry, timeout, without)
     if not (problem.tells_linear or problem.tells_angular):
@@ -175,10 +99,10 @@ class _Problem:
     """Residuals of the model over delay, two limits and two gains."""
 
     def __init__(
-        self, spec: DriveSpec, commands: Commands, odometry: Track, timeout: float, without: Sequence[tuple[float, float]]
+        self, spec: DriveSpec, commands: Commands, odometry: PlanarTrack, timeout: float, without: Sequence[tuple[float, float]]
     ) -> None:
         self._t, (self._linear, self._angular) = odometry.t, speeds(odometry)
-        # A robot that is seen to go faster than the file says can do so.
+        # A robot that is faster in the recording than its file allows can be that fast.
         fastest, fastest_turn = (1.05 * float(np.abs(values).max(initial=0.0)) for values in (self._linear, self._angular))
         self._spec = replace(spec, max_linear=max(spec.max_linear, fastest), max_angular=max(spec.max_angular, fastest_turn))
         begin, end = max(commands.t[0], odometry.t[0]) - 0.5, odometry.t[-1]
@@ -193,15 +117,15 @@ class _Problem:
         self._scale = (max(float(np.std(self._linear)), 1e-3), max(float(np.std(self._angular)), 1e-3))
         self._jitter_s = float(np.median(np.diff(self._t))) / math.sqrt(12.0) if len(self._t) > 1 else 0.0
         """Standard deviation of the time of an event between two samples, seconds."""
-        self._run = lru_cache(maxsize=16)(self._simulate)
+        self._simulate_cached = lru_cache(maxsize=16)(self._simulate)
 
     def _simulate(self, linear: float, angular: float) -> tuple[F64, F64]:
         return limited_velocities(with_limits(self._spec, linear, angular), *self._wanted, 1.0 / _MODEL_HZ)
 
     def _model(self, p: NDArray[np.float64], t: F64) -> tuple[F64, F64]:
         """Returns the velocities of the model at ``t``; p: delay, log limits, gains."""
-        linear, angular = self._run(math.exp(p[1]), math.exp(p[2]))
-        # The velocity of a step stands at its end.
+        linear, angular = self._simulate_cached(math.exp(p[1]), math.exp(p[2]))
+        # The velocity of a step holds at its end.
         grid = self._grid + 1.0 / _MODEL_HZ + p[0]
         return p[3] * np.interp(t, grid, linear), p[4] * np.interp(t, grid, angular)
 
@@ -225,17 +149,17 @@ class _Problem:
         return np.stack(columns, axis=1)
 
     def _deviations(self, jacobian: F64, residuals: F64) -> list[float]:
-        """Returns the standard deviation of each parameter, infinite where the recording does not determine it.
+        """Returns the standard deviation of each parameter, infinite if the recording does not determine it.
 
-        What a model leaves unexplained is alike from sample to sample, so samples are no independent measurements: the deviation is that of
-        the jackknife, which leaves out one segment of the drive after the other (in one step of Newton each; B. Efron, "The Jackknife, the
-        Bootstrap and Other Resampling Plans", 1982). Beside it counts that events lie between two samples.
+        Residuals of neighbouring samples are correlated, so samples are not independent measurements: the deviation is that of the
+        jackknife over segments of the drive (one Newton step each; B. Efron, "The Jackknife, the Bootstrap and Other Resampling
+        Plans", 1982), combined with the uncertainty of the time of events between two samples.
 
         Args:
             jacobian: (R, 5), with the weights of the loss, as ``least_squares`` returns it.
             residuals: (R,), without weights.
         """
-        # Of soft_l1: the Jacobian has the root of (1 + z)^-1.5, scores need (1 + z)^-0.5.
+        # With soft_l1 the Jacobian is weighted by the root of (1 + z)^-1.5, scores need (1 + z)^-0.5.
         scores = jacobian * (residuals * (1.0 + (residuals / _SOFT) ** 2) ** 0.25)[:, None]
         shifts = jacobian * (jacobian[:, 0] * self._jitter_s)[:, None]
         norms = np.linalg.norm(jacobian, axis=0)
@@ -259,7 +183,7 @@ class _Problem:
         return [float(value) for value in out]
 
     def _start(self) -> NDArray[np.float64]:
-        """Returns the best of a coarse grid, since a late delay and a slow ramp look alike from afar."""
+        """Returns the best point of a coarse grid, since a long delay and a slow ramp look alike in the cost."""
         limits = (0.3, 0.6, 1.2, 2.5, 6.0)
         grid = [
             np.array([delay, math.log(limit), math.log(3.0 * limit), 1.0, 1.0])
@@ -282,7 +206,7 @@ class _Problem:
         is_car = isinstance(self._spec, AckermannSpec)
 
         def limit(log: float, row: int, told: bool) -> Estimate | None:
-            # A ramp that no limit is seen in, since it is over within a sample, has no limit.
+            # A ramp shorter than a sample determines no limit.
             known = told and deviations[row] < 0.3 and low[row] + 0.01 < log < high[row] - 0.01
             return Estimate(math.exp(log), math.exp(log) * deviations[row]) if known else None
 
@@ -301,7 +225,7 @@ class _Problem:
 
 
 def _solved(matrix: F64, right: F64) -> F64:
-    """Returns x, (N,), of ``matrix @ x = right``, a symmetric matrix; infinite where it says nothing of an unknown."""
+    """Solves ``matrix @ x = right`` with a symmetric matrix; x, (N,), is infinite for undetermined unknowns."""
     out = np.full(len(right), np.inf)
     told = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max(initial=0.0)), 1e-30)
     scale = np.sqrt(np.diag(matrix)[told])
@@ -312,3 +236,84 @@ def _solved(matrix: F64, right: F64) -> F64:
 
 def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def wanted_velocities(commands: Commands, begin: float, end: float, step_hz: int, timeout: float) -> tuple[F64, F64, F64]:
+    """Returns the times of physics steps, and the commands in effect at their beginning (m/s, rad/s), each (N,).
+
+    Each value is that of ``active_command`` for the last command at that time.
+    """
+    t = begin + np.arange(max(0, round((end - begin) * step_hz))) / step_hz
+    return t, held(commands.t, commands.linear, t, timeout), held(commands.t, commands.angular, t, timeout)
+
+
+def with_limits(spec: DriveSpec, linear: float, angular: float) -> DriveSpec:
+    """Returns the drive with other acceleration limits (m/s^2, rad/s^2), without delay and slip."""
+    if isinstance(spec, AckermannSpec):
+        return replace(spec, max_linear_acceleration=linear, command_delay=0.0, slip=0.0)
+    return replace(
+        spec, max_linear_acceleration=linear, max_angular_acceleration=angular, command_delay=0.0, slip=0.0, turn_slip=0.0
+    )
+
+
+def limited_velocities(spec: DriveSpec, linear: F64, angular: F64, dt: float) -> tuple[F64, F64]:
+    """Returns the limited velocity at the end of each step, (N,) each, m/s and rad/s, starting at rest.
+
+    Args:
+        spec: The drive.
+        linear: (N,), commanded at each step, m/s.
+        angular: (N,), rad/s.
+        dt: Length of a step, seconds.
+    """
+    drive = make_drive(spec)
+    out = np.zeros((len(linear), 2))
+    velocity, settles = drive.velocity, not isinstance(spec, AckermannSpec) and spec.command_delay == 0.0
+    # A car steers while it stands, and a delay holds commands back. Any other settled drive stays settled while the command is constant.
+    changes = np.concatenate([[0], np.flatnonzero((np.diff(linear) != 0) | (np.diff(angular) != 0)) + 1, [len(linear)]])
+    for first, past in zip(changes[:-1].tolist(), changes[1:].tolist(), strict=True):
+        wanted = PlanarVelocity(
+            float(linear[first]) if past > first else 0.0, 0.0, float(angular[first]) if past > first else 0.0
+        )
+        for i in range(first, past):
+            drive.targets(wanted, dt)
+            before, velocity = velocity, drive.velocity
+            out[i] = velocity.linear, velocity.angular
+            if settles and i > first and abs(velocity.linear - before.linear) + abs(velocity.angular - before.angular) < _SETTLED:
+                out[i:past] = out[i]
+                break
+    return out[:, 0], out[:, 1]
+
+
+def counted_velocities(spec: DriveSpec, odometry: WheelOdometrySpec, linear: F64, angular: F64, step_hz: int) -> tuple[F64, F64]:
+    """Returns the velocities by odometry of a moving base, (N,) each, m/s and rad/s, each over the last step, as published.
+
+    Args:
+        spec: The drive; its slip is not used, since encoders count the rolling of the wheels.
+        odometry: Errors of odometry.
+        linear: (N,), velocity of the base at each step, m/s.
+        angular: (N,), rad/s.
+        step_hz: Steps a second.
+    """
+    drive = make_drive(spec)
+    noise = OdometryNoise(odometry, "robot", 0, left=[wheel.is_left for wheel in drive.wheels])
+    rows = wheel_rows(spec)
+    turns = np.stack([linear, angular], axis=1) @ rows.T / step_hz
+    out = np.zeros((len(linear), 2))
+    for a, b in stretches(np.any(turns != 0.0, axis=1)):
+        for i in range(a, b):
+            increments = noise.wheels(turns[i].tolist())
+            forward, _, turn = noise.motion(i * NS_PER_S // step_hz, *drive.travel(increments, ()))
+            out[i] = forward * step_hz, turn * step_hz
+    return out[:, 0], out[:, 1]
+
+
+def wheel_rows(spec: DriveSpec) -> F64:
+    """Returns the (wheels, 2) matrix from base velocity (forward m/s, yaw rad/s) to speeds of the driven wheels, rad/s."""
+    if isinstance(spec, AckermannSpec):
+        return np.array([[1.0, -spec.wheel_separation / 2], [1.0, spec.wheel_separation / 2]]) / spec.wheel_radius
+    free = with_limits(spec, 1e9, 1e9)
+    rows = []
+    for linear, angular in ((1.0, 0.0), (0.0, 1.0)):
+        drive = make_drive(replace(free, max_linear=1.0, max_angular=1.0))
+        rows.append(drive.targets(PlanarVelocity(linear, 0.0, angular), 1.0).speeds)
+    return np.array(rows).T

@@ -1,4 +1,4 @@
-"""Noise and bias of an IMU from the times at which the robot stands. Pure."""
+"""Noise and bias of an IMU, measured while the robot stands. Pure."""
 
 from __future__ import annotations
 
@@ -9,11 +9,56 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from gibson_sim.bags.comparison.recording import F64, ImuSamples
+from gibson_sim.bags.comparison.recorded_drive import F64, ImuSamples
 from gibson_sim.types import Vec3
 
 FLICKER = math.sqrt(2.0 * math.log(2.0) / math.pi)
-"""Allan deviation of flicker noise over its bias instability: 0.664."""
+"""Ratio of the Allan deviation of flicker noise to its bias instability: 0.664."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuNoise:
+    """Noise and bias of one recording."""
+
+    rest_s: float
+    """Total duration of all rests, seconds."""
+    rate_hz: float
+    gyro: NoiseModel
+    """rad/s; all axes together."""
+    accel: NoiseModel
+    """m/s^2."""
+    gyro_curve: AllanCurve
+    accel_curve: AllanCurve
+    gyro_bias: Vec3
+    """Mean of each axis, rad/s."""
+    accel_bias: Vec3
+    """Mean of each axis without gravity along z, m/s^2; includes the effect of a tilt of the robot."""
+
+    @property
+    def gyro_bias_rms(self) -> float:
+        """Root mean square over the axes, rad/s."""
+        return float(np.sqrt(np.mean(np.square(self.gyro_bias))))
+
+    @property
+    def accel_bias_rms(self) -> float:
+        """Root mean square over the axes, m/s^2."""
+        return float(np.sqrt(np.mean(np.square(self.accel_bias))))
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Noise of the gyroscope or of the accelerometer; U is the unit of the signal."""
+
+    density: float
+    """White noise density, U/sqrt(Hz)."""
+    instability: float
+    """Bias instability, U: the minimum deviation over 0.664; an upper limit if the recording ends before the curve rises."""
+    walk: float
+    """Random walk of the bias, U/sqrt(s); 0 = not visible in a recording of this length."""
+    reaches: bool
+    """Whether the curve rises again within the recording, so that the instability is not just an upper limit."""
+    walk_deviation: float = 0.0
+    """Standard deviation of the walk, which few averages of the longest times determine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,109 +70,7 @@ class AllanCurve:
     deviation: F64
     """(K,), in the unit of the signal."""
     weights: F64
-    """(K,): how many averages that do not overlap went into each."""
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseModel:
-    """The noise of one kind of axes; U is the unit of the signal."""
-
-    density: float
-    """White noise, U/sqrt(Hz)."""
-    instability: float
-    """Bias instability, U: the least deviation over 0.664; an upper limit where the recording ends before the curve rises."""
-    walk: float
-    """Random walk of the bias, U/sqrt(s); 0 = none is seen in a recording of this length."""
-    reaches: bool
-    """Whether the curve rises again within the recording, so that the instability is more than a limit."""
-    walk_deviation: float = 0.0
-    """Standard deviation of the walk: few averages of the longest times tell it."""
-
-
-def overlapping_allan(values: F64, rate_hz: float, factors: Sequence[int]) -> F64:
-    """Returns the overlapping Allan deviation, (K,), NaN where the signal is too short.
-
-    Args:
-        values: (N,) samples of a rate, evenly spaced.
-        rate_hz: Samples a second.
-        factors: K averaging factors m, each 1 or more; the averaging time is m / rate_hz.
-    """
-    phase = np.concatenate([[0.0], np.cumsum(values - np.mean(values))]) / rate_hz
-    out = np.full(len(factors), np.nan)
-    for i, m in enumerate(factors):
-        if len(phase) > 2 * m:
-            second = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
-            out[i] = math.sqrt(float(np.mean(second**2)) / 2.0) / (m / rate_hz)
-    return out
-
-
-def allan_curve(segments: Sequence[F64], rate_hz: float) -> AllanCurve | None:
-    """Returns the curve of several recordings of the same sensor together, and of several axes; None = all are too short.
-
-    Args:
-        segments: Signals (N_i,), evenly spaced, e.g. one a rest and an axis.
-        rate_hz: Samples a second.
-    """
-    longest = max((len(segment) for segment in segments), default=0)
-    if longest < 20:
-        return None
-    # An averaging time is used while a segment holds five of it.
-    factors = sorted({round(m) for m in np.geomspace(1, longest / 5, 40)})
-    variances, weights = np.zeros(len(factors)), np.zeros(len(factors))
-    for segment in segments:
-        deviation = overlapping_allan(segment, rate_hz, factors)
-        count = np.where(np.isfinite(deviation), len(segment) / np.array(factors) - 1.0, 0.0)
-        variances += np.where(count > 0, np.nan_to_num(deviation) ** 2 * np.maximum(count, 0.0), 0.0)
-        weights += np.maximum(count, 0.0)
-    kept = weights >= 4.0
-    tau = np.array(factors)[kept] / rate_hz
-    return AllanCurve(tau, np.sqrt(variances[kept] / weights[kept]), weights[kept])
-
-
-def noise_model(curve: AllanCurve) -> NoiseModel:
-    """Returns what noise makes such a curve: white noise falls as tau^-1/2, a random walk of the bias rises as tau^1/2."""
-    variance = curve.deviation**2
-    if not variance.any():
-        return NoiseModel(0.0, 0.0, 0.0, False)
-    # Relative errors of the variance fall with the root of the averages.
-    scale = np.sqrt(curve.weights) / np.maximum(variance, variance.max() * 1e-12)
-    columns = np.stack([1.0 / curve.tau, np.full_like(curve.tau, FLICKER**2), curve.tau / 3.0], axis=1)
-    parts, _ = nnls(columns * scale[:, None], variance * scale)
-    walk_share = parts[2] * curve.tau[-1] / 3.0 / variance[-1]
-    lowest = int(np.argmin(curve.deviation))
-    rises = float(curve.deviation[-1]) > 1.3 * float(curve.deviation[lowest])
-    walk = math.sqrt(float(parts[2])) if rises and walk_share > 0.3 else 0.0
-    unsure = walk / math.sqrt(2.0 * float(curve.weights[-1]))
-    return NoiseModel(math.sqrt(float(parts[0])), float(curve.deviation[lowest]) / FLICKER, walk, rises, unsure)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuNoise:
-    """What the rests of one recording say."""
-
-    rest_s: float
-    """Seconds of all rests together."""
-    rate_hz: float
-    gyro: NoiseModel
-    """rad/s; all axes together."""
-    accel: NoiseModel
-    """m/s^2."""
-    gyro_curve: AllanCurve
-    accel_curve: AllanCurve
-    gyro_bias: Vec3
-    """Mean of each axis, rad/s."""
-    accel_bias: Vec3
-    """Mean of each axis without gravity along z, m/s^2: what a tilt of the robot does is in it."""
-
-    @property
-    def gyro_bias_rms(self) -> float:
-        """Root of the mean square over the axes, rad/s."""
-        return float(np.sqrt(np.mean(np.square(self.gyro_bias))))
-
-    @property
-    def accel_bias_rms(self) -> float:
-        """Root of the mean square over the axes, m/s^2."""
-        return float(np.sqrt(np.mean(np.square(self.accel_bias))))
+    """(K,), number of non-overlapping averages in each."""
 
 
 def imu_noise(imu: ImuSamples, rests: list[tuple[float, float]], gravity: float = 9.81) -> ImuNoise | None:
@@ -135,7 +78,7 @@ def imu_noise(imu: ImuSamples, rests: list[tuple[float, float]], gravity: float 
 
     Args:
         imu: Its samples.
-        rests: (begin, end), seconds: when the robot stands.
+        rests: (begin, end) of the times at which the robot stands, seconds.
         gravity: m/s^2, along +z of the IMU when the robot is level.
     """
     parts = [(imu.t >= begin) & (imu.t <= end) for begin, end in rests]
@@ -164,3 +107,60 @@ def imu_noise(imu: ImuSamples, rests: list[tuple[float, float]], gravity: float 
 def _mean(values: F64) -> Vec3:
     x, y, z = values.mean(axis=0).tolist()
     return (x, y, z)
+
+
+def noise_model(curve: AllanCurve) -> NoiseModel:
+    """Returns the noise that explains a curve: white noise falls as tau^-1/2, a random walk of the bias rises as tau^1/2."""
+    variance = curve.deviation**2
+    if not variance.any():
+        return NoiseModel(0.0, 0.0, 0.0, False)
+    # Relative errors of the variance fall with the root of the averages.
+    scale = np.sqrt(curve.weights) / np.maximum(variance, variance.max() * 1e-12)
+    columns = np.stack([1.0 / curve.tau, np.full_like(curve.tau, FLICKER**2), curve.tau / 3.0], axis=1)
+    parts, _ = nnls(columns * scale[:, None], variance * scale)
+    walk_share = parts[2] * curve.tau[-1] / 3.0 / variance[-1]
+    lowest = int(np.argmin(curve.deviation))
+    rises = float(curve.deviation[-1]) > 1.3 * float(curve.deviation[lowest])
+    walk = math.sqrt(float(parts[2])) if rises and walk_share > 0.3 else 0.0
+    unsure = walk / math.sqrt(2.0 * float(curve.weights[-1]))
+    return NoiseModel(math.sqrt(float(parts[0])), float(curve.deviation[lowest]) / FLICKER, walk, rises, unsure)
+
+
+def allan_curve(segments: Sequence[F64], rate_hz: float) -> AllanCurve | None:
+    """Returns the joint curve of several segments and axes of one sensor; None = all are too short.
+
+    Args:
+        segments: Signals (N_i,), evenly spaced, e.g. one for each rest and axis.
+        rate_hz: Samples a second.
+    """
+    longest = max((len(segment) for segment in segments), default=0)
+    if longest < 20:
+        return None
+    # The longest averaging time is a fifth of the longest segment.
+    factors = sorted({round(m) for m in np.geomspace(1, longest / 5, 40)})
+    variances, weights = np.zeros(len(factors)), np.zeros(len(factors))
+    for segment in segments:
+        deviation = overlapping_allan(segment, rate_hz, factors)
+        count = np.where(np.isfinite(deviation), len(segment) / np.array(factors) - 1.0, 0.0)
+        variances += np.where(count > 0, np.nan_to_num(deviation) ** 2 * np.maximum(count, 0.0), 0.0)
+        weights += np.maximum(count, 0.0)
+    kept = weights >= 4.0
+    tau = np.array(factors)[kept] / rate_hz
+    return AllanCurve(tau, np.sqrt(variances[kept] / weights[kept]), weights[kept])
+
+
+def overlapping_allan(values: F64, rate_hz: float, factors: Sequence[int]) -> F64:
+    """Returns the overlapping Allan deviation, (K,); NaN if the signal is too short.
+
+    Args:
+        values: (N,) samples of a rate, evenly spaced.
+        rate_hz: Samples a second.
+        factors: K averaging factors m, each 1 or more; the averaging time is m / rate_hz.
+    """
+    phase = np.concatenate([[0.0], np.cumsum(values - np.mean(values))]) / rate_hz
+    out = np.full(len(factors), np.nan)
+    for i, m in enumerate(factors):
+        if len(phase) > 2 * m:
+            second = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
+            out[i] = math.sqrt(float(np.mean(second**2)) / 2.0) / (m / rate_hz)
+    return out

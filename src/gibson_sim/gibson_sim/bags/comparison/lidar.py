@@ -1,4 +1,4 @@
-"""A planar lidar: noise and drop-outs at rest, residuals against a map, against another recording at the same poses. Pure."""
+"""Noise and drop-outs of a planar lidar at rest, and residuals against a map or against another recording at the same poses. Pure."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.bags.comparison.recording import F64, OccupancyMap, Scans, Track
+from gibson_sim.bags.comparison.recorded_drive import F64, OccupancyMap, PlanarTrack, Scans
 from gibson_sim.bags.comparison.signals import inside
 
 RESOLUTIONS = (0.05, 0.02, 0.01, 0.005, 0.0025, 0.002, 0.001, 0.0005, 0.00025)
-"""Metres, the coarsest first: steps in which lidars report."""
+"""Usual range resolutions of lidars, metres, the coarsest first."""
 _MOST_SCANS = 60
+"""Scans compared, at most."""
 _SAME_WALL = 0.3
-"""Metres: residuals beyond are another thing, not noise."""
+"""Residual beyond which the beam hit another surface, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class LidarNoise:
-    """What a lidar does while the robot stands."""
+    """Noise of a lidar while the robot stands."""
 
     scans: int
     beams: int
     range_noise: float
-    """Standard deviation, metres, without the part of the steps; NaN = it never stands long enough."""
+    """Standard deviation, metres, without quantisation; NaN = the robot never stands long enough."""
     resolution: float
-    """Metres: all ranges are multiples of it; 0 = none seen."""
+    """Number of which all ranges are multiples, metres; 0 = none found."""
     dropout: float
-    """Part of the beams that do not return although both neighbours do, from one surface; NaN = there are too few such."""
+    """Part of the beams that do not return although both neighbours return from one surface; NaN = too few such beams."""
     dropout_deviation: float = 0.0
-    """Its standard deviation: beams that pass through a gap of the scene miss scan after scan."""
+    """Its standard deviation: beams through a gap of the scene are missing in scan after scan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class Residuals:
     bias: float
     """Median."""
     spread: float
-    """Standard deviation by the median deviation, which outliers do not change."""
+    """Standard deviation estimated from the median absolute deviation, robust against outliers."""
     outliers: float
     """Part beyond 0.3 m of the expected range."""
     scans: int
@@ -60,7 +61,7 @@ class Residuals:
 
 
 def lidar_noise(scans: Scans, rests: list[tuple[float, float]]) -> LidarNoise:
-    """Returns the noise of each beam against itself within each rest, and the drop-outs of the whole recording."""
+    """Returns the noise of beams within each rest, and the drop-outs of the whole recording."""
     squares, freedom, count = 0.0, 0, 0
     for span in rests:
         rows = np.flatnonzero(inside(scans.t, [span]))
@@ -76,7 +77,7 @@ def lidar_noise(scans: Scans, rests: list[tuple[float, float]]) -> LidarNoise:
             continue
         mean = np.nansum(values, axis=0) / number
         deviation = np.nansum((values - mean) ** 2, axis=0)
-        # Beams at an edge jump between two walls: that is no noise of the range.
+        # Beams at an edge jump between two surfaces, which is not range noise.
         variance = deviation / np.maximum(number - 1, 1)
         kept = (number > 2) & (variance < 25.0 * np.median(variance[number > 2]) + 1e-12) if (number > 2).any() else number > 2
         squares += float(deviation[kept].sum())
@@ -89,18 +90,18 @@ def lidar_noise(scans: Scans, rests: list[tuple[float, float]]) -> LidarNoise:
 
 
 def resolution_of(ranges: F64) -> float:
-    """Returns the coarsest of ``RESOLUTIONS`` that all finite ranges are multiples of, metres; 0 = of none."""
+    """Returns the coarsest of ``RESOLUTIONS`` of which all finite ranges are multiples, metres; 0 = none."""
     values = ranges[np.isfinite(ranges)][:20_000]
-    # Single precision holds 10 m to a micrometre.
+    # Single precision represents 10 m to a micrometre.
     return next(
         (step for step in RESOLUTIONS if len(values) > 50 and np.abs(values - np.rint(values / step) * step).max() < 2e-6), 0.0
     )
 
 
 def dropout_of(ranges: F64) -> tuple[float, float]:
-    """Returns the part of beams that do not return between two that do, within a tenth of the same range, and its standard deviation.
+    """Returns the part of missing beams between two neighbours whose ranges agree within a tenth, and its standard deviation.
 
-    NaN and infinite where there are fewer than 100 such.
+    NaN and infinite if there are fewer than 100 such beams.
     """
     left, middle, right = ranges[:, :-2], ranges[:, 1:-1], ranges[:, 2:]
     good = np.isfinite(left) & np.isfinite(right)
@@ -115,12 +116,12 @@ def dropout_of(ranges: F64) -> tuple[float, float]:
     return part, max(float(np.sqrt(np.sum(values**2))) for values in scatter) / total
 
 
-def scan_poses(scans: Scans, track: Track) -> F64:
-    """Returns x, y, yaw of the base at every scan, (N, 3), frame of the track; NaN outside it."""
+def scan_poses(scans: Scans, track: PlanarTrack) -> F64:
+    """Returns x, y, yaw of the base at every scan, (N, 3), in the frame of the track; NaN outside the track."""
     return np.stack(track.at(scans.t), axis=1)
 
 
-def residuals_against_map(scans: Scans, track: Track, grid: OccupancyMap) -> Residuals | None:
+def residuals_against_map(scans: Scans, track: PlanarTrack, grid: OccupancyMap) -> Residuals | None:
     """Returns measured minus mapped ranges; None = too few beams hit the map. The track must be in the map's frame."""
     poses = scan_poses(scans, track)
     rows = np.flatnonzero(np.isfinite(poses).all(axis=1))
@@ -135,7 +136,7 @@ def residuals_against_map(scans: Scans, track: Track, grid: OccupancyMap) -> Res
 
 
 def _lidar_origin(scans: Scans, pose: F64) -> tuple[tuple[float, float], float]:
-    """Returns x, y of the lidar, and the yaw of the base."""
+    """Returns x, y of the lidar and the yaw of the base."""
     x, y, yaw = (float(value) for value in pose)
     dx, dy, _ = scans.mount
     return (x + dx * math.cos(yaw) - dy * math.sin(yaw), y + dx * math.sin(yaw) + dy * math.cos(yaw)), yaw
@@ -153,7 +154,7 @@ def cast(grid: OccupancyMap, origin: tuple[float, float], angles: F64, longest: 
     hit = np.zeros_like(inside_map)
     hit[inside_map] = grid.occupied[rows[inside_map], columns[inside_map]]
     first = np.argmax(hit, axis=1)
-    # The wall's surface lies in the middle of the cells that it fills, on the mean.
+    # On average, a wall's surface lies in the middle of its cells.
     return np.where(hit.any(axis=1), reach[first] + grid.resolution / 4, np.inf)
 
 
@@ -165,7 +166,7 @@ def residuals_at_matches(real: Scans, real_poses: F64, sim: Scans, sim_poses: F6
         real_poses: (N, 3), base poses x, y, yaw of its scans.
         sim: Scans of the other one.
         sim_poses: (M, 3), in the same frame.
-        pairs: (K, 2), rows of scans taken at nearly the same pose; what is left of their difference is taken out.
+        pairs: (K, 2), rows of scans at nearly the same pose; the remaining difference of the poses is compensated.
     """
     out = []
     for row, other in (
@@ -179,7 +180,7 @@ def residuals_at_matches(real: Scans, real_poses: F64, sim: Scans, sim_poses: F6
 
 
 def _seen_from(scans: Scans, pose: F64, ranges: F64, other: Scans, other_pose: F64) -> tuple[F64, F64]:
-    """Returns angles (rising, base frame) and ranges of a scan's points as a lidar at another pose would see them."""
+    """Returns angles (increasing, base frame) and ranges of a scan's points as seen by a lidar at another pose."""
     (x, y), yaw = _lidar_origin(scans, pose)
     (ox, oy), oyaw = _lidar_origin(other, other_pose)
     good = np.isfinite(ranges)
@@ -192,7 +193,7 @@ def _seen_from(scans: Scans, pose: F64, ranges: F64, other: Scans, other_pose: F
 
 
 def _at_angles(angles: F64, ranges: F64, wanted: F64, widest: float) -> F64:
-    """Returns ranges at the wanted angles between two neighbours on one surface, ``widest`` radians apart at most; NaN elsewhere."""
+    """Interpolates ranges at ``wanted`` angles between neighbours on one surface, at most ``widest`` radians apart; NaN elsewhere."""
     if len(angles) < 2:
         return np.full(len(wanted), np.nan)
     turned = np.mod(wanted, 2 * np.pi)
@@ -202,6 +203,6 @@ def _at_angles(angles: F64, ranges: F64, wanted: F64, widest: float) -> F64:
     gap = np.mod(angles[right] - angles[left], 2 * np.pi)
     share = np.mod(turned - angles[left], 2 * np.pi) / np.maximum(gap, 1e-12)
     a, b = ranges[left], ranges[right]
-    # Beams that are neighbours, on a surface that is not seen too flatly.
+    # Neighbouring beams on a surface that is not seen at a grazing angle.
     smooth = (gap < widest) & (np.abs(a - b) < 0.05 * np.minimum(a, b) + 0.02)
     return np.where(smooth, a + share * (b - a), np.nan)

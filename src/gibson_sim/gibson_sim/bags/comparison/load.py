@@ -1,4 +1,4 @@
-"""Takes out of a bag what is compared. A real robot's bag knows nothing of our messages; the types come with the bag."""
+"""Reads from a bag what is compared. Message types come from the bag, which may be that of a real robot."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from gibson_sim.bags.comparison import topics as roles
 from gibson_sim.bags.comparison.pictures import picture_statistics, thumbnail
-from gibson_sim.bags.comparison.recording import (
+from gibson_sim.bags.comparison.recorded_drive import (
     F64,
-    NS_PER_S,
     Arrivals,
     Commands,
     ImuSamples,
     OccupancyMap,
     Pictures,
-    Recording,
+    PlanarTrack,
+    RecordedDrive,
     Scans,
-    Track,
 )
 from gibson_sim.bags.comparison.timing import SAME_CLOCK_S
 from gibson_sim.bags.reader import BagReader, TopicInfo, image_to_array
@@ -30,28 +29,29 @@ from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
-from gibson_sim.types import Pose
+from gibson_sim.types import NS_PER_S, Pose
 
 MOST_PICTURES = 200
-"""Images are taken evenly over the recording, no more than these."""
+"""Images evaluated, evenly spaced over the recording, at most."""
 MOST_SCANS = 3000
+"""Scans evaluated, evenly spaced over the recording, at most."""
 LONGEST_S = 7 * 24 * 3600
-"""Of a recording; a wrong stamp makes years of it."""
+"""Longest recording, seconds; wrong stamps make it years long."""
 _OCCUPIED = 65
-"""Cells of an occupancy grid from here on are walls."""
+"""Value of an occupancy grid's cell from which on it is a wall."""
 _OPTIONAL_MAP = "map"
 
 
-def load_recording(folder: Path, given: Mapping[str, str] | None = None) -> Recording:
-    """Returns what a bag holds.
+def load_recording(folder: Path, given: Mapping[str, str] | None = None) -> RecordedDrive:
+    """Returns the content of a bag.
 
     Args:
         folder: Of the bag.
-        given: Role -> topic, where the usual names do not hold.
+        given: Role -> topic, for names other than the usual ones.
 
     Raises:
         RecordError: the bag cannot be read.
-        ConfigError: a topic that is given is not there or of another type.
+        ConfigError: a given topic does not exist or has another type.
     """
     with BagReader(folder) as bag:
         infos = bag.topics()
@@ -82,7 +82,7 @@ class _Reading:
         self._seen = dict.fromkeys(self._strides, 0)
 
     def read(self) -> None:
-        """Reads all messages once; decodes those of the roles alone."""
+        """Reads all messages once; decodes only those of roles."""
         role_of = {topic: role for role, topic in self._found.items()}
         readers = {
             "cmd_vel": self._command, "odom": self._odometry, "truth": self._truth, "imu": self._imu, "scan": self._scan,
@@ -146,8 +146,8 @@ class _Reading:
                 yaw = yaw_from_quat((q.x, q.y, q.z, q.w))
                 self._map_from_odom.append((header_stamp_ns(one.header.stamp), t.x, t.y, yaw))
 
-    def recording(self, folder: Path) -> Recording:
-        """Returns what was read."""
+    def recording(self, folder: Path) -> RecordedDrive:
+        """Returns the recording from the messages read."""
         begin = min((times[0] for times in [*self._log.values(), *self._stamps.values()] if times), default=0)
         stamps = [row[0] for role in ("odom", "truth", "imu", "scan") for row in self._rows.get(role, ())]
         if stamps:
@@ -161,7 +161,7 @@ class _Reading:
                 self.notes.append(
                     f"no {role.name} ({' or '.join(role.types)}): without it there is no comparison of {role.lacks}"
                 )
-        return Recording(
+        return RecordedDrive(
             path=folder, duration=(log_end - log_begin) / NS_PER_S, topics=dict(self._found),
             commands=self._commands(begin), odometry=odometry, truth=truth, imu=self._imu_samples(begin),
             scans=self._scans(begin), map=(self._rows.get("map") or [None])[0], pictures=self._pictures(begin),
@@ -186,7 +186,7 @@ class _Reading:
         return Commands((times - begin) / NS_PER_S, values[:, 0], values[:, 1])
 
     def _on_stamp_clock(self, log_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Returns log times as the clock of the stamps would show them: the two differ where simulation time was recorded by wall time."""
+        """Converts log times to the clock of the stamps; the two differ if simulation time was recorded with wall time as log time."""
         topic = self._found.get("odom", "")
         log, stamps = self._log.get(topic, []), self._stamps.get(topic, [])
         if len(log) < 2 or len(stamps) != len(log) or abs(np.median(np.subtract(log, stamps))) < SAME_CLOCK_S * NS_PER_S:
@@ -197,16 +197,16 @@ class _Reading:
         )
         return log_ns + np.rint(offset).astype(np.int64)
 
-    def _track(self, role: str, begin: int) -> Track | None:
+    def _track(self, role: str, begin: int) -> PlanarTrack | None:
         rows = self._rows.get(role)
         if not rows or len(rows) < 2:
             return None
         t, table = _in_order(rows, begin)
         x, y, yaw, linear, angular = table.T
-        return Track(t, x, y, np.unwrap(yaw), linear, angular, self._found[role])
+        return PlanarTrack(t, x, y, np.unwrap(yaw), linear, angular, self._found[role])
 
-    def _truth_from_tf(self, odometry: Track | None, begin: int) -> Track | None:
-        """Returns odometry in the map, by the transform map -> odom of a localisation; None = there is none."""
+    def _truth_from_tf(self, odometry: PlanarTrack | None, begin: int) -> PlanarTrack | None:
+        """Returns odometry in the map frame by a localiser's transform map -> odom; None = there is none."""
         if odometry is None or len(self._map_from_odom) < 2:
             return None
         t, table = _in_order(self._map_from_odom, begin)
@@ -215,7 +215,7 @@ class _Reading:
         nothing = np.full(len(odometry.t), np.nan)
         self._frames["truth"] = _OPTIONAL_MAP
         self.notes.append("the pose is that of a localisation (tf map -> odom): its own errors are in the drift")
-        return Track(
+        return PlanarTrack(
             odometry.t, x + cos * odometry.x - sin * odometry.y, y + sin * odometry.x + cos * odometry.y, yaw + odometry.yaw,
             nothing, nothing, "tf map -> odom",
         )  # fmt: skip
@@ -243,7 +243,7 @@ class _Reading:
         )  # fmt: skip
 
     def _mount(self) -> tuple[tuple[float, float, float], bool]:
-        """Returns where the lidar is on the base, by the fixed transforms, and whether it hangs upside down."""
+        """Returns x, y, yaw of the lidar in the base frame by the static transforms, and whether it is mounted upside down."""
         frame, base = self._frames.get("scan", "").lstrip("/"), self._frames.get("base", "").lstrip("/")
         T: Mat4 = np.eye(4)
         for _ in range(50):
@@ -272,7 +272,7 @@ def _planar(stamp: Any, pose: Any, twist: Any) -> tuple[int, float, float, float
 
 
 def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
-    """Returns times since ``begin``, strictly rising, (N,), and the other columns, (N, C).
+    """Returns times since ``begin``, strictly increasing, (N,), seconds, and the other columns, (N, C).
 
     Raises:
         RecordError: the stamps span more than ``LONGEST_S``.
@@ -287,7 +287,7 @@ def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
 
 
 def _rgb(msg: Any) -> NDArray[np.uint8] | None:
-    """Returns the picture as RGB; None = it cannot be read, or it is no colour image."""
+    """Returns the image as RGB; None = it cannot be read or is not a colour image."""
     if hasattr(msg, "format"):
         bgr = decode_pixels(bytes(msg.data), cv2.IMREAD_COLOR)
         return None if bgr is None else np.asarray(bgr[:, :, ::-1])

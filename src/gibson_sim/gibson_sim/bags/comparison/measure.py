@@ -1,4 +1,4 @@
-"""All figures of one recording. Pure."""
+"""Measures all metrics of one recording. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gibson_sim.bags.comparison.encoder import fit_ticks
 from gibson_sim.bags.comparison.identify import LEAST_ANGULAR, LEAST_LINEAR, DriveFit, Estimate, fit_drive
 from gibson_sim.bags.comparison.imu_noise import ImuNoise, imu_noise
 from gibson_sim.bags.comparison.lidar import LidarNoise, Residuals, lidar_noise, residuals_against_map
-from gibson_sim.bags.comparison.recording import Recording
+from gibson_sim.bags.comparison.recorded_drive import RecordedDrive
 from gibson_sim.bags.comparison.response import AxisResponse, axis_response
 from gibson_sim.bags.comparison.signals import rests, speeds
 from gibson_sim.bags.comparison.timing import TopicTiming, topic_timing
@@ -18,23 +18,23 @@ from gibson_sim.robots.drive_spec import DriveSpec
 
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What no bag says."""
+    """Values that no bag contains."""
 
     gravity: float = 9.81
     """m/s^2."""
     command_timeout: float = 0.5
-    """Seconds after which the robot no longer obeys a command."""
+    """Command timeout of the real robot, seconds."""
     step_hz: int = 240
     """Physics steps a second of the simulation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """Everything that one recording says; None = it does not say it."""
+class Measurements:
+    """Metrics of one recording; None = not determined."""
 
-    recording: Recording
+    recording: RecordedDrive
     rests: tuple[tuple[float, float], ...]
-    """(begin, end), seconds."""
+    """(begin, end) of the times at which the robot stands, seconds."""
     linear: AxisResponse | None = None
     angular: AxisResponse | None = None
     fit: DriveFit | None = None
@@ -48,13 +48,13 @@ class Measured:
     """By topic."""
 
 
-def measure(recording: Recording, drive: DriveSpec | None, assumptions: Assumptions) -> Measured:
-    """Returns what a recording says.
+def measure(recording: RecordedDrive, drive: DriveSpec | None, assumptions: Assumptions) -> Measurements:
+    """Returns the metrics of a recording.
 
     Args:
-        recording: What was read of the bag.
-        drive: How the robot drives; None = its limits are not looked for.
-        assumptions: What no bag says.
+        recording: Content of the bag.
+        drive: Drive of the robot; None = no drive is fitted.
+        assumptions: Values that no bag contains.
     """
     commands, odometry, truth = recording.commands, recording.odometry, recording.truth
     still = rests(recording.imu, odometry, commands)
@@ -71,7 +71,7 @@ def measure(recording: Recording, drive: DriveSpec | None, assumptions: Assumpti
             ticks = None if fit is None else fit_ticks(drive, fit, odometry, step_hz=assumptions.step_hz, without=stuck)
     on_map = truth if truth is not None else odometry
     scans, grid = recording.scans, recording.map
-    return Measured(
+    return Measurements(
         recording=recording,
         rests=tuple(still),
         linear=linear,

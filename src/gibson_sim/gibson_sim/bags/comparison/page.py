@@ -1,4 +1,4 @@
-"""The HTML page of a comparison: one file, nothing loaded from elsewhere. Pure."""
+"""The HTML page of a comparison: one self-contained file. Pure."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def page(comparison: Comparison, plots: Sequence[Plot], robot: str, created: str
     """Returns the page.
 
     Args:
-        comparison: What to show.
-        plots: Drawings, in their order.
+        comparison: The comparison.
+        plots: Plots in the order of the page.
         robot: Name or file of the simulated robot.
-        created: A line that says what made it.
+        created: Line that names the program and the time.
     """
     real, sim = comparison.real.recording, comparison.sim.recording
     head = (
@@ -63,7 +63,7 @@ def page(comparison: Comparison, plots: Sequence[Plot], robot: str, created: str
 
 
 def number(value: float, unit: str = "") -> str:
-    """Returns a number for readers: four digits at most, a dash where there is none."""
+    """Formats a number with at most four digits; a dash for NaN and infinity."""
     if not math.isfinite(value):
         return "–"
     digits = f"{value:.3g}" if 1e-3 <= abs(value) < 1e4 or value == 0.0 else f"{value:.2e}"

@@ -1,8 +1,8 @@
-"""Which values of the ``robot.yaml`` would bring a simulated robot closer to a real one. Pure.
+"""Fits values of the ``robot.yaml`` that bring a simulated robot closer to a real one. Pure.
 
-What the simulation has by itself (transport of commands, contact of wheels) is in its own recording too. So delays and ratios are not
-set to what the real recording shows, but changed by what the two recordings differ. A value changes only where the recordings determine
-it, and where it differs from the present one by more than ``CERTAINTY`` standard deviations.
+Effects of the simulation itself (transport of commands, contact of wheels) are in its own recording too. Delays and ratios are therefore
+not set to those of the real recording, but changed by the difference of the two. A value changes only if the recordings determine
+it, and if it differs from the present one by more than ``CERTAINTY`` standard deviations.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from gibson_sim.bags.comparison.identify import Estimate
-from gibson_sim.bags.comparison.measure import Measured
+from gibson_sim.bags.comparison.measure import Measurements
 from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec
 from gibson_sim.robots.sensor_specs import ImuSpec, LidarSpec, WheelOdometrySpec
 from gibson_sim.robots.spec import RobotSpec
 
 CERTAINTY = 3.0
-"""Standard deviations by which a value must differ from the present one: of thirty values, hardly one differs so by chance."""
+"""Standard deviations by which a value must differ from the present one: among thirty values, hardly one does so by chance."""
 _LEAST = {
     "gyro_noise": 1e-6, "gyro_bias": 1e-5, "gyro_bias_walk": 1e-7, "accel_noise": 1e-6, "accel_bias": 1e-5, "accel_bias_walk": 1e-7,
     "range_noise": 1e-5,
 }  # fmt: skip
-"""Smaller differences of these keys, in their units, mean nothing: a simulated robot at rest moves by as much, ranges of 32 bits are as coarse."""
+"""Smallest significant difference of these keys, in their units: a simulated robot at rest moves by as much, 32-bit ranges are as coarse."""
 _THREE_AXES = 1.0 / math.sqrt(6.0)
-"""Standard deviation of the root mean square of three values of a normal distribution, as a part of it."""
+"""Relative standard deviation of the root mean square of three normally distributed values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,16 @@ class Parameter:
     """E.g. ``drive``."""
     key: str
     index: int
-    """Which of several sensors of the section; 0 where there is one."""
+    """Index of the sensor in the section; 0 if there is only one."""
     old: float
     new: float
     unit: str
     deviation: float
-    """Standard deviation of ``new``; 0 = the messages say it, infinite = the recordings do not determine it."""
+    """Standard deviation of ``new``; 0 = the messages contain it, infinite = the recordings do not determine it."""
     because: str
-    """Where it comes from, for readers."""
+    """Source of the value, for readers."""
     alone: bool = True
-    """Whether it changes by itself; else ``paired`` says whether it does, together with one that it must fit to."""
+    """Whether the value changes independently; otherwise ``paired`` decides, for the value and its counterpart together."""
     paired: bool = False
 
     @property
@@ -57,12 +57,12 @@ class Parameter:
 
     @property
     def uncertainty(self) -> float:
-        """By how much ``new`` may be off: less than that is no difference."""
+        """Uncertainty of ``new``: smaller differences are not significant."""
         return CERTAINTY * self.deviation
 
     @property
     def verdict(self) -> str:
-        """What becomes of the present value, in words."""
+        """The change of the value, or why it stays, in words."""
         unit = f" {self.unit}" if self.unit else ""
         if self.changes:
             return f"{self.name}: {self.old:.4g} → {self.new:.4g}{unit}" + (
@@ -74,19 +74,19 @@ class Parameter:
 
     @property
     def changes(self) -> bool:
-        """Whether the new value differs from the old one by more than it is uncertain, by 1 in 1000, and by what means something."""
+        """Whether the new value differs from the old one by more than its uncertainty, 1 in 1000 and the smallest significant difference."""
         difference = abs(self.new - self.old)
         if not self.alone:
             return self.paired
         return difference > max(self.uncertainty, 1e-3 * max(abs(self.old), abs(self.new)), _LEAST.get(self.key, 1e-12))
 
 
-def fitted_parameters(real: Measured, sim: Measured, robot: RobotSpec) -> tuple[Parameter, ...]:
-    """Returns the values that the recordings tell, whether they change or not.
+def fitted_parameters(real: Measurements, sim: Measurements, robot: RobotSpec) -> tuple[Parameter, ...]:
+    """Returns the values that the recordings determine, whether they change or not.
 
     Args:
-        real: The recording to come close to.
-        sim: The one of ``robot`` as it is.
+        real: Recording of the real robot.
+        sim: Recording of the simulated ``robot``.
         robot: The simulated robot.
     """
     found: list[Parameter] = []
@@ -106,7 +106,7 @@ def _ratio(a: Estimate | None, b: Estimate | None) -> tuple[float, float] | None
     return ratio, abs(ratio) * math.hypot(a.deviation / a.value if a.value else 0.0, b.deviation / b.value)
 
 
-def _drive(real: Measured, sim: Measured, drive: DriveSpec) -> Iterator[Parameter]:
+def _drive(real: Measurements, sim: Measurements, drive: DriveSpec) -> Iterator[Parameter]:
     a, b = real.fit, sim.fit
     if a is None or b is None:
         return
@@ -133,8 +133,8 @@ def _drive(real: Measured, sim: Measured, drive: DriveSpec) -> Iterator[Paramete
             yield Parameter("drive", key, 0, old, min(max(new, -0.5), 0.9), "", ratio[1], "true motion over the one commanded")
 
 
-def _truth_gain(measured: Measured, kind: str) -> Estimate | None:
-    """Returns true velocity over the one commanded: that of odometry over commands, by that of odometry over the truth."""
+def _truth_gain(measured: Measurements, kind: str) -> Estimate | None:
+    """Returns the ratio of true to commanded velocity: odometry to commands, divided by odometry to truth."""
     fit, of = measured.fit, measured.drift
     if fit is None or of is None:
         return None
@@ -149,8 +149,8 @@ def _truth_gain(measured: Measured, kind: str) -> Estimate | None:
     return Estimate(ratio, math.hypot(gain.deviation / scale.value, ratio * scale.deviation / scale.value))
 
 
-def _told_gains(measured: Measured, wheels: WheelOdometrySpec) -> tuple[Estimate | None, Estimate | None]:
-    """Returns forward speed and yaw rate by odometry over those commanded; odometry's own random errors do not average out on a short way."""
+def _told_gains(measured: Measurements, wheels: WheelOdometrySpec) -> tuple[Estimate | None, Estimate | None]:
+    """Returns the ratios of odometry to commands, forward and yaw; odometry's random errors do not average out over a short path."""
     fit = measured.fit
     assert fit is not None
     path, turned = (float(np.trapezoid(np.abs(values), fit.t)) for values in (fit.linear, fit.angular))
@@ -164,7 +164,7 @@ def _told_gains(measured: Measured, wheels: WheelOdometrySpec) -> tuple[Estimate
     return first, second
 
 
-def _odometry(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Parameter]:
+def _odometry(real: Measurements, sim: Measurements, robot: RobotSpec) -> Iterator[Parameter]:
     a, b, wheels = real.fit, sim.fit, robot.sensors.wheel_odometry
     if a is None or b is None or robot.drive is None:
         return
@@ -174,7 +174,7 @@ def _odometry(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Param
         difference = wheels.right_radius_factor - wheels.left_radius_factor
         new_mean, half = mean * forward[0], _half_difference(real, sim, robot.drive, difference)
         because = "speed by odometry over the one commanded; left and right by how it veers"
-        # One of them alone would make the robot veer, so they change together: for the size of both, or for their difference.
+        # One of them alone would make the robot veer, so both change together, because of their mean or of their difference.
         parts = ((mean, new_mean, forward[1]), (difference / 2, half.value, half.deviation))
         changes = any(abs(new - old) > max(CERTAINTY * deviation, 1e-3) for old, new, deviation in parts)
         for key, old, new in (
@@ -205,33 +205,33 @@ def _odometry(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Param
                 yield Parameter("wheel_odometry", key, 0, old, max(found.value, 0.0), "", found.deviation, because)
 
 
-def _alpha(measured: Measured, key: str) -> Estimate | None:
+def _alpha(measured: Measurements, key: str) -> Estimate | None:
     alphas = measured.alphas
-    # Of its root it is ``uncertainty``.
+    # ``uncertainty`` is that of its root.
     return None if alphas is None else Estimate(getattr(alphas, key), 2.0 * alphas.uncertainty * getattr(alphas, key))
 
 
 def _without_own(old: float, real: Estimate, sim: Estimate) -> Estimate:
-    """Returns a variance, or a part, without what the recording of a robot that has ``old`` of it shows beyond ``old``."""
+    """Returns a variance or rate minus the excess over ``old`` in the recording of a simulated robot configured with ``old``."""
     own = sim.value - old
     return Estimate(real.value - own, math.hypot(real.deviation, sim.deviation, own))
 
 
 def _ticks(old: float, real: Estimate, sim: Estimate | None) -> Estimate:
-    """Returns the ticks of an encoder without the noise that a simulated robot's odometry has beside its ``old`` ticks (0 = exact)."""
-    # The variance of the noise goes with the square of the size of a tick.
+    """Returns the ticks of an encoder without the noise of simulated odometry beyond that of its ``old`` ticks (0 = exact)."""
+    # The variance of the noise is proportional to the square of the size of a tick.
     variances = [Estimate(one.value**-2, 2.0 * one.deviation / one.value**3) for one in (real, sim) if one is not None]
     exact = 1.0 / old**2 if old else 0.0
     found = variances[0] if sim is None else _without_own(exact, *variances)
     if found.value <= found.deviation:
         return Estimate(real.value, math.inf)
     ticks = found.value**-0.5
-    # Told by the size of a tick, so uncertain by a part of the coarser one of both.
+    # Determined by the size of a tick, hence the relative uncertainty of the coarser of both.
     return Estimate(ticks, 0.5 * ticks**2 * max(ticks, old) * found.deviation)
 
 
-def _half_difference(real: Measured, sim: Measured, drive: DriveSpec, old: float) -> Estimate:
-    """Returns half of what the right radius factor is above the left one, by how odometry veers while the robot goes straight."""
+def _half_difference(real: Measurements, sim: Measurements, drive: DriveSpec, old: float) -> Estimate:
+    """Returns half the difference of the right and the left radius factor, from the veer of odometry while the robot drives straight."""
     if not isinstance(drive, DifferentialSpec) or real.drift is None or sim.drift is None:
         return Estimate(old / 2, 0.0)
     a, b = real.drift.scales, sim.drift.scales
@@ -239,12 +239,12 @@ def _half_difference(real: Measured, sim: Measured, drive: DriveSpec, old: float
     return Estimate((old + (a.veer - b.veer) * drive.wheel_separation) / 2, deviation)
 
 
-def _imu(real: Measured, robot: RobotSpec) -> Iterator[Parameter]:
+def _imu(real: Measurements, robot: RobotSpec) -> Iterator[Parameter]:
     index = _sensor(robot.sensors.imus, real.recording.topics.get("imu", ""))
     if real.imu is None or index is None:
         return
     imu, spec = real.imu, robot.sensors.imus[index]
-    # A variance of n samples is known to its sqrt(2 / n)-th part.
+    # The relative standard deviation of a variance of n samples is sqrt(2 / n).
     samples = 3.0 * imu.rest_s * imu.rate_hz
     values: list[tuple[str, str, float, float]] = [
         ("gyro_noise", "rad/s/√Hz", imu.gyro.density, 1.5 * imu.gyro.density / math.sqrt(samples)),
@@ -263,11 +263,11 @@ def _imu(real: Measured, robot: RobotSpec) -> Iterator[Parameter]:
 
 
 def _bias_deviation(old: float, density: float, rest_s: float) -> float:
-    """Returns the standard deviation of the bias of three axes: of its measurement, and of what a spread of ``old`` gives one robot."""
+    """Returns the standard deviation of the bias of three axes: of its measurement, and of one robot from a make with spread ``old``."""
     return math.hypot(density / math.sqrt(rest_s), old * _THREE_AXES)
 
 
-def _lidar(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Parameter]:
+def _lidar(real: Measurements, sim: Measurements, robot: RobotSpec) -> Iterator[Parameter]:
     index, scans = _sensor(robot.sensors.lidars, real.recording.topics.get("scan", "")), real.recording.scans
     if real.lidar is None or scans is None or index is None:
         return
@@ -300,20 +300,20 @@ def _lidar(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Paramete
         yield _rate("lidar", index, spec.rate_hz, timing.rate_hz)
 
 
-def _dropout(measured: Measured) -> Estimate | None:
-    """Returns the part of beams that do not return; None = it does not say it."""
+def _dropout(measured: Measurements) -> Estimate | None:
+    """Returns the part of beams that do not return; None = not determined."""
     lidar = measured.lidar
     return None if lidar is None or math.isnan(lidar.dropout) else Estimate(lidar.dropout, lidar.dropout_deviation)
 
 
 def _rate(section: str, index: int, old: float, measured_hz: float) -> Parameter:
-    """Returns a rate, whole where it is within 1 per cent of that."""
+    """Returns a rate, rounded to an integer within 1 %."""
     whole = round(measured_hz)
     new = float(whole) if whole and abs(measured_hz - whole) < 0.01 * whole else round(measured_hz, 2)
     return Parameter(section, "rate_hz", index, old, new, "Hz", 0.005 * new, "stamps of the messages")
 
 
 def _sensor(sensors: Sequence[ImuSpec | LidarSpec], topic: str) -> int | None:
-    """Returns which sensor has this topic; the first where none has; None where there are none."""
+    """Returns the index of the sensor with this topic, else 0; None if there are no sensors."""
     named = [i for i, sensor in enumerate(sensors) if topic.endswith(f"/{sensor.name}")]
     return (named or [0])[0] if sensors else None

@@ -1,6 +1,6 @@
 """Statistics of images: brightness, contrast, sharpness, noise, colour. Pure.
 
-The mask of the noise is that of J. Immerkaer, "Fast noise variance estimation", Computer Vision and Image Understanding 64 (2), 1996; sharpness is
+The noise mask is that of J. Immerkaer, "Fast noise variance estimation", Computer Vision and Image Understanding 64 (2), 1996; sharpness is
 the variance of the Laplacian (Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000).
 """
 
@@ -12,15 +12,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.bags.comparison.recording import F64
+from gibson_sim.bags.comparison.recorded_drive import F64
 from gibson_sim.geometry.colours import linear_from_srgb
 
 STATISTICS = ("brightness", "contrast", "sharpness", "noise", "red", "green", "blue", "saturation")
-"""Columns of ``Pictures.statistics``: 0 to 1 but for sharpness."""
+"""Columns of ``Pictures.statistics``, 0 to 1 except sharpness."""
 BINS = 64
+"""Bins of a histogram of luma."""
 LUMA = (0.299, 0.587, 0.114)
-"""Parts of red, green and blue (ITU-R BT.601)."""
+"""Weights of red, green and blue (ITU-R BT.601)."""
 THUMBNAIL_WIDTH = 240
+"""Pixels."""
 _NOISE_MASK = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 
@@ -41,9 +43,9 @@ def picture_statistics(rgb: NDArray[np.uint8]) -> tuple[F64, F64]:
 
 
 def noise_of(luma: F64) -> float:
-    """Returns the standard deviation of noise that differs from pixel to pixel, in the unit of ``luma`` (height, width)."""
+    """Returns the standard deviation of pixel-wise independent noise, in the unit of ``luma`` (height, width)."""
     inner = cv2.filter2D(luma, cv2.CV_64F, _NOISE_MASK)[1:-1, 1:-1]
-    # Edges answer too; what is smooth is taken, as the noise is everywhere. A median is not moved by edges.
+    # Edges respond too, but hardly move a median: the noise is everywhere.
     return float(np.median(np.abs(inner))) / 0.6745 / 6.0
 
 
@@ -53,7 +55,7 @@ def histogram_distance(a: F64, b: F64) -> float:
 
 
 def exposure_stops(real: float, sim: float) -> float:
-    """Returns by how many stops the simulated camera must be exposed longer to be as bright, for sRGB means of 0 to 1."""
+    """Returns the additional exposure, in stops, that makes the simulated camera as bright; means are sRGB, 0 to 1."""
     linear = np.maximum(linear_from_srgb([real, sim]), 1e-4)
     return math.log2(linear[0] / linear[1])
 

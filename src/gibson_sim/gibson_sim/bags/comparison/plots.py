@@ -1,4 +1,4 @@
-"""Draws the plots of a comparison as SVG texts. Needs matplotlib, which is optional."""
+"""Draws the plots of a comparison as SVG. Needs matplotlib, which is optional."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from gibson_sim.bags.comparison.compare import Comparison
-from gibson_sim.bags.comparison.measure import Measured
-from gibson_sim.bags.comparison.recording import F64
+from gibson_sim.bags.comparison.measure import Measurements
+from gibson_sim.bags.comparison.recorded_drive import F64
 from gibson_sim.bags.comparison.response import Step
 from gibson_sim.bags.comparison.signals import held, speeds
 from gibson_sim.errors import EnvironmentProblemError
 
 REAL, SIM, MODEL, COMMAND = "#c2410c", "#1d4ed8", "#111827", "#9ca3af"
-"""Colours, the same in all plots."""
+"""Colours of all plots."""
 _STYLE = {
     "font.family": "sans-serif", "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#e5e7eb", "axes.axisbelow": True, "axes.edgecolor": "#6b7280", "legend.frameon": False, "svg.fonttype": "none",
@@ -28,7 +28,7 @@ _STYLE = {
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """One drawing."""
+    """One plot."""
 
     title: str
     caption: str
@@ -37,7 +37,7 @@ class Plot:
 
 
 def require_matplotlib() -> None:
-    """Raises EnvironmentProblemError where matplotlib is missing."""
+    """Raises EnvironmentProblemError if matplotlib is missing."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
@@ -47,7 +47,7 @@ def require_matplotlib() -> None:
 
 
 def draw_plots(comparison: Comparison) -> list[Plot]:
-    """Returns all plots for which there is something to draw.
+    """Returns all plots for which there is data.
 
     Raises:
         EnvironmentProblemError: matplotlib is missing.
@@ -65,7 +65,7 @@ def _figure(columns: int, height: float = 3.2) -> tuple[Any, Any]:
 
 
 def _plot(title: str, caption: str, columns: int, draw: Callable[[Any], None], height: float = 3.2) -> Plot:
-    """Returns a plot that ``draw`` fills: it gets the axes, (columns,)."""
+    """Returns a plot drawn by ``draw``, which receives the axes, (columns,)."""
     import matplotlib
 
     with matplotlib.rc_context(_STYLE):
@@ -75,13 +75,13 @@ def _plot(title: str, caption: str, columns: int, draw: Callable[[Any], None], h
         figure.savefig(file, format="svg", metadata={"Date": None})
     text = file.getvalue()
     svg = text[text.index("<svg") :]
-    # Ids must differ from those of other plots on the page.
+    # Ids must be unique on the page.
     prefix = re.sub(r"\W+", "", title.lower())
     svg = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{prefix}-", svg)
     return Plot(title, caption, svg)
 
 
-def _sides(comparison: Comparison) -> tuple[tuple[str, str, Measured], ...]:
+def _sides(comparison: Comparison) -> tuple[tuple[str, str, Measurements], ...]:
     return ("real", REAL, comparison.real), ("simulated", SIM, comparison.sim)
 
 
@@ -112,7 +112,7 @@ def _steps(comparison: Comparison) -> Iterator[Plot]:
 _GRID: F64 = np.linspace(-0.2, 1.2, 281)
 
 
-def _normalised(measured: Measured, step: Step, kind: str) -> F64:
+def _normalised(measured: Measurements, step: Step, kind: str) -> F64:
     odometry = measured.recording.odometry
     assert odometry is not None, "steps come from odometry"
     values = speeds(odometry)[kind == "angular"]
@@ -121,7 +121,7 @@ def _normalised(measured: Measured, step: Step, kind: str) -> F64:
 
 
 def _excerpts(comparison: Comparison) -> Iterator[Plot]:
-    """The busiest 20 s of each recording, with the fitted model."""
+    """Yields the 20 s of each recording with the most change, with the fitted model."""
     for side, colour, measured in _sides(comparison):
         fit, commands, odometry = measured.fit, measured.recording.commands, measured.recording.odometry
         if fit is None or commands is None or odometry is None:
@@ -148,7 +148,7 @@ def _excerpts(comparison: Comparison) -> Iterator[Plot]:
 
 
 def _busiest(t: F64, change: F64) -> float:
-    """Returns where the 20 s begin in which most changes."""
+    """Returns the start of the 20 s with the most change, seconds."""
     total = np.concatenate([[0.0], np.cumsum(change)])
     ends = np.searchsorted(t, t + 20.0)
     return float(t[int(np.argmax(total[ends] - total[: len(t)]))])

@@ -1,7 +1,7 @@
-"""How a velocity follows its command: steps one by one, and linear models with a delay fitted to the whole drive. Pure.
+"""The response of a velocity to its command: single steps, and linear models with a dead time fitted to the whole drive. Pure.
 
-A step's line through 20 and 80 per cent of its rise gives the delay (where it meets the start) and the acceleration: exact where an
-acceleration limit makes a ramp of it. The models are the usual ones of system identification: K / (T s + 1) and
+The line through 20 and 80 % of a step's rise gives the delay (its intersection with the start) and the acceleration, exact if an
+acceleration limit makes it a ramp. The models are the usual ones of system identification: K / (T s + 1) and
 K w^2 / (s^2 + 2 z w s + w^2), each after a dead time.
 """
 
@@ -14,52 +14,52 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import bilinear_zpk, lfilter, zpk2tf
 
-from gibson_sim.bags.comparison.recording import F64
+from gibson_sim.bags.comparison.recorded_drive import F64
 from gibson_sim.bags.comparison.signals import held
 
 _BEFORE, _AFTER = 0.2, 0.8
-"""Seconds for which a command must stay the same before and after a step."""
+"""Time for which a command must be constant before and after a step, seconds."""
 _MODEL_DT = 0.01
-"""Seconds between samples of a model."""
+"""Sampling period of a model, seconds."""
 _LONGEST_DELAY = 1.0
-"""Seconds: a model's dead time is looked for up to here."""
+"""Upper bound of a model's dead time, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The answer to one step of the command."""
+    """The response to one step of the command."""
 
     time: float
-    """Seconds: when the command came."""
+    """Time of the command, seconds."""
     before: float
     after: float
     """The command, m/s or rad/s."""
     delay: float
     """Seconds."""
     rise_time: float
-    """Seconds from 10 to 90 per cent."""
+    """From 10 to 90 %, seconds."""
     overshoot: float
     """Part of the step's height."""
     gain: float
-    """What it settles at over the command; NaN after a step to zero."""
+    """Ratio of the settled velocity to the command; NaN after a step to zero."""
     acceleration: float
-    """m/s^2 or rad/s^2, without sign."""
+    """Absolute value, m/s^2 or rad/s^2."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """A linear system of first or second order behind a dead time."""
+    """A linear system of first or second order with a dead time."""
 
     order: int
     gain: float
     delay: float
     """Seconds."""
     time_constant: float
-    """Seconds: T, or 1 / w."""
+    """T, or 1 / w, seconds."""
     damping: float
     """z; 1 for the first order."""
     rms: float
-    """Root mean square of what it does not explain, m/s or rad/s."""
+    """Root mean square of the residuals, m/s or rad/s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,21 +68,21 @@ class AxisResponse:
 
     steps: tuple[Step, ...]
     models: tuple[LinearModel, ...]
-    """The best one first; empty where the command never changes."""
+    """The best one first; empty if the command never changes."""
 
     def median(self, name: str) -> float:
-        """Returns the median over the steps of a field of ``Step``; NaN where there are none."""
+        """Returns the median over the steps of a field of ``Step``; NaN if there are none."""
         values = [value for step in self.steps if math.isfinite(value := float(getattr(step, name)))]
         return float(np.median(values)) if values else math.nan
 
     @property
     def delay(self) -> float:
-        """Seconds: of the steps, else of the best model."""
+        """Delay of the steps, else of the best model, seconds."""
         return self._or_model("delay", "delay")
 
     @property
     def gain(self) -> float:
-        """Settled velocity over the command: of the steps, else of the best model."""
+        """Ratio of the settled velocity to the command: of the steps, else of the best model."""
         return self._or_model("gain", "gain")
 
     def _or_model(self, of_step: str, of_model: str) -> float:
@@ -96,19 +96,19 @@ def axis_response(command_t: F64, command: F64, t: F64, velocity: F64, *, least:
     Args:
         command_t: (N,), seconds.
         command: (N,), m/s or rad/s.
-        t: (M,), seconds, rising.
+        t: (M,), seconds, increasing.
         velocity: (M,), in the unit of the command.
-        least: Smallest height of a step that counts.
-        timeout: Seconds after which a command no longer counts.
+        least: Smallest height of a step.
+        timeout: Command timeout, seconds.
     """
     steps = tuple(find_steps(command_t, command, t, velocity, least=least, timeout=timeout))
     return AxisResponse(steps, linear_models(command_t, command, t, velocity, least=least, timeout=timeout))
 
 
 def find_steps(command_t: F64, command: F64, t: F64, velocity: F64, *, least: float, timeout: float = 0.5) -> list[Step]:
-    """Returns the answers to all steps of the command that stand alone; the arguments are those of ``axis_response``."""
+    """Returns the responses to all isolated steps of the command; the arguments are those of ``axis_response``."""
     grid = np.arange(t[0], t[-1], _MODEL_DT) if len(t) > 1 else np.zeros(0)
-    # The moments at which what is in force changes: commands, and their time-outs.
+    # Times at which the command in effect changes: new commands, and timeouts.
     asked = held(command_t, command, grid, timeout)
     changes = np.flatnonzero(np.abs(np.diff(asked)) > 1e-9)
     found = []
@@ -126,13 +126,13 @@ def find_steps(command_t: F64, command: F64, t: F64, velocity: F64, *, least: fl
 
 
 def _exact_time(command_t: F64, near: float) -> float:
-    """Returns the time of the command that made the change, else that of the grid."""
+    """Returns the time of the command that caused the change, else that of the grid."""
     row = int(np.searchsorted(command_t, near, side="right")) - 1
     return float(command_t[row]) if row >= 0 and near - command_t[row] <= 2 * _MODEL_DT else near
 
 
 def _measure(begin: float, end: float, before: float, after: float, t: F64, velocity: F64) -> Step | None:
-    """Returns the answer to a step; None = it was not followed, or not at rest before it."""
+    """Returns the response to a step; None = the velocity did not follow, or there are too few samples."""
     mask = (t >= begin - _BEFORE) & (t < end)
     when, values = t[mask], velocity[mask]
     early, late = values[when < begin], values[when > end - 0.3 * (end - begin)]
@@ -156,7 +156,7 @@ def _measure(begin: float, end: float, before: float, after: float, t: F64, velo
 
 
 def _crossing(t: F64, part: F64, level: float, start: float) -> float:
-    """Returns when the signal passes ``level`` after ``start``: in the middle between first reaching it and last falling below it."""
+    """Returns when the signal crosses ``level`` after ``start``: halfway between first reaching it and last falling below it."""
     after = t >= start
     arrived = np.flatnonzero(after & (part >= max(level, 0.97)))
     rows = np.flatnonzero(after & (part >= level))
@@ -169,7 +169,7 @@ def _crossing(t: F64, part: F64, level: float, start: float) -> float:
 
 
 def _between(t: F64, part: F64, i: int, level: float) -> float:
-    """Returns when the line from sample ``i - 1`` to ``i`` meets ``level``."""
+    """Returns when the line from sample ``i - 1`` to ``i`` crosses ``level``."""
     rise = float(part[i] - part[i - 1])
     share = (level - float(part[i - 1])) / rise if rise > 0 else 1.0
     return float(t[i - 1] + min(max(share, 0.0), 1.0) * (t[i] - t[i - 1]))
@@ -178,7 +178,7 @@ def _between(t: F64, part: F64, i: int, level: float) -> float:
 def linear_models(
     command_t: F64, command: F64, t: F64, velocity: F64, *, least: float, timeout: float = 0.5
 ) -> tuple[LinearModel, ...]:
-    """Returns models of first and second order fitted to the whole drive, the better one first; none where nothing changes.
+    """Returns models of first and second order fitted to the whole drive, the better one first; none if the command never changes.
 
     The arguments are those of ``axis_response``.
     """
@@ -188,7 +188,7 @@ def linear_models(
     asked = held(command_t, command, grid, timeout)
     if float(np.ptp(asked)) < least:
         return ()
-    # Where nothing is asked and nothing moves there is nothing to learn.
+    # Times without command and motion carry no information.
     busy = (np.abs(np.interp(t, grid, asked)) > 0.0) | (np.abs(velocity) > 0.05 * float(np.ptp(asked)))
     when, target = t[busy], velocity[busy]
     models = [_fitted(order, grid, asked, when, target) for order in (1, 2)]
@@ -216,13 +216,13 @@ def _fitted(order: int, grid: F64, asked: F64, when: F64, target: F64) -> Linear
 
 
 def _first_order(asked: F64, time_constant: float) -> F64:
-    """Returns the answer of 1 / (T s + 1) to a held input, exact at the samples."""
+    """Returns the response of 1 / (T s + 1) to a held input, exact at the samples."""
     pole = math.exp(-_MODEL_DT / time_constant)
     return np.asarray(lfilter([0.0, 1.0 - pole], [1.0, -pole], asked), dtype=np.float64)
 
 
 def _second_order(asked: F64, period: float, damping: float) -> F64:
-    """Returns the answer of w^2 / (s^2 + 2 z w s + w^2), w = 1 / period, by the bilinear transform."""
+    """Returns the response of w^2 / (s^2 + 2 z w s + w^2), w = 1 / period, by the bilinear transform."""
     w = 1.0 / period
     root = np.emath.sqrt(damping**2 - 1.0)
     zeros, poles, gain = bilinear_zpk([], [w * (-damping + root), w * (-damping - root)], w**2, 1.0 / _MODEL_DT)

@@ -1,4 +1,4 @@
-"""Writes a copy of a ``robot.yaml`` with other values; comments and the order of keys stay."""
+"""Writes a copy of a ``robot.yaml`` with changed values; keeps comments and the order of keys."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.writing import write_file
 
 _WHOLE = ("encoder_ticks", "beams")
-"""Keys whose values are whole numbers."""
+"""Keys with integer values."""
 
 
 def robot_file(robot: str) -> Path:
@@ -35,16 +35,16 @@ def robot_file(robot: str) -> Path:
 
 
 def write_fitted(source: Path, parameters: Iterable[Parameter], output: Path) -> Path:
-    """Writes ``source`` with the parameters that change, and reads it again to make sure that it is a robot; returns ``output``.
+    """Writes ``source`` with the changed parameters, and loads the result to validate it; returns ``output``.
 
     Args:
         source: A ``robot.yaml``.
-        parameters: Those that do not change are left as they are.
-        output: File to write; its folder is made.
+        parameters: Fitted parameters; those that do not change are skipped.
+        output: File to write; its folder is created.
 
     Raises:
-        RobotError: the file cannot be read, or would be no robot.
-        WriteError: the new one cannot be written.
+        RobotError: the file cannot be read, or the result is not a valid robot.
+        WriteError: the output cannot be written.
     """
     yaml = YAML()
     yaml.width = 1000
@@ -79,7 +79,7 @@ def _set(robot: Any, parameter: Parameter) -> None:
 
 
 def rounded(parameter: Parameter) -> float | int:
-    """Returns the new value with four digits, or whole."""
+    """Returns the new value with four digits, or as an integer."""
     if parameter.key in _WHOLE:
         return round(parameter.new)
     return float(f"{parameter.new:.4g}")

@@ -1,4 +1,4 @@
-"""Small tools on sampled signals: holds, stretches of time, rest. Pure."""
+"""Functions on sampled signals: zero-order hold, runs of True, rests, speeds. Pure."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.bags.comparison.recording import F64, Commands, ImuSamples, Track
+from gibson_sim.bags.comparison.recorded_drive import F64, Commands, ImuSamples, PlanarTrack
 
 STILL_LINEAR, STILL_ANGULAR = 0.01, 0.02
-"""m/s and rad/s: wheels that turn less stand."""
+"""Speeds below which the robot stands, m/s and rad/s."""
 _WINDOW = 0.5
-"""Seconds over which the spread of an IMU is looked at."""
+"""Window of the spread of an IMU, seconds."""
 _CALM = 2.5
-"""How many times the least spread of an IMU still is rest."""
+"""Spread of an IMU at rest, at most, as a multiple of the least spread."""
 
 
 def held(t: F64, values: F64, when: F64, timeout: float) -> F64:
-    """Returns the last of ``values`` (N,), set at ``t`` (N,), at the times ``when`` (M,); 0 before the first and after ``timeout``."""
+    """Returns the zero-order hold at ``when`` (M,) of ``values`` (N,) set at ``t`` (N,); 0 before the first and after ``timeout``."""
     rows = np.searchsorted(t, when, side="right") - 1
     valid = rows >= 0
     rows = np.maximum(rows, 0)
@@ -27,25 +27,30 @@ def held(t: F64, values: F64, when: F64, timeout: float) -> F64:
 
 
 def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Returns (first, past the last) of every run of True."""
+    """Returns (first, one past the last) of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def rests(
-    imu: ImuSamples | None, track: Track | None, commands: Commands | None = None, *, least: float = 2.0, margin: float = 0.5
+    imu: ImuSamples | None,
+    track: PlanarTrack | None,
+    commands: Commands | None = None,
+    *,
+    least: float = 2.0,
+    margin: float = 0.5,
 ) -> list[tuple[float, float]]:
     """Returns (begin, end), seconds, of the times at which the robot stands.
 
-    It stands where wheel odometry says so, where nothing but zero is commanded, and where the spread of the IMU over half a second is
-    near the least one of the recording.
+    It stands if wheel odometry and commands are zero and the spread of the IMU over half a second is near the least one of the
+    recording.
 
     Args:
-        imu: Its samples, if there are any.
-        track: Odometry, if there is any.
-        commands: What was commanded, if it is known.
-        least: Seconds that a rest must last, without its margins.
-        margin: Seconds that are left out at both ends.
+        imu: Samples of the IMU, if any.
+        track: Odometry, if any.
+        commands: Velocity commands, if any.
+        least: Shortest rest without its margins, seconds.
+        margin: Time cut off at both ends, seconds.
     """
     clocks = [part.t for part in (imu, track) if part is not None and len(part.t) > 1]
     if not clocks:
@@ -66,7 +71,7 @@ def rests(
 
 
 def _calm(imu: ImuSamples, when: F64) -> NDArray[np.bool_]:
-    """Returns where the spread of all axes is near its least, (M,)."""
+    """Returns where the spread of all axes is near its minimum, (M,)."""
     calm = np.ones(len(when), dtype=bool)
     first = np.searchsorted(imu.t, when - _WINDOW / 2)
     past = np.maximum(np.searchsorted(imu.t, when + _WINDOW / 2), first + 1)
@@ -82,8 +87,8 @@ def _calm(imu: ImuSamples, when: F64) -> NDArray[np.bool_]:
     return calm
 
 
-def speeds(track: Track) -> tuple[F64, F64]:
-    """Returns forward speed (m/s) and yaw rate (rad/s), each (N,): those of the source, else differences of the poses."""
+def speeds(track: PlanarTrack) -> tuple[F64, F64]:
+    """Returns forward speed (m/s) and yaw rate (rad/s), each (N,), of the source, else by differentiating the poses."""
     if np.isfinite(track.linear).all() and np.isfinite(track.angular).all():
         return track.linear, track.angular
     if len(track.t) < 3:
@@ -93,7 +98,7 @@ def speeds(track: Track) -> tuple[F64, F64]:
 
 
 def inside(t: F64, spans: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Returns which of the times ``t``, (N,), are in any of the spans."""
+    """Returns which of the times ``t``, (N,), are in one of the spans."""
     mask = np.zeros(len(t), dtype=bool)
     for begin, end in spans:
         mask |= (t >= begin) & (t <= end)

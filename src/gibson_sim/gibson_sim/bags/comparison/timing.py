@@ -6,40 +6,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gibson_sim.bags.comparison.recording import Arrivals
+from gibson_sim.bags.comparison.recorded_drive import Arrivals
 from gibson_sim.bags.stamps import nominal_period_ns
 from gibson_sim.types import NS_PER_S
 
 SAME_CLOCK_S = 5.0
-"""Log times and stamps that lie farther apart are taken to be of different clocks."""
+"""Difference of log times and stamps from which on they are of different clocks, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicTiming:
-    """How regularly one topic came."""
+    """Timing of one topic."""
 
     count: int
     rate_hz: float
-    """From the usual step between messages; 0 = fewer than two."""
+    """By the nominal period; 0 = fewer than two messages."""
     jitter_ms: float
-    """Standard deviation of the steps between messages, gaps left out, by the stamps where there are any."""
+    """Standard deviation of the steps between messages, without gaps; by the stamps if there are any."""
     missing: int
-    """Messages that the rate asks for and that are not there."""
+    """Messages missing by the nominal period."""
     latency_ms: float
     """Median of log time minus stamp; NaN = no stamps, or stamps of another clock."""
     latency_99_ms: float
-    """99 of 100 are not later; NaN likewise."""
+    """99th percentile; NaN likewise."""
     same_clock: bool
-    """Whether log times and stamps are of one clock, so that their difference means something."""
+    """Whether log times and stamps are of one clock, so that their difference is a latency."""
 
     @property
     def missing_part(self) -> float:
-        """Missing messages as a part of all that there should be."""
+        """Missing messages as a part of all expected ones."""
         return self.missing / max(self.count + self.missing, 1)
 
 
 def topic_timing(arrivals: Arrivals) -> TopicTiming:
-    """Returns the timing of a topic; rates are those of the stamps, where there are any."""
+    """Returns the timing of a topic; rates are those of the stamps if there are any."""
     stamps = np.sort(arrivals.log_ns if arrivals.stamp_ns is None else arrivals.stamp_ns)
     period = nominal_period_ns(stamps)
     steps = np.diff(stamps).astype(np.float64)
@@ -54,6 +54,6 @@ def topic_timing(arrivals: Arrivals) -> TopicTiming:
         same_clock = bool(abs(np.median(late)) < SAME_CLOCK_S)
         if same_clock:
             latency, latency_99 = (1e3 * float(np.percentile(late, part)) for part in (50, 99))
-    # Stamps are rounded to nanoseconds: less than a microsecond is nothing.
+    # Stamps are rounded to nanoseconds: less than a microsecond is not jitter.
     jitter = round(1e-6 * float(regular.std()), 3) if len(regular) else 0.0
     return TopicTiming(len(stamps), NS_PER_S / period, jitter, missing, latency, latency_99, same_clock)

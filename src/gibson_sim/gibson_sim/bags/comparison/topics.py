@@ -1,4 +1,4 @@
-"""Which topic of a bag plays which role: given by the user, else the usual names, else the only topic of the type."""
+"""Assigns roles to the topics of a bag: by the user's choice, else by usual names, else the only topic of the type."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedIm
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What a topic is used for."""
+    """Use of a topic in the comparison."""
 
     name: str
     types: tuple[str, ...]
     usual: tuple[str, ...]
-    """Names that are looked for, the best first; a namespace may stand before them."""
+    """Usual names in order of preference; a namespace may precede them."""
     any_of_type: bool = True
-    """Whether the only topic of these types is taken, whatever its name."""
+    """Whether the only topic of these types is used, whatever its name."""
     lacks: str = ""
-    """What is left out without it."""
+    """What is not compared without it."""
 
 
 ROLES: tuple[Role, ...] = (
@@ -55,15 +55,15 @@ ROLES: tuple[Role, ...] = (
         False, lacks="images",
     ),
 )  # fmt: skip
-"""All of them; ``tf`` and ``tf_static`` are read under their own names."""
+"""All roles; ``tf`` and ``tf_static`` are read by their names."""
 SIDES = ("real", "sim")
 
 
 def topic_options(options: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Returns side -> role -> topic of options ``odom=/robot/odom`` (both bags) and ``real:odom=/robot/odom`` (one).
+    """Returns side -> role -> topic for options ``odom=/robot/odom`` (both bags) and ``real:odom=/robot/odom`` (one).
 
     Raises:
-        ConfigError: an option is not of that form, or names a role that there is none of.
+        ConfigError: an option is malformed or names an unknown role.
     """
     chosen: dict[str, dict[str, str]] = {side: {} for side in SIDES}
     known = [role.name for role in ROLES]
@@ -80,15 +80,15 @@ def topic_options(options: Sequence[str]) -> dict[str, dict[str, str]]:
 
 
 def find_topics(infos: Mapping[str, TopicInfo], given: Mapping[str, str], where: str) -> dict[str, str]:
-    """Returns role -> topic of those that the bag has, with messages.
+    """Returns role -> topic for the topics of the bag that have messages.
 
     Args:
         infos: The topics of the bag.
-        given: Role -> topic that the user wants.
-        where: The bag, for complaints.
+        given: Role -> topic chosen by the user.
+        where: Name of the bag in errors.
 
     Raises:
-        ConfigError: a topic that the user wants is not there, or of another type.
+        ConfigError: a chosen topic does not exist or has another type.
     """
     found: dict[str, str] = {}
     for role in ROLES:

@@ -1,4 +1,4 @@
-"""Writes image files with a few threads, and tables."""
+"""Writes image files in a few threads, and tables."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
-from gibson_sim.bags.export.read import Picture, depth_in_units
+from gibson_sim.bags.export.read import CameraImage, depth_in_units
 from gibson_sim.picture_files import write_array, write_picture
 from gibson_sim.writing import replacing, write_file
 
 JPEG_QUALITY = 95
 PNG_LEVEL = 2
-"""A third of the time of OpenCV's default; files grow by some percent."""
+"""Compression level: a third of the time of OpenCV's default, files a few percent larger."""
 MM_PER_METRE = 1000.0
 _NS_DIGITS = 9
 
 
 def seconds(stamp_ns: int) -> str:
-    """Returns a stamp in seconds with all its digits."""
+    """Returns a stamp in seconds with all nine decimals."""
     whole, rest = divmod(stamp_ns, 10**_NS_DIGITS)
     return f"{whole}.{rest:0{_NS_DIGITS}d}"
 
 
-def image_suffix(picture: Picture, image: str, depth: str) -> str:
-    """Returns how the file of a picture ends.
+def image_suffix(picture: CameraImage, image: str, depth: str) -> str:
+    """Returns the suffix of the file of an image.
 
     Args:
-        picture: what is to be written.
-        image: format of colours, ``png`` or ``jpg``; a compressed image stays what it is.
-        depth: format of depths, ``png`` or ``npy``.
+        picture: the image.
+        image: format of colour images, ``png`` or ``jpg``; compressed images keep theirs.
+        depth: format of depth images, ``png`` or ``npy``.
     """
     kind = picture.stream.kind
     if kind == "color":
@@ -45,10 +45,10 @@ def image_suffix(picture: Picture, image: str, depth: str) -> str:
 
 
 class ImageFiles:
-    """Writes pictures beside the thread that reads them. Use it as a context manager.
+    """Writes images in background threads. Use it as a context manager.
 
     Args:
-        depth_per_metre: units of a 16-bit depth PNG.
+        depth_per_metre: units a metre of a 16-bit depth PNG.
     """
 
     def __init__(self, depth_per_metre: float = MM_PER_METRE) -> None:
@@ -59,18 +59,18 @@ class ImageFiles:
         self._most = 4 * threads
         self.count = 0
 
-    def write(self, path: Path, picture: Picture) -> None:
-        """Takes a picture; waits while too many are not written yet.
+    def write(self, path: Path, picture: CameraImage) -> None:
+        """Queues an image; blocks while too many are queued.
 
         Raises:
-            WriteError: a file before could not be written.
+            WriteError: an earlier file could not be written.
         """
         while len(self._waiting) >= self._most:
             self._waiting.pop(0).result()
         self.count += 1
         self._waiting.append(self._pool.submit(self._write, path, picture))
 
-    def _write(self, path: Path, picture: Picture) -> None:
+    def _write(self, path: Path, picture: CameraImage) -> None:
         encoded = picture.encoded()
         if encoded is not None:
             write_file(path, encoded, durable=False)
@@ -79,7 +79,7 @@ class ImageFiles:
         else:
             write_picture(path, self._pixels(picture), _options(path.suffix), durable=False)
 
-    def _pixels(self, picture: Picture) -> NDArray[Any]:
+    def _pixels(self, picture: CameraImage) -> NDArray[Any]:
         if picture.stream.kind == "color":
             return picture.bgr()
         return depth_in_units(picture.metres(), self._scale) if picture.stream.kind == "depth" else picture.array()
@@ -101,7 +101,7 @@ def _options(suffix: str) -> Sequence[int]:
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> int:
-    """Writes a CSV file; returns its number of rows."""
+    """Writes a CSV file; returns the number of rows."""
     count = 0
     with replacing(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -1,4 +1,4 @@
-"""What an export was asked for, and what it did."""
+"""Options, state and report of an export."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from gibson_sim.bags.export.poses import Poses, PoseSource
-from gibson_sim.bags.export.read import ExportCamera, Picture, find_cameras, nearest, pictures
+from gibson_sim.bags.export.read import CameraImage, ExportCamera, camera_images, find_cameras, nearest
 from gibson_sim.bags.progress import Advance
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.errors import ConfigError, RecordError
@@ -26,25 +26,25 @@ class ExportOptions:
     topics: tuple[str, ...] = ()
     """Image topics; none = all."""
     begin: float = 0.0
-    """Seconds after the begin of the bag."""
+    """Seconds after the start of the bag."""
     end: float = 0.0
-    """Seconds after the begin of the bag; 0 = its end."""
+    """Seconds after the start of the bag; 0 = its end."""
     every: int = 1
-    """Take each n-th image of every camera."""
+    """Export every n-th image of each camera."""
     image: str = "png"
-    """Format of colours: png or jpg."""
+    """Format of colour images: png or jpg."""
     depth: str = "png"
-    """Format of depths: png (16 bits) or npy (float32, exact)."""
+    """Format of depth images: png (16 bits) or npy (float32, exact)."""
     poses: str = "auto"
-    """Where poses come from: auto, scene or tf."""
+    """Source of the poses: auto, scene or tf."""
     fixed_frame: str = ""
-    """Frame of the poses, with tf; empty = map, odom or world."""
+    """Frame of the poses from tf; empty = map, odom or world."""
     max_difference: float = 0.02
-    """Seconds between two images that are taken as one moment."""
+    """Largest difference of the stamps of images of one moment, seconds."""
     fps: int = 0
     """LeRobot: frames a second; 0 = the rate of the images."""
     task: str = "drive"
-    """LeRobot: what the robot does."""
+    """LeRobot: description of the task."""
 
     def __post_init__(self) -> None:
         for name, value, known in (
@@ -68,21 +68,21 @@ class ExportOptions:
 
 
 @dataclass(slots=True)
-class Report:
-    """What was written, and what the bag did not have."""
+class ExportReport:
+    """Files written, and notes on what the bag lacks."""
 
     lines: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
 class ExportJob:
-    """A bag that is being exported.
+    """One export of a bag.
 
     Args:
-        bag: what to export.
-        output: folder; it must not exist, or be empty.
-        options: what and how.
-        advance: told how much is done.
+        bag: the bag.
+        output: folder; must not exist, or be empty.
+        options: what to export, and how.
+        advance: receives the progress.
 
     Raises:
         RecordError: there is nothing to export, or the folder is not empty.
@@ -90,7 +90,7 @@ class ExportJob:
 
     def __init__(self, bag: BagReader, output: Path, options: ExportOptions, advance: Advance) -> None:
         self.bag, self.output, self.options, self.advance = bag, output, options, advance
-        self.report = Report()
+        self.report = ExportReport()
         if output.exists() and (not output.is_dir() or any(output.iterdir())):
             raise RecordError(f"{output} is there already and is not an empty folder: choose another name or remove it")
         begin, end = bag.span_ns
@@ -105,7 +105,7 @@ class ExportJob:
         self._poses = Poses(bag, options.poses, options.fixed_frame)
 
     def wanted(self, camera: ExportCamera, output: str = "") -> set[int]:
-        """Returns the stamps of a camera's images to take: each n-th of its first output, and those of others nearest to them."""
+        """Returns the stamps of a camera's images to export: every n-th of its first output, and the nearest ones of other outputs."""
         first = camera.stamps[camera.first][:: self.options.every].tolist()
         if output in ("", camera.first):
             return set(first)
@@ -116,11 +116,11 @@ class ExportJob:
 
     @property
     def most_ns(self) -> int:
-        """Nanoseconds between two images that are taken as one moment."""
+        """Largest difference of the stamps of images of one moment, nanoseconds."""
         return round(self.options.max_difference * NS_PER_S)
 
     def pose_source(self, camera: ExportCamera) -> PoseSource | None:
-        """Returns where the camera's poses come from, and notes it where there are none."""
+        """Returns the source of the camera's poses; adds a note if there is none."""
         source = self._poses.of(camera)
         if source is None:
             what = "its frame is in no /tf and /tf_static that reach "
@@ -130,11 +130,11 @@ class ExportJob:
             )
         return source
 
-    def pictures(self, cameras: Sequence[ExportCamera]) -> Iterator[Picture]:
-        """Yields the images to take of cameras, in the order of the bag, and tells how far it is."""
+    def images(self, cameras: Sequence[ExportCamera]) -> Iterator[CameraImage]:
+        """Yields the images of cameras to export, in the order of the bag, and reports progress."""
         wanted = {(camera.name, output): self.wanted(camera, output) for camera in cameras for output in camera.streams}
         total, done = sum(len(stamps) for stamps in wanted.values()), 0
-        for picture in pictures(self.bag, cameras, self.begin_ns, self.end_ns + 1):
+        for picture in camera_images(self.bag, cameras, self.begin_ns, self.end_ns + 1):
             if picture.stamp_ns in wanted[picture.camera.name, picture.output]:
                 done += 1
                 self.advance(done / total)

@@ -1,6 +1,6 @@
 """LeRobot's data set format, version 3.0: one bag becomes one episode.
 
-Tables are Parquet (the extra ``lerobot`` brings pyarrow), colour images an H.264 video for each camera. Frames are evenly spaced: each has the
+Tables are Parquet (the extra ``lerobot`` installs pyarrow), colour images one H.264 video a camera. Frames are evenly spaced: each has the
 newest image, observation and command at its time. https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
@@ -34,9 +34,9 @@ _TRUTH = "ground_truth"
 _FILE = "chunk-000/file-000"
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _VIDEO_OPTIONS = {"crf": "20", "preset": "veryfast", "g": "2", "bf": "0"}
-"""A key frame every second frame: readers ask for frames at random."""
+"""Options of libx264; every second frame is a key frame, for random access."""
 _IMAGES_MEASURED = 100
-"""Images that the statistics of a camera are taken from, at most."""
+"""Images from which the statistics of a camera are computed, at most."""
 _DEFAULTS: dict[str, dict[str, Any]] = {
     "timestamp": {"dtype": "float32", "shape": [1], "names": None},
     "frame_index": {"dtype": "int64", "shape": [1], "names": None},
@@ -44,12 +44,12 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "index": {"dtype": "int64", "shape": [1], "names": None},
     "task_index": {"dtype": "int64", "shape": [1], "names": None},
 }
-"""Columns that every data set has."""
+"""Columns of every data set."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Series:
-    """Measurements over time, held until the next one."""
+    """Measurements over time, each held until the next."""
 
     names: tuple[str, ...]
     stamps: NDArray[np.int64]
@@ -108,10 +108,10 @@ def export_lerobot(job: ExportJob) -> None:
 
 
 def _state(job: ExportJob) -> _Series:
-    """Returns odometry, and joint positions where there are any."""
+    """Returns odometry and joint positions, as far as the bag has them."""
     topics = job.bag.topics()
     odometry = [t for t, i in topics.items() if i.type_name == _ODOMETRY and i.count]
-    odometry.sort(key=lambda topic: (_TRUTH in topic, topic))  # what a robot measures, not what is true
+    odometry.sort(key=lambda topic: (_TRUTH in topic, topic))  # what the robot measures rather than ground truth
     joints = [t for t, i in topics.items() if i.type_name == _JOINTS and i.count and not t.endswith("joint_command")]
     parts = [_read(job, topic, _ODOMETRY_NAMES, _odometry_row) for topic in odometry[:1]]
     if not parts:
@@ -141,7 +141,7 @@ def _action(job: ExportJob) -> _Series:
 
 
 def _read(job: ExportJob, topic: str, names: tuple[str, ...], row: Any) -> _Series:
-    """Returns the messages of a topic as rows, also those before the first image."""
+    """Returns the messages of a topic as rows, including those before the first image."""
     stamped = job.bag.topics()[topic].stamped
     stamps, rows = [], []
     for _, log_ns, msg in job.bag.messages([topic], stop_ns=job.end_ns + 1):
@@ -189,7 +189,7 @@ def _videos(
 
 
 def _write_video(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64], fps: int, path: Path) -> dict[str, Any]:
-    """Writes the frames of a camera, each the newest image at its time; returns the statistics of its colours."""
+    """Writes the frames of a camera, each the newest image at its time; returns the statistics of the colours."""
     alone = ExportCamera(
         camera.name, camera.path, camera.frame_id, camera.width, camera.height, {"rgb": camera.streams["rgb"]}, camera.lens,
         {"rgb": camera.stamps["rgb"]},
@@ -214,15 +214,15 @@ def _write_video(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64],
 
 
 def _even_size(camera: ExportCamera) -> tuple[int, int]:
-    """Returns (width, height) of the video: its encoding has one colour for 2x2 pixels, so an odd last column or row is left out."""
+    """Returns (width, height) of the video: 4:2:0 has one colour for 2x2 pixels, so an odd last column or row is left out."""
     return camera.width // 2 * 2, camera.height // 2 * 2
 
 
 def _held(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64]) -> Iterator[NDArray[np.uint8]]:
-    """Yields an image for each time: the newest one then."""
+    """Yields the newest image at each time."""
     newest: NDArray[np.uint8] | None = None
     waiting = times.tolist()
-    for picture in job.pictures([camera]):
+    for picture in job.images([camera]):
         while waiting and newest is not None and picture.stamp_ns > waiting[0]:
             yield newest
             waiting.pop(0)
@@ -233,7 +233,7 @@ def _held(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64]) -> Ite
 
 
 def _statistics(values: NDArray[np.float64]) -> dict[str, list[Any]]:
-    """Returns smallest, largest, mean, deviation, quantiles and count of each column of (N, C)."""
+    """Returns minimum, maximum, mean, standard deviation, quantiles and count of each column of (N, C)."""
     found: dict[str, list[Any]] = {
         "min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist(), "mean": values.mean(axis=0).tolist(),
         "std": values.std(axis=0).tolist(), "count": [len(values)],
@@ -288,7 +288,7 @@ def _write_table(path: Path, table: Any) -> None:
 
 
 def _pandas_index() -> bytes:
-    """Returns the note by which pandas takes the column ``task`` for the index, as LeRobot asks for it."""
+    """Returns the metadata that makes the column ``task`` the index in pandas, as LeRobot requires."""
     column = {"field_name": "task_index", "metadata": None, "name": "task_index", "numpy_type": "int64", "pandas_type": "int64"}
     index = {"field_name": "task", "metadata": None, "name": "task", "numpy_type": "object", "pandas_type": "unicode"}
     return json.dumps(

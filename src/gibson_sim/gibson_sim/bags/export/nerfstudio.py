@@ -1,7 +1,7 @@
-"""nerfstudio's ``transforms.json``, as https://docs.nerf.studio/quickstart/data_conventions.html describes it.
+"""nerfstudio's ``transforms.json``, see https://docs.nerf.studio/quickstart/data_conventions.html.
 
-Its cameras look along -z with y up (OpenGL), and the centre of its first pixel is at (0.5, 0.5), where ours is at (0, 0). Depths are 16-bit
-PNG in millimetres, which is what it expects.
+Its cameras look along -z with y up (OpenGL), and the centre of its first pixel is at (0.5, 0.5), ours at (0, 0). Depth is 16-bit PNG in
+millimetres, as nerfstudio expects.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.writing import write_file
 
 OPENGL_FROM_OPTICAL: NDArray[np.float64] = np.diag([1.0, -1.0, -1.0, 1.0])
-"""x right, y up, z back from x right, y down, z forward, and the other way round."""
+"""Rotation between the OpenGL frame (x right, y up, z back) and the optical frame (x right, y down, z forward); its own inverse."""
 _PIXEL_CENTRE = 0.5
 _MODELS = {"plumb_bob": "OPENCV", "": "OPENCV", "equidistant": "OPENCV_FISHEYE"}
 _DISTORTIONS = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4")}
@@ -31,7 +31,7 @@ def export_nerfstudio(job: ExportJob) -> None:
     """Writes ``transforms.json`` and its images.
 
     Raises:
-        RecordError: a camera has no calibration, one that the format does not have, or no poses; or cameras are of several models.
+        RecordError: a camera has no calibration, one that the format does not support, or no poses; or cameras have different models.
     """
     cameras = [camera for camera in job.cameras if "rgb" in camera.streams]
     if not cameras:
@@ -67,7 +67,7 @@ def export_nerfstudio(job: ExportJob) -> None:
 
 
 def _model(camera: ExportCamera) -> str:
-    """Returns nerfstudio's name of the camera's model."""
+    """Returns nerfstudio's name for the camera's model."""
     lens = camera.lens
     if lens is None:
         raise RecordError(f"camera {camera.name} has no camera_info beside {camera.streams['rgb'].topic}: record it too")
@@ -81,7 +81,7 @@ def _model(camera: ExportCamera) -> str:
 
 
 def intrinsics(camera: ExportCamera, model: str) -> dict[str, float]:
-    """Returns the calibration in nerfstudio's words."""
+    """Returns the calibration in nerfstudio's terms."""
     assert camera.lens is not None
     k = camera.lens.k
     values: dict[str, float] = {
@@ -92,12 +92,12 @@ def intrinsics(camera: ExportCamera, model: str) -> dict[str, float]:
 
 
 def _write_images(job: ExportJob, cameras: Sequence[ExportCamera], *, with_depth: bool) -> dict[str, dict[str, dict[int, str]]]:
-    """Writes the images; returns their names by camera, output and stamp."""
+    """Writes the images; returns their file names by camera, output and stamp."""
     files: dict[str, dict[str, dict[int, str]]] = {camera.name: {"rgb": {}, "depth": {}} for camera in cameras}
     if not with_depth and any("depth" in camera.streams for camera in cameras):
         job.report.notes.append("depth is left out: that of a fisheye counts from its centre, nerfstudio's along the axis")
     with ImageFiles(MM_PER_METRE) as writer:
-        for picture in job.pictures(cameras):
+        for picture in job.images(cameras):
             if picture.output != "rgb" and not (with_depth and picture.output == "depth"):
                 continue
             folder = "images" if picture.output == "rgb" else "depths"

@@ -1,4 +1,4 @@
-"""Plain files: images, one table a camera with a row an image, and tables of what else was measured."""
+"""Plain files: images, a table for each camera with one row an image, and tables of other measurements."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
 def export_png(job: ExportJob) -> None:
-    """Writes ``<camera>/frames.csv``, ``<camera>/<output>/<stamp>.png`` and ``<topic>.csv`` of odometry, commands and IMUs."""
+    """Writes ``<camera>/frames.csv``, ``<camera>/<output>/<stamp>.png``, and ``<topic>.csv`` for odometry, commands and IMUs."""
     files: dict[str, dict[str, dict[int, str]]] = {c.name: {output: {} for output in c.streams} for c in job.cameras}
     with ImageFiles() as writer:
-        for picture in job.pictures(job.cameras):
+        for picture in job.images(job.cameras):
             suffix = image_suffix(picture, job.options.image, job.options.depth)
             name = f"{picture.output}/{seconds(picture.stamp_ns)}.{suffix}"
             files[picture.camera.name][picture.output][picture.stamp_ns] = name
@@ -80,11 +80,11 @@ _SERIES: dict[str, tuple[tuple[str, ...], Callable[[Any], Sequence[float]]]] = {
     "geometry_msgs/msg/TwistStamped": (_TWIST, _twist),
     "sensor_msgs/msg/Imu": ((*_POSE[3:], *_TWIST[3:], "ax", "ay", "az"), _imu),
 }
-"""Type -> columns, and their values in a message."""
+"""Message type -> columns, and the function that returns their values."""
 
 
 def write_series(job: ExportJob) -> None:
-    """Writes a table of each topic of odometry, commands and IMUs. A message without a stamp has the time at which it was recorded."""
+    """Writes a table for each topic of odometry, commands and IMUs. A message without a stamp gets its log time."""
     for topic, info in job.bag.topics().items():
         if info.type_name not in _SERIES or not info.count:
             continue

@@ -1,4 +1,4 @@
-"""Where the cameras of a bag were: from the states of a simulation, or from tf."""
+"""Poses of the cameras of a bag, from the states of a simulation or from tf."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ from gibson_sim.types import Pose
 
 _TF_TYPE = "tf2_msgs/msg/TFMessage"
 _FIXED_FRAMES = ("map", "odom", "world")
+"""Frames that poses may be in, in order of preference."""
 _MOST_LINKS = 100
+"""Longest chain of frames; a longer one is a loop."""
 
 
 class PoseSource(Protocol):
-    """Says where a camera was."""
+    """Source of camera poses."""
 
     @property
     def text(self) -> str:
-        """Where the poses come from, for the user."""
+        """Name of the source for the user."""
 
     def pose(self, camera: ExportCamera, stamp_ns: int) -> Mat4 | None:
-        """Returns T_world_camera of the optical frame, (4, 4); None = not known at this time."""
+        """Returns T_world_camera of the optical frame, (4, 4); None = unknown at this time."""
 
 
 @dataclass(slots=True)
-class Track:
-    """Poses of one thing over time."""
+class PoseTrack:
+    """Poses of one frame over time."""
 
     stamps: list[int] = field(default_factory=list)
     rows: list[NDArray[np.float64]] = field(default_factory=list)
@@ -50,7 +52,7 @@ class Track:
         self._arrays = None
 
     def at(self, stamp_ns: int) -> Mat4 | None:
-        """Returns the pose at a time, (4, 4), between two others evenly; None before the first and after the last."""
+        """Returns the pose at a time, (4, 4), interpolated; None before the first and after the last."""
         if self._arrays is None:
             order = np.argsort(np.array(self.stamps, dtype=np.int64), kind="stable")
             self._arrays = np.array(self.stamps, dtype=np.int64)[order], np.array(self.rows)[order]
@@ -74,7 +76,7 @@ def _matrix(row: NDArray[np.float64]) -> Mat4:
 
 
 class StatePoses:
-    """Poses of links in ``scene_state`` with the mount of the camera in ``scene``: ground truth."""
+    """Ground truth: poses of links in ``scene_state`` with the mounts of cameras in ``scene``."""
 
     def __init__(self, bag: BagReader, scene_topic: str, state_topic: str) -> None:
         self.text = f"{state_topic} (ground truth)"
@@ -90,7 +92,7 @@ class StatePoses:
                 if camera.name not in self._frames.setdefault(camera.frame_id, []):
                     self._frames[camera.frame_id].append(camera.name)
         wanted = {link for link, _ in self._mounts.values()}
-        self._tracks: dict[str, Track] = {link: Track() for link in wanted}
+        self._tracks: dict[str, PoseTrack] = {link: PoseTrack() for link in wanted}
         for _, _, msg in bag.messages([state_topic]):
             stamp = header_stamp_ns(msg.header.stamp)
             for row, link in zip(msg.poses.reshape(-1, 7), links.get(msg.revision, ()), strict=False):
@@ -98,7 +100,7 @@ class StatePoses:
                     self._tracks[link].add(stamp, row)
 
     def has(self, camera: ExportCamera) -> bool:
-        """Whether the simulation knows this camera."""
+        """Whether the scene has this camera."""
         return self._name(camera) is not None
 
     def _name(self, camera: ExportCamera) -> str | None:
@@ -121,16 +123,16 @@ class TransformPoses:
     """Poses from ``/tf`` and ``/tf_static``.
 
     Args:
-        bag: has transforms.
-        fixed: the frame that poses are in; empty = map, odom or world, the first that a camera hangs on.
-        prefix: topics of transforms below this namespace, and global ones, are read.
+        bag: the bag.
+        fixed: frame of the poses; empty = the first of map, odom and world that is an ancestor of the camera.
+        prefix: namespace whose transform topics are read, beside the global ones.
     """
 
     def __init__(self, bag: BagReader, fixed: str, prefix: str = "") -> None:
         self._fixed = fixed
         self._parents: dict[str, str] = {}
         self._fixed_poses: dict[str, Mat4] = {}
-        self._tracks: dict[str, Track] = {}
+        self._tracks: dict[str, PoseTrack] = {}
         topics = [
             topic
             for topic, info in bag.topics().items()
@@ -138,10 +140,10 @@ class TransformPoses:
         ]
         for topic, _, msg in bag.messages(topics) if topics else ():
             for transform in msg.transforms:
-                self._take(transform, is_static=topic.endswith("tf_static"))
+                self._add(transform, is_static=topic.endswith("tf_static"))
         self.text = f"{' and '.join(topics)}" if topics else "nowhere"
 
-    def _take(self, msg: Any, *, is_static: bool) -> None:
+    def _add(self, msg: Any, *, is_static: bool) -> None:
         child = msg.child_frame_id.strip("/")
         self._parents[child] = msg.header.frame_id.strip("/")
         t, r = msg.transform.translation, msg.transform.rotation
@@ -149,10 +151,10 @@ class TransformPoses:
         if is_static:
             self._fixed_poses[child] = _matrix(row)
         else:
-            self._tracks.setdefault(child, Track()).add(header_stamp_ns(msg.header.stamp), row)
+            self._tracks.setdefault(child, PoseTrack()).add(header_stamp_ns(msg.header.stamp), row)
 
     def fixed_frame(self, camera: ExportCamera) -> str:
-        """Returns the frame that poses of the camera are in; empty = the camera is not in tf."""
+        """Returns the frame of the camera's poses; empty = tf does not have the camera."""
         chain = self._chain(camera.frame_id.strip("/"))
         if len(chain) < 2:
             return ""
@@ -160,14 +162,14 @@ class TransformPoses:
         return next((frame for frame in wanted if frame in chain), "" if self._fixed else chain[-1])
 
     def _chain(self, frame: str) -> list[str]:
-        """Returns a frame and those above it."""
+        """Returns a frame and its ancestors."""
         chain = [frame]
         while chain[-1] in self._parents and len(chain) < _MOST_LINKS:
             chain.append(self._parents[chain[-1]])
         return chain
 
     def pose(self, camera: ExportCamera, stamp_ns: int) -> Mat4 | None:
-        """Returns T_fixed_camera; None where a transform is not known at this time."""
+        """Returns T_fixed_camera; None if a transform is unknown at this time."""
         fixed = self.fixed_frame(camera)
         if not fixed:
             return None
@@ -183,11 +185,11 @@ class TransformPoses:
 
 
 class Poses:
-    """Chooses for each camera where its poses come from.
+    """Chooses the source of each camera's poses.
 
     Args:
-        bag: what was recorded.
-        source: ``auto`` = states of a simulation where they know the camera, else tf; ``scene`` or ``tf`` = that alone.
+        bag: the bag.
+        source: ``auto`` = states of a simulation if its scene has the camera, else tf; ``scene`` or ``tf`` = that alone.
         fixed: see ``TransformPoses``.
     """
 
@@ -202,7 +204,7 @@ class Poses:
         self._trees: dict[str, TransformPoses] = {}
 
     def of(self, camera: ExportCamera) -> PoseSource | None:
-        """Returns where the camera's poses come from; None = the bag does not say where it was."""
+        """Returns the source of the camera's poses; None = the bag has none."""
         if self._states is not None and self._states.has(camera) and self._fixed in ("", "map"):
             return self._states
         if self._source == "scene":

@@ -1,4 +1,4 @@
-"""What a bag has to export: its cameras, the topics of their images, and when each was taken."""
+"""Finds what a bag has to export: its cameras, the topics of their images, and their stamps."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ _TRANSPORT_PARTS = (
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """One topic of images."""
+    """One image topic."""
 
     topic: str
     type_name: str
     kind: Kind
     encoding: str
-    """Of the pixels; of a compressed image its suffix, ``jpg`` or ``png``."""
+    """Encoding of the pixels; for compressed images the file suffix, ``jpg`` or ``png``."""
     frame_id: str
     width: int
     height: int
 
     @property
     def folder(self) -> tuple[str, ...]:
-        """The parts of the topic's name without those that image_transport adds."""
+        """Parts of the topic's name without those that image_transport adds."""
         parts = self.topic.strip("/").split("/")
         while len(parts) > 1 and parts[-1] in _TRANSPORT_PARTS:
             parts.pop()
@@ -58,47 +58,47 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """Intrinsics, as sensor_msgs/CameraInfo has them."""
+    """Intrinsics as in sensor_msgs/CameraInfo."""
 
     model: str
     """``distortion_model``."""
     k: tuple[float, ...]
-    """Nine numbers by rows, pixels; pixel centres are at whole numbers."""
+    """Nine numbers by rows, pixels; pixel centres are at integer coordinates."""
     d: tuple[float, ...]
 
     @property
     def is_projective(self) -> bool:
-        """Whether K says where a direction is in the image."""
+        """Whether K projects directions into the image."""
         return len(self.k) == 9 and self.k[0] > 0.0 and self.k[4] > 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class ExportCamera:
-    """Images with one frame and one lens: a colour camera, what belongs to it pixel by pixel, or a depth camera alone."""
+    """Images with one frame and one lens: a colour camera with its pixel-aligned outputs, or a depth camera alone."""
 
     name: str
-    """Fit for a file name."""
+    """Name usable in file names."""
     path: str
-    """Folder of its topics, without the first slash: the name of a camera of ours."""
+    """Namespace of its topics without the leading slash; the name of the camera in a scene."""
     frame_id: str
     width: int
     height: int
     streams: dict[str, Stream]
-    """By what it is: rgb, depth, semantic, ..."""
+    """By output: rgb, depth, semantic, ..."""
     lens: Lens | None
     stamps: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    """Stamps of each stream, nanoseconds, rising."""
+    """Stamps of each stream, nanoseconds, increasing."""
 
     @property
     def first(self) -> str:
-        """The output whose stamps count: colour where there is one."""
+        """The output whose stamps define the frames: colour if there is one."""
         return next((output for output in ("rgb", "depth") if output in self.streams), next(iter(self.streams)))
 
 
 def find_cameras(
     bag: BagReader, topics: Sequence[str] = (), begin_ns: int | None = None, end_ns: int | None = None
 ) -> tuple[tuple[ExportCamera, ...], tuple[str, ...]]:
-    """Returns the cameras of a bag with the stamps of their images between two log times, and what was left out, a line each.
+    """Returns the cameras of a bag with the stamps of their images between two log times, and one note on each topic left out.
 
     Raises:
         RecordError: there is no image, or a topic is not in the bag.
@@ -129,7 +129,7 @@ def find_cameras(
 
 
 def _stream(bag: BagReader, topic: str, type_name: str) -> Stream | str:
-    """Returns what a topic carries, as its first message has it, or why that cannot be exported."""
+    """Returns the stream of a topic by its first message, or the reason why it cannot be exported."""
     msg = bag.first(topic)
     if type_name == COMPRESSED:
         if topic.endswith("/compressedDepth"):
@@ -156,7 +156,7 @@ def _kind(encoding: str, topic: str) -> Kind | None:
 
 
 def _grouped(bag: BagReader, streams: Sequence[Stream], notes: list[str]) -> list[ExportCamera]:
-    """Returns cameras: colour streams, each with the streams of the same frame and size whose topic is nearest; then the others."""
+    """Groups streams into cameras: each colour stream with the others of its frame and size whose names are nearest; then the rest."""
     members: dict[tuple[str, ...], dict[str, Stream]] = {}
     colors = sorted((s for s in streams if s.kind == "color"), key=lambda s: (s.type_name == COMPRESSED, s.topic))
     for stream in colors:
@@ -188,12 +188,12 @@ def _grouped(bag: BagReader, streams: Sequence[Stream], notes: list[str]) -> lis
 
 
 def _common(a: tuple[str, ...], b: tuple[str, ...]) -> int:
-    """Returns how many first parts two names share."""
+    """Returns the length of the common prefix of two names, in parts."""
     return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
 def _lenses(bag: BagReader) -> dict[str, Lens]:
-    """Returns the calibration by topic of camera_info, as its first message has it."""
+    """Returns the calibration of each camera_info topic by its first message."""
     found = {}
     for topic, info in bag.topics().items():
         if info.type_name == INFO and info.count:
@@ -203,7 +203,7 @@ def _lenses(bag: BagReader) -> dict[str, Lens]:
 
 
 def _lens_of(lenses: dict[str, Lens], streams: Any) -> Lens | None:
-    """Returns the calibration beside the first stream that has one: ``camera_info`` in the same folder, as image_transport looks for it."""
+    """Returns the first calibration beside a stream: ``camera_info`` in the same namespace, as in image_transport."""
     for stream in streams:
         parts = stream.topic.removesuffix("/compressed").split("/")
         if (topic := "/".join((*parts[:-1], "camera_info"))) in lenses:
@@ -219,7 +219,7 @@ def _stamps(bag: BagReader, topics: Sequence[str], begin_ns: int | None, end_ns:
 
 
 def nearest(stamps: NDArray[np.int64], stamp: int, most_ns: int) -> int | None:
-    """Returns the stamp nearest to another one; None where none is within ``most_ns``."""
+    """Returns the nearest stamp; None if none is within ``most_ns``."""
     if not len(stamps):
         return None
     at = int(np.searchsorted(stamps, stamp))
@@ -228,7 +228,7 @@ def nearest(stamps: NDArray[np.int64], stamp: int, most_ns: int) -> int | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class CameraImage:
     """One image of a camera."""
 
     camera: ExportCamera
@@ -238,11 +238,11 @@ class Picture:
 
     @property
     def stream(self) -> Stream:
-        """The topic it came on."""
+        """The stream that it belongs to."""
         return self.camera.streams[self.output]
 
     def encoded(self) -> bytes | None:
-        """Returns the bytes of its JPEG or PNG where it came as one."""
+        """Returns the JPEG or PNG bytes of a compressed image; None otherwise."""
         return bytes(self.message.data) if self.stream.type_name == COMPRESSED else None
 
     def bgr(self) -> NDArray[np.uint8]:
@@ -257,27 +257,27 @@ class Picture:
         return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)
 
     def metres(self) -> NDArray[np.float32]:
-        """Returns a depth image, (H, W) float32, metres as the camera measures them; 16-bit images are millimetres (REP 118)."""
+        """Returns a depth image, (H, W) float32, metres; 16-bit images are millimetres (REP 118)."""
         pixels = image_to_array(self.message)
         return np.asarray(pixels if pixels.dtype == np.float32 else pixels * np.float32(0.001), dtype=np.float32)
 
     def array(self) -> NDArray[Any]:
-        """Returns the pixels as the message has them."""
+        """Returns the unconverted pixels."""
         return image_to_array(self.message)
 
 
-def pictures(
+def camera_images(
     bag: BagReader, cameras: Sequence[ExportCamera], begin_ns: int | None = None, end_ns: int | None = None
-) -> Iterator[Picture]:
+) -> Iterator[CameraImage]:
     """Yields the images of cameras in the order of the bag."""
     owners = {stream.topic: (camera, output) for camera in cameras for output, stream in camera.streams.items()}
     for topic, _, msg in bag.messages(list(owners), start_ns=begin_ns, stop_ns=end_ns):
         camera, output = owners[topic]
-        yield Picture(camera, output, header_stamp_ns(msg.header.stamp), msg)
+        yield CameraImage(camera, output, header_stamp_ns(msg.header.stamp), msg)
 
 
 def depth_in_units(metres: NDArray[np.float32], per_metre: float) -> NDArray[np.uint16]:
-    """Returns 16-bit depth, 0 = nothing, too far for 16 bits, or not measured (REP 118)."""
+    """Returns 16-bit depth; 0 = nothing there, too far for 16 bits, or not measured (REP 118)."""
     units = np.nan_to_num(metres * np.float32(per_metre), nan=0.0, posinf=0.0, neginf=0.0).round()
     units[(units < 0) | (units > 65535)] = 0
     return np.asarray(units, dtype=np.uint16)

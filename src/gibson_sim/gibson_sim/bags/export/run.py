@@ -1,4 +1,4 @@
-"""Exports a bag to one of the formats."""
+"""Exports a bag in one of the formats."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from gibson_sim.bags.export.job import ExportJob, ExportOptions, Format, Report
+from gibson_sim.bags.export.job import ExportJob, ExportOptions, ExportReport, Format
 from gibson_sim.bags.export.lerobot import export_lerobot
 from gibson_sim.bags.export.nerfstudio import export_nerfstudio
 from gibson_sim.bags.export.png import export_png
@@ -24,11 +24,11 @@ _WRITERS: dict[Format, Callable[[ExportJob], None]] = {
 
 def export_bag(
     bag: str | Path, to: Format, output: str | Path, options: ExportOptions | None = None, advance: Advance = no_progress
-) -> Report:
-    """Writes a data set; returns what was written and what the bag did not have.
+) -> ExportReport:
+    """Writes a data set; returns the report.
 
     Raises:
-        RecordError: the bag has nothing to export, or not what the format needs.
+        RecordError: the bag has nothing to export, or lacks what the format needs.
         WriteError: a file cannot be written.
     """
     with BagReader(bag) as reader:
@@ -36,7 +36,7 @@ def export_bag(
         try:
             _WRITERS[to](job)
         except BaseException:
-            # Half a data set looks like a whole one; the folder was empty before.
+            # A partial data set looks like a complete one; the folder was empty before.
             shutil.rmtree(job.output, ignore_errors=True)
             raise
         return job.report

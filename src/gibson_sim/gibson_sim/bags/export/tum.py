@@ -1,7 +1,7 @@
 """The TUM RGB-D format: lists of images with their times, and a trajectory.
 
 ``rgb.txt``, ``depth.txt`` (time, file), ``associations.txt`` (both, matched), ``groundtruth.txt`` (time tx ty tz qx qy qz qw of the optical
-frame in the world). Depth images are 16-bit PNG with 5000 units a metre, as that format has them.
+frame in the world). Depth images are 16-bit PNG with 5000 units a metre, as the format prescribes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DEPTH_PER_METRE = 5000.0
 
 
 def export_tum(job: ExportJob) -> None:
-    """Writes one sequence for each colour camera, in a folder of its own where there are several."""
+    """Writes one sequence a camera, each in a folder of its own if there are several."""
     cameras = [camera for camera in job.cameras if {"rgb", "depth"} & set(camera.streams)]
     for camera in cameras:
         folder = job.output / camera.name if len(cameras) > 1 else job.output
@@ -33,7 +33,7 @@ def _sequence(job: ExportJob, camera: ExportCamera, folder: Path) -> None:
     files: dict[str, dict[int, str]] = {"rgb": {}, "depth": {}}
     chosen = _only(camera, ("rgb", "depth"))
     with ImageFiles(DEPTH_PER_METRE) as writer:
-        for picture in job.pictures([chosen]):
+        for picture in job.images([chosen]):
             name = f"{picture.output}/{seconds(picture.stamp_ns)}.{image_suffix(picture, job.options.image, job.options.depth)}"
             files[picture.output][picture.stamp_ns] = name
             writer.write(folder / name, picture)
@@ -53,7 +53,7 @@ def _sequence(job: ExportJob, camera: ExportCamera, folder: Path) -> None:
 
 
 def _only(camera: ExportCamera, outputs: Sequence[str]) -> ExportCamera:
-    """Returns the camera with these outputs alone."""
+    """Returns the camera with only these outputs."""
     streams = {output: camera.streams[output] for output in outputs if output in camera.streams}
     return ExportCamera(
         camera.name, camera.path, camera.frame_id, camera.width, camera.height, streams, camera.lens, camera.stamps
@@ -89,7 +89,7 @@ def pose_text(matrix: Mat4) -> str:
 
 
 def _write_lens(camera: ExportCamera, folder: Path) -> None:
-    """Writes what the format itself has no place for: the calibration, and the scale of depths."""
+    """Writes the calibration and the depth scale, for which the format has no file."""
     lens = camera.lens
     values = {
         "width": camera.width, "height": camera.height, "frame_id": camera.frame_id, "depth_units_per_metre": DEPTH_PER_METRE,

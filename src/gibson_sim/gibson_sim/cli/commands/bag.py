@@ -1,4 +1,4 @@
-"""``gibson-sim bag``: look at a recorded bag, check it, mend it, make pictures and films of it."""
+"""``gibson-sim bag``: checks and repairs a bag, and makes pictures and videos of it."""
 
 from __future__ import annotations
 
@@ -16,37 +16,35 @@ from gibson_sim.picture_files import SUFFIXES
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command with its own sub-commands."""
-    parser = subparsers.add_parser("bag", help="check a bag, mend one that was cut off, make a video of one")
+    parser = subparsers.add_parser("bag", help="check a bag, repair a truncated one, make a video of one")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     check = actions.add_parser("check", help="counts, rates, stamps and odometry of a bag; exit code 1 if stamps do not agree")
     check.set_defaults(run=_check)
-    mend = actions.add_parser("repair", help="make a bag readable that was cut off, by a crash or a full disk")
-    mend.set_defaults(run=_repair)
+    repairing = actions.add_parser("repair", help="make a bag readable that a crash or a full disk cut off")
+    repairing.set_defaults(run=_repair)
     video = actions.add_parser("video", help="write a video and a contact sheet of RGB and depth")
     video.set_defaults(run=_video)
-    sheet = actions.add_parser("sheet", help="write a contact sheet alone")
+    sheet = actions.add_parser("sheet", help="write only a contact sheet")
     sheet.set_defaults(run=_sheet)
-    film = actions.add_parser("film", help="write a figure (film strip) or a video of cameras above each other")
+    film = actions.add_parser("film", help="write a film strip or a video of several cameras, stacked")
     film.set_defaults(run=_film)
-    for action in (check, mend, video, sheet, film):
+    for action in (check, repairing, video, sheet, film):
         action.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     video.add_argument("file", type=Path, metavar="FILE.mp4")
     sheet.add_argument("file", type=Path, metavar="FILE.png")
     sheet.add_argument("--columns", type=int, default=4, help="pictures in a row (default: 4)")
     sheet.add_argument("--rows", type=int, default=4, help="rows of pictures (default: 4)")
+    film.add_argument("files", type=Path, nargs="+", metavar="FILE", help="film strip (.png, .jpg) or video (.mp4); one or more")
     film.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="film strip (.png, .jpg) or video (.mp4); several at once"
-    )
-    film.add_argument(
-        "--topics", default="", help="image topics or names of cameras, separated by commas, from the top (default: all colours)"
+        "--topics", default="", help="image topics or cameras, separated by commas, from the top (default: all colour images)"
     )
     film.add_argument("--columns", type=int, default=6, help="moments in the strip (default: 6)")
-    film.add_argument("--width", type=int, metavar="PX", help="of an image (default: 320 in a strip, 640 in a video)")
+    film.add_argument("--width", type=int, metavar="PX", help="width of an image (default: 320 in a strip, 640 in a video)")
     film.add_argument(
-        "--from", dest="begin", type=float, default=0.0, metavar="S", help="begin S seconds after the begin of the bag"
+        "--from", dest="begin", type=float, default=0.0, metavar="S", help="begin S seconds after the start of the bag"
     )
-    film.add_argument("--to", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the begin of the bag")
-    film.add_argument("--fps", type=float, help="frames a second of the video (default: as the stamps have it)")
+    film.add_argument("--to", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the start of the bag")
+    film.add_argument("--fps", type=float, help="frames a second of the video (default: by the stamps)")
     film.add_argument("--speed", type=float, default=1.0, help="seconds of the run in a second of the video (default: 1)")
 
 

@@ -1,4 +1,4 @@
-"""``gibson-sim drive``, ``record`` and ``snapshot``: one node in place of this process, beside a simulation that runs."""
+"""``gibson-sim drive``, ``record``, ``snapshot`` and ``web``: replace this process by a node that joins a running simulation."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
 from gibson_sim.cli.processes import become
-from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
+from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig, WebConfig
 
 
 def add_parser(subparsers: Any) -> None:
-    """Adds the three sub-commands."""
+    """Adds the four sub-commands."""
     drive = subparsers.add_parser("drive", help="drive the robot of a running simulation: tour, script or keyboard")
     drive.add_argument(
         "drive", nargs="?", default="keyboard", help="tour, forward, square, spin, keyboard, or a file (default: keyboard)"
@@ -30,12 +30,18 @@ def add_parser(subparsers: Any) -> None:
     snapshot.add_argument("output", nargs="?", default=".", metavar="DIR", help="folder for the PNG files (default: here)")
     add_settings(snapshot, SnapshotConfig, ("timeout",))
     snapshot.set_defaults(run=lambda args: _become("snapshot", SnapshotConfig, args))
-    for parser in (drive, record, snapshot):
+
+    web = subparsers.add_parser(
+        "web", help="serve a page for any browser: live images, map and 3-D view; drive, click goals, control time"
+    )
+    add_settings(web, WebConfig, ("host", "port", "token"))
+    web.set_defaults(run=lambda args: _become("web", WebConfig, args))
+    for parser in (drive, record, snapshot, web):
         add_network(parser)
 
 
 def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:
-    """Replaces this process by the node, which so gets the terminal, its signals and its exit code."""
+    """Replaces this process by the node, which thus owns the terminal, the signals and the exit code."""
     require_nodes()
     config = settings_from_args(cls, args)
     environment = environment_of(args)

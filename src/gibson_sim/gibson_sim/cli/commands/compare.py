@@ -1,4 +1,4 @@
-"""``gibson-sim compare``: a real robot's bag and a simulated one's, and what in the robot.yaml would bring them closer."""
+"""``gibson-sim compare``: compares the bags of a real and a simulated robot, and fits the robot.yaml."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.writing import write_file
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "compare", help="compare a real robot's bag with a simulated one, and fit the robot.yaml to it"
+        "compare", help="compare a real robot's bag with a simulated robot's, and fit the robot.yaml to it"
     )
     parser.add_argument("real", type=Path, metavar="REAL", help="folder of the real robot's bag, from any ROS 2")
     parser.add_argument(
@@ -30,29 +30,31 @@ def add_parser(subparsers: Any) -> None:
         help="the simulated robot: name, folder or robot.yaml (default: gibson_bot)",
     )
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with tables and plots; needs matplotlib")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all metrics")
     parser.add_argument(
-        "--fit", action="store_true", help="write a copy of the robot.yaml with the values that bring the two closer"
+        "--fit", action="store_true", help="write a copy of the robot.yaml with fitted values, which bring the two closer"
     )
     parser.add_argument("--output", type=Path, default=None, metavar="FILE", help="file that --fit writes (default: fitted.yaml)")
     parser.add_argument(
         "--topic", action="append", default=[], metavar="ROLE=/TOPIC",
-        help="topic of cmd_vel, odom, truth, imu, scan, map or image, where the usual names do not hold; real:ROLE=/TOPIC: of that bag alone",
+        help="topic of cmd_vel, odom, truth, imu, scan, map or image, if not the usual one; real:ROLE=/TOPIC: for that bag only",
     )  # fmt: skip
     parser.add_argument(
         "--align", choices=("auto", "map", "start"), default="auto",
-        help="how poses of both are brought together: in the map, or as seen from the start of each (default: the map, if both have it)",
+        help="how poses are aligned: in the map, or relative to the start of each (default: the map, if both have it)",
     )  # fmt: skip
     parser.add_argument(
-        "--cmd-vel-timeout", type=float, default=0.5, metavar="S", help="seconds after which commands end (default: 0.5)"
+        "--cmd-vel-timeout", type=float, default=0.5, metavar="S", help="command timeout of the real robot (default: 0.5)"
     )
-    parser.add_argument("--gravity", type=float, default=9.81, metavar="M/S2", help="at the real robot's place (default: 9.81)")
+    parser.add_argument(
+        "--gravity", type=float, default=9.81, metavar="M/S2", help="at the real robot's location (default: 9.81)"
+    )
     parser.add_argument("--step-hz", type=int, default=240, metavar="HZ", help="physics steps a second of the run (default: 240)")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    for folder in (args.real, args.sim):  # both, before the first is read, which takes a while
+    for folder in (args.real, args.sim):  # both before the first is read, which takes a while
         check_bag(folder)
     # Loaded here: the other sub-commands need no SciPy.
     from gibson_sim.bags.comparison.compare import compare
@@ -83,7 +85,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
         changed = [one for one in comparison.parameters if one.changes]
         output = write_fitted(robot_file(args.robot), changed, args.output or Path("fitted.yaml"))
         for one in sorted(comparison.parameters, key=lambda parameter: not parameter.changes):
-            if one.changes or one.deviation:  # what the messages say and the file has needs no word
+            if one.changes or one.deviation:  # values that messages contain and the file already has are not printed
                 print(one.verdict)
         print(f"wrote {output}: {len(changed)} values changed; try it with `gibson-sim run --robot {output}`")
     return ExitCode.OK

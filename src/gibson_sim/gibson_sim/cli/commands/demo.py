@@ -1,4 +1,4 @@
-"""``gibson-sim demo``: a robot does something worth a figure, in a simulation of its own, and a film strip and a video of it are made."""
+"""``gibson-sim demo``: runs a scripted robot in a simulation of its own, and makes a film strip and a video of it."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from gibson_sim.tasks.episode import Episode
     from gibson_sim.tasks.scripts.doors import HingedDoor
 
-DEMOS = {"open-door": "goes before a closed door, takes its handle, pulls it open by backing up, and drives through"}
+DEMOS = {"open-door": "drives to a closed door, grasps its handle, pulls it open by backing up, and drives through"}
 VIEW = "view_orbit"
 _LATE_S = 120.0
-"""Wall time that a participant of lockstep may take for a tick: machines are slow when they draw in software."""
+"""Timeout of a lockstep participant, seconds of wall time: software rendering is slow."""
 _TOPICS = ("scene", STATE_TOPIC, "cmd_vel", "joint_command", "grasp", "grasp_state", "task/info", "task/goal", "task/result")
 _MOST_HZ = 60.0
+"""Highest image rate, Hz."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -40,7 +41,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "demo",
         help="a robot opens a door: a film strip and a video of it",
-        description="Starts a simulation of its own, in lockstep, lets a scripted robot do it by published commands, and measures it.",
+        description="Starts a simulation of its own in lockstep, in which a scripted robot drives by published commands, and measures it.",
     )
     parser.add_argument("demo", metavar="NAME", help="; ".join(f"{name}: the robot {about}" for name, about in DEMOS.items()))
     parser.add_argument(
@@ -48,21 +49,23 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--robot", default="arm_bot", help="name or path of a robot with an arm and a camera (default: arm_bot)")
     parser.add_argument(
-        "--seed", type=int, default=0, help="of start, door, height of the handle, damping and friction (default: 0)"
+        "--seed", type=int, default=0, help="seed of start, door, height of the handle, damping and friction (default: 0)"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("open_door"), metavar="DIR", help="folder to write to (default: open_door)"
     )
     parser.add_argument("--image-rate", type=float, default=10.0, metavar="HZ", help="images a second (default: 10)")
-    parser.add_argument("--size", default="640x480", metavar="WxH", help="of an image in the video, pixels (default: 640x480)")
+    parser.add_argument(
+        "--size", default="640x480", metavar="WxH", help="size of an image in the video, pixels (default: 640x480)"
+    )
     parser.add_argument("--columns", type=int, default=6, help="moments in the film strip (default: 6)")
-    parser.add_argument("--keep-bag", action="store_true", help="leave the recorded bag in the folder")
+    parser.add_argument("--keep-bag", action="store_true", help="keep the recorded bag in the folder")
     add_network(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the demo; the code is that of the job, and 1 where the robot did not succeed."""
+    """Runs the demo; returns the exit code of the job, or 1 if the robot did not succeed."""
     _check(args)
     require_nodes()
     from gibson_sim.tasks.ground import ground_of
@@ -73,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     ground = ground_of(args.scene, args.robot)
     if not ground.robot.cameras:
         raise ConfigError(f"robot {args.robot!r} has no camera; choose one that has, such as arm_bot")
-    Arm(ground.robot)  # raises where it has none
+    Arm(ground.robot)  # raises if it has none
     episode = OpenDoor().generate(args.seed, ground)
     bag = args.out / "bag"
     if bag.exists():
@@ -94,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Raises ConfigError where an option is impossible."""
+    """Raises ConfigError if an option is invalid."""
     if args.demo not in DEMOS:
         raise ConfigError(f"demo {choice_error(args.demo, DEMOS)}")
     if not 0.1 <= args.image_rate <= _MOST_HZ:
@@ -107,7 +110,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: HingedDoor, camera: str) -> Job:
-    """Returns the job: the simulation, who records it, and the task node that does the task."""
+    """Returns the job: the simulation, the recorder, and the task node that drives the robot."""
     views = folder / "views.yaml"
     width, height = PhysicsConfig(view_size=args.size).wanted_view_size()
     write_file(views, json.dumps({"cameras": [_view(door, width, height, args.image_rate)]}))
@@ -147,7 +150,7 @@ def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: Hinged
 
 
 def _view(door: HingedDoor, width: int, height: int, rate_hz: float) -> dict[str, Any]:
-    """Returns a camera that looks at the room before a door from above, the leaf swinging away from it."""
+    """Returns a camera above the room in front of a door, from which the leaf swings away."""
     x, y = door.off(0.35 * door.width, 0.7)
     return {
         "name": VIEW,
@@ -169,8 +172,8 @@ def _view(door: HingedDoor, width: int, height: int, rate_hz: float) -> dict[str
 
 
 def _measured(bag: Path, door: HingedDoor, wide: float) -> dict[str, float]:
-    """Returns what the published states say of a door: seconds after the begin of the bag, and degrees."""
-    from gibson_sim.tasks.episode import View
+    """Returns the motion of a door by the published states: seconds after the start of the bag, and degrees."""
+    from gibson_sim.tasks.episode import Observation
     from gibson_sim.types import Pose
 
     links: dict[int, list[str]] = {}
@@ -186,7 +189,7 @@ def _measured(bag: Path, door: HingedDoor, wide: float) -> dict[str, float]:
                 continue
             row = msg.poses.reshape(-1, 7)[links[msg.revision].index(door.leaf)].tolist()
             pose = Pose((row[0], row[1], row[2]), (row[3], row[4], row[5], row[6]))
-            seconds, last = (log_ns - first_ns) / NS_PER_S, door.opening(View(0.0, {door.leaf: pose}, ""))
+            seconds, last = (log_ns - first_ns) / NS_PER_S, door.opening(Observation(0.0, {door.leaf: pose}, ""))
             begin = seconds if math.isnan(begin) else begin
             if last > wide and math.isnan(passed):
                 passed = seconds
@@ -201,7 +204,7 @@ def _measured(bag: Path, door: HingedDoor, wide: float) -> dict[str, float]:
 
 
 def _pictures(args: argparse.Namespace, bag: Path, camera: str, measured: dict[str, float]) -> tuple[Path, Path]:
-    """Writes the film strip and the video: what the robot sees above, what one sees of it below."""
+    """Writes the film strip and the video: the robot's camera above, the view of the robot below."""
     strip, video = args.out / f"{args.demo.replace('-', '_')}.png", args.out / f"{args.demo.replace('-', '_')}.mp4"
     write_film_strip(bag, strip, topics=(camera, VIEW), columns=args.columns, begin=measured["begin_s"])
     write_film(bag, video, topics=(camera, VIEW), begin=measured["begin_s"])
@@ -209,7 +212,7 @@ def _pictures(args: argparse.Namespace, bag: Path, camera: str, measured: dict[s
 
 
 def _report(args: argparse.Namespace, result: dict[str, Any], measured: dict[str, float]) -> int:
-    """Prints what was measured, and writes it; returns the exit code."""
+    """Prints and writes the measurements; returns the exit code."""
     opened = measured["open_after_s"]
     passed = "never 60 degrees" if math.isnan(opened) else f"60 degrees after {opened:.1f} s"
     print(

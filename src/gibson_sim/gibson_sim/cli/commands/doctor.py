@@ -1,6 +1,6 @@
-"""``gibson-sim doctor``: what works on this machine, each with its remedy where it does not.
+"""``gibson-sim doctor``: checks what works on this machine, and names the remedy for what does not.
 
-Whatever may crash or hang (drivers, ROS) is tried in a process of its own.
+Whatever may crash or hang (drivers, ROS) runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from gibson_sim.standard.domain_lock import DomainLock
 
 Status = Literal["ok", "warn", "FAIL"]
 TIMEOUT_S = 60.0
+"""Timeout of one check, seconds."""
 SHM_WANTED_MB, DISK_WANTED_MB = 256, 2000
+"""Free shared memory and disk space below which a warning is printed."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +45,14 @@ class Finding:
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "doctor", help="check Python, ROS, graphics, DDS and disk, and say how to mend what does not work"
+        "doctor", help="check Python, ROS, graphics, DDS and disk, and say how to fix what does not work"
     )
-    parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints what was found; returns 1 if something fails."""
+    """Prints the findings; returns 1 if a check fails."""
     findings = []
     for check in (_python, _ros, _physics, _loops, _graphics, _dds, _shared_memory, _disk, _scenes, _domain):
         for finding in check():
@@ -75,7 +77,7 @@ def _python() -> Iterator[Finding]:
 
 
 def _try(code: str) -> tuple[bool, str]:
-    """Runs a Python program with the nodes' environment; returns whether it worked, and its last line."""
+    """Runs a Python program in the nodes' environment; returns whether it succeeded, and its last line."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], env=node_environment(), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
@@ -95,7 +97,7 @@ MESSAGES = {
     "rosbag2_interfaces": False,
     "simulation_interfaces": False,
 }
-"""Message packages that a ROS installation may lack, and whether nothing works without."""
+"""Message packages that a ROS installation may lack -> whether they are required."""
 
 
 def _ros() -> Iterator[Finding]:
@@ -149,7 +151,7 @@ _GRAPHICS_REMEDY = (
 
 
 def _graphics() -> Iterator[Finding]:
-    """Lets each device draw in a process of its own: one that works may stand beside one that does not."""
+    """Draws on each device in a process of its own: a working device may coexist with a broken one."""
     ok, text = _try(_DEVICES)
     if not ok:
         yield Finding("EGL", "FAIL", text, _GRAPHICS_REMEDY)
@@ -178,7 +180,7 @@ def _egl_device(device: dict[str, Any]) -> Finding:
 
 
 def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
-    """Says whether tensors can stay on the GPU: CUDA must have the GPUs that draw."""
+    """Checks whether tensors can stay on the GPU: CUDA must see a GPU that draws."""
     ok, text = _try(_CUDA)
     if not ok:
         return Finding("CUDA", "warn", text, "only for tensors on the GPU: pip install gibson-sim[cuda]; all else works without")
@@ -211,7 +213,7 @@ def _dds() -> Iterator[Finding]:
     else:
         remedy = f"if images arrive late or with gaps, take the shared memory of {profile_of(SUBNET)} into it"
         yield Finding("DDS profile", "warn", f"yours: {profile}", remedy)
-    ok, text = _try("from gibson_sim.ros.nodes.dds_check import main; main()")
+    ok, text = _try("from gibson_sim.ros.wire.dds_check import main; main()")
     yield Finding(
         "large images",
         "ok" if ok else "FAIL",

@@ -1,4 +1,4 @@
-"""``gibson-sim env``: the variables that a user's own node should have, for `eval "$(gibson-sim env)"`."""
+"""``gibson-sim env``: prints the environment variables for a user's own nodes, for `eval "$(gibson-sim env)"`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--reach",
         choices=REACHES,
-        help="also with whom your nodes talk: processes of this machine alone, or whoever is on this network (default: as ROS does)",
+        help="also set who reaches your nodes: processes of this machine only, or all machines of the network (default: as ROS does)",
     )
     parser.set_defaults(run=run)
 

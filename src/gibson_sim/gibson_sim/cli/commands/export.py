@@ -1,4 +1,4 @@
-"""``gibson-sim export``: data sets from a bag."""
+"""``gibson-sim export``: writes a data set from a bag."""
 
 from __future__ import annotations
 
@@ -13,35 +13,39 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "export",
         help="write the images and poses of a bag as a data set: TUM RGB-D, nerfstudio, LeRobot, or plain files with tables",
-        description="Works on bags of the simulation and of real robots: what the bag lacks is said at the end. docs/datasets.md has more.",
+        description="Works on bags of the simulation and of real robots; names what the bag lacks at the end. docs/datasets.md has more.",
     )
     parser.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     parser.add_argument("output", type=Path, metavar="OUTDIR", help="folder of the data set; it must not exist, or be empty")
     parser.add_argument("--to", dest="format", required=True, choices=("tum", "nerfstudio", "lerobot", "png"))
     parser.add_argument("--topics", default="", help="image topics, separated by commas (default: all)")
     parser.add_argument(
-        "--from", dest="begin", type=float, default=0.0, metavar="S", help="begin S seconds after the begin of the bag"
+        "--from", dest="begin", type=float, default=0.0, metavar="S", help="begin S seconds after the start of the bag"
     )
     parser.add_argument(
-        "--until", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the begin of the bag"
+        "--until", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the start of the bag"
     )
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="take each N-th image of every camera (default: 1)")
-    parser.add_argument("--image", default="png", choices=("png", "jpg"), help="format of colours (default: png)")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="export every N-th image of each camera (default: 1)")
+    parser.add_argument("--image", default="png", choices=("png", "jpg"), help="format of colour images (default: png)")
     parser.add_argument(
         "--depth", default="png", choices=("png", "npy"), help="16-bit PNG, or exact float32 arrays (default: png)"
     )
     parser.add_argument(
         "--poses", default="auto", choices=("auto", "scene", "tf"),
-        help="from the states of a simulation, or from /tf (default: states where there are some)",
+        help="source of poses: the states of a simulation, or /tf (default: states if there are any)",
     )  # fmt: skip
     parser.add_argument(
         "--fixed-frame", default="", metavar="FRAME", help="frame of poses from /tf (default: map, odom or world)"
     )
     parser.add_argument(
-        "--max-difference", type=float, default=0.02, metavar="S", help="seconds between images of one moment (default: 0.02)"
+        "--max-difference",
+        type=float,
+        default=0.02,
+        metavar="S",
+        help="most seconds between images of one moment (default: 0.02)",
     )
     parser.add_argument("--fps", type=int, default=0, help="LeRobot: frames a second (default: the rate of the images)")
-    parser.add_argument("--task", default="drive", help="LeRobot: what the robot does, in words (default: drive)")
+    parser.add_argument("--task", default="drive", help="LeRobot: description of the task (default: drive)")
     parser.set_defaults(run=_run)
 
 

@@ -1,4 +1,4 @@
-"""``gibson-sim gallery``: one picture of everything the renderer makes of a scene."""
+"""``gibson-sim gallery``: draws one picture of all outputs, cameras, effects and lights of a scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--at", default="", metavar="PLACE", help="name of a start pose, or x,y,yaw_deg (default: the scene's first start pose)"
     )
-    parser.add_argument("--rules", default="example", metavar="FILE", help="rules of the randomised pictures (default: example)")
+    parser.add_argument("--rules", default="example", metavar="FILE", help="randomisation rules (default: example)")
     parser.set_defaults(run=_run)
 
 

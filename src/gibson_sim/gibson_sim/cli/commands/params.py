@@ -1,4 +1,4 @@
-"""``gibson-sim params``: every setting of every node, as text or as the tables of docs/parameters.md."""
+"""``gibson-sim params``: lists every setting of every node, as text or as the tables of docs/parameters.md."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "node", nargs="?", choices=tuple(NODE_CONFIGS), metavar="NODE", help=f"{', '.join(NODE_CONFIGS)} (default: all)"
     )
-    parser.add_argument("--markdown", action="store_true", help="as Markdown tables")
+    parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
     parser.set_defaults(run=run)
 
 
@@ -53,5 +53,5 @@ def text(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
 
 
 def allowed(f: Field[Any]) -> str:
-    """Returns what values a setting may have, with their unit, in words."""
+    """Returns the allowed values of a setting with their unit, in words."""
     return ", ".join(f.metadata["choices"]) or limits_of(f)

@@ -1,4 +1,4 @@
-"""``gibson-sim render``: draws a recorded run again, from its recorded states, with other cameras, lights or looks."""
+"""``gibson-sim render``: draws a recorded run again from its states, with other cameras, lights or appearances."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "render",
-        help="draw a recorded run again: other cameras, outputs, lights or looks, from the recorded states, without physics",
-        description="Draws the states of a bag and writes a new bag with the images, and with everything else of the old one. "
-        "The bag must have /scene and /scene_state, as those of `gibson-sim run --record` have.",
+        help="draw a recorded run again from its states, without physics: other cameras, outputs, lights or appearances",
+        description="Draws the states of a bag and writes a new bag with the images and everything else of the old one. "
+        "The bag must have /scene and /scene_state, as bags of `gibson-sim run --record` have.",
     )
     parser.add_argument("bag", metavar="DIR", help="folder of the recorded bag")
     parser.add_argument("--output", required=True, metavar="DIR", help="folder of the new bag; it must not exist, or be empty")
@@ -35,14 +35,14 @@ def add_parser(subparsers: Any) -> None:
             "copy", "compression", "reserve_mb",
         ),
     )  # fmt: skip
-    parser.add_argument("--from", dest="begin", type=float, metavar="S", help="begin S seconds after the begin of the bag")
-    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end S seconds after the begin of the bag")
+    parser.add_argument("--from", dest="begin", type=float, metavar="S", help="begin S seconds after the start of the bag")
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end S seconds after the start of the bag")
     add_settings(parser, RenderConfig, _RENDER)
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Replaces this process by the one that draws, which so gets the terminal, its signals and its exit code."""
+    """Replaces this process by the one that draws, which thus owns the terminal, the signals and the exit code."""
     require_nodes()
     job = settings_from_args(RenderBagConfig, args)
     render = RenderConfig(**given(args, _RENDER))

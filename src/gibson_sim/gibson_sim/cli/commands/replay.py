@@ -1,4 +1,4 @@
-"""``gibson-sim replay``: a recorded run again, from its settings and its inputs; and whether the same comes of it."""
+"""``gibson-sim replay``: repeats a recorded run from its settings and inputs, and verifies that the result is the same."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gibson_sim.errors import ConfigError, RecordError
 
 _PHYSICS = ("scene", "robot", "start", "rate", "seed", "randomise", "randomise_seed", "views", "participant_timeout")
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "cameras", "asset_roots", "cache")
-"""Settings that may be other than recorded. Times of a run count in its steps, so ``step_hz`` and ``publish_hz`` may not."""
+"""Settings that may differ from the recorded ones. Inputs are stored by step, so ``step_hz`` and ``publish_hz`` may not."""
 _OF_THE_RUN = (
     "summary_path",
     "wait_for",
@@ -33,23 +33,23 @@ _OF_THE_RUN = (
     "start_paused",
     "on_timeout",
 )
-"""Settings that say how the recorded run was started and ended, not what happened in it."""
+"""Settings of how the recorded run was started and ended, which do not change what happens in it."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "replay",
-        help="repeat a recorded run from its bag, and check that the same comes of it",
-        description="Starts the nodes with the settings in the bag, gives them its inputs again, and ends where the recorded run ended. "
-        "Options take the place of recorded settings.",
+        help="repeat a recorded run from its bag, and verify that the result is the same",
+        description="Starts the nodes with the settings in the bag, sends its inputs again, and ends where the recorded run ended. "
+        "Options override recorded settings.",
     )
     parser.add_argument("bag", metavar="DIR", help="folder of the bag")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
-        "--lockstep", action="store_true", help="time waits for every input: the default where the bag has the topic `inputs`"
+        "--lockstep", action="store_true", help="time waits for every input; the default if the bag has the topic `inputs`"
     )
-    how.add_argument("--free", action="store_true", help="time does not wait: the default for other bags")
+    how.add_argument("--free", action="store_true", help="time does not wait; the default for other bags")
     parser.add_argument(
         "--verify", action="store_true", help="compare the digests of every tick with the bag's; exit code 6 if they differ"
     )
@@ -60,7 +60,7 @@ def add_parser(subparsers: Any) -> None:
     record.add_argument("--record", metavar="DIR", help="record the repetition into this folder, which must not exist")
     add_settings(record, RecordConfig, ("topics", "compression", "reserve_mb"))
     add_network(parser)
-    parser.add_argument("--summary", metavar="FILE.json", help="write what was measured to this file as well")
+    parser.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
     parser.set_defaults(run=run)
 
 
@@ -75,10 +75,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace, facts: RunFacts) -> None:
-    """Checks that there is something to repeat, and to compare with.
+    """Checks that the bag has inputs or commands, and digests for ``--verify``.
 
     Raises:
-        RecordError: there is not.
+        RecordError: it lacks them.
     """
     if args.verify and not facts.has_digests:
         raise RecordError(f"bag {args.bag} has no digests to compare with: record with `gibson-sim run --digests --record ...`")
@@ -92,7 +92,7 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
     """Returns the job.
 
     Raises:
-        GibsonSimError: an option is impossible; nothing was started yet.
+        GibsonSimError: an option is invalid; nothing was started yet.
     """
     job = Job(folder, summary=Path(args.summary) if args.summary else None)
     lockstep = args.lockstep or (facts.has_journal and not args.free)
@@ -126,7 +126,7 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
         summary_path=str(folder / "replay.json"),
     )
     job.configs["physics"] = config
-    if render:  # it ends last: time, which waits for it, would complain
+    if render:  # the last to end: time waits for it, and would warn
         drawn = _settings(RenderConfig, facts.settings.get("render", {}), args, _RENDER)
         drawn = {**drawn, "digests": config.digests, "summary_path": str(folder / "render.json")}
         job.configs["render"] = RenderConfig(**drawn)
@@ -134,10 +134,10 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
 
 
 def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namespace, names: tuple[str, ...]) -> dict[str, Any]:
-    """Returns recorded settings with the options that take their place.
+    """Returns recorded settings, overridden by options.
 
     Raises:
-        ConfigError: the bag has a setting that this version does not know.
+        ConfigError: the bag has a setting unknown to this version.
     """
     known = {f.name for f in fields(cls)}
     unknown = sorted(recorded.keys() - known)
@@ -150,7 +150,7 @@ def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namesp
 
 
 def _report(found: Mapping[str, Any], code: int) -> int:
-    """Prints what came of the replay; returns the exit code of the command."""
+    """Prints the result of the replay; returns the exit code of the command."""
     if not found:
         return code
     what = "inputs at their steps" if found["journal"] or found["lockstep"] else "commands at their times"

@@ -1,30 +1,32 @@
-"""``gibson-sim run``: both nodes, and, if asked for, a drive, a recording and a video, as one job that ends by itself."""
+"""``gibson-sim run``: both nodes, and on request a drive, a recording and a video, as one job."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import add_network, environment_of, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, is_free, require_nodes
 from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
 from gibson_sim.cli.options import add_settings, settings_from_args
-from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
+from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
+_PAGE_VIEWS = "follow,top"
+"""Views of a run with a page where none are given; they are drawn only while a page shows them."""
 _OF_ONE_ROBOT = ("clock", "tf", "odom", "ground_truth/odom", "joint_states", STATE_TOPIC)
-"""Topics that are sure to be there, whatever the robot has."""
+"""Topics that every robot has."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "run",
-        help="start the simulation: both nodes, and a drive, a recording or a video if asked for",
-        description="Starts the physics and the render node, and stops both on Ctrl-C, at --duration or when the drive is done.",
+        help="start the simulation: both nodes, and on request a drive, a recording or a video",
+        description="Starts the physics and the render node, and stops both on Ctrl-C, after --duration or at the end of the drive.",
     )
     add_settings(
         parser,
@@ -84,10 +86,22 @@ def add_parser(subparsers: Any) -> None:
         RecordConfig,
         ("topics", "storage", "compression", "max_bag_size", "max_bag_duration", "flush_period", "reserve_mb"),
     )
-    record.add_argument("--video", metavar="FILE.mp4", help="make a video and, beside it, a contact sheet PNG of RGB and depth")
+    record.add_argument("--video", metavar="FILE.mp4", help="write a video and, beside it, a contact sheet PNG of RGB and depth")
     record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
+    web = parser.add_argument_group("page")
+    web.add_argument("--web", action="store_true", help="serve a page for any browser; its address is printed")
+    web.add_argument(
+        "--web-host", metavar="ADDRESS", help="address to serve it on (default: 127.0.0.1, this machine alone); implies --web"
+    )
+    web.add_argument(
+        "--web-port",
+        metavar="PORT",
+        type=int,
+        help="TCP port of the page (default: 8080, or any if that is taken); implies --web",
+    )
+    web.add_argument("--web-token", metavar="TEXT", help="what a page on another machine must know (default: made and printed)")
     add_network(parser)
-    parser.add_argument("--summary", metavar="FILE.json", help="write what was measured to this file as well")
+    parser.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
     parser.set_defaults(run=run)
 
 
@@ -100,10 +114,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plan(args: argparse.Namespace, folder: Path) -> Job:
-    """Returns the job that the options ask for.
+    """Returns the job for the options.
 
     Raises:
-        GibsonSimError: an option is impossible; nothing was started yet.
+        GibsonSimError: an option is invalid; nothing was started yet.
     """
     wanted = settings_from_args(PhysicsConfig, args)
     job = Job(folder, video=_new_file(args.video), summary=Path(args.summary) if args.summary else None)
@@ -130,6 +144,10 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
         topics = [topic.lstrip("/") for topic in job.configs["record"].wanted_topics()] if job.bag else ["none"]
         recorded = not topics or "cmd_vel" in topics
         job.configs["drive"] = _drive_settings(args, wanted.cmd_vel_type, subscribers=1 + recorded)
+    if args.web or args.web_host or args.web_port is not None:
+        job.configs["web"] = _web_settings(args)
+        if args.views is None and not args.no_render:
+            physics["views"] = _PAGE_VIEWS
     if not args.no_render:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
@@ -142,8 +160,17 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
     return job
 
 
+def _web_settings(args: argparse.Namespace) -> WebConfig:
+    """Returns the settings of the page: the usual port, or any where that is taken."""
+    given = {"host": args.web_host, "port": args.web_port, "token": args.web_token}
+    config = WebConfig(**{name: value for name, value in given.items() if value is not None})
+    if args.web_port is None and not is_free(config.host, config.port):
+        return replace(config, port=0)
+    return config
+
+
 def _drive_settings(args: argparse.Namespace, cmd_vel_type: str, subscribers: int) -> DriveConfig:
-    """Returns the drive's settings: a tour is as long as the duration allows, and the type of its commands one that is received."""
+    """Returns the drive's settings: a tour as long as the duration allows, with commands of a type that is received."""
     given: dict[str, Any] = {"subscribers": subscribers}
     if args.drive == "keyboard":
         raise ConfigError("--drive keyboard needs the terminal: run `gibson-sim drive keyboard` in a second one")

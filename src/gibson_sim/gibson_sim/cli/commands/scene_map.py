@@ -23,27 +23,25 @@ _OUTPUT, _RESOLUTION = Path("maps"), 0.05
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "map", help="write maps of all floors: for Nav2, in Gibson's layout, and as pictures; or those that a scene carries",
+        "map", help="write maps of all floors: for Nav2, in Gibson's layout, and as pictures; or those of a finished scene",
         description="Writes map_N.pgm and map_N.yaml (Nav2), floor_trav_N.png and floors.txt (Gibson) and map_N.png for each floor N. "
         "With --write: floor_trav_N.png, floors.txt and free_poses.csv, into the folder of the scene.",
     )  # fmt: skip
     parser.add_argument("scene", metavar="SCENE", help="name, folder or file of a scene")
-    parser.add_argument(
-        "--write", action="store_true", help="write what a finished scene carries into its folder: maps and free poses"
-    )
+    parser.add_argument("--write", action="store_true", help="write the maps and free poses of a finished scene into its folder")
     parser.add_argument("--output", type=Path, metavar="DIR", help=f"folder for the files (default: {_OUTPUT})")
     parser.add_argument("--floor", type=int, metavar="N", help="only this floor, 0 = the lowest (default: all)")
-    parser.add_argument("--radius", type=float, metavar="M", help="of the robot (default: 0.3; --write: 0.22)")
-    parser.add_argument("--height", type=float, metavar="M", help="of the robot (default: 0.5; --write: 1.5)")
-    parser.add_argument("--step", type=float, metavar="M", help="highest step that it climbs (default: 0.03)")
-    parser.add_argument("--slope", type=float, metavar="DEG", help="steepest slope that it climbs (default: 20)")
+    parser.add_argument("--radius", type=float, metavar="M", help="radius of the robot (default: 0.3; --write: 0.22)")
+    parser.add_argument("--height", type=float, metavar="M", help="height of the robot (default: 0.5; --write: 1.5)")
+    parser.add_argument("--step", type=float, metavar="M", help="highest step that the robot climbs (default: 0.03)")
+    parser.add_argument("--slope", type=float, metavar="DEG", help="steepest slope that the robot climbs (default: 20)")
     parser.add_argument("--resolution", type=float, metavar="M", help=f"edge of a cell (default: {_RESOLUTION}; --write: 0.02)")
-    parser.add_argument("--no-bodies", action="store_true", default=None, help="leave out what can be moved, doors too")
+    parser.add_argument("--no-bodies", action="store_true", default=None, help="leave out movable bodies, including doors")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need none of it.
+    # Loaded here: no other sub-command needs it.
     from gibson_sim.maps.traversability import RobotSize
 
     if args.write:
@@ -52,7 +50,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
 
 
 def _robot(args: argparse.Namespace, usual: RobotSize) -> RobotSize:
-    """Returns a robot's size: what was given as options, else as usual."""
+    """Returns a robot's size by the options, with ``usual`` as default."""
     slope = None if args.slope is None else math.radians(args.slope)
     given = {"radius": args.radius, "height": args.height, "step": args.step, "slope": slope}
     return replace(usual, **{name: value for name, value in given.items() if value is not None})

@@ -1,4 +1,4 @@
-"""``gibson-sim task``: interactive tasks, in a running simulation or in this process, and how often baselines succeed."""
+"""``gibson-sim task``: runs interactive tasks in a running simulation or in this process, and measures baselines."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "task",
-        help="set up and judge interactive tasks: push-through, object-search, ...; or let a baseline do them",
-        description="Without --in-process a simulation must run: gibson-sim run --scene SCENE --robot ROBOT.",
+        help="set up and judge interactive tasks: push-through, object-search, ...; or run a baseline on them",
+        description="Without --in-process a simulation must be running: gibson-sim run --scene SCENE --robot ROBOT.",
     )
     parser.add_argument("task", nargs="?", metavar="NAME", help="name of the task")
-    parser.add_argument("--list", action="store_true", help="print all tasks with their scenes, robots and baselines, and end")
+    parser.add_argument("--list", action="store_true", help="print all tasks with their scenes, robots and baselines, and exit")
     add_settings(parser, TaskConfig, ("seed", "episodes", "baseline", "scene", "robot", "timeout"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write, with every episode")
     parser.add_argument("--in-process", action="store_true", help="without ROS: physics and baseline in this process, one core")
@@ -34,7 +34,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Lists the tasks, does one here, or becomes the task node."""
+    """Lists the tasks, runs one in this process, or replaces the process by the task node."""
     if args.list:
         return _list()
     if args.task is None:
@@ -59,7 +59,7 @@ def _list() -> int:
 
 
 def _in_process(config: TaskConfig, pictures: Path | None) -> int:
-    """Lets a baseline do the episodes here; prints a line for each and one for all."""
+    """Runs a baseline on the episodes in this process; prints one line for each and one for all."""
     from gibson_sim.tasks.metrics import episode_line, episode_values, summary, summary_line
     from gibson_sim.tasks.registry import check_baseline, task_of
     from gibson_sim.tasks.run import TaskRun, run_episode
@@ -88,9 +88,5 @@ def _pictures(there: Any, path: Path) -> Iterator[Path]:
     from gibson_sim.picture_files import write_picture
     from gibson_sim.tasks.pictures import TaskCamera
 
-    camera = TaskCamera(there, (480, 480))
-    try:
-        write_picture(path, camera.both(480)[..., ::-1])
-        yield path
-    finally:
-        camera.close()
+    write_picture(path, TaskCamera(there, (480, 480)).both(480)[..., ::-1])
+    yield path

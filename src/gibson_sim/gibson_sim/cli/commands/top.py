@@ -1,4 +1,4 @@
-"""``gibson-sim top``: what a running simulation does, live in the terminal."""
+"""``gibson-sim top``: shows the state of a running simulation live in the terminal."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from gibson_sim.cli.environment import add_network, domain_of, environment_of, r
 from gibson_sim.cli.processes import become
 
 PATIENCE_S, PERIOD_S = 5.0, 1.0
+"""Time to wait for a simulation, and between two updates, seconds."""
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "top",
-        help="show what a running simulation does: real-time factor, and what each node says of itself",
-        description="Shows /diagnostics of all nodes, once a second. Exits with 3 where no simulation runs in this ROS domain.",
+        help="show the state of a running simulation: real-time factor, and the diagnostics of each node",
+        description="Shows /diagnostics of all nodes, once a second. Exits with 3 if no simulation runs in this ROS domain.",
     )
-    parser.add_argument("--once", action="store_true", help="print one table and end")
+    parser.add_argument("--once", action="store_true", help="print one table and exit")
     parser.add_argument(
         "--topics",
         action="store_true",
-        help="also the rate of every topic; subscribes to all of them, images too, which costs time",
+        help="also show the rate of every topic; subscribes to all of them, including images, which costs time",
     )
     add_network(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replaces this process by the node, which so gets the terminal, its signals and its exit code."""
+    """Replaces this process by the node, which thus owns the terminal, the signals and the exit code."""
     require_nodes()
     environment = environment_of(args)
     domain_of(environment)

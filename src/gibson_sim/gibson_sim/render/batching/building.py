@@ -1,4 +1,4 @@
-"""Merges all visuals of a scene into ``Batches``. No OpenGL here."""
+"""Merges all visuals of a scene into ``SceneGeometry``. No OpenGL here."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.formats.mesh import Material, MeshPart, TextureSource
 from gibson_sim.geometry.colours import linear16_from_srgb8
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.render.batching.batches import MAX_LABEL, VERTEX, Batches, Kind, Loader, MapSet, Progress
-from gibson_sim.render.batching.joining import Joiner, Key, Pile
-from gibson_sim.render.batching.material_table import MaterialTable, solid_alpha
-from gibson_sim.render.culling.closed_solids import Solids, find_solids, moved_boxes
+from gibson_sim.render.batching.assembly import GeometryAssembler, Submesh, SubmeshKey
+from gibson_sim.render.batching.material_table import MaterialTable, opaque_alpha
+from gibson_sim.render.batching.scene_geometry import MAX_LABEL, VERTEX, AlphaMode, Loader, MapSet, Progress, SceneGeometry
+from gibson_sim.render.culling.closed_surfaces import ClosedSurfaces, find_closed_surfaces, transformed_boxes
 from gibson_sim.types import Rgba
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-def build_batches(
+def build_geometry(
     visuals: Sequence[VisualSpec],
     links: Sequence[str],
     loader: Loader,
@@ -32,7 +32,7 @@ def build_batches(
     *,
     coarser: bool = True,
     progress: Progress | None = None,
-) -> Batches:
+) -> SceneGeometry:
     """Returns the triangles of all visuals; a visual that cannot be loaded is left out with a warning.
 
     Args:
@@ -41,20 +41,20 @@ def build_batches(
         loader: returns the mesh of a shape, or raises a ``GibsonSimError``.
         labels: semantic class and instance of each visual; empty = all 0.
         coarser: make levels of detail.
-        progress: told how far it is.
+        progress: called with the progress.
     """
     highest = max((max(label) for label in labels), default=0)
     if highest > MAX_LABEL:
         raise ConfigError(f"the scene has {highest} classes or instances, at most {MAX_LABEL} can be told apart in an image")
     progress = progress or (lambda what, part: None)
     link_numbers = {"": 0, **{name: i + 1 for i, name in enumerate(links)}}
-    piles: dict[Key, Pile] = {}
+    submeshes: dict[SubmeshKey, Submesh] = {}
     textures: dict[int, tuple[int, TextureSource]] = {}
     map_sets: dict[tuple[int, ...], tuple[int, MapSet]] = {}
     files: dict[Path, None] = {}
     warnings: list[str] = []
-    found_solids: dict[tuple[Shape, tuple[bool, ...]], Solids] = {}
-    solid_boxes, solid_links = [np.zeros((0, 6))], [np.zeros(0, dtype=np.int64)]
+    known_closed: dict[tuple[Shape, tuple[bool, ...]], ClosedSurfaces] = {}
+    closed_boxes, closed_links = [np.zeros((0, 6))], [np.zeros(0, dtype=np.int64)]
     table = MaterialTable([v.appearance for v in visuals if v.appearance is not None], warnings.append)
     for k, (visual, label) in enumerate(zip(visuals, labels or [(0, 0)] * len(visuals), strict=True)):
         progress("reading meshes", k / len(visuals))
@@ -73,14 +73,16 @@ def build_batches(
         link, T_link_visual = link_numbers[visual.link], matrix_from_pose(visual.pose)
         materials = [part.material if visual.color is None else _plain(visual.color) for part in mesh.parts]
         drawn = [material.texture if part.uvs is not None else None for part, material in zip(mesh.parts, materials, strict=True)]
-        kinds = tuple(map(_kind, materials, drawn))
-        alike = (visual.shape, tuple(kind == "opaque" for kind in kinds))
-        if alike not in found_solids:
-            found_solids[alike] = find_solids(mesh.parts, alike[1])
-        solids = found_solids[alike]
-        solid_boxes.append(moved_boxes(solids.boxes, T_link_visual))
-        solid_links.append(np.full(len(solids.boxes), link))
-        for part, material, texture, kind, of_solid in zip(mesh.parts, materials, drawn, kinds, solids.triangles, strict=True):
+        alpha_modes = tuple(map(_alpha_mode, materials, drawn))
+        alike = (visual.shape, tuple(mode == "opaque" for mode in alpha_modes))
+        if alike not in known_closed:
+            known_closed[alike] = find_closed_surfaces(mesh.parts, alike[1])
+        surfaces = known_closed[alike]
+        closed_boxes.append(transformed_boxes(surfaces.boxes, T_link_visual))
+        closed_links.append(np.full(len(surfaces.boxes), link))
+        for part, material, texture, alpha_mode, is_closed in zip(
+            mesh.parts, materials, drawn, alpha_modes, surfaces.triangles, strict=True
+        ):
             number = -1 if texture is None else textures.setdefault(id(texture), (len(textures), texture))[0]
             maps = -1
             if part.uvs is not None and material.has_maps:
@@ -92,26 +94,25 @@ def build_batches(
             if colored:
                 vertices["uv"] = _packed_colors(part.colors)
             for closed in (False, True):
-                triangles = part.triangles[of_solid == closed]
+                triangles = part.triangles[is_closed == closed]
                 if len(triangles):
-                    key = (link > 0, number, maps, kind, material.unlit, colored, closed, link)
-                    piles.setdefault(key, Pile()).add(*_used(vertices, triangles))
+                    key = (link > 0, number, maps, alpha_mode, material.unlit, colored, closed, link)
+                    submeshes.setdefault(key, Submesh()).add(*_used(vertices, triangles))
     if len(table.rows) > MAX_LABEL:
         raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
-    shown = tuple(t for _, t in textures.values())
-    return Joiner(coarser, progress).join(
-        piles,
+    return GeometryAssembler(coarser, progress).assemble(
+        submeshes,
         table,
-        shown,
+        tuple(t for _, t in textures.values()),
         tuple(m for _, m in map_sets.values()),
-        (np.concatenate(solid_boxes), np.concatenate(solid_links)),
+        (np.concatenate(closed_boxes), np.concatenate(closed_links)),
         tuple(files),
         tuple(warnings),
     )
 
 
 def _used(vertices: NDArray[np.void], triangles: NDArray[np.uint32]) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
-    """Returns vertices and triangles without the vertices that no triangle uses, where there are some."""
+    """Returns vertices and triangles without the vertices that no triangle uses."""
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
     if used.all():
@@ -123,14 +124,14 @@ def _plain(color: Rgba) -> Material:
     return Material(base_color=color, alpha_mode="blend" if color[3] < 1.0 else "opaque")
 
 
-def _kind(material: Material, texture: TextureSource | None) -> Kind:
-    """Returns how to draw it: files often ask for blending where nothing is translucent, which would cost depth and time."""
+def _alpha_mode(material: Material, texture: TextureSource | None) -> AlphaMode:
+    """Returns how to draw it. Files often request blending where nothing is translucent, which would cost the depth, and time."""
     if material.alpha_mode == "opaque":
         return "opaque"
     lowest = material.base_color[3]
     if texture is not None and texture.pixels.shape[2] == 4:
         lowest *= float(texture.pixels[:, :, 3].min()) / 255.0
-    if lowest >= solid_alpha(material):
+    if lowest >= opaque_alpha(material):
         return "opaque"
     return "mask" if material.alpha_mode == "mask" else "blend"
 
@@ -151,7 +152,7 @@ def _vertices(part: MeshPart, material: int, T_link_visual: F64, label: tuple[in
 
 
 def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
-    """Returns (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit numbers, of sRGB colours (V, 3)."""
+    """Returns sRGB colours, (V, 3), as (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit numbers."""
     assert colors is not None
     out = np.zeros((len(colors), 4), dtype="<u2")
     out[:, :3] = linear16_from_srgb8(colors)

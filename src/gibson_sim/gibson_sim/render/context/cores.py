@@ -1,7 +1,7 @@
-"""Gives each drawing thread of Mesa's software renderer a core of its own.
+"""Pins each thread of Mesa's software renderer to a core of its own.
 
-It has as many threads as there are cores, and wakes all of them for each picture. Linux may put two on one core, beside one that has
-nothing to do, and leave them there for milliseconds, which is as long as a picture takes.
+It has as many threads as there are cores, and wakes all of them for each picture. Linux may put two of them on one core beside an idle
+one and leave them there for milliseconds, which is as long as a picture takes.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ _NAME = re.compile(r"llvmpipe-(\d+)")
 
 
 def spread_threads() -> dict[int, int]:
-    """Returns the core of each thread, by its id; empty where they are left to the scheduler.
+    """Pins the threads and returns the core of each by thread id, or nothing if placement is left to the scheduler.
 
-    That is so where there are fewer of them than cores that this process may use (``LP_NUM_THREADS``): the cores of others are not known.
+    It is if there are fewer threads than cores that this process may use (``LP_NUM_THREADS``): which cores other processes use is not known.
     """
     cores, threads = sorted(os.sched_getaffinity(0)), drawing_threads()
     if len(cores) < 2 or len(set(threads.values())) < len(cores):
@@ -26,13 +26,13 @@ def spread_threads() -> dict[int, int]:
     for thread, core in placed.items():
         try:
             os.sched_setaffinity(thread, {core})
-        except OSError:  # it has just ended, or may not be moved
+        except OSError:  # it has just ended, or must not be moved
             continue
     return placed
 
 
 def drawing_threads() -> dict[int, int]:
-    """Returns the drawing threads of this process, by their ids, and which of them each is."""
+    """Returns the numbers of the renderer's threads in this process, by thread id."""
     found = {}
     for task in _TASKS.iterdir() if _TASKS.is_dir() else ():
         try:

@@ -1,4 +1,4 @@
-"""Lists what can draw on this machine, and opens a device: a GPU if one works, else software."""
+"""Lists the devices that can draw on this machine, and opens one: a GPU if one works, else software."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ _PROBE_TIMEOUT_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class EglDevice:
-    """One thing that could draw."""
+    """A GPU or a software renderer."""
 
     index: int
-    """Number to choose it by."""
+    """Number that selects it."""
     vendor: str = ""
     renderer: str = ""
-    """Name of the GPU or of the software renderer; empty if the driver does not say before it is opened."""
+    """Name of the GPU or of the software renderer; empty if the driver reports it only after opening."""
     version: str = ""
-    """OpenGL version, empty where it was not opened."""
+    """OpenGL version; empty if it was not opened."""
     drm_node: str = ""
     """Device file, e.g. ``/dev/dri/renderD128``; empty if it has none."""
     software: bool = False
     """It draws on the CPU."""
     usable: bool = False
-    """It was opened, and has what is needed."""
+    """It was opened, and meets the requirements."""
     problem: str = ""
-    """Why it is not usable; empty if it is or was not tried."""
+    """Why it is not usable; empty if it is usable or was not tried."""
     uuid: str = ""
-    """Names a GPU for good and to all drivers, e.g. ``01234567-89ab-cdef-0123-456789abcdef``; empty if the driver does not say."""
+    """Permanent name of a GPU in all drivers, e.g. ``01234567-89ab-cdef-0123-456789abcdef``; empty if the driver does not report it."""
     cuda_ordinal: int = -1
-    """Number that CUDA gives it; -1 = none, or the driver does not say."""
+    """CUDA's number of it; -1 = none, or the driver does not report it."""
 
 
 class GlContext:
@@ -62,18 +62,18 @@ class GlContext:
 
     @property
     def gl(self) -> moderngl.Context:
-        """ModernGL's view of the context."""
+        """The context as a ModernGL object."""
         if self._gl is None:
-            # Loaded here so that listing devices works where ModernGL is not installed.
+            # Imported here so that listing devices works without ModernGL.
             import moderngl
 
-            # It takes any object with the methods of a context, though its types name a dictionary.
+            # It accepts any object with the methods of a context, though it is typed as a dictionary.
             context: Any = self.egl
             self._gl = moderngl.create_context(require=450, standalone=True, context=context)
         return self._gl
 
     def make_current(self) -> None:
-        """Sends the OpenGL calls of this thread to this context."""
+        """Makes this the context of this thread's OpenGL calls."""
         self.egl.make_current()
 
     def close(self) -> None:
@@ -83,11 +83,11 @@ class GlContext:
 
 
 def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> GlContext:
-    """Opens a device. Threads of a software renderer get a core each.
+    """Opens a device; threads of a software renderer are pinned to a core each.
 
     Args:
-        device: its number in ``list_devices``, or its UUID with or without ``GPU-`` in front, or the beginning of it; None = the first
-            GPU that works, else software, which is said in the log.
+        device: its number in ``list_devices``, or its UUID or the beginning of that, with or without ``GPU-``; None = the first GPU
+            that works, else software, with a warning.
         library: name of the EGL library.
 
     Raises:
@@ -117,35 +117,35 @@ def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> 
     return context
 
 
-def device_number(wanted: str, uuids: Sequence[str]) -> int:
-    """Returns the number of a device that is given by number, by UUID, or by the beginning of one.
+def device_number(device: str, uuids: Sequence[str]) -> int:
+    """Returns the number of a device that is given by number, by UUID, or by the beginning of a UUID.
 
     Args:
-        wanted: e.g. ``"1"``, ``"GPU-0123abcd-..."``, ``"0123abcd"``.
-        uuids: of each device, empty where it is not known.
+        device: e.g. ``"1"``, ``"GPU-0123abcd-..."``, ``"0123abcd"``.
+        uuids: of each device; empty if unknown.
 
     Raises:
-        GraphicsUnavailableError: none or several are meant.
+        GraphicsUnavailableError: no device matches, or several do.
     """
-    text = wanted.strip().lower()
+    text = device.strip().lower()
     if re.fullmatch(r"\d{1,3}", text):
         return int(text)
     text = text.removeprefix("gpu-")
     known = ", ".join(f"{i}: {uuid or 'unknown'}" for i, uuid in enumerate(uuids))
     if not re.fullmatch(r"[0-9a-f][0-9a-f-]{3,35}", text):
         raise GraphicsUnavailableError(
-            f"EGL device {wanted!r} is neither a number nor a UUID or the first four digits of one; there are {known}"
+            f"EGL device {device!r} is neither a number nor a UUID or the first four digits of one; there are {known}"
         )
     found = [i for i, uuid in enumerate(uuids) if uuid.replace("-", "").startswith(text.replace("-", ""))]
     if len(found) != 1:
         raise GraphicsUnavailableError(
-            f"EGL device {wanted!r} is {'none' if not found else 'more than one'} of the UUIDs here: {known}"
+            f"EGL device {device!r} is {'none' if not found else 'more than one'} of the UUIDs here: {known}"
         )
     return found[0]
 
 
 def _uuids(egl: Egl, handles: list[int]) -> list[str]:
-    """Returns the UUID of each device; opens those whose driver does not say before."""
+    """Returns the UUID of each device; opens those whose driver reports it only then."""
     uuids = []
     for index, handle in enumerate(handles):
         uuid = egl.uuid(handle)
@@ -162,9 +162,9 @@ def _uuids(egl: Egl, handles: list[int]) -> list[str]:
 
 
 def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
-    """Returns every device, opened once to see whether it works.
+    """Returns every device, after opening it once to see whether it works.
 
-    That happens in a child process, since a broken driver may take its process with it.
+    This is done in a child process, since a broken driver may crash its process.
 
     Raises:
         GraphicsUnavailableError: there is no EGL library, or it cannot list devices.
@@ -192,7 +192,7 @@ def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
 
 
 def _open(egl: Egl, handles: list[int], index: int) -> GlContext:
-    """Opens one device and checks that it has what the renderer needs."""
+    """Opens one device and checks that it meets the renderer's requirements."""
     vendor, renderer, node, software = egl.describe(handles[index])
     context = EglContext(egl, handles[index])
     try:
@@ -244,7 +244,7 @@ def _warn_once(text: str) -> None:
 
 
 def _run_probe(library: str, start: int) -> tuple[list[dict[str, Any]], str]:
-    """Returns the lines that ``_probe`` printed in a child, and how the child ended."""
+    """Runs ``_probe`` in a child; returns the lines that it printed, and how it ended."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, "-c", _PROBE, library, str(start)]
     try:
@@ -256,11 +256,11 @@ def _run_probe(library: str, start: int) -> tuple[list[dict[str, Any]], str]:
 
 
 def _probe(library: str, start: int) -> None:
-    """Prints each device from ``start`` on as a line of JSON, first all untried, then each again as it is tried."""
+    """Prints each device from ``start`` on as a line of JSON: first all of them untried, then each again after it was tried."""
     out = sys.__stdout__
     assert out is not None
 
-    def say(line: dict[str, object]) -> None:
+    def report(line: dict[str, object]) -> None:
         out.write(json.dumps(line) + "\n")
         out.flush()
 
@@ -268,18 +268,18 @@ def _probe(library: str, start: int) -> None:
         egl = Egl(library)
         handles = egl.devices()
     except GraphicsUnavailableError as e:
-        return say({"fatal": str(e)})
+        return report({"fatal": str(e)})
     untried = []
     for index in range(start, len(handles)):
         vendor, renderer, node, software = egl.describe(handles[index])
         untried.append(EglDevice(index, vendor, renderer, "", node, software))
-        say(asdict(untried[-1]))
+        report(asdict(untried[-1]))
     for device in untried:
         try:
             context = _open(egl, handles, device.index)
         except GraphicsUnavailableError as e:
-            say(asdict(replace(device, problem=str(e))))
+            report(asdict(replace(device, problem=str(e))))
         else:
-            say(asdict(context.device))
+            report(asdict(context.device))
             context.close()
     return None

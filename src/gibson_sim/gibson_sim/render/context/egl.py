@@ -1,7 +1,7 @@
-"""The part of libEGL that is needed to draw without a window, through ctypes.
+"""ctypes bindings of the part of libEGL that drawing without a window needs.
 
-ModernGL can open such a context by itself, but it wants libGL beside libEGL, does not check whether the device offers any
-configuration, and names no device. Everything here works with ``libEGL.so.1`` alone and turns every failure into one line.
+ModernGL can open such a context itself, but it needs libGL beside libEGL, does not check whether the device has a configuration, and
+does not name devices. This module needs ``libEGL.so.1`` alone and reports every failure in one line.
 References: EGL 1.5, EGL_EXT_device_enumeration, EGL_EXT_device_query, EGL_EXT_platform_device, EGL_KHR_surfaceless_context,
 EGL_EXT_device_persistent_id, EGL_NV_device_cuda; GL_EXT_memory_object for the UUID of an open context.
 """
@@ -23,8 +23,8 @@ REMEDY = (
 )
 
 _FILTER = ("GALLIVM_PERF", "brilinear")
-"""Has Mesa's software renderer blend two sizes of a texture only near the change from one to the other, as GPUs do: quicker, with
-differences that nobody sees. It is read when the driver is loaded; what a user has set stands, an empty value too."""
+"""Makes Mesa's software renderer blend two mip levels only near the transition between them, as GPUs do: faster, with invisible
+differences. The driver reads it when it is loaded; a value that the user has set, even an empty one, is kept."""
 
 _NONE = 0x3038
 _EXTENSIONS = 0x3055
@@ -72,7 +72,7 @@ class Egl:
         library: name or path of the library.
 
     Raises:
-        GraphicsUnavailableError: it is not there, or it cannot list devices.
+        GraphicsUnavailableError: it is missing, or it cannot list devices.
     """
 
     def __init__(self, library: str = LIBRARY) -> None:
@@ -96,15 +96,15 @@ class Egl:
             self._functions[name] = ctypes.CFUNCTYPE(result, *arguments)(self.address(name))
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Returns what the EGL function ``name`` returns."""
+        """Calls the EGL function ``name``."""
         return self._functions[name](*arguments)
 
     def address(self, name: str) -> int:
-        """Returns the address of an EGL extension or OpenGL function, 0 if there is none."""
+        """Returns the address of a function of an EGL extension or of OpenGL, 0 if there is none."""
         return int(self._functions["eglGetProcAddress"](name.encode()) or 0)
 
     def devices(self) -> list[int]:
-        """Returns the handles of all devices, in the order that device numbers count."""
+        """Returns the handles of all devices, in the order of device numbers."""
         count = _Int(0)
         self.call("eglQueryDevicesEXT", 0, None, ctypes.byref(count))
         handles = (_Handle * max(count.value, 1))()
@@ -112,7 +112,7 @@ class Egl:
         return [int(handles[k] or 0) for k in range(count.value)]
 
     def describe(self, device: int) -> tuple[str, str, str, bool]:
-        """Returns vendor, renderer, DRM node (each empty if unknown) and whether the device is software; opens nothing."""
+        """Returns vendor, renderer, DRM node (each empty if unknown) and whether the device is software, without opening it."""
         extensions = self._device_text(device, _EXTENSIONS).split()
         vendor = renderer = node = ""
         if "EGL_EXT_device_query_name" in extensions:
@@ -124,7 +124,7 @@ class Egl:
         return vendor, renderer, node, "EGL_MESA_device_software" in extensions
 
     def uuid(self, device: int) -> str:
-        """Returns the UUID of a device, as ``format_uuid`` writes it, empty if the driver does not say; opens nothing."""
+        """Returns the UUID of a device, as ``format_uuid`` writes it, empty if the driver does not report it, without opening it."""
         address = self.address("eglQueryDeviceBinaryEXT")
         if "EGL_EXT_device_persistent_id" not in self._device_text(device, _EXTENSIONS).split() or not address:
             return ""
@@ -134,7 +134,7 @@ class Egl:
         return format_uuid(bytes(raw)) if good and size.value == _UUID_BYTES else ""
 
     def cuda_ordinal(self, device: int) -> int:
-        """Returns the number that CUDA gives a device, -1 if it is not NVIDIA's; opens nothing."""
+        """Returns CUDA's number of a device, -1 if it is not NVIDIA's, without opening it."""
         address = self.address("eglQueryDeviceAttribEXT")
         if "EGL_NV_device_cuda" not in self._device_text(device, _EXTENSIONS).split() or not address:
             return -1
@@ -156,12 +156,12 @@ class Egl:
 
 
 class EglContext:
-    """An OpenGL core context on one device, without a surface; has the methods that ModernGL asks of a context.
+    """An OpenGL core context on one device, without a surface, with the methods that ModernGL needs of a context.
 
-    The display is shared by all contexts on the device and lives as long as the process: EGL ends it for all of them at once.
+    All contexts on the device share the display, which is never terminated: EGL would do that for all of them at once.
 
     Raises:
-        GraphicsUnavailableError: the device cannot give one.
+        GraphicsUnavailableError: the device does not support one.
     """
 
     def __init__(self, egl: Egl, device: int) -> None:
@@ -175,7 +175,7 @@ class EglContext:
             raise GraphicsUnavailableError("the driver lacks EGL_KHR_surfaceless_context")
         if not egl.call("eglBindAPI", _OPENGL_API):
             raise GraphicsUnavailableError(f"the driver has no desktop OpenGL ({egl.error()})")
-        # The wanted version is asked for in full: some drivers give no more than they are asked for.
+        # The version is requested explicitly: some drivers return the requested one, not their highest.
         config = None if "EGL_KHR_no_config_context" in extensions else self._config()
         self._context = egl.call("eglCreateContext", self._display, config, None, _ints(0x3098, 4, 0x30FB, 5, 0x30FD, 1, _NONE))
         if not self._context:
@@ -184,14 +184,14 @@ class EglContext:
 
     def _config(self) -> Any:
         config, count = _Handle(), _Int(0)
-        wanted = _ints(0x3033, 0x0001, 0x3040, 0x0008, _NONE)  # EGL_SURFACE_TYPE pbuffer, EGL_RENDERABLE_TYPE OpenGL
-        self._egl.call("eglChooseConfig", self._display, wanted, ctypes.byref(config), 1, ctypes.byref(count))
+        attributes = _ints(0x3033, 0x0001, 0x3040, 0x0008, _NONE)  # EGL_SURFACE_TYPE pbuffer, EGL_RENDERABLE_TYPE OpenGL
+        self._egl.call("eglChooseConfig", self._display, attributes, ctypes.byref(config), 1, ctypes.byref(count))
         if not count.value:
             raise GraphicsUnavailableError("the device has no configuration for OpenGL")
         return config
 
     def make_current(self) -> None:
-        """Makes it the context that OpenGL calls of this thread go to."""
+        """Makes this the context of this thread's OpenGL calls."""
         if self._egl.call("eglGetCurrentContext") == self._context:
             return
         if not self._egl.call("eglMakeCurrent", self._display, None, None, self._context):
@@ -214,7 +214,7 @@ class EglContext:
         return function
 
     def uuid(self) -> str:
-        """Returns the UUID of the device that the current context draws on, empty if the driver does not say."""
+        """Returns the UUID of the device of the current context, empty if the driver does not report it."""
         address = self._egl.address("glGetUnsignedBytei_vEXT")
         if "GL_EXT_memory_object" not in self._opengl_extensions() or not address:
             return ""
@@ -245,7 +245,7 @@ class EglContext:
 
 
 def format_uuid(raw: bytes) -> str:
-    """Returns 16 bytes as ``01234567-89ab-cdef-0123-456789abcdef``, which is how ``nvidia-smi -L`` shows them behind ``GPU-``."""
+    """Returns 16 bytes as ``01234567-89ab-cdef-0123-456789abcdef``, as ``nvidia-smi -L`` shows them after ``GPU-``."""
     text = raw.hex()
     return "-".join((text[:8], text[8:12], text[12:16], text[16:20], text[20:]))
 

@@ -1,4 +1,4 @@
-"""The OpenGL functions and numbers that ModernGL does not offer, typed for ctypes, loaded once for each context."""
+"""OpenGL functions and constants that ModernGL does not offer, typed for ctypes, loaded once for each context."""
 
 from __future__ import annotations
 
@@ -86,12 +86,12 @@ _PROTOTYPES: dict[str, tuple[Any, ...]] = {
     "glViewport": (None, _I, _I, _I, _I),
 }
 
-# Numbers of the OpenGL registry.
+# Constants of the OpenGL registry.
 TRIANGLES, UNSIGNED_BYTE, UNSIGNED_SHORT, UNSIGNED_INT, SHORT, FLOAT = 0x0004, 0x1401, 0x1403, 0x1405, 0x1402, 0x1406
 DEPTH_TEST, CULL_FACE, BLEND, FRAMEBUFFER_SRGB, PRIMITIVE_RESTART, SCISSOR_TEST = 0x0B71, 0x0B44, 0x0BE2, 0x8DB9, 0x8F9D, 0x0C11
 POLYGON_OFFSET_FILL = 0x8037
 CLOCKWISE = 0x0900
-GREATER, ALWAYS, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, LOWER_LEFT, ZERO_TO_ONE = 0x0204, 0x0207, 0x0302, 0x0303, 0x8CA1, 0x935F
+GREATER, ALWAYS, ONE, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, LOWER_LEFT, ZERO_TO_ONE = 0x0204, 0x0207, 1, 0x0302, 0x0303, 0x8CA1, 0x935F
 COLOR, DEPTH, COLOR_BUFFER_BIT, NEAREST, LINEAR, LINEAR_MIPMAP_LINEAR = 0x1800, 0x1801, 0x4000, 0x2600, 0x2601, 0x2703
 RGB, RGBA, RG, RG_INTEGER, DEPTH_COMPONENT = 0x1907, 0x1908, 0x8227, 0x8228, 0x1902
 RGBA8UI, RGBA16UI, RG32UI = 0x8D7C, 0x8D76, 0x823C
@@ -122,7 +122,7 @@ class Gl:
         return function
 
     def integer(self, name: int) -> int:
-        """Returns a number of the driver, e.g. ``MAX_TEXTURE_SIZE``."""
+        """Returns a limit or state of the driver, e.g. ``MAX_TEXTURE_SIZE``."""
         value = _I(0)
         self.glGetIntegerv(name, ctypes.byref(value))
         return value.value

@@ -1,6 +1,6 @@
-"""Which boxes are hidden behind what is drawn already: a pyramid of farthest depths (Greene, Kass and Miller 1993).
+"""Which boxes are hidden behind a depth image: a hierarchical z-buffer (Greene, Kass and Miller 1993).
 
-Exact in one direction: what is called hidden would not have changed a pixel. It pays where triangles are dear, as on a CPU; a GPU
+The test is conservative: what is called hidden would not have changed a pixel. It pays where triangles are expensive, as on a CPU; a GPU
 would wait for the depth image longer than the hidden triangles take.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render.culling.occlusion_culling import MARGIN, SQUARE
+from gibson_sim.render.culling.occlusion_culling import DEPTH_MARGIN, TILE_PX
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -18,7 +18,7 @@ _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z i
 
 
 class DepthPyramid:
-    """The least of ``near / depth`` over ever larger squares of an image: nothing in a square is farther than that.
+    """The least ``near / depth`` over ever larger tiles of an image: nothing in a tile is farther than that.
 
     Args:
         depth: (H, W) float32, ``near / depth``, 0 = nothing.
@@ -26,17 +26,17 @@ class DepthPyramid:
 
     def __init__(self, depth: F32) -> None:
         self.height, self.width = depth.shape
-        levels = [_least_of_squares(depth, SQUARE)]
+        levels = [_least_of_tiles(depth, TILE_PX)]
         while levels[-1].size > 1:
-            levels.append(_least_of_squares(levels[-1], 2))
+            levels.append(_least_of_tiles(levels[-1], 2))
         self._widths = np.array([level.shape[1] for level in levels])
         self._firsts = np.cumsum([0, *(level.size for level in levels[:-1])])
         self._values = np.concatenate([level.ravel() for level in levels])
 
     def least(self, x0: I64, y0: I64, x1: I64, y1: I64) -> F32:
-        """Returns a bound below all values in the rectangles, (N,); all ends belong to them and lie inside the image."""
-        x0, y0, x1, y1 = x0 // SQUARE, y0 // SQUARE, x1 // SQUARE, y1 // SQUARE
-        # The level at which a rectangle touches two squares a side at most.
+        """Returns a lower bound of the values in rectangles, (N,), whose ends are inclusive and inside the image."""
+        x0, y0, x1, y1 = x0 // TILE_PX, y0 // TILE_PX, x1 // TILE_PX, y1 // TILE_PX
+        # The level at which a rectangle touches at most two tiles a side.
         level = np.frexp(np.maximum(np.maximum(x1 - x0, y1 - y0) - 1, 0))[1]
         np.minimum(level, len(self._widths) - 1, out=level)
         first, width = self._firsts[level], self._widths[level]
@@ -47,8 +47,8 @@ class DepthPyramid:
         return least
 
 
-def _least_of_squares(values: F32, side: int) -> F32:
-    """Returns the least value of each square, those at the right and at the bottom perhaps smaller."""
+def _least_of_tiles(values: F32, side: int) -> F32:
+    """Returns the least value of each tile; those at the right and at the bottom may be smaller."""
     missing = -np.array(values.shape) % side
     if missing.any():
         values = np.pad(values, ((0, missing[0]), (0, missing[1])), mode="edge")
@@ -62,7 +62,7 @@ def _least_of_squares(values: F32, side: int) -> F32:
 
 
 def pixels_from_links(T_camera_links: F64, intrinsics: F64) -> F64:
-    """Returns what takes a point of each link to (u z, v z, z), pixels and metres, (L, 3, 4).
+    """Returns the matrices that take points of each link to (u z, v z, z), pixels and metres, (L, 3, 4).
 
     Args:
         T_camera_links: (L, 4, 4): optical frame from the frame of each link.
@@ -72,11 +72,11 @@ def pixels_from_links(T_camera_links: F64, intrinsics: F64) -> F64:
     return pixels
 
 
-class Outlines:
-    """Where boxes lie in a picture: what can be worked out before there is a depth image.
+class ScreenBounds:
+    """The bounds of boxes in a picture: what can be computed before there is a depth image.
 
     Args:
-        boxes: (N, 6), centre and half the size, metres.
+        boxes: (N, 6), centre and half extents, metres.
         pixels_from_box: (N, 3, 4), of each box, as ``pixels_from_links`` returns them.
         size: width and height of the picture, pixels.
         near: metres.
@@ -86,14 +86,14 @@ class Outlines:
         matrices = pixels_from_box[:, :, :3]
         centre = np.matmul(matrices, boxes[:, :3, None])[:, :, 0] + pixels_from_box[:, :, 3]
         half = np.ascontiguousarray((matrices * boxes[:, None, 3:]).transpose(1, 2, 0))
-        # (3, 8, N): numpy is quickest along many boxes.
+        # (3, 8, N): NumPy is fastest along many boxes.
         corners = np.matmul(_CORNERS, half)
         corners += centre.T[:, None]
         nearest = corners[2].min(axis=0)
         self._ahead = nearest > near
         with np.errstate(divide="ignore", invalid="ignore"):
             uv = corners[:2] / corners[2]
-        # What is not ahead is never hidden, wherever it is.
+        # A box that is not wholly beyond the near plane is never hidden.
         low = np.floor(np.where(self._ahead, uv.min(axis=1), 0.0))
         high = np.ceil(np.where(self._ahead, uv.max(axis=1), 0.0))
         end = np.array([[size[0]], [size[1]]])
@@ -102,7 +102,7 @@ class Outlines:
         self._reversed_depth = near / np.maximum(nearest, near)
 
     def hidden(self, pyramid: DepthPyramid) -> NDArray[np.bool_]:
-        """Returns which boxes cannot be seen past what is in the depth image of the picture, (N,)."""
-        deeper = self._reversed_depth < pyramid.least(*self._first, *self._last) * (1.0 - MARGIN)
+        """Returns which boxes are hidden behind the depth image of the picture, (N,)."""
+        deeper = self._reversed_depth < pyramid.least(*self._first, *self._last) * (1.0 - DEPTH_MARGIN)
         covered: NDArray[np.bool_] = self._ahead & (self._outside | deeper)
         return covered

@@ -1,7 +1,7 @@
-"""Which chunks of a scene to draw for one picture, and in which order: detail, frustum, distance.
+"""Which clusters of a scene one picture draws: level of detail, frustum culling, order by distance.
 
-In NumPy the cost follows the number of groups of chunks for the choice of detail, and what was chosen for all that comes after. Sums are
-written out, so that their order is that of the compiled loops.
+In NumPy the cost of selecting the detail grows with the number of cluster groups, that of the rest with the number of selected clusters.
+Sums are written out, so that their order is that of the compiled loops.
 """
 
 from __future__ import annotations
@@ -11,75 +11,77 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses
-from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.lod import lod_selection
-from gibson_sim.render.lod.lod_selection import Chunks, Detail, Groups
+from gibson_sim.render.lod.lod_selection import ClusterTable, DetailLimits, GroupTable
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
 class Visibility:
-    """Chooses chunks of one scene."""
+    """Selects clusters of one scene."""
 
-    def __init__(self, batches: Batches) -> None:
-        self._b = batches
-        batch_of = np.zeros(len(batches.chunk_first), dtype=np.int64)
-        for k, batch in enumerate(batches.batches):
-            batch_of[batch.first_chunk : batch.end_chunk] = k
+    def __init__(self, geometry: SceneGeometry) -> None:
+        self._geometry = geometry
+        batch_of = np.zeros(len(geometry.cluster_first), dtype=np.int64)
+        for k, batch in enumerate(geometry.batches):
+            batch_of[batch.first_cluster : batch.end_cluster] = k
         self.batch_of = batch_of
-        """(C,), batch of each chunk."""
-        self._finest = np.flatnonzero(batches.chunk_group < 0)
-        self._group_moves = bool((batches.group_link > 0).any())
-        self._chunk_moves = bool((batches.chunk_link > 0).any())
-        self.link_box = fixed(_link_boxes(batches.chunk_link, batches.chunk_box))
-        """(L', 6), box about what each link has, the world first; L' may be less than the links are."""
-        b = batches
-        self.groups = Groups(fixed(b.group_error), fixed(b.group_box), fixed(b.group_link))
-        """All groups, as loops take them."""
-        self.chunks = Chunks(fixed(b.chunk_group), fixed(b.chunk_next_group), fixed(b.chunk_box), fixed(b.chunk_link))
-        """All chunks, as loops take them."""
+        """(C,), batch of each cluster."""
+        self._finest = np.flatnonzero(geometry.cluster_group < 0)
+        self._group_moves = bool((geometry.group_link > 0).any())
+        self._cluster_moves = bool((geometry.cluster_link > 0).any())
+        self.link_box = fixed(_link_boxes(geometry.cluster_link, geometry.cluster_box))
+        """(L', 6), bounding box of the clusters of each link, the world first; L' may be less than the number of links."""
+        b = geometry
+        self.groups = GroupTable(fixed(b.group_error), fixed(b.group_box), fixed(b.group_link))
+        """All cluster groups, for compiled loops."""
+        self.clusters = ClusterTable(
+            fixed(b.cluster_group), fixed(b.cluster_next_group), fixed(b.cluster_box), fixed(b.cluster_link)
+        )
+        """All clusters, for compiled loops."""
 
-    def choose(self, eyes: F64, detail: Detail) -> I64:
-        """Returns the chunks, ascending, that stand for all triangles at a distance.
+    def select(self, eyes: F64, detail: DetailLimits) -> I64:
+        """Returns the clusters, ascending, that represent all triangles as seen from an eye.
 
         Args:
             eyes: (L + 1, 3), the eye in the world, then in each link, metres.
             detail: how coarse they may be.
         """
-        b = self._b
+        b = self._geometry
         if not (detail.focal_px > 0.0 and detail.largest_error_px > 0.0) or not len(b.group_error):
             return self._finest
         eye = eyes[b.group_link] if self._group_moves else eyes[0]
         distance = np.maximum(_distances(eye, b.group_box), detail.near)
         small = np.empty(len(b.group_error) + 1, dtype=bool)
         small[:-1] = b.group_error * detail.focal_px <= detail.largest_error_px * distance
-        # Index -1: no coarser group is never good enough, and the finest chunks always are.
+        # Index -1 stands for no group: a missing coarser group is never good enough, and the finest clusters always are.
         small[-1] = False
-        fine = small[b.chunk_group] | (b.chunk_group < 0)
-        return np.flatnonzero(fine & ~small[b.chunk_next_group])
+        fine = small[b.cluster_group] | (b.cluster_group < 0)
+        return np.flatnonzero(fine & ~small[b.cluster_next_group])
 
-    def choose_for(self, largest_error: float) -> I64:
-        """Returns the chunks, ascending, that stand for all triangles where surfaces may be so far off, metres."""
-        b = self._b
+    def select_for_error(self, largest_error: float) -> I64:
+        """Returns the clusters, ascending, that represent all triangles when surfaces may be wrong by ``largest_error`` metres."""
+        b = self._geometry
         small = np.append(b.group_error <= largest_error, False)
-        fine = small[b.chunk_group] | (b.chunk_group < 0)
-        return np.flatnonzero(fine & ~small[b.chunk_next_group])
+        fine = small[b.cluster_group] | (b.cluster_group < 0)
+        return np.flatnonzero(fine & ~small[b.cluster_next_group])
 
     def bounds(self, T_world_links: F64) -> F64:
-        """Returns the box of everything, (2, 3), world frame, metres."""
-        box = self._b.chunk_box[self._finest]
+        """Returns the bounding box of the scene, (2, 3), smallest and largest corner, world frame, metres."""
+        box = self._geometry.cluster_box[self._finest]
         if not len(box):
             return np.zeros((2, 3))
         centre, half = box[:, :3], box[:, 3:]
-        if self._chunk_moves:
-            T = T_world_links[self._b.chunk_link[self._finest]]
+        if self._cluster_moves:
+            T = T_world_links[self._geometry.cluster_link[self._finest]]
             centre = np.einsum("cij,cj->ci", T[:, :3, :3], centre) + T[:, :3, 3]
             half = np.einsum("cij,cj->ci", np.abs(T[:, :3, :3]), half)
         return np.stack([(centre - half).min(axis=0), (centre + half).max(axis=0)])
 
-    def nearest_first(self, eyes: F64, detail: Detail, planes: F64, T_camera_links: F64) -> I64:
-        """Returns the chunks that stand for all triangles inside the image, the nearest first.
+    def nearest_first(self, eyes: F64, detail: DetailLimits, planes: F64, T_camera_links: F64) -> I64:
+        """Returns the clusters that represent all triangles inside the image, the nearest first.
 
         Args:
             eyes: (L + 1, 3), the eye in the world, then in each link, metres.
@@ -87,27 +89,27 @@ class Visibility:
             planes: (P, 4), optical frame: a point x is inside where ``planes @ (x, 1) >= 0`` for all.
             T_camera_links: (L + 1, 4, 4): optical frame from the world, then from each link.
         """
-        chunks = self.choose(eyes, detail)
-        chunks = chunks[self._inside(chunks, planes_of_links(planes, T_camera_links[: len(self.link_box)]))]
-        eye = eyes[self._b.chunk_link[chunks]] if self._chunk_moves else eyes[0]
-        return chunks[np.argsort(_distances(eye, self._b.chunk_box[chunks]), kind="stable")]
+        clusters = self.select(eyes, detail)
+        clusters = clusters[self._inside(clusters, planes_of_links(planes, T_camera_links[: len(self.link_box)]))]
+        eye = eyes[self._geometry.cluster_link[clusters]] if self._cluster_moves else eyes[0]
+        return clusters[np.argsort(_distances(eye, self._geometry.cluster_box[clusters]), kind="stable")]
 
-    def _inside(self, chunks: I64, planes: F64) -> NDArray[np.bool_]:
-        """Returns which of the chunks may be before all planes, (L + 1, P, 4), of the world and of each link."""
-        box, link = self._b.chunk_box[chunks], self._b.chunk_link[chunks]
-        if not self._chunk_moves:
-            return _before(planes[0], box)
-        # Few links are in the image: what belongs to the others need not be looked at.
-        near = _before(planes, self.link_box)[link]
+    def _inside(self, clusters: I64, planes: F64) -> NDArray[np.bool_]:
+        """Returns which clusters are at least partly in front of all planes, (L + 1, P, 4), of the world and of each link."""
+        box, link = self._geometry.cluster_box[clusters], self._geometry.cluster_link[clusters]
+        if not self._cluster_moves:
+            return _in_front_of(planes[0], box)
+        # Few links are in the image: clusters of the others need no test.
+        near = _in_front_of(planes, self.link_box)[link]
         still, moving = np.flatnonzero(link == 0), np.flatnonzero(near & (link > 0))
-        inside = np.zeros(len(chunks), dtype=bool)
-        inside[still] = _before(planes[0], box[still])
-        inside[moving] = _before(planes[link[moving]], box[moving])
+        inside = np.zeros(len(clusters), dtype=bool)
+        inside[still] = _in_front_of(planes[0], box[still])
+        inside[moving] = _in_front_of(planes[link[moving]], box[moving])
         return inside
 
 
 def _link_boxes(link: I64, box: F64) -> F64:
-    """Returns the box about all boxes of each link, (L + 1, 6), centre and half the size; those of links without any are nowhere."""
+    """Returns the box around all boxes of each link, (L + 1, 6), centre and half extents; it is zero for a link without any."""
     low, high = (np.full((int(link.max(initial=0)) + 1, 3), end) for end in (np.inf, -np.inf))
     np.minimum.at(low, link, box[:, :3] - box[:, 3:])
     np.maximum.at(high, link, box[:, :3] + box[:, 3:])
@@ -117,15 +119,15 @@ def _link_boxes(link: I64, box: F64) -> F64:
 
 
 def _distances(eye: F64, boxes: F64) -> F64:
-    """Returns how far boxes, (N, 6), are from an eye, (3,), or from one each, (N, 3); metres."""
+    """Returns the distances of boxes, (N, 6), from an eye, (3,), or from one eye each, (N, 3); metres."""
     gap = np.maximum(np.abs(eye - boxes[:, :3]) - boxes[:, 3:], 0.0)
     x, y, z = gap[:, 0], gap[:, 1], gap[:, 2]
     distances: F64 = np.sqrt(x * x + y * y + z * z)
     return distances
 
 
-def _before(planes: F64, boxes: F64) -> NDArray[np.bool_]:
-    """Returns which boxes, (N, 6), lie before all planes, (P, 4) or of each box (N, P, 4), or touch them, (N,)."""
+def _in_front_of(planes: F64, boxes: F64) -> NDArray[np.bool_]:
+    """Returns which boxes, (N, 6), are at least partly in front of all planes, (P, 4) or one set for each box (N, P, 4); (N,)."""
     (x, y, z, d), (cx, cy, cz, hx, hy, hz) = np.moveaxis(planes, -1, 0), boxes.T[:, :, None]
     reach = x * cx + y * cy + z * cz + (np.abs(x) * hx + np.abs(y) * hy + np.abs(z) * hz) + d
     return np.asarray((reach >= 0.0).all(axis=1))
@@ -166,7 +168,7 @@ def link_frames(T_world_camera: Mat4, T_world_links: F64, *, loops: bool = CAN_C
 
 
 def planes_of_links(planes: F64, T_camera_links: F64) -> F64:
-    """Returns planes, (P, 4), optical frame, as each link sees them, (L, P, 4)."""
+    """Returns planes, (P, 4), optical frame, in the frame of each link, (L, P, 4)."""
     a, b, c, d = (planes[:, k, None] for k in range(4))
     x, y, z, w = (T_camera_links[:, None, k] for k in range(4))
     found: F64 = a * x + b * y + c * z + d * w

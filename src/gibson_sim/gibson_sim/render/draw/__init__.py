@@ -1,0 +1,1 @@
+"""Drawing with OpenGL: the scene in GPU memory, light, materials, cameras of every projection, and camera effects."""

@@ -1,4 +1,4 @@
-"""Draws images of cameras of any kind into targets: plain pinholes as they are, non-pinhole ones from views, smooth edges from samples."""
+"""Draws camera images into targets: plain pinholes directly, non-pinhole cameras from pinhole views, smooth edges from multisampling."""
 
 from __future__ import annotations
 
@@ -10,57 +10,57 @@ import numpy as np
 from gibson_sim.errors import RenderError
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.render.culling.draw_plan import Picture
+from gibson_sim.render.culling.draw_plan import PinholePicture
 from gibson_sim.render.draw.gl_scene import GlScene
-from gibson_sim.render.draw.grouping import Group, Grouping, Remembered, arrange
-from gibson_sim.render.draw.pinhole_views import View, is_plain, views_of
+from gibson_sim.render.draw.grouping import CameraGroup, CameraGrouping, IdentityCache, arrange
+from gibson_sim.render.draw.pinhole_views import PinholeView, is_plain, views_of
 from gibson_sim.render.draw.resample import Resampler
-from gibson_sim.render.draw.target import Feature, Target
-from gibson_sim.render.readback.frames import Shot
+from gibson_sim.render.draw.target import Feature, RenderTarget
+from gibson_sim.render.readback.frames import TargetImage
 from gibson_sim.types import CameraSpec, Pose
 
-_intrinsics = Remembered(CameraSpec.intrinsics)
-_is_plain = Remembered(is_plain)
+_intrinsics = IdentityCache(CameraSpec.intrinsics)
+_is_plain = IdentityCache(is_plain)
 _MAX_TARGETS = 12
 _MAX_RESAMPLERS = 32
 
 
-class Drawing:
-    """Draws into targets of one context; it must be current in every call."""
+class CameraImages:
+    """Draws camera images into targets of one context; it must be current in every call."""
 
     def __init__(self, context: GlContext, scene: GlScene) -> None:
         self._context, self._scene, self._gl = context, scene, GL.Gl(context)
-        self._targets: dict[tuple[int, int, tuple[Feature, ...], int, str], Target] = {}
+        self._targets: dict[tuple[int, int, tuple[Feature, ...], int, str], RenderTarget] = {}
         self._resamplers: dict[tuple[CameraSpec, tuple[tuple[int, int], ...]], Resampler] = {}
         self._largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
-        self.groups: Callable[[Sequence[CameraSpec]], tuple[Group, ...]] = Grouping(self._largest).of
-        """Which cameras are drawn into one target."""
+        self.groups: Callable[[Sequence[CameraSpec]], tuple[CameraGroup, ...]] = CameraGrouping(self._largest).of
+        """Returns the groups of cameras that are drawn into one target each."""
 
-    def target(self, width: int, height: int, features: tuple[Feature, ...], samples: int = 1, use: str = "") -> Target:
-        """Returns a target, the same again for the same arguments; ``use`` tells apart those needed at the same time."""
+    def target(self, width: int, height: int, features: tuple[Feature, ...], samples: int = 1, use: str = "") -> RenderTarget:
+        """Returns a cached target; ``use`` distinguishes targets that are needed at the same time."""
         key = (width, height, features, samples, use)
         found = self._targets.pop(key, None)
         if found is None:
             if len(self._targets) >= _MAX_TARGETS:
-                self._targets.pop(next(iter(self._targets))).close()  # the one unused for longest
-            found = Target(self._context, width, height, features, samples)
+                self._targets.pop(next(iter(self._targets))).close()  # the least recently used
+            found = RenderTarget(self._context, width, height, features, samples)
         self._targets[key] = found
         return found
 
-    def draw(self, target: Target, shots: Sequence[Shot], before: Sequence[Mat4]) -> None:
-        """Clears a target and draws images into it; the scene has the links already.
+    def draw(self, target: RenderTarget, images: Sequence[TargetImage], before: Sequence[Mat4]) -> None:
+        """Clears a target and draws images into it; the link poses of the scene must be set.
 
         Args:
-            target: with one sample a pixel and the features of all the cameras.
-            shots: the images; all cameras ask for the same number of samples.
+            target: with one sample a pixel and the features of all cameras.
+            images: the images; all cameras have the same number of samples.
             before: T_world_camera of each at the state before.
         """
-        plain = [_picture(shot, pose) for shot, pose in zip(shots, before, strict=True) if _is_plain(shot.camera)]
-        color = any("rgb" in shot.camera.outputs for shot in shots)
-        samples = max((shot.camera.samples for shot in shots), default=1)
-        non_pinhole = [(shot, pose) for shot, pose in zip(shots, before, strict=True) if not _is_plain(shot.camera)]
+        plain = [_picture(image, pose) for image, pose in zip(images, before, strict=True) if _is_plain(image.camera)]
+        color = any("rgb" in image.camera.outputs for image in images)
+        samples = max((image.camera.samples for image in images), default=1)
+        non_pinhole = [(image, pose) for image, pose in zip(images, before, strict=True) if not _is_plain(image.camera)]
         if color and samples > 1 and plain:
-            # Labels and depth are those of the pixel's middle, to the bit, whatever is done for the edges of colours.
+            # Labels and depth are those of the pixel's centre, to the bit, with and without multisampling of colours.
             self._scene.draw(target, plain, color=False)
             smooth = self.target(target.width, target.height, (), samples)
             self._scene.draw(smooth, plain)
@@ -70,33 +70,33 @@ class Drawing:
         if non_pinhole:
             self._draw_non_pinhole(target, non_pinhole, color)
 
-    def _draw_non_pinhole(self, target: Target, shots: Sequence[tuple[Shot, Mat4]], color: bool) -> None:
-        """Draws the views of non-pinhole cameras side by side, all at once if they fit, and puts the images together from them."""
-        views = [views_of(shot.camera) for shot, _ in shots]
+    def _draw_non_pinhole(self, target: RenderTarget, images: Sequence[tuple[TargetImage, Mat4]], color: bool) -> None:
+        """Draws the views of non-pinhole cameras side by side, all at once if they fit, and resamples the images from them."""
+        views = [views_of(image.camera) for image, _ in images]
         sizes = [(view.width, view.height) for group in views for view in group]
         arranged = arrange(sizes, self._largest)
         if len(arranged) > 1:
-            if len(shots) == 1:
-                camera = shots[0][0].camera
+            if len(images) == 1:
+                camera = images[0][0].camera
                 raise RenderError(
                     f"camera {camera.name!r}: a {camera.projection} image of {camera.width}x{camera.height} is made from views that do not "
                     f"fit into the {self._largest} pixels a side that can be drawn here; choose a smaller one"
                 )
-            for one in shots:
+            for one in images:
                 self._draw_non_pinhole(target, [one], color)
             return
         numbers, tiles = arranged[0]
         place = dict(zip(numbers, tiles.places, strict=True))
         source = self.target(tiles.width, tiles.height, target.features, use="views")
         pictures, first = [], 0
-        for (shot, before), group in zip(shots, views, strict=True):
-            pictures += [_view_picture(shot, view, before, place[first + k]) for k, view in enumerate(group)]
+        for (image, before), group in zip(images, views, strict=True):
+            pictures += [_view_picture(image, view, before, place[first + k]) for k, view in enumerate(group)]
             first += len(group)
         self._scene.draw(source, pictures, color=color)
         first = 0
-        for (shot, _), group in zip(shots, views, strict=True):
+        for (image, _), group in zip(images, views, strict=True):
             places = tuple(place[first + k] for k in range(len(group)))
-            self._resampler(shot.camera, places).run(source, target, shot.x, shot.y)
+            self._resampler(image.camera, places).run(source, target, image.x, image.y)
             first += len(group)
 
     def _resampler(self, camera: CameraSpec, places: tuple[tuple[int, int], ...]) -> Resampler:
@@ -109,8 +109,8 @@ class Drawing:
         self._resamplers[key] = found
         return found
 
-    def _resolve(self, smooth: Target, target: Target) -> None:
-        """Puts the mean of the samples, in linear light, into the colours of a target."""
+    def _resolve(self, smooth: RenderTarget, target: RenderTarget) -> None:
+        """Writes the mean of the samples, in linear light, to the colours of a target."""
         gl = self._gl
         gl.glEnable(GL.FRAMEBUFFER_SRGB)
         width, height = target.width, target.height
@@ -139,20 +139,22 @@ class Drawing:
             resampler.close()
 
 
-def _picture(shot: Shot, before: Mat4) -> Picture:
-    camera = shot.camera
-    return Picture(shot.T_world_camera, _intrinsics(camera), camera.width, camera.height, camera.near, shot.x, shot.y, before)
+def _picture(image: TargetImage, before: Mat4) -> PinholePicture:
+    camera = image.camera
+    return PinholePicture(
+        image.T_world_camera, _intrinsics(camera), camera.width, camera.height, camera.near, image.x, image.y, before
+    )
 
 
-def _view_picture(shot: Shot, view: View, before: Mat4, place: tuple[int, int]) -> Picture:
+def _view_picture(image: TargetImage, view: PinholeView, before: Mat4, place: tuple[int, int]) -> PinholePicture:
     T_camera_view = np.eye(4)
     T_camera_view[:3, :3] = view.R_camera_view
-    return Picture(
-        shot.T_world_camera @ T_camera_view,
+    return PinholePicture(
+        image.T_world_camera @ T_camera_view,
         view.intrinsics,
         view.width,
         view.height,
-        shot.camera.near,
+        image.camera.near,
         *place,
         before @ T_camera_view,
     )

@@ -1,11 +1,10 @@
-"""What a real camera does to colours, as passes over a drawn image: averages of several pictures, exposure, white balance, vignette, noise.
+"""Effects of real cameras on colours, as passes over a drawn image: averages of pictures, exposure, white balance, vignette, noise.
 
-Everything happens in linear light. Depth, labels and normals are never touched.
+All are computed in linear light. Depth, labels and normals never change.
 """
 
 from __future__ import annotations
 
-import ctypes
 import math
 import zlib
 from collections.abc import Sequence
@@ -16,9 +15,9 @@ import numpy as np
 
 from gibson_sim.errors import RenderError
 from gibson_sim.geometry.transforms import Mat3
-from gibson_sim.render.context import GlContext
-from gibson_sim.render.draw.screen_pass import ScreenPass, shader_text
-from gibson_sim.render.draw.target import Target
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.draw.screen_pass import FULL_SCREEN, ScreenPass, shader_text
+from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.types import CameraSpec, ImageEffects
 
 DAYLIGHT_K = 6500.0
@@ -31,12 +30,11 @@ _XYZ_FROM_RGB: Mat3 = np.array(
 _CONES_FROM_XYZ: Mat3 = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 """The Bradford cone responses (Lam 1985; CIE 160:2004)."""
 _MAX_DRAFTS = 4
-_TEXTURE_2D = 0x0DE1
-_BLEND, _DEPTH_TEST, _CULL_FACE, _SCISSOR_TEST, _ONE, _TRIANGLES = 0x0BE2, 0x0B71, 0x0B44, 0x0C11, 1, 0x0004
+"""Intermediate targets that are kept."""
 
 
 def changes_colors(effects: ImageEffects) -> bool:
-    """Returns whether the pass over the colours has anything to do; without it pixels stay as they are, to the bit."""
+    """Returns whether effects change colours; if not, the pass is left out, and pixels stay the same to the bit."""
     neutral = ImageEffects(shutter_s=effects.shutter_s, readout_s=effects.readout_s, seed=effects.seed)
     return effects != neutral
 
@@ -62,9 +60,9 @@ def planckian_xy(kelvin: float) -> tuple[float, float]:
 
 
 def white_balance_matrix(kelvin: float) -> Mat3:
-    """Returns the (3, 3) matrix on linear sRGB that makes white what is lit by a black body of ``kelvin``.
+    """Returns the (3, 3) matrix on linear sRGB under which a white surface lit by a black body of ``kelvin`` appears white.
 
-    Von Kries' adaptation of the Bradford cone responses, from that light to one of 6500 K, at which the matrix is the identity.
+    Von Kries adaptation of the Bradford cone responses, from that light to one of 6500 K, at which the matrix is the identity.
     """
     if kelvin == DAYLIGHT_K:
         return np.eye(3)
@@ -75,13 +73,13 @@ def white_balance_matrix(kelvin: float) -> Mat3:
 
 
 def noise_key(effects: ImageEffects, stamp_ns: int, camera: str) -> tuple[int, int]:
-    """Returns the two 32-bit numbers that decide the noise of an image: cameras and images must not share theirs."""
+    """Returns the two 32-bit numbers that key the noise of an image: those of different cameras and images differ."""
     first, second = np.random.SeedSequence([effects.seed, stamp_ns, zlib.crc32(camera.encode())]).generate_state(2)
     return int(first), int(second)
 
 
 def corner_cosine(camera: CameraSpec) -> float:
-    """Returns the cosine between the optical axis and the ray through the farthest corner pixel; distortion is left out."""
+    """Returns the cosine between the optical axis and the ray through the farthest corner pixel, without distortion."""
     inverse = np.linalg.inv(camera.intrinsics())
     corners = np.array([[u, v, 1.0] for u in (0, camera.width - 1) for v in (0, camera.height - 1)])
     farthest = float(np.linalg.norm((corners @ inverse.T)[:, :2], axis=1).max())
@@ -89,7 +87,7 @@ def corner_cosine(camera: CameraSpec) -> float:
 
 
 def uniforms_of(camera: CameraSpec, stamp_ns: int) -> dict[str, Any]:
-    """Returns what the shader needs to know, float32 matrices by columns."""
+    """Returns the uniforms of effects.frag, float32 matrices by columns."""
     effects = camera.effects
     missing = 1.0 - corner_cosine(camera) ** 4
     return {
@@ -104,31 +102,32 @@ def uniforms_of(camera: CameraSpec, stamp_ns: int) -> dict[str, Any]:
 
 def copy_image(
     context: GlContext,
-    source: Target,
-    target: Target,
+    source: RenderTarget,
+    target: RenderTarget,
     names: Sequence[str],
     rectangle: tuple[int, int, int, int],
     place: tuple[int, int],
 ) -> None:
     """Copies a rectangle (x, y, width, height) of attachments of one target to a place (x, y) in another, bit by bit."""
-    u, i = ctypes.c_uint, ctypes.c_int
-    copy = context.egl.function("glCopyImageSubData", None, *[u, u, i, i, i, i] * 2, i, i, i)
+    gl = GL.Gl(context)
     x, y, width, height = rectangle
     for name in names:
-        copy(source.textures[name], _TEXTURE_2D, 0, x, y, 0, target.textures[name], _TEXTURE_2D, 0, *place, 0, width, height, 1)
+        gl.glCopyImageSubData(
+            source.textures[name], GL.TEXTURE_2D, 0, x, y, 0, target.textures[name], GL.TEXTURE_2D, 0, *place, 0, width, height, 1
+        )
 
 
 class EffectsPass:
     """The effects of ``CameraSpec.effects`` on colours.
 
     Args:
-        context: where; it must be current in every call.
+        context: it must be current in every call.
     """
 
     def __init__(self, context: GlContext) -> None:
         self._context = context
         self._passes: dict[tuple[str, ...], ScreenPass] = {}
-        self._drafts: dict[tuple[int, int], Target] = {}
+        self._drafts: dict[tuple[int, int], RenderTarget] = {}
         self._average: _Average | None = None
 
     def begin(self, width: int, height: int) -> None:
@@ -146,21 +145,23 @@ class EffectsPass:
         Args:
             color: OpenGL name of a texture that is linear when sampled, of the width given to ``begin``.
             rows: of the image, both ends given.
-            weight: its part; the weights of a row add up to 1.
+            weight: of the picture; the weights of a row add up to 1.
             first: row of the texture that holds the first of these rows; None = the row of the same number.
         """
         if self._average is None:
             raise RenderError("no average has begun; call begin first")
         self._average.add(color, rows, weight, rows.start if first is None else first)
 
-    def run(self, camera: CameraSpec, stamp_ns: int, color: int | None, out: Target, origin: tuple[int, int] = (0, 0)) -> None:
+    def run(
+        self, camera: CameraSpec, stamp_ns: int, color: int | None, out: RenderTarget, origin: tuple[int, int] = (0, 0)
+    ) -> None:
         """Fills the colours of ``out``; its depth is overwritten, further outputs are undefined.
 
         Args:
-            camera: its effects, size and intrinsics count.
-            stamp_ns: of the image; it decides the noise.
-            color: OpenGL name of the texture to start from, linear when sampled; None = the average.
-            out: of the camera's size, without ``color``.
+            camera: its effects, size and intrinsics are used.
+            stamp_ns: of the image; it keys the noise.
+            color: OpenGL name of the source texture, linear when sampled; None = the average.
+            out: of the camera's size; it must not hold ``color``.
             origin: column and row in ``color`` at which the image begins.
         """
         if color is None:
@@ -173,22 +174,22 @@ class EffectsPass:
             self._passes[defines] = ScreenPass(self._context, "effects.frag", ("u_color",), defines)
         self._passes[defines].run(out, (color,), {**uniforms_of(camera, stamp_ns), "u_origin": origin})
 
-    def apply(self, camera: CameraSpec, stamp_ns: int, target: Target, x: int, y: int, *, average: bool = False) -> None:
-        """Applies the effects to an image that stands in a target, in its place.
+    def apply(self, camera: CameraSpec, stamp_ns: int, target: RenderTarget, x: int, y: int, *, average: bool = False) -> None:
+        """Applies the effects to an image in a target, in place.
 
         Args:
             camera: of the image.
             stamp_ns: of the image.
-            target: what holds it, without multisampling.
+            target: that holds it, without multisampling.
             x: column of the image's left edge.
             y: row of its top edge.
-            average: start from the average instead of from what stands there.
+            average: apply them to the average instead of to the image.
         """
         size = (camera.width, camera.height)
         if size not in self._drafts:
             if len(self._drafts) >= _MAX_DRAFTS:
                 self._drafts.pop(next(iter(self._drafts))).close()
-            self._drafts[size] = Target(self._context, *size)
+            self._drafts[size] = RenderTarget(self._context, *size)
         draft = self._drafts[size]
         self.run(camera, stamp_ns, None if average else target.textures["color"], draft, (0, 0) if average else (x, y))
         copy_image(self._context, draft, target, ("color",), (0, 0, *size), (x, y))
@@ -206,22 +207,15 @@ class EffectsPass:
 
 
 class _Average:
-    """A sum of pictures in 32-bit floats."""
+    """A weighted sum of pictures in 32-bit floats."""
 
     def __init__(self, context: GlContext, width: int, height: int) -> None:
-        u, i = ctypes.c_uint, ctypes.c_int
-        load = context.egl.function
-        self._enable, self._disable = load("glEnable", None, u), load("glDisable", None, u)
-        self._blend_func = load("glBlendFunc", None, u, u)
-        self._scissor = load("glScissor", None, i, i, i, i)
-        self._bind_texture = load("glBindTextureUnit", None, u, u)
-        self._bind_sampler = load("glBindSampler", None, u, u)
+        self._gl = GL.Gl(context)
         gl = context.gl
         self.width, self.height = width, height
         self._texture: moderngl.Texture = gl.texture((width, height), 4, dtype="f4")
         self._framebuffer = gl.framebuffer([self._texture])
-        vertex = "#version 450 core\nvoid main() {\n" + _CORNERS + "}\n"
-        self._program = gl.program(vertex_shader=vertex, fragment_shader=shader_text("accumulate.frag"))
+        self._program = gl.program(vertex_shader=FULL_SCREEN, fragment_shader=shader_text("accumulate.frag"))
         self._array = gl.vertex_array(self._program, [])
 
     @property
@@ -230,28 +224,26 @@ class _Average:
         return int(self._texture.glo)
 
     def clear(self) -> None:
-        """Makes it black."""
+        """Sets the sum to 0."""
         self._framebuffer.clear()
 
     def add(self, color: int, rows: slice, weight: float, first: int) -> None:
+        gl = self._gl
         self._framebuffer.use()
-        for state in (_DEPTH_TEST, _CULL_FACE):
-            self._disable(state)
-        for state in (_BLEND, _SCISSOR_TEST):
-            self._enable(state)
-        self._blend_func(_ONE, _ONE)
-        self._scissor(0, rows.start, self.width, rows.stop - rows.start)
-        self._bind_sampler(0, 0)
-        self._bind_texture(0, color)
+        for state in (GL.DEPTH_TEST, GL.CULL_FACE):
+            gl.glDisable(state)
+        for state in (GL.BLEND, GL.SCISSOR_TEST):
+            gl.glEnable(state)
+        gl.glBlendFunc(GL.ONE, GL.ONE)
+        gl.glScissor(0, rows.start, self.width, rows.stop - rows.start)
+        gl.glBindSampler(0, 0)
+        gl.glBindTextureUnit(0, color)
         self._program["u_weight"] = weight
         self._program["u_shift"] = first - rows.start
-        self._array.render(_TRIANGLES, 3)
-        for state in (_BLEND, _SCISSOR_TEST):
-            self._disable(state)
+        self._array.render(GL.TRIANGLES, 3)
+        for state in (GL.BLEND, GL.SCISSOR_TEST):
+            gl.glDisable(state)
 
     def close(self) -> None:
         for handle in (self._array, self._program, self._framebuffer, self._texture):
             handle.release()
-
-
-_CORNERS = "    gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.5, 1.0);\n"

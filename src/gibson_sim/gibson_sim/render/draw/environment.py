@@ -1,7 +1,7 @@
-"""Light from an image of the surroundings, made ready for the shader: what arrives at matte surfaces, and what smooth ones mirror.
+"""Image-based light for the shaders: the irradiance of an environment map, its prefiltered reflections, and the BRDF table.
 
-Pure numpy, no OpenGL. Directions are those of the world: the middle column of an equirectangular image is seen along +x, its top row
-along +z, and what is left of the middle lies towards +y.
+Pure NumPy, no OpenGL. Directions are in the world frame: the middle column of an equirectangular image is towards +x, its top row
+towards +z, and what is left of the middle towards +y.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from gibson_sim.reading import read_file
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 REFLECTION_SIZE = 256
-"""Side of an octahedral image, texels, with a rim of one texel, so that a filter never reads beyond an edge."""
+"""Side of an octahedral image, texels, with a border of one texel, so that a filter never reads beyond an edge."""
 REFLECTION_LAYERS = 8
 """Layer k is for roughness k / 7."""
 REFLECTANCE_SIZE = 32
+"""Side of the table of ``reflectance``, texels."""
 _MAX_WIDTH = 2048
 _MAX_PIXELS = 8192 * 4096
-"""400 MB as floats; of more than this nothing is decoded."""
+"""Largest image that is decoded: 400 MB as floats."""
 _SAMPLES = 128
 _BRIGHTEST = 6e4
-"""Half floats end at 65504."""
+"""Largest radiance: half floats end at 65504."""
 
 
 def load_environment(path: Path) -> F32:
@@ -84,7 +85,7 @@ def look_up(image: F32, rays: F64) -> F32:
     length = np.maximum(np.linalg.norm(flat, axis=1), 1e-12)
     u = (0.5 - np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi)) * width - 0.5
     v = np.clip(np.arccos(np.clip(flat[:, 2] / length, -1.0, 1.0)) / np.pi * height - 0.5, 0.0, height - 1.0)
-    # OpenCV takes maps of at most 32767 rows and columns.
+    # OpenCV limits maps to 32767 rows and columns.
     rows = -(-len(u) // 4096)
     at = np.zeros((2, rows * 4096), dtype=np.float32)
     at[0, : len(u)], at[1, : len(u)] = u, v
@@ -94,9 +95,9 @@ def look_up(image: F32, rays: F64) -> F32:
 
 
 def irradiance(image: F32) -> F32:
-    """Returns how a matte white surface looks under the image by its normal n, as polynomials of n: (9, 3) float32.
+    """Returns the radiance of a matte white surface under the image as a polynomial of its normal n: (9, 3) float32.
 
-    Spherical harmonics up to degree 2, whose terms a matte surface lets through by 1, 2/3 and 1/4. The factors are those of
+    Spherical harmonics up to degree 2, attenuated by the cosine lobe by 1, 2/3 and 1/4. The coefficients are those of
     1, y, z, x, xy, yz, z^2, xz and x^2 - y^2; the -1 of 3 z^2 - 1 is in the first.
     """
     small = np.asarray(cv2.resize(image, (128, 64), interpolation=cv2.INTER_AREA), dtype=np.float64)
@@ -106,7 +107,7 @@ def irradiance(image: F32) -> F32:
     area *= 4.0 * np.pi / area.sum()
     one = np.ones_like(x)
     terms = np.stack([one, y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y])
-    # Squares of the factors that make each term's square integrate to 1.
+    # Squares of the normalisation of each term.
     norms = np.array([1 / 4, 3 / 4, 3 / 4, 3 / 4, 15 / 4, 15 / 4, 5 / 16, 15 / 4, 15 / 16]) / np.pi
     passed = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 1 / 4, 1 / 4, 1 / 4, 1 / 4, 1 / 4])
     factors: F64 = np.einsum("thw,hwc,hw->tc", terms, small, area) * (norms * passed)[:, None]
@@ -116,10 +117,10 @@ def irradiance(image: F32) -> F32:
 
 
 def octahedral_rays(size: int) -> F64:
-    """Returns the unit vectors of the texels of an octahedral image with a rim of one texel, (size, size, 3); row = y."""
+    """Returns the unit vectors of the texels of an octahedral image with a border of one texel, (size, size, 3); row = y."""
     e = (np.arange(size) - 0.5) / (size - 2) * 2.0 - 1.0
     x, y = np.meshgrid(e, e)
-    # The rim shows what lies beyond the edge: an edge is folded onto itself about its middle.
+    # The border continues beyond the edge: each edge is folded onto itself about its middle.
     over = np.abs(x) > 1.0
     x, y = np.where(over, np.sign(x) * 2.0 - x, x), np.where(over, -y, y)
     over = np.abs(y) > 1.0
@@ -132,9 +133,9 @@ def octahedral_rays(size: int) -> F64:
 
 
 def reflections(image: F32) -> NDArray[np.float16]:
-    """Returns what surfaces of rising roughness mirror by the mirrored direction, (8, 256, 256, 3) float16, octahedral.
+    """Returns the prefiltered image for rising roughness, by the reflected direction, (8, 256, 256, 3) float16, octahedral.
 
-    Each is the image filtered by the GGX lobe seen head-on (the first half of the split sum; the second is ``reflectance``).
+    Each layer is the image filtered by the GGX lobe at normal incidence (the first half of the split sum; the second is ``reflectance``).
     """
     pyramid = [image]
     while pyramid[-1].shape[0] > 8:
@@ -148,13 +149,13 @@ def reflections(image: F32) -> NDArray[np.float16]:
 
 
 def _for_texels(pyramid: list[F32], solid_angle: float) -> F32:
-    """Returns the level whose pixels at the horizon cover about this solid angle."""
-    wanted = 0.5 * np.log2(max(solid_angle / (2.0 * np.pi**2 / pyramid[0].shape[0] ** 2 / 2.0), 1.0))
-    return pyramid[min(round(float(wanted)), len(pyramid) - 1)]
+    """Returns the pyramid level whose pixels at the horizon cover about this solid angle."""
+    level = 0.5 * np.log2(max(solid_angle / (2.0 * np.pi**2 / pyramid[0].shape[0] ** 2 / 2.0), 1.0))
+    return pyramid[min(round(float(level)), len(pyramid) - 1)]
 
 
 def _filtered(pyramid: list[F32], size: int, roughness: float) -> F32:
-    """Returns (size, size, 3): the image under the GGX lobe of a roughness, sampled by importance."""
+    """Returns the image filtered by the GGX lobe of a roughness, by importance sampling, (size, size, 3)."""
     n = octahedral_rays(size)
     up = np.where(np.abs(n[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     t = np.cross(up, n)
@@ -169,11 +170,11 @@ def _filtered(pyramid: list[F32], size: int, roughness: float) -> F32:
         z = 2.0 * cos2 - 1.0
         if z <= 0.0:
             continue
-        # Half the density of half vectors over four times their projection, with n = v.
+        # Density of reflected directions: that of half vectors over 4 v.h, with n = v.
         density = a2 / (np.pi * (cos2 * (a2 - 1.0) + 1.0) ** 2) / 4.0
         r, angle = 2.0 * cos * sin, 2.0 * np.pi * u1
         ray = (r * np.cos(angle)) * t + (r * np.sin(angle)) * b + z * n
-        # A coarse level for rare samples: fewer samples, no speckles (Krivanek, Colbert 2008).
+        # Coarser levels for rarer samples: fewer samples without speckles (Krivanek, Colbert 2008).
         total += look_up(_for_texels(pyramid, 2.0 / (_SAMPLES * density)), ray) * np.float32(z)
         weights += z
     return np.asarray(total / np.float32(weights), dtype=np.float32)
@@ -188,16 +189,16 @@ def _enlarged(small: F32) -> F32:
 
 
 def _hammersley(count: int) -> list[tuple[float, float]]:
-    """Returns points spread evenly over the unit square."""
+    """Returns a Hammersley point set in the unit square."""
     bits = max(count - 1, 1).bit_length()
     return [((k + 0.5) / count, (int(f"{k:0{bits}b}"[::-1], 2) + 0.5) / 2**bits) for k in range(count)]
 
 
 def reflectance() -> NDArray[np.float16]:
-    """Returns how much of a uniform surrounding a surface of f0 mirrors: ``f0 a + b``, (32, 32, 2) float16 (a, b).
+    """Returns the directional albedo of a surface of f0, ``f0 a + b``: (32, 32, 2) float16 (a, b).
 
-    Rows: roughness 0 to 1, columns: cosine between normal and eye 0 to 1, both ends included. GGX, joint Smith, Schlick, as
-    lighting.glsl has it; light that bounces between facets is left out here and given back there.
+    Rows: roughness 0 to 1, columns: cosine between normal and eye 0 to 1, both ends included. GGX, joint Smith, Schlick, as in
+    lighting.glsl, which adds the multiple scattering that is left out here.
     """
     cosines = np.linspace(0.0, 1.0, REFLECTANCE_SIZE).clip(1e-3)
     table = np.zeros((REFLECTANCE_SIZE, REFLECTANCE_SIZE, 2))

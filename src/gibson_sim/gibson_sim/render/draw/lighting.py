@@ -1,4 +1,4 @@
-"""The light of a scene on the GPU: what the shaders are told, and the image of the surroundings."""
+"""The lights of a scene on the GPU: uniforms, image-based light, and the sky."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ from gibson_sim.render.draw.target import ATTACHMENT, Feature
 from gibson_sim.scenes.spec import LightSpec, PointLight
 
 MAX_POINTS = 16
-"""More lamps are left out: each is looked at for each pixel."""
+"""Most lamps that are drawn: each costs time in every pixel."""
 F32 = NDArray[np.float32]
 _BINDING = 1
+"""Of the uniform block ``Light``."""
 _REFLECTIONS, _REFLECTANCE = 5, 7
-_SHADOW_AT = 44  # floats: two vectors and nine
+_SHADOW_AT = 44  # floats: after two vectors and the nine of irradiance
 
 
 class Lighting:
-    """Light on the GPU.
+    """Lighting of a scene on the GPU.
 
     Args:
-        context: where; it must be current in every call.
-        light: how surfaces are lit, and the background.
-        glossy: whether any material shows highlights.
+        context: it must be current in every call.
+        light: lighting and background.
+        glossy: whether any material has highlights.
 
     Raises:
-        SceneError: the image of the surroundings cannot be used.
+        SceneError: the environment image cannot be used.
     """
 
     def __init__(self, context: GlContext, light: LightSpec, *, glossy: bool) -> None:
@@ -43,7 +44,7 @@ class Lighting:
         self._buffer = 0
         self._sky: Sky | None = None
         self.warnings: tuple[str, ...] = ()
-        """What was left out, one line each."""
+        """Lights that were left out, one line each."""
         points = light.points[:MAX_POINTS]
         if len(points) < len(light.points):
             self.warnings = (f"the scene has {len(light.points)} lamps; the first {MAX_POINTS} are drawn",)
@@ -54,9 +55,9 @@ class Lighting:
             )
             if on
         )  # fmt: skip
-        """Of every program that lights something."""
+        """Macros of every program that computes lighting."""
         self.background = np.array([*linear_from_srgb(light.background), 1.0], dtype=np.float32)
-        """Linear, and alpha."""
+        """Linear colour and alpha."""
         try:
             image = _image(light)
             self._numbers = _numbers(light, points, image)
@@ -75,14 +76,20 @@ class Lighting:
             raise
 
     def bind(self) -> None:
-        """Makes it what the programs see."""
+        """Binds its buffer and textures."""
         self._gl.glBindBufferBase(GL.UNIFORM_BUFFER, _BINDING, self._buffer)
         for unit, texture in self._textures.items():
             self._gl.glBindTextureUnit(unit, texture)
             self._gl.glBindSampler(unit, 0)
 
     def set_shadow(self, shadow_from_world: Mat4, texel: float, size: int) -> None:
-        """Takes where the shadow map lies: (4, 4) to texture coordinates and depth; metres a texel; texels along a side."""
+        """Sets the shadow map.
+
+        Args:
+            shadow_from_world: (4, 4), to texture coordinates and depth.
+            texel: metres.
+            size: texels along a side.
+        """
         numbers = np.array([*shadow_from_world.T.ravel(), texel, 0.5 / size], dtype=np.float32)
         place = slice(_SHADOW_AT, _SHADOW_AT + len(numbers))
         if not np.array_equal(self._numbers[place], numbers):
@@ -91,11 +98,11 @@ class Lighting:
 
     @property
     def has_sky(self) -> bool:
-        """Whether the surroundings are to be seen."""
+        """Whether the sky is drawn."""
         return self._sky is not None
 
     def draw_sky(self, features: tuple[Feature, ...]) -> None:
-        """Draws the surroundings where nothing is, if they are to be seen; the view and the viewport must be set."""
+        """Draws the sky where nothing is, if the scene has one; the view and the viewport must be set."""
         if self._sky is not None:
             self._sky.draw(features)
 
@@ -132,11 +139,11 @@ class Lighting:
 
 
 class Sky:
-    """The surroundings, seen where nothing is.
+    """An environment image that is drawn where nothing is.
 
     Args:
-        context: where; it must be current in every call.
-        image: equirectangular, (H, 2 H, 3) float32, linear, as seen from the world's axes.
+        context: it must be current in every call.
+        image: equirectangular, (H, 2 H, 3) float32, linear, in the world frame.
     """
 
     def __init__(self, context: GlContext, image: F32) -> None:
@@ -149,7 +156,7 @@ class Sky:
         self._array = context.gl.vertex_array(self._program, [])
 
     def draw(self, features: tuple[Feature, ...]) -> None:
-        """Fills the colours of what has no depth; other outputs stay as they are."""
+        """Fills the colours of pixels without depth; other outputs stay as they are."""
         gl = self._gl
         for feature in features:
             gl.glColorMaski(ATTACHMENT[feature], 0, 0, 0, 0)
@@ -175,11 +182,11 @@ class Sky:
 
 
 def _image(light: LightSpec) -> F32 | None:
-    """Returns the surroundings as the world's axes see them, times their strength, or None."""
+    """Returns the environment image in the world frame, times its strength, or None."""
     if not light.environment:
         return None
     image = load_environment(Path(light.environment)) * np.float32(light.environment_strength)
-    # A turn to the left moves what is seen along +x to where the image is read further to the left of its middle.
+    # Left in the image is counter-clockwise, so a positive yaw rolls columns to the left.
     columns = light.environment_yaw / (2.0 * math.pi) * image.shape[1]
     whole = math.floor(columns)
     part = np.float32(columns - whole)
@@ -188,7 +195,7 @@ def _image(light: LightSpec) -> F32 | None:
 
 
 def _numbers(light: LightSpec, points: tuple[PointLight, ...], image: F32 | None) -> F32:
-    """Returns what stands in ``Light`` of the shaders."""
+    """Returns the content of the uniform block ``Light``."""
     rows = np.zeros((16 + 4 * len(points), 4), dtype=np.float32)
     rows[0, :3] = -_unit(light.sun_direction)
     rows[1] = (*(linear_from_srgb(light.sun_color) * light.sun), light.ambient)
@@ -220,7 +227,7 @@ def _unit(vector: Any) -> NDArray[np.float64]:
 
 
 def _fill(gl: GL.Gl, texture: int, pixels: NDArray[Any], form: int, channels: int) -> None:
-    """Gives a texture its one level, of half floats (H, W, C)."""
+    """Allocates a texture with one level and uploads half floats, (H, W, C)."""
     height, width = pixels.shape[:2]
     pixels = np.ascontiguousarray(pixels)
     gl.glTextureStorage2D(texture, 1, form, width, height)

@@ -1,4 +1,4 @@
-"""What surfaces wear beside their base colour: textures of roughness, normals, occlusion and emission, and the pictures of patterns."""
+"""Material maps, the textures of roughness, normals, occlusion and emission, and the pictures of patterns."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.scene_geometry import SceneGeometry
 from gibson_sim.render.context import GlContext, gl as GL
 
 _FIRST_UNIT, _PATTERNS = 1, 8
 _NEUTRAL = ((255, 255, 255), (128, 128, 255), (255, 255, 255), (255, 255, 255))
-"""Of metallic-roughness, normals, occlusion, emission."""
+"""Texel that changes nothing, of metallic-roughness, normals, occlusion, emission."""
 _EMISSION = 3
 
 
 class MaterialMaps:
-    """Those textures on the GPU.
+    """The material maps and patterns of a scene on the GPU.
 
     Args:
-        context: where; it must be current in every call.
-        batches: whose.
+        context: it must be current in every call.
+        geometry: of the scene.
     """
 
-    def __init__(self, context: GlContext, batches: Batches) -> None:
+    def __init__(self, context: GlContext, geometry: SceneGeometry) -> None:
         self._gl = GL.Gl(context)
         self.bytes = 0
         self._textures: dict[tuple[int, bool], int] = {}
         self._neutral: dict[int, int] = {}
         self._pattern = 0
         try:
-            self._sets = [[self._of(source, k) for k, source in enumerate(found)] for found in batches.map_sets]
-            if len(batches.patterns):
-                self._pattern = self._layers(batches.patterns)
+            self._sets = [[self._of(source, k) for k, source in enumerate(found)] for found in geometry.map_sets]
+            if len(geometry.patterns):
+                self._pattern = self._layers(geometry.patterns)
         except BaseException:
             self.close()
             raise
 
     def _of(self, source: Any, kind: int) -> int:
-        """Returns the texture of an image, or one that changes nothing."""
+        """Returns the texture of an image, or a neutral one for None."""
         if source is None:
             if kind not in self._neutral:
                 self._neutral[kind] = self._texture(np.array([[_NEUTRAL[kind]]], dtype=np.uint8), False)
@@ -79,13 +79,13 @@ class MaterialMaps:
         self.bytes += pixels * 4 * 4 // 3
 
     def bind(self) -> None:
-        """Makes the patterns what the programs see."""
+        """Binds the patterns to their texture unit."""
         if self._pattern:
             self._gl.glBindTextureUnit(_PATTERNS, self._pattern)
             self._gl.glBindSampler(_PATTERNS, 0)
 
     def bind_maps(self, number: int) -> None:
-        """Makes one of ``Batches.map_sets`` what the programs see."""
+        """Binds one of ``SceneGeometry.map_sets`` to its texture units."""
         for unit, texture in enumerate(self._sets[number], _FIRST_UNIT):
             self._gl.glBindTextureUnit(unit, texture)
             self._gl.glBindSampler(unit, 0)

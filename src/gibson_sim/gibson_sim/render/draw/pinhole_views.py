@@ -1,8 +1,8 @@
-"""The pinhole pictures that cameras are made from. OpenGL draws straight lines only: whatever bends them is put together from these.
+"""The pinhole views that a camera's image is resampled from. OpenGL projects straight lines to straight lines; lenses with distortion do not.
 
-A pinhole without distortion is one view, itself. Anything else is made from one wider view where that does not take far more pixels,
-and else from the faces of a cube, those that are seen, as much of each as is seen. Texels are so dense that the nearest one is at
-most half a pixel of the image away, wherever pixels of the image show different directions (they do not at the poles).
+A pinhole without distortion is one view, itself. Any other camera is resampled from one wider view if that does not take far more
+pixels, else from the visible part of each visible face of a cube. Texels are so dense that the nearest one is at most half a pixel of
+the image away, wherever neighbouring pixels show different directions (at the poles they do not).
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ from gibson_sim.geometry.transforms import Mat3
 from gibson_sim.types import CameraSpec, DepthNoise, ImageEffects, Pose, Projection
 
 GUARD = 2
-"""Texels drawn around those that are needed: neighbours are looked at, and there is no edge to meet."""
+"""Extra texels around a view, so that every texel that is looked up has neighbours."""
 _ONE_VIEW = math.radians(75.0)
-"""Off the axis: a single view never has to appearance farther."""
+"""Largest angle off the axis that a single view covers, radians."""
 _ONE_VIEW_COST = 2.0
-"""How many times the pixels of a cube one view may have: each view means to sort and to transform the scene once more."""
+"""Largest ratio of the pixels of a single view to those of a cube: each further view plans and transforms the scene once more."""
 _WIDEST_PINHOLE = math.radians(175.0)
 _LARGEST_VIEW = 16384
+"""Longest side of a view, pixels."""
 _PROBES = 4096
+"""Pixels at which the density of a view is computed."""
 _STRETCH: dict[Projection, float] = {"pinhole": math.inf, "fisheye": 2.0, "equirectangular": 1.0}
-"""How much denser than along its densest direction an image may be drawn along the other one. Towards the poles, and the point behind
-a fisheye, whole rows show one direction: there is nothing to be won."""
+"""Largest anisotropy that a view resolves. Towards the poles, and the point behind a fisheye, whole rows show one direction, so more density
+gains nothing."""
 _CUBE: tuple[tuple[tuple[float, float, float], ...], ...] = (
     ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
@@ -44,11 +46,11 @@ _CUBE: tuple[tuple[tuple[float, float, float], ...], ...] = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A pinhole picture with the camera's centre as its own."""
+class PinholeView:
+    """A pinhole view from the centre of a camera."""
 
     R_camera_view: Mat3
-    """(3, 3): optical axes of the view in the optical frame of the camera."""
+    """(3, 3): from the optical frame of the view to that of the camera."""
     intrinsics: NDArray[np.float64]
     """K, (3, 3), pixels, pixel centres at whole numbers."""
     width: int
@@ -58,34 +60,34 @@ class View:
 
 
 def is_plain(camera: CameraSpec) -> bool:
-    """Returns whether OpenGL draws the camera as it is: a pinhole without distortion, whatever its matrix."""
+    """Returns whether OpenGL draws the camera directly: it is a pinhole without distortion, with any K."""
     return camera.projection == "pinhole" and not any(camera.distortion)
 
 
-def views_of(camera: CameraSpec) -> tuple[View, ...]:
-    """Returns the views that a camera is made from.
+def views_of(camera: CameraSpec) -> tuple[PinholeView, ...]:
+    """Returns the views that a camera's image is resampled from.
 
     Raises:
-        ConfigError: the camera shows nothing at all, or more than a pinhole can, or needs views of a size that nothing draws.
+        ConfigError: no pixel shows anything, the field of view exceeds that of a pinhole, or a view would be too large.
     """
     if is_plain(camera):
-        return (View(np.eye(3), camera.intrinsics(), camera.width, camera.height),)
+        return (PinholeView(np.eye(3), camera.intrinsics(), camera.width, camera.height),)
     return _views(_optics(camera))
 
 
 def lookup(
-    camera: CameraSpec, views: Sequence[View], pixels: ArrayLike
+    camera: CameraSpec, views: Sequence[PinholeView], pixels: ArrayLike
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """Says where in the views the camera's pixels are.
+    """Returns the positions of a camera's pixels in its views.
 
     Args:
-        camera: its optics.
-        views: those of the camera.
+        camera: its optics are used.
+        views: of the camera.
         pixels: (..., 2), (u, v).
 
     Returns:
-        The number of the view, (...), -1 = the camera sees nothing there; the place in it, (..., 2), pixels; and the depth along the
-        view's axis of what is at depth 1 of the camera, (...).
+        The number of the view, (...), -1 = the camera sees nothing there; the position in it, (..., 2), pixels; and the depth along the
+        view's axis of a point at depth 1 of the camera, (...).
     """
     rays = unproject(pixels, camera)
     seen = np.asarray(np.isfinite(rays).all(axis=-1))
@@ -100,14 +102,14 @@ def lookup(
 
 
 def tap_pixels(camera: CameraSpec) -> NDArray[np.float64]:
-    """Returns the places in the image at which the colour is sampled, (n H, n W, 2), n x n of them in each pixel."""
+    """Returns the positions in the image at which the colour is sampled, (n H, n W, 2), n x n of them in each pixel."""
     n = 2 if camera.samples > 1 else 1
     v, u = np.mgrid[: camera.height * n, : camera.width * n]
     return (np.stack([u, v], axis=-1) + 0.5) / n - 0.5
 
 
 def _optics(camera: CameraSpec) -> CameraSpec:
-    """Returns the camera without what its views do not depend on: one that moves keeps them."""
+    """Returns the camera reduced to what its views depend on, so that a moving camera keeps them."""
     return replace(
         camera, link="", pose=Pose(), near=0.05, far=100.0, rate_hz=1.0, outputs=("depth",), stereo_baseline=0.0,
         effects=ImageEffects(), depth_noise=DepthNoise(),
@@ -115,7 +117,7 @@ def _optics(camera: CameraSpec) -> CameraSpec:
 
 
 @lru_cache(maxsize=64)
-def _views(camera: CameraSpec) -> tuple[View, ...]:
+def _views(camera: CameraSpec) -> tuple[PinholeView, ...]:
     pixels = tap_pixels(camera).reshape(-1, 2)
     rays = unproject(pixels, camera)
     seen = np.isfinite(rays).all(axis=1)
@@ -147,19 +149,19 @@ def _views(camera: CameraSpec) -> tuple[View, ...]:
     return cube
 
 
-def _view(camera: CameraSpec, R_camera_view: Mat3, pixels: NDArray[np.float64], rays: NDArray[np.float64]) -> View:
-    """Returns the view along one frame that covers these rays of these pixels."""
+def _view(camera: CameraSpec, R_camera_view: Mat3, pixels: NDArray[np.float64], rays: NDArray[np.float64]) -> PinholeView:
+    """Returns the view with the given axes that covers the rays of pixels."""
     focal = _texels(camera, R_camera_view, pixels)
     p = rays @ R_camera_view
     places = p[:, :2] / p[:, 2:] * focal
     first = np.floor(places.min(axis=0)) - GUARD
     width, height = (int(n) for n in np.ceil(places.max(axis=0)) + GUARD - first + 1)
     intrinsics = np.array([[focal[0], 0.0, -first[0]], [0.0, focal[1], -first[1]], [0.0, 0.0, 1.0]])
-    return View(R_camera_view, intrinsics, width, height)
+    return PinholeView(R_camera_view, intrinsics, width, height)
 
 
 def _texels(camera: CameraSpec, R_camera_view: Mat3, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns how many texels the plane z = 1 of a view needs along x and y, (2,), so that their corners are half a pixel away."""
+    """Returns the focal lengths of a view, texels, (2,), at which the corners of its texels are half a pixel of the image from their centre."""
     probes = pixels[np.linspace(0, len(pixels) - 1, min(len(pixels), _PROBES)).astype(np.intp)]
     step = 0.25
     columns = []
@@ -173,7 +175,7 @@ def _texels(camera: CameraSpec, R_camera_view: Mat3, pixels: NDArray[np.float64]
         return np.diag(camera.intrinsics())[:2].copy()
     most = _STRETCH[camera.projection] / float(np.linalg.norm(jacobian, 2, axis=(1, 2)).min())
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Where the image moves for a step along x and along y of the plane, (N, 2): the columns of the inverse.
+        # Motion in the image for a step along x and along y of the plane, (N, 2): the columns of the inverse.
         adjugate = np.stack([jacobian[:, 1, ::-1], jacobian[:, 0, ::-1]], axis=-1) * [[1.0, -1.0], [-1.0, 1.0]]
         along = adjugate / np.linalg.det(jacobian)[:, None, None]
         texels = np.nanmax(np.linalg.norm(along, axis=1), axis=0)
@@ -185,5 +187,5 @@ def _texels(camera: CameraSpec, R_camera_view: Mat3, pixels: NDArray[np.float64]
 
 
 def _nearest_axis(rays: NDArray[np.float64], frames: Sequence[Mat3]) -> NDArray[np.intp]:
-    """Returns in front of which frame each ray is most, (...)."""
+    """Returns the frame whose z axis is nearest to each ray, (...)."""
     return np.asarray(np.argmax(np.stack([rays @ frame[:, 2] for frame in frames], axis=-1), axis=-1))

@@ -1,4 +1,4 @@
-"""The shader programs of a scene: one for each set of what a batch and a target need, compiled at its first use."""
+"""The shader programs of a scene: one for each combination of needs of a batch and a target, compiled at its first use."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
-from gibson_sim.render.batching.batches import MATERIAL, Batch, Batches
+from gibson_sim.render.batching.scene_geometry import MATERIAL, Batch, SceneGeometry
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.screen_pass import shader_text
 from gibson_sim.render.draw.target import Feature
 
-_UNIFORMS = (("u_color", "color"), ("u_surface", "surface"), ("u_glow", "glow"), ("u_maps", "maps"))
-"""Of a program whose triangles all have one material: name, and field of ``MATERIAL``."""
+_MATERIAL_UNIFORMS = (("u_color", "color"), ("u_surface", "surface"), ("u_emission", "emission"), ("u_maps", "maps"))
+"""Uniforms of a program whose triangles all have one material: name, and field of ``MATERIAL``."""
 
 
 @dataclass(slots=True, eq=False)
 class Program:
-    """A program, and where it takes what differs from batch to batch."""
+    """A program, and the locations of the uniforms that differ from batch to batch."""
 
     made: moderngl.Program
     number: int
@@ -26,9 +26,9 @@ class Program:
     translucent: int
     """Location of ``u_translucent``; -1 = it has none."""
     material: tuple[tuple[int, int], ...]
-    """Location, and offset in ``MATERIAL``, bytes, of each part of a material that it takes."""
-    told: tuple[int, bool] | None = None
-    """What it was told last: row of the material, -1 = none, and whether it draws what shines through."""
+    """Location of each uniform of a material, and offset of its value in ``MATERIAL``, bytes."""
+    current: tuple[int, bool] | None = None
+    """Current uniforms: row of the material, -1 = none, and whether it draws the translucent pass."""
 
 
 class Programs:
@@ -38,50 +38,50 @@ class Programs:
         self._context, self._gl = context, GL.Gl(context)
         self._made: dict[tuple[str, ...], Program] = {}
         self._of_batch: dict[tuple[int, tuple[Feature, ...], bool], Program] = {}
-        self._batches: Batches | None = None
+        self._geometry: SceneGeometry | None = None
         self._light: tuple[str, ...] = ()
         self._materials = np.zeros(0, dtype=MATERIAL)
-        self._rows = 0  # where they lie in memory
+        self._rows = 0  # their address
 
-    def take(self, batches: Batches, light: tuple[str, ...]) -> None:
-        """Makes the programs that pictures of these batches need, so that the first image does not wait for the compiler.
+    def prepare(self, geometry: SceneGeometry, light: tuple[str, ...]) -> None:
+        """Compiles the programs that pictures of a geometry need, so that the first image does not wait for the compiler.
 
         Args:
-            batches: what is drawn from now on.
-            light: what ``Lighting.defines`` says.
+            geometry: what is drawn from now on.
+            light: ``Lighting.defines``.
         """
-        self._batches, self._light = batches, light
-        self._materials = np.ascontiguousarray(batches.materials)
+        self._geometry, self._light = geometry, light
+        self._materials = np.ascontiguousarray(geometry.materials)
         self._rows = self._materials.ctypes.data
         self._of_batch = {}
         for program in self._made.values():
-            program.told = None
-        for number, batch in enumerate(batches.batches):
+            program.current = None
+        for number, batch in enumerate(geometry.batches):
             self.of(number, ())
             self.depth(moving=batch.moving)
 
     def of(self, number: int, features: tuple[Feature, ...], *, color: bool = True) -> Program:
-        """Returns the program for a batch; without colour it fills depth and features only."""
+        """Returns the program of a batch; without colour it writes depth and features only."""
         key = (number, features, color)
         if key not in self._of_batch:
-            assert self._batches is not None
-            self._of_batch[key] = self._find(self._batches.batches[number], features, color)
+            assert self._geometry is not None
+            self._of_batch[key] = self._find(self._geometry.batches[number], features, color)
         return self._of_batch[key]
 
     def depth(self, *, moving: bool) -> Program:
-        """Returns the program that fills the depth with what has no holes."""
+        """Returns the program that writes the depth of surfaces without holes."""
         return self._program(("MOVING",) if moving else (), "depth.frag", ())
 
     def _find(self, batch: Batch, features: tuple[Feature, ...], color: bool) -> Program:
-        cut = batch.kind != "opaque"
-        if not (color or features or cut):
+        has_holes = batch.alpha_mode != "opaque"
+        if not (color or features or has_holes):
             return self.depth(moving=batch.moving)
         lights = color and not batch.unlit
         flags = {
-            "MOVING": batch.moving, "CUT": cut, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (cut or color),
+            "MOVING": batch.moving, "ALPHA_TEST": has_holes, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (has_holes or color),
             "MATERIALS": batch.material < 0,
-            "SURFACE": lights or "FLOW" in features, "TURNED": lights or "NORMALS" in features,
-            "APPEARANCE": color and batch.has_appearance, "COLORED": color and batch.colored,
+            "WORLD_POSITION": lights or "FLOW" in features, "WORLD_NORMAL": lights or "NORMALS" in features,
+            "APPEARANCE": color and batch.has_appearance, "VERTEX_COLORS": color and batch.colored,
         }  # fmt: skip
         lit: tuple[str, ...] = ()
         if lights:
@@ -98,23 +98,23 @@ class Programs:
             )
             if "u_texture" in made:
                 made["u_texture"] = 0
-            parts = tuple((_location(made, name), MATERIAL.fields[part][1]) for name, part in _UNIFORMS)  # type: ignore[index]
-            taken = tuple((location, offset) for location, offset in parts if location >= 0)
-            self._made[key] = Program(made, made.glo, _location(made, "u_translucent"), taken)
+            uniforms = tuple((_location(made, name), MATERIAL.fields[part][1]) for name, part in _MATERIAL_UNIFORMS)  # type: ignore[index]
+            used = tuple((location, offset) for location, offset in uniforms if location >= 0)
+            self._made[key] = Program(made, made.glo, _location(made, "u_translucent"), used)
         return self._made[key]
 
-    def tell(self, program: Program, material: int, *, translucent: bool) -> None:
-        """Tells a program what it must know of a batch, unless it was the last thing that it was told.
+    def set_uniforms(self, program: Program, material: int, *, translucent: bool) -> None:
+        """Sets the uniforms of a program that differ from batch to batch, unless they are current.
 
         Args:
             program: of the batch.
-            material: of all its triangles, its row in ``Batches.materials``; -1 = they have several.
-            translucent: whether what shines through is drawn, instead of what is solid.
+            material: row in ``SceneGeometry.materials`` of the material of all its triangles; -1 = they have several.
+            translucent: draw the translucent pass, not the opaque one.
         """
-        told = material, translucent
-        if program.told == told:
+        uniforms = material, translucent
+        if program.current == uniforms:
             return
-        program.told = told
+        program.current = uniforms
         if program.translucent >= 0:
             self._gl.glProgramUniform1i(program.number, program.translucent, translucent)
         if material >= 0:
@@ -130,6 +130,6 @@ class Programs:
 
 
 def _location(program: moderngl.Program, name: str) -> int:
-    """Returns where a program takes a number; -1 = it does not."""
+    """Returns the location of a uniform; -1 = the program has none."""
     member = program.get(name, None)
     return member.location if isinstance(member, moderngl.Uniform) else -1

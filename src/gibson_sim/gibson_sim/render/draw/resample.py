@@ -1,6 +1,6 @@
-"""Bent cameras: the image of a distorted pinhole, a fisheye or an equirectangular camera out of the views that it is made from.
+"""Non-pinhole cameras: resamples the image of a distorted pinhole, a fisheye or an equirectangular camera from its pinhole views.
 
-Where each pixel looks is worked out once for a camera, in doubles, and kept as a table on the GPU.
+The position of each pixel in the views is computed once for a camera, in doubles, and kept as a table on the GPU.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
-from gibson_sim.geometry.distortion import largest_angle, reach
+from gibson_sim.geometry.distortion import valid_angle, valid_radius_squared
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.render.draw.pinhole_views import View, lookup, tap_pixels, views_of
+from gibson_sim.render.draw.pinhole_views import PinholeView, lookup, tap_pixels, views_of
 from gibson_sim.render.draw.screen_pass import ScreenPass
-from gibson_sim.render.draw.target import FEATURES, Feature, Target
+from gibson_sim.render.draw.target import FEATURES, Feature, RenderTarget
 from gibson_sim.types import CameraSpec
 
 _NOWHERE = -1.0
@@ -26,17 +26,17 @@ _NOWHERE = -1.0
 class Resampler:
     """Fills images of one camera from its views, drawn into tiles of a source target.
 
-    Colours are mixed from four texels in linear light (from sixteen, at four places of the pixel, if the camera has 4 samples).
-    Labels and normals are those of the nearest texel, which is at most half a pixel away. Depth and flow are those of the nearest
-    texel's surface, followed to the pixel's own place: depth is exact on planes, and within a millimetre on a ball of 1 m in 5 m.
+    Colours are interpolated from four texels in linear light (from sixteen, at four positions in the pixel, if the camera has 4 samples).
+    Labels and normals are those of the nearest texel, which is at most half a pixel away. Depth and flow are extrapolated from the
+    nearest texel along its surface: depth is exact on planes, and within a millimetre on a ball of 1 m in 5 m.
 
     Args:
-        context: where; it must be current in every call.
+        context: it must be current in every call.
         camera: its optics, size and samples.
         places: (left column, top row) in the source of each of ``views_of(camera)``.
 
     Raises:
-        ConfigError: the camera cannot be made from views.
+        ConfigError: the camera cannot be resampled from views.
     """
 
     def __init__(self, context: GlContext, camera: CameraSpec, places: Sequence[tuple[int, int]]) -> None:
@@ -62,18 +62,18 @@ class Resampler:
     def _lookup(
         self, camera: CameraSpec, pixels: NDArray[Any]
     ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-        """As ``views.lookup``, but the places are those in the source, texel centres at halves as OpenGL has them."""
+        """As ``pinhole_views.lookup``, but positions are in the source, with texel centres at halves as in OpenGL."""
         number, place, scale = lookup(camera, self._views, pixels)
         corners = np.array(self._places, dtype=np.float64)
         place = np.where(number[..., None] >= 0, place + corners[number] + 0.5, _NOWHERE)
         return number, place, scale
 
-    def run(self, source: Target, out: Target, x: int = 0, y: int = 0) -> None:
-        """Fills the camera's rectangle of ``out``, with all features of that, which the source must have too.
+    def run(self, source: RenderTarget, out: RenderTarget, x: int = 0, y: int = 0) -> None:
+        """Fills the camera's rectangle of ``out``, with all of its features; the source must have them too.
 
         Args:
             source: the views at their places, one sample a pixel; normals in the optical frame of each view, flow in its pixels.
-            out: where to; it must not be the source.
+            out: a target other than the source.
             x: left column of the image in ``out``.
             y: top row.
 
@@ -83,7 +83,7 @@ class Resampler:
         if self._map is None:
             raise RenderError("the resampler is closed; make a new one")
         assert source.samples == 1 and out is not source
-        # In one order, whatever that of the target.
+        # Sorted, so that targets with equal features share a pass.
         features = tuple(f for f in FEATURES if f in out.features)
         tables = [self._map.glo] if self._taps is None else [self._map.glo, self._taps.glo]
         textures = [*tables, *(source.textures[name] for name in ("color", "depth", *features))]
@@ -93,7 +93,7 @@ class Resampler:
         self._gl.glDisable(GL.SCISSOR_TEST)
 
     def _pass(self, features: tuple[Feature, ...]) -> ScreenPass:
-        """Returns the shader that fills these outputs; makes it at its first use."""
+        """Returns the pass that fills these outputs, made at its first use."""
         if features not in self._passes:
             taps = self._taps is not None
             samplers = ["u_map", *(["u_taps"] if taps else []), "u_color", "u_depth", *(f"u_{f.lower()}" for f in features)]
@@ -112,17 +112,17 @@ class Resampler:
         self._map = self._taps = None
 
 
-def _uniforms(camera: CameraSpec, views: Sequence[View], places: Sequence[tuple[int, int]]) -> dict[str, Any]:
-    """Returns what the shader needs to turn normals and to bend flow; matrices by columns."""
+def _uniforms(camera: CameraSpec, views: Sequence[PinholeView], places: Sequence[tuple[int, int]]) -> dict[str, Any]:
+    """Returns the uniforms that rotate normals and project flow, matrices by columns."""
     rays = []
     for view, (x, y) in zip(views, places, strict=True):
         from_source = np.array([[1.0, 0.0, -x - 0.5], [0.0, 1.0, -y - 0.5], [0.0, 0.0, 1.0]])
         rays.append((view.R_camera_view @ np.linalg.inv(view.intrinsics) @ from_source).T)
     d = camera.distortion
     if camera.projection == "pinhole":
-        limit = min(reach(d), 1e30) if any(d) else 1e30
+        limit = min(valid_radius_squared(d), 1e30) if any(d) else 1e30
     else:
-        limit = largest_angle(d) if camera.projection == "fisheye" else 0.0
+        limit = valid_angle(d) if camera.projection == "fisheye" else 0.0
     return {
         "u_turn": np.array([view.R_camera_view.T for view in views], dtype=np.float32),
         "u_ray": np.array(rays, dtype=np.float32),

@@ -1,4 +1,7 @@
-"""The arrays and textures of batches on the GPU, and how they grow and shrink when a scene changes."""
+"""The geometry and textures of a scene in GPU memory, and how they grow and shrink when the scene changes.
+
+``SceneMemory`` owns the buffers, vertex arrays and textures; ``upload_texture`` makes one texture with its mip levels.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +15,149 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TextureSource
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
-from gibson_sim.render.batching.batches import MATERIAL, PLACEMENT, VERTEX, Batches
+from gibson_sim.render.batching.scene_geometry import MATERIAL, PLACEMENT, VERTEX, SceneGeometry
 from gibson_sim.render.context import gl as GL
 
 Pixels = NDArray[np.uint8]
 
+_VERTEX_ATTRIBUTES = (
+    # location, numbers, type, normalised (None = stays integer), field of VERTEX
+    (0, 3, GL.FLOAT, 0, "position"),
+    (1, 3, GL.SHORT, 1, "normal"),
+    (2, 1, GL.UNSIGNED_SHORT, None, "material"),
+    (3, 2, GL.FLOAT, 0, "uv"),
+    (4, 1, GL.UNSIGNED_INT, None, "label"),
+    (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # vertices with colours have them instead of texture coordinates
+)
+_PLACEMENT_ATTRIBUTES = ((5, "link"), (6, "label"), (7, "material"))
+"""Location and field of ``PLACEMENT``: the same for a whole draw."""
+_ALPHA = (np.arange(256) / 255.0).astype(np.float32)
+_LINEAR = linear_from_srgb(_ALPHA)
+"""(256,), linear light of each sRGB byte."""
+
+
+class SceneMemory:
+    """Buffers and textures; the context must be current in every call.
+
+    Args:
+        gl: of the context.
+        compress: keep textures compressed.
+    """
+
+    def __init__(self, gl: GL.Gl, *, compress: bool) -> None:
+        self._gl, self._compress = gl, compress
+        self._sizes: dict[int, int] = {}
+        self._texture_of: dict[int, tuple[int, int]] = {}
+        self.textures: list[int] = []
+        """In the order of ``SceneGeometry.textures``."""
+        self._arrays: list[int] = []
+        self._vertices, self._indices, self._occluders, self._sorted, self._placements = (self._buffer() for _ in range(5))
+        self.materials, self.appearances = self._buffer(), self._buffer()
+        self.array = self._array(self._indices)
+        """The vertex array that draws read."""
+        self.occluder_array = self._array(self._occluders)
+        """The same with the indices of ``Occluders``."""
+        self.sorted_array = self._array(self._sorted)
+        """The same with indices that are sorted for each picture."""
+
+    def _array(self, indices: int) -> int:
+        """Returns a vertex array over the vertices, with the buffer ``indices``."""
+        gl = self._gl
+        array = gl.create("glCreateVertexArrays")
+        self._arrays.append(array)
+        for location, numbers, kind, normalised, name in _VERTEX_ATTRIBUTES:
+            offset = VERTEX.fields[name][1]  # type: ignore[index]
+            if normalised is None:
+                gl.glVertexArrayAttribIFormat(array, location, numbers, kind, offset)
+            else:
+                gl.glVertexArrayAttribFormat(array, location, numbers, kind, normalised, offset)
+            gl.glVertexArrayAttribBinding(array, location, 0)
+            gl.glEnableVertexArrayAttrib(array, location)
+        # Per-instance attributes: each draw has one instance, and its base instance is the row of its placement.
+        for location, name in _PLACEMENT_ATTRIBUTES:
+            gl.glVertexArrayAttribIFormat(array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
+            gl.glVertexArrayAttribBinding(array, location, 1)
+            gl.glEnableVertexArrayAttrib(array, location)
+        gl.glVertexArrayBindingDivisor(array, 1, 1)
+        gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, VERTEX.itemsize)
+        gl.glVertexArrayVertexBuffer(array, 1, self._placements, 0, PLACEMENT.itemsize)
+        gl.glVertexArrayElementBuffer(array, indices)
+        return array
+
+    def load(self, geometry: SceneGeometry, same_vertices: int, same_indices: int) -> None:
+        """Uploads a geometry.
+
+        Args:
+            geometry: what is drawn from now on.
+            same_vertices: number of its leading vertices that are uploaded already.
+            same_indices: likewise.
+        """
+        self._fill(self._vertices, geometry.vertices if len(geometry.vertices) else np.zeros(1, VERTEX), same_vertices)
+        self._fill(self._indices, geometry.indices if len(geometry.indices) else np.zeros(1, np.uint32), same_indices)
+        self._fill(self.materials, geometry.materials if len(geometry.materials) else np.zeros(1, MATERIAL))
+        self._fill(self._placements, geometry.placements)
+        if len(geometry.appearances):
+            self._fill(self.appearances, geometry.appearances)
+        self._load_textures(geometry.textures)
+
+    def load_occluders(self, indices: NDArray[np.uint32]) -> None:
+        """Uploads the indices of the occluders."""
+        self._fill(self._occluders, indices if len(indices) else np.zeros(1, np.uint32))
+
+    def load_sorted(self, indices: NDArray[np.uint32]) -> None:
+        """Uploads the indices of translucent triangles, sorted for the next pictures."""
+        self._gl.glNamedBufferData(self._sorted, indices.nbytes, indices.ctypes.data, GL.STREAM_DRAW)
+
+    def _buffer(self) -> int:
+        buffer = self._gl.create("glCreateBuffers")
+        self._sizes[buffer] = 0
+        return buffer
+
+    def _fill(self, buffer: int, data: NDArray[Any], same: int = 0) -> None:
+        """Writes rows into a buffer that has the first ``same`` of them already; one that must grow gets spare room."""
+        gl, data = self._gl, np.ascontiguousarray(data)
+        if data.nbytes > self._sizes[buffer]:
+            size = data.nbytes if not self._sizes[buffer] else data.nbytes * 3 // 2
+            gl.glNamedBufferData(buffer, size, None, GL.STATIC_DRAW)
+            self._sizes[buffer], same = size, 0
+        rest = data[same:]
+        if len(rest):
+            gl.glNamedBufferSubData(buffer, same * data.itemsize, rest.nbytes, rest.ctypes.data)
+
+    def _load_textures(self, sources: Sequence[TextureSource]) -> None:
+        """Makes the textures that are missing and frees those that are no longer needed."""
+        needed = {id(source): source for source in sources}
+        for gone in [key for key in self._texture_of if key not in needed]:
+            self._gl.delete("glDeleteTextures", self._texture_of.pop(gone)[0])
+        for key, source in needed.items():
+            if key not in self._texture_of:
+                self._texture_of[key] = upload_texture(self._gl, source.pixels, compress=self._compress)
+        self.textures = [self._texture_of[id(source)][0] for source in sources]
+
+    @property
+    def texture_bytes(self) -> int:
+        """GPU memory of the textures of materials."""
+        return sum(size for _, size in self._texture_of.values())
+
+    def close(self) -> None:
+        """Frees everything; a second call does nothing."""
+        textures, buffers = list(self._texture_of.values()), list(self._sizes)
+        self._texture_of, self._sizes, self.textures = {}, {}, []
+        for texture, _ in textures:
+            self._gl.delete("glDeleteTextures", texture)
+        for buffer in buffers:
+            self._gl.delete("glDeleteBuffers", buffer)
+        while self._arrays:
+            self._gl.delete("glDeleteVertexArrays", self._arrays.pop())
+
 
 def upload_texture(gl: GL.Gl, pixels: Pixels, *, compress: bool) -> tuple[int, int]:
-    """Returns a texture, and the bytes that it takes.
+    """Returns a texture with mip levels, and its size in bytes.
 
     Args:
         gl: the context must be current.
-        pixels: (H, W, 3) or (H, W, 4) uint8, sRGB, row 0 = top: where t = 0 is, so v counts downwards, as MeshPart has it. Made
-            smaller if the driver cannot hold it.
+        pixels: (H, W, 3) or (H, W, 4) uint8, sRGB, row 0 = top, at t = 0: v counts downwards, as in MeshPart. They are scaled down if
+            the driver cannot hold them.
         compress: keep it compressed.
     """
     pixels = _fitting(pixels, gl.integer(GL.MAX_TEXTURE_SIZE))
@@ -45,27 +178,23 @@ def _fitting(pixels: Pixels, limit: int) -> Pixels:
     return np.ascontiguousarray(pixels)
 
 
-def _form(pixels: Pixels) -> int:
-    return GL.RGB if pixels.shape[2] == 3 else GL.RGBA
-
-
 def _plain(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
     height, width = pixels.shape[:2]
     gl.glTextureStorage2D(texture, max(width, height).bit_length(), GL.SRGB8_ALPHA8, width, height)
-    gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, _form(pixels), GL.UNSIGNED_BYTE, pixels.ctypes.data)
+    gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, _format(pixels), GL.UNSIGNED_BYTE, pixels.ctypes.data)
     gl.glGenerateTextureMipmap(texture)
     size: int = width * height * 4 * 4 // 3
     return size
 
 
 def _compressed(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
-    """Lets the driver compress each level; it makes no mipmaps of what is compressed, so they are made here, in linear light."""
+    """Lets the driver compress each mip level; it generates none for compressed textures, so they are made here, in linear light."""
     kind = GL.COMPRESSED_SRGB_S3TC_DXT1 if pixels.shape[2] == 3 else GL.COMPRESSED_SRGB_ALPHA_S3TC_DXT5
     gl.glBindTexture(GL.TEXTURE_2D, texture)
     total, level, size = 0, 0, ctypes.c_int(0)
     while True:
         height, width = pixels.shape[:2]
-        gl.glTexImage2D(GL.TEXTURE_2D, level, kind, width, height, 0, _form(pixels), GL.UNSIGNED_BYTE, pixels.ctypes.data)
+        gl.glTexImage2D(GL.TEXTURE_2D, level, kind, width, height, 0, _format(pixels), GL.UNSIGNED_BYTE, pixels.ctypes.data)
         gl.glGetTextureLevelParameteriv(texture, level, GL.TEXTURE_COMPRESSED_IMAGE_SIZE, ctypes.byref(size))
         total += size.value
         if max(width, height) == 1:
@@ -74,143 +203,15 @@ def _compressed(gl: GL.Gl, texture: int, pixels: Pixels) -> int:
         level += 1
 
 
+def _format(pixels: Pixels) -> int:
+    return GL.RGB if pixels.shape[2] == 3 else GL.RGBA
+
+
 def _halved(pixels: Pixels) -> Pixels:
-    """Returns the next level of mipmaps."""
+    """Returns the next mip level."""
     height, width = pixels.shape[:2]
     linear = cv2.LUT(pixels, np.stack([_LINEAR] * 3 + [_ALPHA], axis=-1)[None, :, : pixels.shape[2]])
     smaller = cv2.resize(linear, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA)
     half = srgb8_from_linear(smaller)
     half[..., 3:] = np.rint(smaller[..., 3:] * 255.0)
     return half
-
-
-_ALPHA = (np.arange(256) / 255.0).astype(np.float32)
-_LINEAR = linear_from_srgb(_ALPHA)
-
-
-_ATTRIBUTES = (
-    # location, numbers, type, normalised (None = whole numbers stay whole), field
-    (0, 3, GL.FLOAT, 0, "position"),
-    (1, 3, GL.SHORT, 1, "normal"),
-    (2, 1, GL.UNSIGNED_SHORT, None, "material"),
-    (3, 2, GL.FLOAT, 0, "uv"),
-    (4, 1, GL.UNSIGNED_INT, None, "label"),
-    (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # where vertices have colours, these take the place of the texture coordinates
-)
-_PLACED = ((5, "link"), (6, "label"), (7, "material"))
-"""Location and field of what is the same for a whole draw."""
-
-
-class SceneMemory:
-    """Buffers and textures; the context must be current in every call.
-
-    Args:
-        gl: of the context.
-        compress: keep textures compressed.
-    """
-
-    def __init__(self, gl: GL.Gl, *, compress: bool) -> None:
-        self._gl, self._compress = gl, compress
-        self._sizes: dict[int, int] = {}
-        self._texture_of: dict[int, tuple[int, int]] = {}
-        self.textures: list[int] = []
-        """In the order of ``Batches.textures``."""
-        self._arrays: list[int] = []
-        self._vertices, self._indices, self._occluders, self._sorted, self._placements = (self._buffer() for _ in range(5))
-        self.materials, self.appearances = self._buffer(), self._buffer()
-        self.array = self._array(self._indices)
-        """The vertex array that draws read."""
-        self.occluder_array = self._array(self._occluders)
-        """The same with the indices of ``Occluders``."""
-        self.sorted_array = self._array(self._sorted)
-        """The same with indices that are put in order for each picture."""
-
-    def _array(self, indices: int) -> int:
-        """Returns a vertex array over the vertices, with the buffer ``indices``."""
-        gl = self._gl
-        array = gl.create("glCreateVertexArrays")
-        self._arrays.append(array)
-        for location, numbers, kind, normalised, name in _ATTRIBUTES:
-            offset = VERTEX.fields[name][1]  # type: ignore[index]
-            if normalised is None:
-                gl.glVertexArrayAttribIFormat(array, location, numbers, kind, offset)
-            else:
-                gl.glVertexArrayAttribFormat(array, location, numbers, kind, normalised, offset)
-            gl.glVertexArrayAttribBinding(array, location, 0)
-            gl.glEnableVertexArrayAttrib(array, location)
-        # One number for each instance, of which there is one in each draw: its base says which link the draw belongs to.
-        for location, name in _PLACED:
-            gl.glVertexArrayAttribIFormat(array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
-            gl.glVertexArrayAttribBinding(array, location, 1)
-            gl.glEnableVertexArrayAttrib(array, location)
-        gl.glVertexArrayBindingDivisor(array, 1, 1)
-        gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, VERTEX.itemsize)
-        gl.glVertexArrayVertexBuffer(array, 1, self._placements, 0, PLACEMENT.itemsize)
-        gl.glVertexArrayElementBuffer(array, indices)
-        return array
-
-    def take(self, b: Batches, same_vertices: int, same_indices: int) -> None:
-        """Takes batches.
-
-        Args:
-            b: what is drawn from now on.
-            same_vertices: so many of its vertices, from the first on, are there already.
-            same_indices: likewise.
-        """
-        self._fill(self._vertices, b.vertices if len(b.vertices) else np.zeros(1, VERTEX), same_vertices)
-        self._fill(self._indices, b.indices if len(b.indices) else np.zeros(1, np.uint32), same_indices)
-        self._fill(self.materials, b.materials if len(b.materials) else np.zeros(1, MATERIAL))
-        self._fill(self._placements, b.placements)
-        if len(b.appearances):
-            self._fill(self.appearances, b.appearances)
-        self._take_textures(b.textures)
-
-    def take_occluders(self, indices: NDArray[np.uint32]) -> None:
-        """Takes the indices of large triangles of the vertices."""
-        self._fill(self._occluders, indices if len(indices) else np.zeros(1, np.uint32))
-
-    def take_sorted(self, indices: NDArray[np.uint32]) -> None:
-        """Takes the indices of what shines through, as the next pictures draw it."""
-        self._gl.glNamedBufferData(self._sorted, indices.nbytes, indices.ctypes.data, GL.STREAM_DRAW)
-
-    def _buffer(self) -> int:
-        buffer = self._gl.create("glCreateBuffers")
-        self._sizes[buffer] = 0
-        return buffer
-
-    def _fill(self, buffer: int, data: NDArray[Any], same: int = 0) -> None:
-        """Puts rows into a buffer that has the first ``same`` of them already; one that grows gets room to grow again."""
-        gl, data = self._gl, np.ascontiguousarray(data)
-        if data.nbytes > self._sizes[buffer]:
-            size = data.nbytes if not self._sizes[buffer] else data.nbytes * 3 // 2
-            gl.glNamedBufferData(buffer, size, None, GL.STATIC_DRAW)
-            self._sizes[buffer], same = size, 0
-        rest = data[same:]
-        if len(rest):
-            gl.glNamedBufferSubData(buffer, same * data.itemsize, rest.nbytes, rest.ctypes.data)
-
-    def _take_textures(self, sources: Sequence[TextureSource]) -> None:
-        """Makes the textures that are missing and frees those that are not needed any more."""
-        wanted = {id(source): source for source in sources}
-        for gone in [key for key in self._texture_of if key not in wanted]:
-            self._gl.delete("glDeleteTextures", self._texture_of.pop(gone)[0])
-        for key, source in wanted.items():
-            if key not in self._texture_of:
-                self._texture_of[key] = upload_texture(self._gl, source.pixels, compress=self._compress)
-        self.textures = [self._texture_of[id(source)][0] for source in sources]
-
-    @property
-    def texture_bytes(self) -> int:
-        """What the textures of materials take."""
-        return sum(size for _, size in self._texture_of.values())
-
-    def close(self) -> None:
-        """Frees everything; a second call does nothing."""
-        textures, buffers = list(self._texture_of.values()), list(self._sizes)
-        self._texture_of, self._sizes, self.textures = {}, {}, []
-        for texture, _ in textures:
-            self._gl.delete("glDeleteTextures", texture)
-        for buffer in buffers:
-            self._gl.delete("glDeleteBuffers", buffer)
-        while self._arrays:
-            self._gl.delete("glDeleteVertexArrays", self._arrays.pop())

@@ -1,4 +1,4 @@
-"""A fragment shader run once for each pixel of a target: how images become other images without leaving the GPU."""
+"""Full-screen passes: a fragment shader that is run for each pixel of a target, so that images are processed on the GPU."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ import numpy as np
 
 from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.render.context.gl import Gl
-from gibson_sim.render.draw.target import Target
+from gibson_sim.render.draw.target import RenderTarget
 
-_VERTEX = """
-void main() {  // one triangle that covers the whole target
+FULL_SCREEN = """#version 450 core
+void main() {
     gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.5, 1.0);
 }
 """
+"""Vertex shader of one triangle that covers the whole target."""
 
 
 def shader_text(name: str, defines: Sequence[str] = (), before: Sequence[str] = ()) -> str:
-    """Returns the source of a shader in ``render/shaders``, with its version line, ``#define``s and the files that stand before it."""
+    """Returns the source of a shader in ``render/shaders``, with a version line, ``#define``s and the files to include ``before`` it."""
     folder = files("gibson_sim.render").joinpath("shaders")
     text = "".join(folder.joinpath(file).read_text(encoding="utf-8") for file in (*before, name))
     return "#version 450 core\n" + "".join(f"#define {d}\n" for d in defines) + text
 
 
 class ScreenPass:
-    """A fragment shader that fills a Target.
+    """A fragment shader that fills a ``RenderTarget``.
 
     Args:
-        context: where; it must be current in every call.
+        context: it must be current in every call.
         fragment: file in ``render/shaders``; its outputs have the locations of the target's attachments.
-        samplers: names of its samplers, which get the texture units 0, 1, ...
+        samplers: names of its samplers, for the texture units 0, 1, ...
         defines: names, or ``NAME value``, for the preprocessor.
     """
 
     def __init__(self, context: GlContext, fragment: str, samplers: Sequence[str], defines: Sequence[str] = ()) -> None:
-        self._gl = Gl(context)
+        self._gl = GL.Gl(context)
         self._program: moderngl.Program | None = context.gl.program(
-            vertex_shader="#version 450 core\n" + _VERTEX, fragment_shader=shader_text(fragment, defines)
+            vertex_shader=FULL_SCREEN, fragment_shader=shader_text(fragment, defines)
         )
         self._array = context.gl.vertex_array(self._program, [])
         self._samplers = tuple(samplers)
         for unit, name in enumerate(samplers):
-            if name in self._program:  # a compiler drops what is not used
+            if name in self._program:  # the compiler removes unused ones
                 self._program[name] = unit
 
-    def run(self, target: Target, textures: Sequence[int], uniforms: Mapping[str, Any] = {}) -> None:
+    def run(self, target: RenderTarget, textures: Sequence[int], uniforms: Mapping[str, Any] = {}) -> None:
         """Fills all of ``target``.
 
         Args:
-            target: where to; it must not hold one of the textures.
+            target: what to fill; it must not hold one of the textures.
             textures: OpenGL names, one for each sampler.
             uniforms: values by name: numbers, tuples, or float32 arrays, matrices by columns.
         """

@@ -1,4 +1,4 @@
-"""Shadows of the sun: one picture of the scene as the sun sees it, drawn again only when something has moved."""
+"""Shadows of the sun: one shadow map of the scene, drawn again only after something has moved."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render.context import GlContext, gl as GL
 
 SHADOW_PX = 2048
-"""Side of the picture, texels."""
+"""Side of the shadow map, texels."""
 _UNIT = 6
+"""Texture unit."""
 _STEP = 1.0 / 4.0
-"""The picture grows by so much of its size, so that what moves at the scene's edge does not move every texel."""
+"""The logarithm, base 2, of the side in metres is rounded up to a multiple of this: what moves at the scene's edge rarely moves all texels."""
 F64 = NDArray[np.float64]
 
 
-class Casters(Protocol):
-    """What throws shadows: a ``GlScene``."""
+class ShadowCasters(Protocol):
+    """What casts shadows: a ``GlScene``."""
 
     def bounds(self, T_world_links: F64) -> F64:
-        """Returns the box of all that is there, (2, 3), world frame, metres."""
+        """Returns the bounding box of the scene, (2, 3), world frame, metres."""
 
     def moves(self) -> bool:
-        """Whether any of it belongs to a link."""
+        """Returns whether any geometry belongs to a link."""
 
     def draw_depth(self, clip_from_world: Mat4, T_world_links: F64, texel: float, *, static: bool, moving: bool) -> None:
-        """Draws solid things into the depth buffer that is bound."""
+        """Draws the opaque pass into the depth buffer that is bound."""
 
 
 def fit_sun(bounds: F64, to_sun: F64, size: int = SHADOW_PX) -> tuple[Mat4, float]:
-    """Returns how the sun sees a box: clip_from_world (4, 4), x and y in [-1, 1], depth in [0, 1] and 1 nearest; and metres a texel.
+    """Returns the sun's projection of a box: clip_from_world (4, 4), x and y in [-1, 1], depth in [0, 1] and 1 nearest; and metres a texel.
 
-    The picture's axes depend on the sun alone and its place is a multiple of its texels, so texels lie still while the box grows.
+    The axes of the map depend on the sun alone and its offset is a multiple of its texels, so texels stay where they are while the box grows.
 
     Args:
         bounds: (2, 3), smallest and largest corner, metres.
@@ -50,7 +51,7 @@ def fit_sun(bounds: F64, to_sun: F64, size: int = SHADOW_PX) -> tuple[Mat4, floa
         np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) @ R_sun_world.T
     )
     low, high = corners.min(axis=0), corners.max(axis=0)
-    # Three texels of rim, so that the filter never leaves the picture where something stands.
+    # A border of three texels, so that the filter never leaves the map where there is geometry.
     side = max(float((high - low)[:2].max()), 1e-3) * size / (size - 6)
     side = 2.0 ** (np.ceil(np.log2(side) / _STEP) * _STEP)
     texel = side / size
@@ -65,10 +66,10 @@ def fit_sun(bounds: F64, to_sun: F64, size: int = SHADOW_PX) -> tuple[Mat4, floa
 
 
 class SunShadow:
-    """The picture that the sun takes.
+    """The shadow map of the sun.
 
     Args:
-        context: where; it must be current in every call.
+        context: it must be current in every call.
         to_sun: (3,), towards the sun, world frame.
         size: texels along a side.
     """
@@ -83,16 +84,16 @@ class SunShadow:
         self.texel = 1.0
         """Metres."""
         self.drawn = 0
-        """How often it was drawn."""
-        # What stands still is kept apart: what moves is drawn over a copy of it.
+        """How often the map was drawn."""
+        # Static geometry has a map of its own: moving geometry is drawn over a copy of it.
         self._still = self._texture()
         self._all = self._texture()
         self._framebuffers = [self._framebuffer(texture) for texture in (self._still, self._all)]
 
-    def update(self, scene: Casters, T_world_links: F64) -> Mat4:
-        """Draws it if something has moved; returns shadow_from_world, (4, 4), to texture coordinates and depth, all 0 to 1.
+    def update(self, scene: ShadowCasters, T_world_links: F64) -> Mat4:
+        """Draws the map if something has moved; returns shadow_from_world, (4, 4), to texture coordinates and depth, all 0 to 1.
 
-        It changes the framebuffer that is bound.
+        It changes the framebuffer binding.
         """
         moves = scene.moves()
         fit, texel = self._fit, self.texel
@@ -107,7 +108,7 @@ class SunShadow:
         to_unit[:2, 3] = 0.5
         return np.asarray(to_unit @ fit)
 
-    def _draw(self, scene: Casters, T_world_links: F64, refit: bool, moves: bool) -> None:
+    def _draw(self, scene: ShadowCasters, T_world_links: F64, refit: bool, moves: bool) -> None:
         gl = self._gl
         assert self._fit is not None
         self.drawn += 1
@@ -138,7 +139,7 @@ class SunShadow:
             gl.glClearBufferfv(GL.DEPTH, 0, nothing.ctypes.data)
 
     def bind(self) -> None:
-        """Makes it what the programs see."""
+        """Binds the map to its texture unit."""
         self._gl.glBindTextureUnit(_UNIT, self._all)
         self._gl.glBindSampler(_UNIT, 0)
 

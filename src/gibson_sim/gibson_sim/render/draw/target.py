@@ -1,6 +1,6 @@
-"""What is drawn into: a colour image and a depth image of one size, and further outputs beside them, all as textures.
+"""Render targets: a colour image and a depth image of one size, and further outputs beside them, all as textures.
 
-Further outputs are further colour attachments of the same framebuffer, filled in the same pass, and there only if asked for.
+Further outputs are more colour attachments of the same framebuffer, filled in the same pass, and present only if requested.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.types import Output
 
 Feature = Literal["LABELS", "NORMALS", "FLOW"]
-"""A further output, named as the shaders know it."""
+"""A further output, named as its macro in the shaders."""
 FEATURES: tuple[Feature, ...] = ("LABELS", "NORMALS", "FLOW")
 ATTACHMENT: dict[str, int] = {"color": 0, "LABELS": 1, "NORMALS": 2, "FLOW": 3}
 """Number of its colour attachment."""
@@ -22,34 +22,34 @@ FORMATS: dict[str, int] = {
     "color": GL.SRGB8_ALPHA8,
     "depth": GL.DEPTH_COMPONENT32F,
     "LABELS": GL.RG16UI,
-    "NORMALS": GL.RGBA16,  # fractions of 16 bits: finer than half floats where it matters, and half the bytes of whole ones
+    "NORMALS": GL.RGBA16,  # fractions of 16 bits: finer than half floats near 1, and half the bytes of single floats
     "FLOW": GL.RG32F,
 }
 """OpenGL's internal format of each texture."""
 
 
 def features_of(outputs: Sequence[Output]) -> tuple[Feature, ...]:
-    """Returns what must be drawn beside colour and depth."""
-    asked = {
+    """Returns the features that outputs need beside colour and depth."""
+    needed = {
         "LABELS": bool({"semantic", "instance"} & set(outputs)),
         "NORMALS": bool({"normal", "normal_world"} & set(outputs)),
         "FLOW": "flow" in outputs,
     }
-    return tuple(feature for feature in FEATURES if asked[feature])
+    return tuple(feature for feature in FEATURES if needed[feature])
 
 
-class Target:
+class RenderTarget:
     """A framebuffer whose attachments are textures; ModernGL has neither sRGB renderbuffers nor 32-bit float depth.
 
     Args:
-        context: where; it must be current in every call.
+        context: it must be current in every call.
         width: pixels.
         height: pixels.
         features: further outputs.
-        samples: of all attachments; above 1 the textures are multisampled ones.
+        samples: of all attachments; above 1 the textures are multisampled.
 
     Raises:
-        RenderError: the driver cannot make one so large, or with so many samples.
+        RenderError: the driver does not support the size or the number of samples.
     """
 
     def __init__(self, context: GlContext, width: int, height: int, features: tuple[Feature, ...] = (), samples: int = 1) -> None:
@@ -58,8 +58,8 @@ class Target:
         """OpenGL's names of "color", "depth" and each feature."""
         self.framebuffer = 0
         self.color_framebuffer = 0
-        """The same with nothing but its colours."""
-        self._depth_framebuffer = self._geometry_framebuffer = 0  # nothing but its depth; all but its colours
+        """The same with its colours only."""
+        self._depth_framebuffer = self._geometry_framebuffer = 0  # its depth only; all but its colours
         self._framebuffers: list[int] = []
         self._gl = GL.Gl(context)
         driver = context.device.renderer
@@ -67,7 +67,7 @@ class Target:
         if max(width, height) > limit:
             raise RenderError(f"image size is {width}x{height}, {driver} draws at most {limit} pixels a side")
         if samples > most:
-            raise RenderError(f"{samples} samples a pixel are asked for, {driver} draws at most {most}; ask for fewer")
+            raise RenderError(f"{samples} samples a pixel are requested, {driver} draws at most {most}; request fewer")
         try:
             self._create()
         except BaseException:
@@ -117,11 +117,11 @@ class Target:
         return texture
 
     def use(self, *, color: bool = True) -> None:
-        """Sends what is drawn from now on here, all of it but perhaps the colours; the viewport is all of it."""
+        """Binds the framebuffer, with or without colours, and sets the viewport to all of it."""
         self._use(self.framebuffer if color else self._geometry_framebuffer)
 
     def use_depth(self) -> None:
-        """Sends what is drawn from now on here, of which nothing but the depth is kept; the viewport is all of it."""
+        """Binds a framebuffer with the depth only, and sets the viewport to all of it."""
         self._use(self._depth_framebuffer)
 
     def _use(self, framebuffer: int) -> None:

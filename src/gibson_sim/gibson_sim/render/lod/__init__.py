@@ -1,0 +1,1 @@
+"""Levels of detail: clusters at load time, and the choice among them for each picture."""

@@ -1,5 +1,7 @@
-"""What ``visibility``, ``planning`` and ``solids`` do in NumPy, as loops that are compiled: for the few hundred chunks of a picture NumPy's calls
-take far longer than the arithmetic. Results are equal, to the bit (the tests compare them).
+"""Compiled loops of ``visibility``, ``draw_plan`` and ``closed_surfaces``: which clusters a picture draws, at which detail, in which order.
+
+For the few hundred clusters of a picture NumPy's calls take far longer than the arithmetic. Results equal those of NumPy to the bit
+(tests compare them).
 """
 
 from __future__ import annotations
@@ -17,27 +19,27 @@ I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
 
-class Detail(NamedTuple):
-    """How coarse a chunk may be."""
+class DetailLimits(NamedTuple):
+    """How coarse clusters may be."""
 
     focal_px: float
-    """Pixels a metre covers at 1 m; 0 = draw the finest."""
+    """Pixels that 1 m covers at a distance of 1 m; 0 = draw the finest."""
     largest_error_px: float
-    """How far, pixels, a surface may be from where it is; 0 = draw the finest."""
+    """Largest error of a surface in the image, pixels; 0 = draw the finest."""
     near: float
-    """Metres; nothing counts as nearer than this."""
+    """Least distance that is used, metres."""
 
 
-class Groups(NamedTuple):
-    """Groups of chunks, as ``Batches`` has them."""
+class GroupTable(NamedTuple):
+    """Cluster groups: the arrays ``group_...`` of ``SceneGeometry``."""
 
     error: F64
     box: F64
     link: I64
 
 
-class Chunks(NamedTuple):
-    """Chunks, as ``Batches`` has them."""
+class ClusterTable(NamedTuple):
+    """Clusters: arrays ``cluster_...`` of ``SceneGeometry``."""
 
     group: I64
     next_group: I64
@@ -45,31 +47,31 @@ class Chunks(NamedTuple):
     link: I64
 
 
-class Solids(NamedTuple):
-    """Boxes of closed solids, as ``Batches`` has them."""
+class ClosedSurfaceTable(NamedTuple):
+    """Boxes of closed surfaces: the arrays ``closed_...`` of ``SceneGeometry``."""
 
     box: F64
     link: I64
 
 
-class Rules(NamedTuple):
-    """What decides where chunks come in the order of drawing."""
+class DrawOrderRules(NamedTuple):
+    """What decides the order in which clusters are drawn."""
 
     batch_of: I64
-    """(C,), batch of each chunk."""
-    cut: B1
-    """(B,), whether a batch may have holes."""
-    has_solid: B1
-    """(C,), whether something of a chunk may be solid."""
-    has_back: B1
-    """(C,), whether something may shine through it."""
-    table: U32
-    """(C, 5), the draw of each chunk, ``planning.draw_table``."""
+    """(C,), batch of each cluster."""
+    has_holes: B1
+    """(B,), whether a batch may have holes: its alpha mode is not opaque."""
+    has_opaque: B1
+    """(C,), whether part of a cluster may be opaque."""
+    has_translucent: B1
+    """(C,), whether part of a cluster may be translucent."""
+    draws: U32
+    """(C, 5), the draw of each cluster, ``draw_plan.draw_table``."""
 
 
 @compiled
 def world_from_links(positions: F64, quats_xyzw: F64) -> F64:
-    """Returns ``visibility.world_from_links``."""
+    """As ``visibility.world_from_links``."""
     T = np.zeros((len(positions) + 1, 4, 4))
     for i in range(3):
         T[0, i, i] = 1.0
@@ -88,7 +90,7 @@ def world_from_links(positions: F64, quats_xyzw: F64) -> F64:
 
 @compiled
 def link_frames(T_world_camera: F64, T_world_links: F64) -> tuple[F64, F64]:
-    """Returns ``visibility.link_frames``."""
+    """As ``visibility.link_frames``."""
     T, eyes, C = np.zeros((len(T_world_links), 4, 4)), np.empty((len(T_world_links), 3)), T_world_camera
     for k in range(len(T_world_links)):
         W = T_world_links[k]
@@ -103,7 +105,7 @@ def link_frames(T_world_camera: F64, T_world_links: F64) -> tuple[F64, F64]:
 
 @compiled
 def planes_of_links(planes: F64, T_camera_links: F64, count: int) -> F64:
-    """Returns ``visibility.planes_of_links`` of the first ``count`` links."""
+    """As ``visibility.planes_of_links``, of the first ``count`` links."""
     found = np.empty((count, len(planes), 4))
     for k in range(count):
         T = T_camera_links[k]
@@ -114,81 +116,85 @@ def planes_of_links(planes: F64, T_camera_links: F64, count: int) -> F64:
 
 
 @compiled
-def planned(
+def plan_picture(
     eyes: F64,
     T_camera_links: F64,
     planes: F64,
     near_corners: F64,
-    detail: Detail,
-    groups: Groups,
-    chunks: Chunks,
+    detail: DetailLimits,
+    groups: GroupTable,
+    clusters: ClusterTable,
     link_box: F64,
-    solids: Solids,
-    rules: Rules,
+    closed: ClosedSurfaceTable,
+    rules: DrawOrderRules,
     near_part: float,
 ) -> tuple[I64, U32, I64, int, I64, int, bool]:
-    """Returns what ``planning.Plan`` holds of a picture: chunks, draws, batch, solid, near, triangles and fronts.
+    """Returns the fields of a picture's ``draw_plan.DrawPlan``: clusters, draws, batch, opaque, near, triangles and cull_back_faces.
 
     Args:
         eyes: (L, 3), the eye in the world and in each link, metres.
         T_camera_links: (L, 4, 4), optical frame from each of these.
-        planes: (P, 4), of the image, optical frame; P = 0: nothing is outside.
-        near_corners: (4, 3), of the picture at its near distance, optical frame, metres.
-        detail: how coarse chunks may be.
-        groups: of chunks.
-        chunks: all of them.
-        link_box: as for ``chosen``.
-        solids: all of them.
-        rules: of the order.
-        near_part: as for ``drawing_order``.
+        planes: (P, 4), of the frustum, optical frame; P = 0: nothing is outside.
+        near_corners: (4, 3), corners of the near plane, optical frame, metres.
+        detail: how coarse clusters may be.
+        groups: all cluster groups.
+        clusters: all clusters.
+        link_box: as for ``select_clusters``.
+        closed: all closed surfaces.
+        rules: of the draw order.
+        near_part: as for ``draw_order``.
     """
-    inside, far = chosen(eyes, groups, chunks, link_box, planes_of_links(planes, T_camera_links, len(link_box)), detail)
+    inside, far = select_clusters(
+        eyes, groups, clusters, link_box, planes_of_links(planes, T_camera_links, len(link_box)), detail
+    )
     nearest = inside[np.argsort(far, kind="mergesort")]
-    every, solid, near, total = drawing_order(nearest, rules, near_part)
-    drawn, batch, draws = np.empty(len(every), np.int64), np.empty(len(every), np.int64), np.empty((len(every), 5), np.uint32)
-    for i in range(len(every)):
-        drawn[i] = nearest[every[i]]
+    order, opaque, near, total = draw_order(nearest, rules, near_part)
+    drawn, batch, draws = np.empty(len(order), np.int64), np.empty(len(order), np.int64), np.empty((len(order), 5), np.uint32)
+    for i in range(len(order)):
+        drawn[i] = nearest[order[i]]
         batch[i] = rules.batch_of[drawn[i]]
         for k in range(5):
-            draws[i, k] = rules.table[drawn[i], k]
-    fronts = not begins_inside(solids, eyes, T_camera_links, near_corners)
-    return drawn, draws, batch, solid, near, total, fronts
+            draws[i, k] = rules.draws[drawn[i], k]
+    cull_back_faces = not near_plane_touches(closed, eyes, T_camera_links, near_corners)
+    return drawn, draws, batch, opaque, near, total, cull_back_faces
 
 
 @compiled
-def by_kind(chunks: I64, table: U32, batch_of: I64, kind_of: I64, kinds: int) -> tuple[U32, I64]:
-    """Returns ``planning.by_kind``."""
+def depth_draws(clusters: I64, table: U32, batch_of: I64, kind_of: I64, kinds: int) -> tuple[U32, I64]:
+    """As ``draw_plan.DrawPlanner.depth_draws``."""
     first, kept = np.zeros(kinds + 1, dtype=np.int64), 0
-    for chunk in chunks:
-        if table[chunk, 0] > 0:
-            first[kind_of[batch_of[chunk]] + 1] += 1
+    for cluster in clusters:
+        if table[cluster, 0] > 0:
+            first[kind_of[batch_of[cluster]] + 1] += 1
             kept += 1
     count = first[1:].copy()
     for k in range(kinds):
         first[k + 1] += first[k]
     draws = np.empty((kept, 5), dtype=np.uint32)
-    for chunk in chunks:
-        if table[chunk, 0] > 0:
-            kind = kind_of[batch_of[chunk]]
+    for cluster in clusters:
+        if table[cluster, 0] > 0:
+            kind = kind_of[batch_of[cluster]]
             for k in range(5):
-                draws[first[kind], k] = table[chunk, k]
+                draws[first[kind], k] = table[cluster, k]
             first[kind] += 1
     return draws, count
 
 
 @compiled
-def chosen(eyes: F64, groups: Groups, chunks: Chunks, link_box: F64, planes: F64, detail: Detail) -> tuple[I64, F64]:
-    """Returns the chunks, ascending, that stand for all triangles inside an image, (N,), and how far they are, (N,), metres.
+def select_clusters(
+    eyes: F64, groups: GroupTable, clusters: ClusterTable, link_box: F64, planes: F64, detail: DetailLimits
+) -> tuple[I64, F64]:
+    """Returns the clusters, ascending, that represent all triangles inside an image, (N,), and their distances, (N,), metres.
 
     Args:
         eyes: (L, 3), the eye in the world and in each link, metres.
-        groups: of chunks.
-        chunks: all of them.
-        link_box: (L', 6), box about what each link has; L' is at most L.
-        planes: (L', P, 4), of the image in the frame of the world and of each link; P = 0: nothing is outside.
-        detail: how coarse they may be.
+        groups: all cluster groups.
+        clusters: all clusters.
+        link_box: (L', 6), bounding box of the clusters of each link; L' is at most L.
+        planes: (L', P, 4), of the frustum in the frame of the world and of each link; P = 0: nothing is outside.
+        detail: how coarse clusters may be.
     """
-    count, sides = len(chunks.group), planes.shape[1]
+    count, sides = len(clusters.group), planes.shape[1]
     detailed = len(groups.error) > 0 and detail.focal_px > 0.0 and detail.largest_error_px > 0.0
     small = np.zeros(len(groups.error), dtype=np.bool_)
     if detailed:
@@ -200,14 +206,14 @@ def chosen(eyes: F64, groups: Groups, chunks: Chunks, link_box: F64, planes: F64
         link_inside[k] = _reaches(planes[k], sides, link_box[k])
     found, far, n = np.empty(count, dtype=np.int64), np.empty(count), 0
     for c in range(count):
-        group, after, link = chunks.group[c], chunks.next_group[c], chunks.link[c]
+        group, after, link = clusters.group[c], clusters.next_group[c], clusters.link[c]
         if group >= 0 and not (detailed and small[group]):
             continue
         if detailed and after >= 0 and small[after]:
             continue
-        if not link_inside[link] or not _reaches(planes[link], sides, chunks.box[c]):
+        if not link_inside[link] or not _reaches(planes[link], sides, clusters.box[c]):
             continue
-        found[n], far[n] = c, _distance(eyes[link], chunks.box[c])
+        found[n], far[n] = c, _distance(eyes[link], clusters.box[c])
         n += 1
     return found[:n], far[:n]
 
@@ -222,7 +228,7 @@ def _distance(eye: F64, box: F64) -> float:
 
 @compiled
 def _reaches(planes: F64, sides: int, box: F64) -> bool:
-    """Returns whether a box lies before all planes, or touches them."""
+    """Returns whether a box is at least partly in front of every plane."""
     for k in range(sides):
         x, y, z = planes[k, 0], planes[k, 1], planes[k, 2]
         middle = x * box[0] + y * box[1] + z * box[2]
@@ -232,9 +238,9 @@ def _reaches(planes: F64, sides: int, box: F64) -> bool:
 
 
 @compiled
-def begins_inside(solids: Solids, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
-    """Returns whether any box touches the near rectangle of a picture; the arguments are those of ``solids.Insides``."""
-    boxes, links, reach = solids.box, solids.link, 0.0
+def near_plane_touches(closed: ClosedSurfaceTable, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
+    """Returns whether any box touches the near plane of a picture; the arguments are those of ``closed_surfaces.NearPlaneTest``."""
+    boxes, links, reach = closed.box, closed.link, 0.0
     for c in range(4):
         x, y, z = near_corners[c, 0], near_corners[c, 1], near_corners[c, 2]
         reach = max(reach, np.sqrt(x * x + y * y + z * z))
@@ -261,47 +267,47 @@ def begins_inside(solids: Solids, eyes: F64, T_camera_links: F64, near_corners: 
 
 
 @compiled
-def drawing_order(chunks: I64, rules: Rules, near_part: float) -> tuple[I64, int, I64, int]:
-    """Returns what ``planning.Planner`` needs to know of chunks that come the nearest first.
+def draw_order(clusters: I64, rules: DrawOrderRules, near_part: float) -> tuple[I64, int, I64, int]:
+    """Returns the draw order of clusters that are given nearest first.
 
     Returns:
-        The place in ``chunks`` of each draw; how many of them, the first ones, are solid; the nearest chunks without holes, about
+        The position in ``clusters`` of each draw; how many of them, the first ones, are opaque; the nearest clusters without holes, about
         ``near_part`` of all triangles; and the number of all triangles.
     """
-    batch_of, cut, has_solid, has_back, table = rules
-    n, total = len(chunks), 0
-    first, size = np.full(len(cut), -1, dtype=np.int64), np.zeros(len(cut), dtype=np.int64)
+    batch_of, has_holes, has_opaque, has_translucent, table = rules
+    n, total = len(clusters), 0
+    first, size = np.full(len(has_holes), -1, dtype=np.int64), np.zeros(len(has_holes), dtype=np.int64)
     for i in range(n - 1, -1, -1):
-        batch = batch_of[chunks[i]]
+        batch = batch_of[clusters[i]]
         first[batch] = i
-        if has_solid[chunks[i]]:
+        if has_opaque[clusters[i]]:
             size[batch] += 1
-        total += int(table[chunks[i], 0])
+        total += int(table[clusters[i], 0])
     total //= 3
-    # The order of batches is that of their first chunk, but what has holes comes after what has none.
-    begin, drawn = np.zeros(len(cut), dtype=np.int64), 0
+    # Batches are in the order of their first cluster, but those with holes come after those without.
+    begin, drawn = np.zeros(len(has_holes), dtype=np.int64), 0
     for with_holes in (False, True):
         for i in range(n):
-            batch = batch_of[chunks[i]]
-            if first[batch] == i and cut[batch] == with_holes:
+            batch = batch_of[clusters[i]]
+            if first[batch] == i and has_holes[batch] == with_holes:
                 begin[batch] = drawn
                 drawn += size[batch]
-    every, near, indices, kept = np.empty(2 * n, dtype=np.int64), np.empty(n, dtype=np.int64), 0, 0
+    order, near, indices, kept = np.empty(2 * n, dtype=np.int64), np.empty(n, dtype=np.int64), 0, 0
     for i in range(n):
-        if has_solid[chunks[i]]:
-            batch = batch_of[chunks[i]]
-            every[begin[batch]] = i
+        if has_opaque[clusters[i]]:
+            batch = batch_of[clusters[i]]
+            order[begin[batch]] = i
             begin[batch] += 1
-    solid = drawn
+    opaque = drawn
     for i in range(n - 1, -1, -1):
-        if has_back[chunks[i]]:
-            every[drawn] = i
+        if has_translucent[clusters[i]]:
+            order[drawn] = i
             drawn += 1
     for i in range(n):
-        indices += int(table[chunks[i], 0])
+        indices += int(table[clusters[i], 0])
         if indices // 3 >= total * near_part:
             break
-        if not cut[batch_of[chunks[i]]]:
-            near[kept] = chunks[i]
+        if not has_holes[batch_of[clusters[i]]]:
+            near[kept] = clusters[i]
             kept += 1
-    return every[:drawn], solid, near[:kept], total
+    return order[:drawn], opaque, near[:kept], total

@@ -1,12 +1,12 @@
-"""Buffers of OpenGL, seen from CUDA: the bytes go from one to the other inside the GPU.
+"""Copies OpenGL buffers to CUDA memory inside the GPU.
 
 ``CudaLink`` needs an NVIDIA GPU and the package ``cuda-bindings`` (``pip install gibson-sim[cuda]``); nothing else here does. CUDA is
-used through ``CudaDriver``, a dozen functions, so that everything around them can be tested where there is no GPU.
+used through ``CudaDriver``, a dozen functions, so that everything around them can be tested without a GPU.
 
-What CUDA asks for, and where it is done: OpenGL's context is current on the calling thread (the callers' duty); the CUDA device is the
-one that OpenGL draws on, found by its UUID (``find_device``); a buffer is registered once and mapped for each copy, which also makes
-CUDA wait for OpenGL's drawing; it is unmapped before OpenGL writes to it again (``CudaLink.copy``). Whatever CUDA device the caller's
-thread is using stays as it was. https://docs.nvidia.com/cuda/cuda-driver-api/group__CUDA__GL.html
+CUDA's requirements, and where they are met: OpenGL's context is current on the calling thread (the caller does this); the CUDA device is
+the one that OpenGL draws on, found by its UUID (``find_device``); a buffer is registered once and mapped for each copy, which also makes
+CUDA wait for OpenGL's drawing; it is unmapped before OpenGL writes to it again (``CudaLink.copy``). The current CUDA device of the
+caller's thread does not change. https://docs.nvidia.com/cuda/cuda-driver-api/group__CUDA__GL.html
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _READ_ONLY = 1
 
 @dataclass(frozen=True, slots=True)
 class CudaDevice:
-    """A GPU as CUDA counts them; ``CUDA_VISIBLE_DEVICES`` changes the numbers but not the UUIDs."""
+    """A GPU as CUDA numbers them; ``CUDA_VISIBLE_DEVICES`` changes the numbers but not the UUIDs."""
 
     ordinal: int
     name: str
@@ -44,43 +44,43 @@ class CudaDriver(Protocol):
     """DLPack's number for the memory that ``allocate`` returns."""
 
     def devices(self) -> list[CudaDevice]:
-        """Returns all GPUs that CUDA shows to this process."""
+        """Returns all GPUs that are visible to CUDA in this process."""
 
     def current_gl_devices(self) -> list[int]:
-        """Returns the ordinals of those that the current OpenGL context draws on; empty if CUDA does not know it."""
+        """Returns the ordinals of the GPUs that the current OpenGL context draws on; empty if CUDA does not know."""
 
     def open(self, ordinal: int) -> None:
-        """Makes this the device of all further calls."""
+        """Selects the device of all further calls."""
 
     def register(self, buffer: int) -> Any:
         """Returns a handle for an OpenGL buffer that CUDA will read."""
 
     def unregister(self, handle: Any) -> None:
-        """Forgets it."""
+        """Unregisters it."""
 
     def map(self, handle: Any, stream: int) -> tuple[int, int]:
-        """Returns address and size of the buffer; what ``stream`` does from now on sees all that OpenGL did before."""
+        """Returns address and size of the buffer; later work of ``stream`` sees all earlier work of OpenGL."""
 
     def unmap(self, handle: Any, stream: int) -> None:
-        """Gives it back: what OpenGL does from now on comes after all that ``stream`` did before."""
+        """Returns it to OpenGL, whose later work comes after all earlier work of ``stream``."""
 
     def copy(self, destination: int, source: int, nbytes: int, stream: int) -> None:
         """Copies inside the device, in the order of the stream."""
 
     def synchronize(self, stream: int) -> None:
-        """Waits for all that the stream was asked to do."""
+        """Waits for all work of the stream."""
 
     def allocate(self, nbytes: int) -> int:
         """Returns the address of new memory."""
 
     def free(self, address: int) -> None:
-        """Frees it once everything that uses it has ended; works as long as the process lives."""
+        """Frees memory once all work that uses it has ended; works until the process ends."""
 
 
 class CudaPython:
-    """CUDA through ``cuda.bindings.driver``, in the device's primary context, which is also that of PyTorch, JAX and CuPy.
+    """CUDA through ``cuda.bindings.driver``, in the device's primary context, which PyTorch, JAX and CuPy use too.
 
-    The context is kept for the life of the process, as all of those do: tensors may outlive the renderer that made them.
+    Like those, it keeps the context until the process ends: tensors may outlive the renderer that made them.
 
     Raises:
         GraphicsUnavailableError: the package, the driver or the GPU is missing.
@@ -97,11 +97,11 @@ class CudaPython:
         self._context: Any = None
         try:
             self._call("cuInit", 0)
-        except (RenderError, RuntimeError) as e:  # bindings raise RuntimeErrors of their own where there is no driver
+        except (RenderError, RuntimeError) as e:  # the bindings raise RuntimeError without a driver
             raise GraphicsUnavailableError(f"no CUDA here: {e}; is NVIDIA's driver installed and the GPU visible?") from e
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        """Returns what a function of the driver returns beside its status: nothing, a value, or a tuple."""
+        """Calls a function of the driver and returns its results without the status: a value, or a tuple."""
         status, *values = getattr(self._cuda, name)(*arguments)
         if status != self._cuda.CUresult.CUDA_SUCCESS:
             raise RenderError(f"CUDA refuses {name}: {getattr(status, 'name', status)}")
@@ -186,12 +186,12 @@ class CudaPython:
 
 
 def find_device(drawing: EglDevice, devices: Sequence[CudaDevice], gl_ordinals: Sequence[int] = ()) -> CudaDevice:
-    """Returns the CUDA device that OpenGL draws on: the one of the same UUID, else the one that CUDA says it is.
+    """Returns the CUDA device that OpenGL draws on: the one with the same UUID, else the one that CUDA reports.
 
     Args:
         drawing: the device of the OpenGL context.
-        devices: all that CUDA shows.
-        gl_ordinals: what CUDA says of the current context.
+        devices: all that are visible to CUDA.
+        gl_ordinals: ``CudaDriver.current_gl_devices`` of the context.
 
     Raises:
         GraphicsUnavailableError: it is none of them.
@@ -216,7 +216,7 @@ class CudaLink:
         driver: CUDA.
 
     Raises:
-        GraphicsUnavailableError: CUDA does not have the GPU that the context draws on.
+        GraphicsUnavailableError: the GPU that the context draws on is not visible to CUDA.
     """
 
     def __init__(self, context: GlContext, driver: CudaDriver) -> None:
@@ -226,13 +226,13 @@ class CudaLink:
         driver.open(self.device.ordinal)
 
     def copy(self, buffer: GlBuffer, nbytes: int, destination: int, stream: int = 0) -> None:
-        """Asks for a copy of the first bytes of a buffer, after all that OpenGL was asked to do, and returns at once.
+        """Enqueues a copy of the first bytes of a buffer, after all earlier work of OpenGL, and returns at once.
 
         Args:
             buffer: it is registered at its first copy.
-            nbytes: how many bytes.
+            nbytes: number of bytes.
             destination: address of CUDA memory.
-            stream: CUDA stream in whose order the copy is made; OpenGL writes to the buffer again only after it.
+            stream: CUDA stream of the copy; OpenGL writes to the buffer again only after it.
         """
         if buffer.name not in self._handles:
             self._handles[buffer.name] = self.driver.register(buffer.name)
@@ -248,11 +248,11 @@ class CudaLink:
             self.driver.unmap(handle, stream)
 
     def forget(self, buffer: GlBuffer) -> None:
-        """Unregisters a buffer; must come before it is freed."""
+        """Unregisters a buffer, which must happen before it is freed."""
         if buffer.name in self._handles:
             self.driver.unregister(self._handles.pop(buffer.name))
 
     def close(self) -> None:
-        """Unregisters what is left; a second call does nothing. Memory that was allocated stays until it is freed."""
+        """Unregisters all buffers; a second call does nothing. Allocated memory stays until it is freed."""
         while self._handles:
             self.driver.unregister(self._handles.popitem()[1])

@@ -1,6 +1,6 @@
-"""Arrays for any library that takes DLPack (PyTorch, JAX, CuPy, NumPy), without one of them: an address, a type, a shape and an owner.
+"""Arrays for any library that reads DLPack (PyTorch, JAX, CuPy, NumPy), without depending on one: address, type, shape and owner.
 
-The structures are those of DLPack before version 1, which all of them take. https://dmlc.github.io/dlpack/latest/c_api.html
+The structures are those of DLPack before version 1, which all of them read. https://dmlc.github.io/dlpack/latest/c_api.html
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _Deleter = ctypes.CFUNCTYPE(None, ctypes.POINTER(_ManagedTensor))
 _ManagedTensor._fields_ = (("tensor", _Tensor), ("context", ctypes.c_void_p), ("deleter", _Deleter))
 
 _exported: dict[int, tuple[Any, ...]] = {}
-"""What consumers still hold, by the address of its structure: it must not be collected before they are done."""
+"""Objects that consumers still use, by the address of the structure: they must not be collected before the deleter is called."""
 
 
 def _forget(managed: Any) -> None:
@@ -62,7 +62,7 @@ _pointer.restype, _pointer.argtypes = ctypes.c_void_p, (ctypes.c_void_p, ctypes.
 
 
 def _forget_capsule(capsule: int) -> None:
-    # One that was taken has another name, and its structure belongs to the taker.
+    # A consumed capsule has another name, and its structure belongs to the consumer.
     if _is_valid(capsule, _NAME):
         _exported.pop(_pointer(capsule, _NAME), None)
 
@@ -71,24 +71,24 @@ _DROP_CAPSULE = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_forget_capsule)
 
 
 class Memory:
-    """Memory of a device that is freed with the last array that shows a part of it.
+    """Memory of a device, freed with the last array that refers to it.
 
     Args:
-        address: where it begins.
+        address: of its first byte.
         device: DLPack's type of the device, and its number.
-        free: is called once with the address.
+        free: called once with the address.
     """
 
     def __init__(self, address: int, device: tuple[int, int], free: Callable[[int], None]) -> None:
         self.address, self.device = address, device
-        # Not at the end of the process: that frees everything, and drivers may be gone by then.
+        # Not at exit: the process frees everything, and drivers may be unloaded by then.
         weakref.finalize(self, free, address).atexit = False
 
 
 class DeviceArray:
-    """An array, row by row, in memory of a device. Read it with ``torch.from_dlpack``, ``jax.dlpack.from_dlpack``, ``cupy.from_dlpack``.
+    """A C-contiguous array in memory of a device. Read it with ``torch.from_dlpack``, ``jax.dlpack.from_dlpack``, ``cupy.from_dlpack``.
 
-    All that was asked of the device before it was made is done: readers need not wait for any stream.
+    All earlier work of the device is done: readers need not wait for any stream.
     """
 
     def __init__(self, memory: Memory, offset: int, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
@@ -97,12 +97,12 @@ class DeviceArray:
 
     @property
     def address(self) -> int:
-        """Where its first element is; valid as long as the array is."""
+        """Address of its first element; valid while the array exists."""
         return self._memory.address + self._offset
 
     @property
     def ndim(self) -> int:
-        """How many axes it has."""
+        """Number of axes."""
         return len(self.shape)
 
     def __dlpack_device__(self) -> tuple[int, int]:

@@ -1,4 +1,8 @@
-"""What was drawn comes back to memory, and becomes the arrays of a ``Frame``."""
+"""Reads render targets back to memory and converts them to the arrays of a ``Frame``.
+
+``Readback`` reads and waits (``pixel_buffers`` does not wait); ``frame_from_raw`` converts. Conversions are those of ``pack.comp`` on the GPU,
+to the bit.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from gibson_sim.geometry import projections
 from gibson_sim.geometry.compiling import CAN_COMPILE, compiled, fixed
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.render.draw.grouping import Remembered
-from gibson_sim.render.draw.target import ATTACHMENT, Target, features_of
+from gibson_sim.render.draw.grouping import IdentityCache
+from gibson_sim.render.draw.target import ATTACHMENT, RenderTarget, features_of
 from gibson_sim.types import CameraSpec, Frame, Output
 
 F32 = NDArray[np.float32]
@@ -24,6 +28,121 @@ U16 = NDArray[np.uint16]
 UNIT = np.float32(2.0 / 65535.0)
 """Normals are stored as fractions of 65535: ``fraction * UNIT - 1``."""
 _ONE = np.float32(1.0)
+_MAX_ARRAYS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class RawFormat:
+    """How an attachment is read back."""
+
+    gl_format: int
+    gl_type: int
+    dtype: DTypeLike
+    channels: int
+
+
+RAW_FORMATS: dict[str, RawFormat] = {
+    # Drivers store and copy four bytes a pixel at once: dropping alpha on the host takes far less time than their conversion.
+    "color": RawFormat(GL.RGBA, GL.UNSIGNED_BYTE, np.uint8, 4),
+    "depth": RawFormat(GL.DEPTH_COMPONENT, GL.FLOAT, np.float32, 1),
+    "LABELS": RawFormat(GL.RG_INTEGER, GL.UNSIGNED_SHORT, np.uint16, 2),
+    "NORMALS": RawFormat(GL.RGBA, GL.UNSIGNED_SHORT, np.uint16, 4),
+    "FLOW": RawFormat(GL.RG, GL.FLOAT, np.float32, 2),
+}
+"""Format of each attachment of a ``RenderTarget``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetImage:
+    """One camera's image in a target."""
+
+    camera: CameraSpec
+    stamp_ns: int
+    T_world_camera: Mat4
+    x: int = 0
+    """Column of its left edge in the target."""
+    y: int = 0
+    """Row of its top edge."""
+
+
+class Readback:
+    """Reads targets of one context into memory."""
+
+    def __init__(self, context: GlContext) -> None:
+        self._gl = GL.Gl(context)
+        self._memory: dict[tuple[str, int, int], tuple[NDArray[Any], int]] = {}  # with the address
+
+    def frames(self, target: RenderTarget, images: Sequence[TargetImage]) -> list[Frame]:
+        """Returns the frames of images in a target; the arrays belong to the caller."""
+        raw = {name: self._read(target, name) for name in needed(target, images)}
+        return [frame_from_raw(image, raw) for image in images]
+
+    def _read(self, target: RenderTarget, name: str) -> NDArray[Any]:
+        """Returns an attachment, (H, W, ...), in memory that the next call reuses."""
+        raw = RAW_FORMATS[name]
+        key = (name, target.width, target.height)
+        if key not in self._memory:
+            if len(self._memory) > _MAX_ARRAYS:
+                self._memory.clear()
+            shape = (target.height, target.width) if raw.channels == 1 else (target.height, target.width, raw.channels)
+            made = np.empty(shape, dtype=raw.dtype)
+            self._memory[key] = made, made.ctypes.data
+        out, address = self._memory[key]
+        gl = self._gl
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
+        gl.glReadBuffer(GL.COLOR_ATTACHMENT0 + ATTACHMENT.get(name, 0))
+        gl.glPixelStorei(GL.PACK_ALIGNMENT, 1)
+        gl.glReadPixels(0, 0, target.width, target.height, raw.gl_format, raw.gl_type, address)
+        return out
+
+
+def frame_from_raw(image: TargetImage, raw: dict[str, NDArray[Any]]) -> Frame:
+    """Returns the frame of an image, copied from attachments as they were read.
+
+    Args:
+        image: which image.
+        raw: "color" (H, W, 4) uint8; "depth" (H, W) float32, near / depth, 0 = nothing; "LABELS" (H, W, 2) uint16; "NORMALS"
+            (H, W, 4) uint16, fractions; "FLOW" (H, W, 2) float32. Row 0 = top.
+    """
+    camera = image.camera
+    outputs = camera.outputs
+    part = {name: a[image.y : image.y + camera.height, image.x : image.x + camera.width] for name, a in raw.items()}
+    R = image.T_world_camera[:3, :3].astype(np.float32)
+    attachments = _attachments_of(outputs)
+    depth = depth_of(part["depth"], camera.near, camera.far) if "depth" in attachments else None
+    normal = normals_of(part["NORMALS"]) if "NORMALS" in attachments else None
+    position = None
+    if "position" in outputs:
+        assert depth is not None
+        position = positions_of(rays_f32(camera), depth, R, image.T_world_camera[:3, 3].astype(np.float32))
+    return Frame(
+        camera,
+        image.stamp_ns,
+        image.T_world_camera,
+        rgb=np.asarray(cv2.cvtColor(part["color"], cv2.COLOR_RGBA2RGB)) if "rgb" in outputs else None,
+        depth=depth if "depth" in outputs else None,
+        semantic=np.ascontiguousarray(part["LABELS"][:, :, 0]) if "semantic" in outputs else None,
+        instance=np.ascontiguousarray(part["LABELS"][:, :, 1]) if "instance" in outputs else None,
+        normal=normal if "normal" in outputs else None,
+        normal_world=rotated(R, normal) if normal is not None and "normal_world" in outputs else None,
+        position=position,
+        flow=part["FLOW"].copy() if "flow" in outputs else None,
+    )
+
+
+def needed(target: RenderTarget, images: Sequence[TargetImage]) -> list[str]:
+    """Returns the attachments of a target that the frames of its images are made from."""
+    attachments = [_attachments_of(image.camera.outputs) for image in images]
+    return [name for name in ("color", "depth", *target.features) if any(name in names for names in attachments)]
+
+
+def _attachments(outputs: tuple[Output, ...]) -> frozenset[str]:
+    color, depth = "rgb" in outputs, bool({"depth", "position"} & set(outputs))
+    return frozenset([*(["color"] if color else []), *(["depth"] if depth else []), *features_of(outputs)])
+
+
+_attachments_of = IdentityCache(_attachments)
+"""The attachments that outputs are made from."""
 
 
 def depth_of(raw: F32, near: float, far: float, *, loops: bool = CAN_COMPILE) -> F32:
@@ -40,7 +159,7 @@ def depth_of(raw: F32, near: float, far: float, *, loops: bool = CAN_COMPILE) ->
         return _depth_loop(fixed(raw), nearest, least)
     with np.errstate(divide="ignore"):
         depth: F32 = nearest / raw
-    # Few images show anything beyond: to appearance is quicker than to choose for each pixel.
+    # Few images show anything beyond: checking that first is quicker than selecting for each pixel.
     if float(raw.min()) < least:
         depth[raw < least] = np.inf
     return depth
@@ -57,7 +176,12 @@ def _depth_loop(raw: F32, near: np.float32, least: np.float32) -> F32:
 
 
 def normals_of(raw: U16, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns unit normals, (H, W, 3), 0 = nothing, of fractions, (H, W, 4), the last one 0 = nothing."""
+    """Returns unit normals, (H, W, 3), 0 = nothing.
+
+    Args:
+        raw: (H, W, 4), fractions of 65535; the fourth is 0 where nothing is.
+        loops: by compiled loops.
+    """
     if loops:
         return _normals_loop(fixed(raw))
     # One conversion, then arithmetic in place: half the time of a multiplication that converts.
@@ -81,34 +205,11 @@ def _normals_loop(raw: U16) -> F32:
     return out
 
 
-def turned(R: F32, vectors: F32, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns ``R v`` of vectors, (H, W, 3), float32, summed from left to right: what a GPU computes, to the bit."""
-    if loops:
-        return _turned_loop(fixed(R), fixed(vectors))
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    out = np.empty_like(vectors)
-    for i in range(3):
-        with np.errstate(invalid="ignore"):
-            out[..., i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
-    return out
-
-
-@compiled
-def _turned_loop(R: F32, vectors: F32) -> F32:
-    out = np.empty(vectors.shape, dtype=np.float32)
-    for v in range(vectors.shape[0]):
-        for u in range(vectors.shape[1]):
-            x, y, z = vectors[v, u, 0], vectors[v, u, 1], vectors[v, u, 2]
-            for i in range(3):
-                out[v, u, i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
-    return out
-
-
 def positions_of(rays: F32, depth: F32, R: F32, t: F32, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns where pixels see something, (H, W, 3), world frame, metres, float32, summed from left to right; NaN = nothing is there.
+    """Returns the world positions of pixels, (H, W, 3), metres, float32, summed from left to right; NaN = nothing is there.
 
     Args:
-        rays: (H, W, 3), what a pixel's depth is multiplied with to give its point in the optical frame.
+        rays: (H, W, 3), points at depth 1 in the optical frame.
         depth: (H, W), metres, +inf = nothing.
         R: (3, 3), R_world_camera.
         t: (3,), the camera in the world, metres.
@@ -118,7 +219,7 @@ def positions_of(rays: F32, depth: F32, R: F32, t: F32, *, loops: bool = CAN_COM
         return _positions_loop(fixed(rays), fixed(depth), fixed(R), fixed(t))
     with np.errstate(invalid="ignore"):  # 0 times infinity: straight ahead, and nothing there
         seen = rays * depth[:, :, None]
-    position = turned(R, seen, loops=False) + t
+    position = rotated(R, seen, loops=False) + t
     position[~np.isfinite(depth)] = np.nan
     return position
 
@@ -139,111 +240,30 @@ def _positions_loop(rays: F32, depth: F32, R: F32, t: F32) -> F32:
     return out
 
 
-_RAW: dict[str, tuple[int, int, int, type[np.generic]]] = {
-    # Four bytes a pixel is what drivers store and copy at once; dropping alpha on the host takes far less than their conversion.
-    "color": (GL.RGBA, GL.UNSIGNED_BYTE, 4, np.uint8),
-    "depth": (GL.DEPTH_COMPONENT, GL.FLOAT, 1, np.float32),
-    "LABELS": (GL.RG_INTEGER, GL.UNSIGNED_SHORT, 2, np.uint16),
-    "NORMALS": (GL.RGBA, GL.UNSIGNED_SHORT, 4, np.uint16),
-    "FLOW": (GL.RG, GL.FLOAT, 2, np.float32),
-}
-"""OpenGL's format and type, numbers a pixel, their type."""
+def rotated(R: F32, vectors: F32, *, loops: bool = CAN_COMPILE) -> F32:
+    """Returns ``R v`` of vectors, (H, W, 3), float32, summed from left to right: what a GPU computes, to the bit."""
+    if loops:
+        return _rotated_loop(fixed(R), fixed(vectors))
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    out = np.empty_like(vectors)
+    for i in range(3):
+        with np.errstate(invalid="ignore"):
+            out[..., i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+    return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shot:
-    """One camera's image in a target."""
-
-    camera: CameraSpec
-    stamp_ns: int
-    T_world_camera: Mat4
-    x: int = 0
-    """Column of its left edge in the target."""
-    y: int = 0
-    """Row of its top edge."""
-
-
-class Readback:
-    """Reads targets of one context into memory."""
-
-    def __init__(self, context: GlContext) -> None:
-        self._gl = GL.Gl(context)
-        self._memory: dict[tuple[str, int, int], tuple[NDArray[Any], int]] = {}  # and where it begins
-
-    def frames(self, target: Target, shots: Sequence[Shot]) -> list[Frame]:
-        """Returns the frames of images that a target holds; the arrays belong to the caller."""
-        raw = {name: self._read(target, name) for name in needed(target, shots)}
-        return [frame_from_raw(shot, raw) for shot in shots]
-
-    def _read(self, target: Target, name: str) -> NDArray[Any]:
-        """Returns an attachment, (H, W, ...); the memory is used again by the next call."""
-        form, kind, numbers, dtype = _RAW[name]
-        key = (name, target.width, target.height)
-        if key not in self._memory:
-            if len(self._memory) > 64:
-                self._memory.clear()
-            shape = (target.height, target.width) if numbers == 1 else (target.height, target.width, numbers)
-            made = np.empty(shape, dtype=dtype)
-            self._memory[key] = made, made.ctypes.data
-        out, begin = self._memory[key]
-        gl = self._gl
-        gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
-        gl.glReadBuffer(GL.COLOR_ATTACHMENT0 + ATTACHMENT.get(name, 0))
-        gl.glPixelStorei(GL.PACK_ALIGNMENT, 1)
-        gl.glReadPixels(0, 0, target.width, target.height, form, kind, begin)
-        return out
-
-
-def needed(target: Target, shots: Sequence[Shot]) -> list[str]:
-    """Returns which textures of a target the frames of its images are made from."""
-    asked = [_made_from(shot.camera.outputs) for shot in shots]
-    return [name for name in ("color", "depth", *target.features) if any(name in names for names in asked)]
-
-
-def _textures(outputs: tuple[Output, ...]) -> frozenset[str]:
-    """Returns which textures outputs are made from; a target has those of features that are asked for, and no others."""
-    color, depth = "rgb" in outputs, bool({"depth", "position"} & set(outputs))
-    return frozenset([*(["color"] if color else []), *(["depth"] if depth else []), *features_of(outputs)])
-
-
-_made_from = Remembered(_textures)
-
-
-def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
-    """Returns the frame of an image in attachments as they were read; nothing of them is kept.
-
-    Args:
-        shot: which image.
-        raw: "color" (H, W, 4) uint8; "depth" (H, W) float32, near / depth, 0 = nothing; "LABELS" (H, W, 2) uint16; "NORMALS"
-            (H, W, 4) uint16, fractions; "FLOW" (H, W, 2) float32. Row 0 = top.
-    """
-    camera = shot.camera
-    outputs = camera.outputs
-    part = {name: a[shot.y : shot.y + camera.height, shot.x : shot.x + camera.width] for name, a in raw.items()}
-    R = shot.T_world_camera[:3, :3].astype(np.float32)
-    made_from = _made_from(outputs)
-    depth = depth_of(part["depth"], camera.near, camera.far) if "depth" in made_from else None
-    normal = normals_of(part["NORMALS"]) if "NORMALS" in made_from else None
-    position = None
-    if "position" in outputs:
-        assert depth is not None
-        position = positions_of(rays_f32(camera), depth, R, shot.T_world_camera[:3, 3].astype(np.float32))
-    return Frame(
-        camera,
-        shot.stamp_ns,
-        shot.T_world_camera,
-        rgb=np.asarray(cv2.cvtColor(part["color"], cv2.COLOR_RGBA2RGB)) if "rgb" in outputs else None,
-        depth=depth if "depth" in outputs else None,
-        semantic=np.ascontiguousarray(part["LABELS"][:, :, 0]) if "semantic" in outputs else None,
-        instance=np.ascontiguousarray(part["LABELS"][:, :, 1]) if "instance" in outputs else None,
-        normal=normal if "normal" in outputs else None,
-        normal_world=turned(R, normal) if normal is not None and "normal_world" in outputs else None,
-        position=position,
-        flow=part["FLOW"].copy() if "flow" in outputs else None,
-    )
+@compiled
+def _rotated_loop(R: F32, vectors: F32) -> F32:
+    out = np.empty(vectors.shape, dtype=np.float32)
+    for v in range(vectors.shape[0]):
+        for u in range(vectors.shape[1]):
+            x, y, z = vectors[v, u, 0], vectors[v, u, 1], vectors[v, u, 2]
+            for i in range(3):
+                out[v, u, i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+    return out
 
 
 @lru_cache(maxsize=64)
 def rays_f32(camera: CameraSpec) -> NDArray[np.float32]:
-    """Returns what a pixel's depth is multiplied with to give its point in the optical frame, (H, W, 3); NaN = nothing is seen there."""
+    """Returns the point at depth 1 of each pixel in the optical frame, (H, W, 3); NaN = nothing is seen there."""
     return projections.rays(camera).astype(np.float32)

@@ -1,7 +1,7 @@
-"""Turns what was drawn into the arrays of a ``Frame`` on the GPU itself: one compute pass for any number of cameras, one buffer out.
+"""Converts render targets to the arrays of a ``Frame`` on the GPU: one compute pass for any number of cameras, into one buffer.
 
-The values are those of the host's readback, to the bit, so that callers see no difference between the two. Arrays stand one behind
-the other in the buffer, each row by row from the top of the image, without gaps: what a tensor wants to see.
+The values equal those of ``frames`` to the bit. Arrays follow each other in the buffer, each row by row from the top of the image,
+without gaps between rows, as tensors need it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.screen_pass import shader_text
-from gibson_sim.render.draw.target import Target
-from gibson_sim.render.readback.frames import Shot, rays_f32
+from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.readback.frames import TargetImage, rays_f32
 from gibson_sim.render.readback.pixel_buffers import GlBuffer
 from gibson_sim.types import CameraSpec, Output
 
 ORDER: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow")
-"""In the order of ``Job.first`` in shaders/pack.comp."""
+"""The order of ``Job.first`` in shaders/pack.comp."""
 DTYPES: dict[Output, tuple[type[np.generic], int]] = {
     "rgb": (np.uint8, 3), "depth": (np.float32, 1), "semantic": (np.uint16, 1), "instance": (np.uint16, 1),
     "normal": (np.float32, 3), "normal_world": (np.float32, 3), "position": (np.float32, 3), "flow": (np.float32, 2),
@@ -43,13 +43,13 @@ _JOB = np.dtype(
         ("", "<u4"),
     ]
 )
-_NOT_WANTED = 0xFFFFFFFF
+_LEFT_OUT = 0xFFFFFFFF
 _Optics = tuple[Any, ...]
 _ALIGNMENT = 256
 _VIEWS: dict[str, tuple[int, int]] = {
     "color": (0, GL.RGBA8UI), "depth": (1, 0), "LABELS": (2, 0), "NORMALS": (3, GL.RGBA16UI), "FLOW": (4, GL.RG32UI),
 }  # fmt: skip
-"""Texture unit, and the format of whole numbers that shows the same bytes (0 = the texture itself will do)."""
+"""Texture unit, and the integer format of a view of the same bytes (0 = the texture itself is bound)."""
 _ALL_BARRIERS = 0xFFFFFFFF
 _JOBS, _PACKED, _RAYS = 5, 6, 7
 _GROUP_PIXELS = 256
@@ -57,11 +57,11 @@ _GROUP_PIXELS = 256
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Where one output of like cameras stands in the packed buffer: one array a camera, evenly apart."""
+    """Layout in the packed buffer of one output of equal cameras: one array for each camera, evenly spaced."""
 
     output: Output
     cameras: tuple[int, ...]
-    """Numbers of the cameras, in order."""
+    """Numbers of the cameras, ascending."""
     offset: int
     """Bytes to the first array."""
     stride: int
@@ -83,7 +83,7 @@ class Stack:
 
 @lru_cache(maxsize=64)
 def layout(makes: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tuple[Stack, ...], int]:
-    """Returns where everything goes, and how many bytes that takes.
+    """Returns the layout of the packed buffer, and its size in bytes.
 
     Args:
         makes: width, height and outputs of each camera.
@@ -93,10 +93,10 @@ def layout(makes: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tupl
         alike.setdefault((width, height, frozenset(outputs)), []).append(k)
     stacks: list[Stack] = []
     offset = 0
-    for (width, height, wanted), cameras in alike.items():
+    for (width, height, requested), cameras in alike.items():
         pixels = -(-width * height // 4) * 4  # the shader writes four at a time
         for output in ORDER:
-            if output in wanted:
+            if output in requested:
                 kind, channels = DTYPES[output]
                 dtype = np.dtype(kind)
                 shape = (height, width) if channels == 1 else (height, width, channels)
@@ -108,11 +108,11 @@ def layout(makes: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tupl
 
 
 class Packer:
-    """The compute pass, and the buffer that it fills.
+    """The compute pass, and its buffer.
 
     Args:
-        context: where; it must be current in every call.
-        on_free: is told of a buffer that is about to be freed.
+        context: it must be current in every call.
+        on_free: called with a buffer that is about to be freed.
     """
 
     def __init__(self, context: GlContext, on_free: Callable[[GlBuffer], None] | None = None) -> None:
@@ -128,26 +128,26 @@ class Packer:
         self._ray_first: dict[_Optics, int] = {}
         self._last_jobs: tuple[tuple[Any, ...], NDArray[np.void]] | None = None
 
-    def pack(self, target: Target, shots: Sequence[Shot]) -> tuple[GlBuffer, tuple[Stack, ...], int]:
-        """Packs what was drawn and returns at once: the buffer (valid until the next call), what stands where, and how many bytes.
+    def pack(self, target: RenderTarget, images: Sequence[TargetImage]) -> tuple[GlBuffer, tuple[Stack, ...], int]:
+        """Packs images and returns at once: the buffer (valid until the next call), its layout, and its size in bytes.
 
         Raises:
-            RenderError: closed, or the driver has not that much memory.
+            RenderError: closed, or the driver does not have enough memory.
         """
         if self._shader is None:
             raise RenderError("the packer is closed; make a new one")
         assert target.samples == 1
-        makes = tuple((s.camera.width, s.camera.height, s.camera.outputs) for s in shots)
+        makes = tuple((s.camera.width, s.camera.height, s.camera.outputs) for s in images)
         stacks, size = layout(makes)
         if size > self.limit:
             raise RenderError(
-                f"{len(shots)} images take {size / 1e6:,.0f} MB as tensors, {self._context.device.renderer} packs at most "
-                f"{self.limit / 1e6:,.0f} MB in one call; ask for fewer cameras or outputs at a time"
+                f"{len(images)} images take {size / 1e6:,.0f} MB as tensors, {self._context.device.renderer} packs at most "
+                f"{self.limit / 1e6:,.0f} MB in one call; request fewer cameras or outputs at a time"
             )
         if self._packed is None or self._packed.size < size:
             self._free_packed()
             self._packed = GlBuffer(self._context, size, GL.DYNAMIC_COPY)
-        jobs = self._table(shots, stacks)
+        jobs = self._table(images, stacks)
         if self._jobs is None or self._jobs.size < jobs.nbytes:
             if self._jobs is not None:
                 self._jobs.close()
@@ -157,10 +157,10 @@ class Packer:
             self._gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, 0 if buffer is None else buffer.name)
         views = self._bind(target)
         most = max(make[0] * make[1] for make in makes)
-        self._shader.run(-(-most // _GROUP_PIXELS), len(shots))
+        self._shader.run(-(-most // _GROUP_PIXELS), len(images))
         self._gl.glMemoryBarrier(_ALL_BARRIERS)
         if not self._proven:
-            # Once only: asking makes some drivers wait.
+            # Once only: glGetError makes some drivers wait.
             error = self._gl.glGetError()
             if error:
                 raise RenderError(f"{self._context.device.renderer} cannot pack images (error 0x{error:x}); update its driver")
@@ -169,8 +169,8 @@ class Packer:
             self._gl.delete("glDeleteTextures", view)
         return self._packed, stacks, size
 
-    def _bind(self, target: Target) -> list[int]:
-        """Binds the textures, those that OpenGL would decode as views of their bytes; returns the names of the views."""
+    def _bind(self, target: RenderTarget) -> list[int]:
+        """Binds the textures, with views of the bytes of those that OpenGL would decode; returns the names of the views."""
         gl = self._gl
         views: list[int] = []
         for name, (unit, form) in _VIEWS.items():
@@ -179,41 +179,41 @@ class Packer:
                 view = gl.create("glGenTextures")
                 gl.glTextureView(view, GL.TEXTURE_2D, texture, form, 0, 1, 0, 1)
                 for which in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
-                    gl.glTextureParameteri(view, which, GL.NEAREST)  # with the default a texture of whole numbers is incomplete
+                    gl.glTextureParameteri(view, which, GL.NEAREST)  # with the default an integer texture is incomplete
                 views.append(view)
                 texture = view
             gl.glBindSampler(unit, 0)
             gl.glBindTextureUnit(unit, texture)
         return views
 
-    def _table(self, shots: Sequence[Shot], stacks: Sequence[Stack]) -> NDArray[np.void]:
-        """Returns what the shader must know of each image. All of it but the poses is the same as long as the cameras are."""
-        key = tuple((s.camera.width, s.camera.height, s.camera.outputs, s.camera.near, s.camera.far, s.x, s.y) for s in shots)
+    def _table(self, images: Sequence[TargetImage], stacks: Sequence[Stack]) -> NDArray[np.void]:
+        """Returns the job of each image. All but the poses is cached while the cameras stay the same."""
+        key = tuple((s.camera.width, s.camera.height, s.camera.outputs, s.camera.near, s.camera.far, s.x, s.y) for s in images)
         if self._last_jobs is None or self._last_jobs[0] != key:
-            jobs = np.zeros(len(shots), dtype=_JOB)
-            jobs["rect"] = [(s.x, s.y, s.camera.width, s.camera.height) for s in shots]
-            jobs["near"] = [s.camera.near for s in shots]
-            jobs["least"] = jobs["near"] / np.array([s.camera.far for s in shots], dtype=np.float32)
-            jobs["first"] = _NOT_WANTED
+            jobs = np.zeros(len(images), dtype=_JOB)
+            jobs["rect"] = [(s.x, s.y, s.camera.width, s.camera.height) for s in images]
+            jobs["near"] = [s.camera.near for s in images]
+            jobs["least"] = jobs["near"] / np.array([s.camera.far for s in images], dtype=np.float32)
+            jobs["first"] = _LEFT_OUT
             for stack in stacks:
                 first = (stack.offset + stack.stride * np.arange(len(stack.cameras))) // 4
                 jobs["first"][list(stack.cameras), ORDER.index(stack.output)] = first
             self._last_jobs = (key, jobs)
         jobs = self._last_jobs[1]
-        jobs["R_t"] = np.array([s.T_world_camera for s in shots])[:, :3]
-        seeing = [(k, _optics(s.camera), s.camera) for k, s in enumerate(shots) if "position" in s.camera.outputs]
+        jobs["R_t"] = np.array([s.T_world_camera for s in images])[:, :3]
+        seeing = [(k, _optics(s.camera), s.camera) for k, s in enumerate(images) if "position" in s.camera.outputs]
         if seeing:
             self._provide_rays({optics: camera for _, optics, camera in seeing})
             jobs["ray"][[k for k, _, _ in seeing]] = [self._ray_first[optics] for _, optics, _ in seeing]
         return jobs
 
-    def _provide_rays(self, wanted: dict[_Optics, CameraSpec]) -> None:
-        """Brings the rays of these cameras to the GPU unless they are there."""
-        if wanted.keys() <= self._ray_first.keys():
+    def _provide_rays(self, cameras: dict[_Optics, CameraSpec]) -> None:
+        """Uploads the rays of cameras unless they are on the GPU."""
+        if cameras.keys() <= self._ray_first.keys():
             return
-        tables = [rays_f32(camera).reshape(-1) for camera in wanted.values()]
+        tables = [rays_f32(camera).reshape(-1) for camera in cameras.values()]
         ends = np.cumsum([len(t) for t in tables]).tolist()
-        self._ray_first = dict(zip(wanted, [0, *ends[:-1]], strict=True))
+        self._ray_first = dict(zip(cameras, [0, *ends[:-1]], strict=True))
         if self._ray_buffer is not None:
             self._ray_buffer.close()
         self._ray_buffer = GlBuffer(self._context, 4 * ends[-1], GL.DYNAMIC_COPY)
@@ -239,5 +239,5 @@ class Packer:
 
 
 def _optics(camera: CameraSpec) -> _Optics:
-    """Returns all that the rays of a camera depend on: cameras of one make share theirs."""
+    """Returns all that the rays of a camera depend on: cameras with equal optics share them."""
     return (camera.width, camera.height, camera.projection, camera.fov_y, camera.fov, camera.matrix, camera.distortion)

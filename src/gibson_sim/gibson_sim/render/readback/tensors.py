@@ -1,13 +1,13 @@
-"""Frames as tensors: on the GPU that drew them where CUDA is there, without a byte going through the host; else on the CPU.
+"""Frames as tensors: on the GPU that drew them if CUDA is available, without a copy through the host; else on the CPU.
 
-The kind of tensor follows from what is installed, never from the images:
+The kind of tensor depends on what is installed, never on the images:
 
 * NVIDIA GPU, ``cuda-bindings``, PyTorch with CUDA: ``torch.Tensor`` on that GPU;
-* NVIDIA GPU, ``cuda-bindings``: ``DeviceArray``, which JAX, CuPy and others take by DLPack;
+* NVIDIA GPU, ``cuda-bindings``: ``DeviceArray``, which JAX, CuPy and others read by DLPack;
 * else PyTorch: ``torch.Tensor`` on the CPU;
-* else NumPy arrays, which carry DLPack too.
+* else NumPy arrays, which support DLPack too.
 
-All values are those of ``Frame``. PyTorch is not needed; it is loaded here, lazily, because only it can allocate its tensors.
+All values are those of ``Frame``. PyTorch is optional; it is loaded here, lazily, because only it can allocate its tensors.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import GraphicsUnavailableError, RenderError
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.draw.target import Target
+from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.render.readback.cuda import CudaDriver, CudaLink, CudaPython
 from gibson_sim.render.readback.dlpack import DeviceArray, Memory
-from gibson_sim.render.readback.frames import Shot
+from gibson_sim.render.readback.frames import TargetImage
 from gibson_sim.render.readback.packing import ORDER, Packer, Stack
 from gibson_sim.types import CameraSpec, Frame
 
@@ -48,7 +48,7 @@ class TensorFrame:
     depth: Any = None
     """(height, width) float32, metres, +inf = nothing."""
     semantic: Any = None
-    """(height, width) uint16. PyTorch computes little with this type: ``.long()`` makes indices of it."""
+    """(height, width) uint16. PyTorch supports few operations on this type; ``.long()`` converts it to indices."""
     instance: Any = None
     """(height, width) uint16."""
     normal: Any = None
@@ -62,14 +62,14 @@ class TensorFrame:
 
 
 class Tensors:
-    """Makes tensors of what is drawn in one context.
+    """Makes tensors of images that are drawn in one context.
 
     Args:
-        context: where it is drawn; it must be current in every call.
-        driver: CUDA; None = NVIDIA's if it is there.
+        context: where they are drawn; it must be current in every call.
+        driver: CUDA; None = NVIDIA's if it is available.
 
     Raises:
-        GraphicsUnavailableError: CUDA is there and the GPU is NVIDIA's, yet CUDA does not show it.
+        GraphicsUnavailableError: CUDA is available and the GPU is NVIDIA's, yet CUDA does not list it.
     """
 
     def __init__(self, context: GlContext, driver: CudaDriver | None = None) -> None:
@@ -83,27 +83,27 @@ class Tensors:
         cuda = self._torch is not None and driver is not None and _has_device(self._torch, self._link, driver)
         self._allocates = self._torch if cuda else None
         self.device = "cpu" if self._link is None else f"cuda:{self._link.device.ordinal}"
-        """Where the tensors are, as PyTorch names it."""
+        """Device of the tensors, as PyTorch names it."""
 
     @property
     def on_gpu(self) -> bool:
-        """Whether ``of_target`` can be used; else ``of_frames``."""
+        """Whether to use ``of_target``; else ``of_frames``."""
         return self._link is not None
 
-    def of_target(self, target: Target, shots: Sequence[Shot]) -> list[TensorFrame]:
-        """Returns what was drawn, one for each rectangle of the target, as tensors on the GPU.
+    def of_target(self, target: RenderTarget, images: Sequence[TargetImage]) -> list[TensorFrame]:
+        """Returns the images of a target as tensors on the GPU.
 
-        Nothing waits for the GPU where PyTorch allocates: the tensors are ready in the order of its current stream, as all its results.
+        With PyTorch the call does not wait for the GPU: the tensors are ready in the order of its current stream, like all its results.
 
         Raises:
-            RenderError: closed, or no memory is left on the GPU.
+            RenderError: closed, or the GPU is out of memory.
         """
         if self._packer is None or self._link is None:
             raise RenderError("there is no CUDA here, or the tensors are closed; make them of frames")
-        if not shots:
+        if not images:
             return []
-        buffer, stacks, size = self._packer.pack(target, shots)
-        arrays: list[dict[str, Any]] = [{} for _ in shots]
+        buffer, stacks, size = self._packer.pack(target, images)
+        arrays: list[dict[str, Any]] = [{} for _ in images]
         if self._allocates is not None:
             torch, device = self._allocates, _torch_device(self._link)
             memory = torch.empty(size, dtype=torch.uint8, device=device)
@@ -122,14 +122,14 @@ class Tensors:
                     arrays[k][stack.output] = DeviceArray(
                         owned, stack.offset + i * stack.stride, np.dtype(stack.type_name), stack.shape
                     )
-        return [TensorFrame(s.camera, s.stamp_ns, s.T_world_camera, **a) for s, a in zip(shots, arrays, strict=True)]
+        return [TensorFrame(s.camera, s.stamp_ns, s.T_world_camera, **a) for s, a in zip(images, arrays, strict=True)]
 
     def of_frames(self, frames: Sequence[Frame]) -> list[TensorFrame]:
-        """Returns frames as tensors on the CPU that share their memory."""
+        """Returns frames as tensors on the CPU, which share their memory."""
         return [tensors_of_frame(frame, self._torch) for frame in frames]
 
     def close(self) -> None:
-        """Frees everything but what callers hold; a second call does nothing. The context must be current."""
+        """Frees everything but the callers' tensors; a second call does nothing. The context must be current."""
         packer, link, self._packer, self._link = self._packer, self._link, None, None
         if packer is not None:
             packer.close()
@@ -138,7 +138,7 @@ class Tensors:
 
 
 def tensors_of_frame(frame: Frame, torch: Any = None) -> TensorFrame:
-    """Returns a frame as tensors on the CPU that share its memory: PyTorch's if given, else its own NumPy arrays."""
+    """Returns a frame as tensors on the CPU, which share its memory: PyTorch's if given, else its own NumPy arrays."""
     arrays = {name: getattr(frame, name) for name in ORDER if getattr(frame, name) is not None}
     if torch is not None:
         arrays = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
@@ -146,7 +146,7 @@ def tensors_of_frame(frame: Frame, torch: Any = None) -> TensorFrame:
 
 
 def _import_torch() -> Any:
-    """Returns PyTorch, or None where it is not installed or too old to have 16-bit labels."""
+    """Returns PyTorch, or None if it is not installed or too old for 16-bit labels."""
     try:
         import torch
     except ImportError:
@@ -158,7 +158,7 @@ def _import_torch() -> Any:
 
 
 def _cuda_of(context: GlContext) -> CudaDriver | None:
-    """Returns CUDA if the context draws on a GPU of NVIDIA and CUDA is installed; says so where only the package is missing."""
+    """Returns CUDA if the context draws on an NVIDIA GPU and CUDA is installed; warns if only the package is missing."""
     if context.device.software or "nvidia" not in context.device.vendor.lower():
         return None
     try:
@@ -169,7 +169,7 @@ def _cuda_of(context: GlContext) -> CudaDriver | None:
 
 
 def _has_device(torch: Any, link: CudaLink | None, driver: CudaDriver) -> bool:
-    """Returns whether this PyTorch can allocate where CUDA draws: packages for the CPU alone cannot."""
+    """Returns whether this PyTorch can allocate on the CUDA device: builds for the CPU alone cannot."""
     return link is not None and (_torch_device(link).type == "cpu" or bool(torch.cuda.is_available()))
 
 
@@ -180,7 +180,7 @@ def _torch_device(link: CudaLink) -> Any:
 
 
 def _torch_views(memory: Any, stacks: Sequence[Stack], torch: Any) -> Iterator[tuple[Stack, Sequence[Any]]]:
-    """Returns the tensors of each stack. PyTorch cuts them in few calls: with some for each of many views, those would take longest."""
+    """Returns the tensors of each stack, sliced in few calls: with several calls for each of many images these would dominate."""
     whole = {name: memory.view(getattr(torch, name)) for name in {stack.type_name for stack in stacks}}
     for stack in stacks:
         item = stack.itemsize

@@ -1,4 +1,4 @@
-// Adds its part to an average of pictures, in linear light.
+// Adds a weighted picture to an average, in linear light.
 uniform sampler2D u_color;
 uniform float u_weight;
 uniform int u_shift;  // rows from the average to the picture

@@ -1,4 +1,4 @@
-// Appearances: tints and patterns that a visual wears over its material. Stands before scene.frag.
+// Appearances: tints and patterns over the material of a visual. Included before scene.frag.
 #ifdef APPEARANCE
 struct Appearance {
     vec4 red, green, blue;  // rows of the tint, linear light
@@ -8,12 +8,12 @@ struct Appearance {
 layout(std430, binding = 3) readonly buffer Appearances { Appearance appearances[]; };
 layout(binding = 8) uniform sampler2DArray u_patterns;
 
-// local: where the surface is, metres, in the frame of its link: the pattern sticks to it.
+// local: position of the surface, metres, in the frame of its link, to which the pattern is fixed.
 vec3 with_appearance(vec3 color, Appearance appearance, vec3 local) {
-    // Derivatives of what was interpolated alone: an appearance may read as zero in the pixels of a quad that lie outside the triangle.
+    // Derivatives of the interpolated position alone: in helper pixels outside the triangle an appearance may read as zero.
     vec3 at = local * appearance.second.w, dx = dFdx(local) * appearance.second.w, dy = dFdy(local) * appearance.second.w;
     vec3 face = abs(cross(dx, dy));
-    // The plane of two axes that the triangle faces most. Walls: across and down.
+    // Projected along the axis that the triangle faces most. On walls u is horizontal and v vertical.
     bool along_x = face.x >= face.y && face.x >= face.z, along_z = face.z > face.x && face.z >= face.y;
     vec2 uv = along_x ? at.yz : along_z ? at.xy : at.xz;
     vec2 uv_dx = along_x ? dx.yz : along_z ? dx.xy : dx.xz;

@@ -1,2 +1,2 @@
-// Fills the depth and nothing else.
+// Writes depth only.
 void main() {}

@@ -1,13 +1,13 @@
-// What a camera makes of the light: the lens darkens the corners, the exposure scales it, the sensor adds noise, and the white balance
-// turns its numbers into colours. Everything is linear; the target is sRGB.
+// Effects of a real camera: vignetting of the lens, exposure, sensor noise, white balance, in this order. Everything is linear; the
+// target is sRGB.
 uniform sampler2D u_color;
-uniform ivec2 u_origin;           // where the image begins in it
+uniform ivec2 u_origin;           // column and row in it at which the image begins
 uniform float u_exposure;         // factor
 uniform mat3 u_white_balance;
 uniform mat3 u_ray_from_pixel;    // K inverse
-uniform float u_vignette;         // light that is missing where the fourth power of the cosine is 0
-uniform vec2 u_variance;          // of the noise: without light, and what full white adds
-uniform uvec2 u_key;              // decides the noise, with the pixel
+uniform float u_vignette;         // part of the light that is lost where the fourth power of the cosine is 0
+uniform vec2 u_variance;          // of the noise: without light, and added at full white
+uniform uvec2 u_key;              // random key of the image
 
 layout(location = 0) out vec4 out_color;
 

@@ -1,19 +1,19 @@
-// Light: what a surface sends to the eye. Stands before scene.frag; world frame (z up), linear light.
+// Lighting: the light that a surface sends to the eye. Included before scene.frag; world frame (z up), linear light.
 //
 // The reflection of metals and plastics is that of glTF 2.0, appendix B.3: GGX distribution, joint Smith visibility, Schlick's Fresnel.
-// Strengths of lights count what a white matte surface that faces them sends back, so the 1 / pi of the standard's diffuse part is
-// in them, and its highlight is multiplied by pi here.
+// The strength of a light is the radiance of a white matte surface that faces it: it includes the 1 / pi of the standard's diffuse part,
+// and highlights are multiplied by pi here.
 //
-// What a scene does not have costs nothing:
+// Macros, so that a scene pays only for what it has:
 //   GLOSS         some material shows highlights
 //   POINT_LIGHTS  number of lamps
 //   ENVIRONMENT   image-based light
-//   SHADOWS       the sun throws shadows
-//   MATERIAL_MAPS the material has textures beside that of its base colour
+//   SHADOWS       the sun casts shadows
+//   MATERIAL_MAPS the material has maps beside its base colour texture
 struct Surface {
     vec3 position;
     vec3 normal;  // unit length, towards the eye
-    vec3 face;    // that of the flat triangle, any length, towards the eye
+    vec3 face;    // normal of the flat triangle, any length, towards the eye
     vec3 to_eye;  // any length
     vec3 base_color;
     float metallic;
@@ -24,7 +24,7 @@ struct Surface {
 
 layout(std140, binding = 1) uniform Light {
     vec4 to_sun;             // unit vector
-    vec4 sun_and_ambient;    // colour and strength of the sun; strength of the light from everywhere
+    vec4 sun_and_ambient;    // colour times strength of the sun; strength of the ambient light
     vec4 irradiance[9];      // factors of the polynomials in environment.py
     mat4 shadow_from_world;  // to texture coordinates and depth, all 0 to 1; depth 1 = nearest to the sun
     vec4 shadow_size;        // metres a texel, half a texel in texture coordinates
@@ -33,22 +33,22 @@ layout(std140, binding = 1) uniform Light {
 #endif
 };
 
-// How dark the side that looks down is under light from everywhere, against the side that looks up.
+// Ambient light on a surface that faces down, relative to one that faces up.
 const float FLOOR_LIGHT = 0.7;
-// What is no metal and rougher than this has no highlight; it comes in over the second number.
+// A dielectric rougher than this has no highlight; it fades in over the second number.
 const float MATTE_ROUGHNESS = 0.9, MATTE_FADE = 0.1;
 const float PI = 3.14159265;
 
 #if defined(POINT_LIGHTS) || defined(ENVIRONMENT) || defined(SHADOWS)
-#define PHYSICAL  // otherwise the sun also stands for the light that a room throws back
+#define PHYSICAL  // otherwise the sun also approximates the light that a room reflects
 #endif
 
 float from_everywhere(vec3 direction) {
     return sun_and_ambient.w * mix(FLOOR_LIGHT, 1.0, 0.5 + 0.5 * direction.z);
 }
 
-// The same as a smooth surface mirrors it: bright above, dark below, with a horizon that blurs as it gets rougher. Light without any
-// direction would make polished metal look like grey paint.
+// Ambient light as reflected by a smooth surface: bright above, dark below, with a horizon that blurs with roughness. Light without
+// any direction would make polished metal look like grey paint.
 float mirrored_from_everywhere(vec3 direction, float roughness) {
     float width = mix(0.2, 1.0, roughness);
     float up = smoothstep(-width, width, direction.z);
@@ -56,7 +56,7 @@ float mirrored_from_everywhere(vec3 direction, float roughness) {
 }
 
 #ifdef ENVIRONMENT
-layout(binding = 5) uniform sampler2DArray u_reflections;  // octahedral, one layer a roughness, with a rim of one texel
+layout(binding = 5) uniform sampler2DArray u_reflections;  // octahedral, one layer for each roughness, with a border of one texel
 const float REFLECTION_LAYERS = 8.0, REFLECTION_SIZE = 256.0;
 
 vec3 ambient_light(vec3 n) {
@@ -89,11 +89,11 @@ vec3 reflected_light(vec3 direction, float roughness) {
 #ifdef SHADOWS
 layout(binding = 6) uniform sampler2DShadow u_shadow_map;
 
-// Part of the sun that arrives, from 3 x 3 texels.
+// Part of the sunlight that is not shadowed, from 3 x 3 texels.
 float sunlight(vec3 position, vec3 face) {
     vec3 n = normalize(face);
-    // A texel covers a slope: what it holds may lie nearer to the sun than the point that is asked for. Along its normal the point
-    // leaves the slope by just as much as the filter reaches down it.
+    // On a slope, a texel may hold a depth nearer to the sun than the point itself. The point is offset along its normal by as much as
+    // the filter reaches down the slope.
     float facing = dot(n, to_sun.xyz);
     vec3 raised = position + n * (shadow_size.x * (0.5 + 2.5 * sqrt(max(1.0 - facing * facing, 0.0))));
     vec3 at = (shadow_from_world * vec4(raised, 1.0)).xyz;
@@ -107,10 +107,10 @@ float sunlight(vec3 position, vec3 face) {
 #endif
 
 #ifdef GLOSS
-layout(binding = 7) uniform sampler2D u_reflectance;  // by (n.v, roughness): factor on f0, and what comes on top
+layout(binding = 7) uniform sampler2D u_reflectance;  // by (n.v, roughness): scale of f0, and bias
 const float REFLECTANCE_SIZE = 32.0;
 
-// Light from one direction: the highlight, and what is left for the matte part.
+// Light from one direction: the highlight, and the part left for the diffuse reflection.
 vec3 highlight(vec3 n, vec3 v, vec3 l, float n_l, float n_v, vec3 f0, float a2, out vec3 left) {
     vec3 h = normalize(l + v);
     float n_h = max(dot(n, h), 0.0), v_h = max(dot(v, h), 0.0);
@@ -125,7 +125,7 @@ vec3 highlight(vec3 n, vec3 v, vec3 l, float n_l, float n_v, vec3 f0, float a2, 
 #endif
 
 #ifdef POINT_LIGHTS
-// What a white matte surface that faces lamp k sends back, and the unit vector towards it.
+// Returns the radiance of a white matte surface that faces lamp k; l is the unit vector towards the lamp.
 vec3 lamp(int k, vec3 position, out vec3 l) {
     vec4 place = lamps[4 * k], color = lamps[4 * k + 1], fall = lamps[4 * k + 2];
     vec3 to = place.xyz - position;
@@ -146,7 +146,7 @@ vec3 shade(Surface s) {
 #ifdef PHYSICAL
     float sun = n_sun;
 #else
-    // Wrapped: surfaces turned away from the sun get darker bit by bit, so that walls of all directions differ.
+    // Wrapped diffuse: surfaces facing away from the sun darken gradually, so that walls of all directions differ.
     float sun = (0.5 + 0.5 * sun_facing) * (0.5 + 0.5 * sun_facing);
 #endif
     float lit = 1.0;
@@ -173,12 +173,12 @@ vec3 shade(Surface s) {
     float roughness = max(s.roughness, 0.04);
     float a2 = roughness * roughness * roughness * roughness;
 
-    // Light from all around: split into what arrives and what is reflected of it. Light that bounces more than once between the
-    // facets is given back, so that a white metal stays white however rough it is.
+    // Image-based light by the split sum. Energy of multiple scattering between microfacets is added back, so that a white metal stays
+    // white however rough it is.
     vec2 reflectance = texture(u_reflectance, (vec2(n_v, roughness) * (REFLECTANCE_SIZE - 1.0) + 0.5) / REFLECTANCE_SIZE).rg;
     vec3 albedo = f0 * reflectance.x + reflectance.y;
     albedo *= gloss * (1.0 + f0 * (1.0 / (reflectance.x + reflectance.y) - 1.0));
-    // A rough surface reflects most light from nearer to its normal than a mirror would (Lagarde, de Rousiers 2014).
+    // The dominant reflection of a rough surface is nearer to its normal than that of a mirror (Lagarde, de Rousiers 2014).
     float alpha = roughness * roughness;
     vec3 from = mix(n, reflect(-v, n), (1.0 - alpha) * (sqrt(1.0 - alpha) + alpha));
     vec3 all_around = color * (1.0 - albedo) * ambient_light(n) + albedo * reflected_light(from, roughness);
@@ -205,9 +205,9 @@ layout(binding = 2) uniform sampler2D u_normal_map;              // +x right, +y
 layout(binding = 3) uniform sampler2D u_occlusion_map;           // red
 layout(binding = 4) uniform sampler2D u_emissive_map;
 
-// Puts the further textures of a material into a surface whose fields hold the factors. Vertices have no tangents: they follow from how
-// position and texture coordinates change from pixel to pixel.
-// use: scale of the normals, strength of the occlusion, how much the map says of metallic and of roughness.
+// Applies the material maps to a surface whose fields hold the factors. Vertices have no tangents: these are computed from the screen-space
+// derivatives of position and texture coordinates.
+// use: scale of the normals, strength of the occlusion, weights of the maps of metallic and of roughness.
 void apply_maps(inout Surface s, vec2 uv, vec4 use) {
     vec2 mixed = mix(vec2(1.0), texture(u_metallic_roughness_map, uv).bg, use.zw);
     s.metallic *= mixed.x;

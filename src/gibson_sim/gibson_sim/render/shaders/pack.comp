@@ -1,8 +1,8 @@
-// Packs images out of a target's textures into the arrays that callers get. One row of work groups for each job, four pixels for each
-// invocation, so that bytes and 16-bit numbers fill whole words. What is computed here is computed as render/readback.py does, to the bit.
+// Packs images of a target's textures into the arrays of frames. One row of work groups for each job, four pixels for each invocation, so
+// that bytes and 16-bit numbers fill whole words. Results equal those of readback/frames.py to the bit.
 layout(local_size_x = 64) in;
 
-layout(binding = 0) uniform usampler2D u_color;    // the sRGB bytes as they are, through a view
+layout(binding = 0) uniform usampler2D u_color;    // the sRGB bytes, through a view
 layout(binding = 1) uniform sampler2D u_depth;     // near / z, 0 = nothing
 layout(binding = 2) uniform usampler2D u_labels;
 layout(binding = 3) uniform usampler2D u_normals;  // fractions of 65535
@@ -10,10 +10,10 @@ layout(binding = 4) uniform usampler2D u_flow;     // the bits of floats
 
 struct Job {
     ivec4 rect;         // x, y, width, height in the target
-    uvec4 first[2];     // words: rgb, depth, semantic, instance; normal, normal_world, position, flow; NOT_WANTED = leave out
+    uvec4 first[2];     // words: rgb, depth, semantic, instance; normal, normal_world, position, flow; LEFT_OUT = not requested
     vec4 R_t[3];        // T_world_camera by rows
     float near;
-    float least;        // depths below are farther than "far"
+    float least;        // near / far: smaller values are farther than "far"
     uint first_ray;     // in floats
     uint unused;
 };
@@ -21,12 +21,12 @@ layout(std430, binding = 5) readonly buffer Jobs { Job jobs[]; };
 layout(std430, binding = 6) writeonly buffer Packed { uint words[]; };
 layout(std430, binding = 7) readonly buffer Rays { float rays[]; };
 
-const uint NOT_WANTED = 0xFFFFFFFFu;
+const uint LEFT_OUT = 0xFFFFFFFFu;
 const uint INFINITY = 0x7F800000u, NOT_A_NUMBER = 0x7FC00000u;
 const float UNIT = 2.0 / 65535.0;
 
-// In this order and without fused operations, as any host does it.
-vec3 turned(Job job, vec3 v) {
+// In this order and without fused operations, as on any host.
+vec3 rotated(Job job, vec3 v) {
     vec3 sum;
     for (int i = 0; i < 3; ++i) {
         precise float a = job.R_t[i].x * v.x;
@@ -61,36 +61,36 @@ void main() {
     uvec3 rgb[4];
     uvec2 labels[4];
     for (uint k = 0u; k < 4u; ++k) {
-        uint p = min(pixel + k, count - 1u);  // the last word may be filled only in part: there is room behind it
+        uint p = min(pixel + k, count - 1u);  // the last word may be partly filled: there is room for it
         ivec2 at = job.rect.xy + ivec2(int(p) % job.rect.z, int(p) / job.rect.z);
-        if (job.first[0].x != NOT_WANTED) rgb[k] = texelFetch(u_color, at, 0).rgb;
-        if (job.first[0].z != NOT_WANTED || job.first[0].w != NOT_WANTED) labels[k] = texelFetch(u_labels, at, 0).rg;
+        if (job.first[0].x != LEFT_OUT) rgb[k] = texelFetch(u_color, at, 0).rgb;
+        if (job.first[0].z != LEFT_OUT || job.first[0].w != LEFT_OUT) labels[k] = texelFetch(u_labels, at, 0).rg;
         if (pixel + k >= count) continue;
-        if (job.first[0].y != NOT_WANTED || job.first[1].z != NOT_WANTED) {
+        if (job.first[0].y != LEFT_OUT || job.first[1].z != LEFT_OUT) {
             float reversed = texelFetch(u_depth, at, 0).r;
-            // Division of doubles: OpenGL lets a driver round that of floats as it likes.
+            // Division of doubles: OpenGL does not define the rounding of float division.
             uint depth = reversed < job.least ? INFINITY : floatBitsToUint(float(double(job.near) / double(reversed)));
-            if (job.first[0].y != NOT_WANTED) words[job.first[0].y + p] = depth;
-            if (job.first[1].z != NOT_WANTED) {
+            if (job.first[0].y != LEFT_OUT) words[job.first[0].y + p] = depth;
+            if (job.first[1].z != LEFT_OUT) {
                 vec3 ray = vec3(rays[job.first_ray + 3u * p], rays[job.first_ray + 3u * p + 1u], rays[job.first_ray + 3u * p + 2u]);
                 precise vec3 seen = ray * uintBitsToFloat(depth);
-                precise vec3 there = turned(job, seen) + vec3(job.R_t[0].w, job.R_t[1].w, job.R_t[2].w);
+                precise vec3 there = rotated(job, seen) + vec3(job.R_t[0].w, job.R_t[1].w, job.R_t[2].w);
                 put(job.first[1].z, p, depth == INFINITY ? vec3(uintBitsToFloat(NOT_A_NUMBER)) : there);
             }
         }
-        if (job.first[1].x != NOT_WANTED || job.first[1].y != NOT_WANTED) {
+        if (job.first[1].x != LEFT_OUT || job.first[1].y != LEFT_OUT) {
             uvec4 fractions = texelFetch(u_normals, at, 0);
             vec3 normal = normal_of(fractions);
-            if (job.first[1].x != NOT_WANTED) put(job.first[1].x, p, normal);
-            if (job.first[1].y != NOT_WANTED) put(job.first[1].y, p, turned(job, normal));
+            if (job.first[1].x != LEFT_OUT) put(job.first[1].x, p, normal);
+            if (job.first[1].y != LEFT_OUT) put(job.first[1].y, p, rotated(job, normal));
         }
-        if (job.first[1].w != NOT_WANTED) {
+        if (job.first[1].w != LEFT_OUT) {
             uvec2 flow = texelFetch(u_flow, at, 0).rg;
             words[job.first[1].w + 2u * p] = flow.x;
             words[job.first[1].w + 2u * p + 1u] = flow.y;
         }
     }
-    if (job.first[0].x != NOT_WANTED) {
+    if (job.first[0].x != LEFT_OUT) {
         uint word = job.first[0].x + 3u * (pixel / 4u);
         words[word] = rgb[0].r | rgb[0].g << 8 | rgb[0].b << 16 | rgb[1].r << 24;
         words[word + 1u] = rgb[1].g | rgb[1].b << 8 | rgb[2].r << 16 | rgb[2].g << 24;
@@ -98,7 +98,7 @@ void main() {
     }
     for (int i = 0; i < 2; ++i) {
         uint first = job.first[0][2 + i];
-        if (first == NOT_WANTED) continue;
+        if (first == LEFT_OUT) continue;
         uint word = first + pixel / 2u;
         words[word] = labels[0][i] | labels[1][i] << 16;
         words[word + 1u] = labels[2][i] | labels[3][i] << 16;

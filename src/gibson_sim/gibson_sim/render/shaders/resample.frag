@@ -1,9 +1,9 @@
-// Fills the image of a non-pinhole camera from its views: for each pixel a table says where to appearance. Colours are mixed, in linear light; what
-// else there is comes from the nearest texel.
+// Fills the image of a non-pinhole camera from its views: a table says where to look for each pixel. Colours are interpolated in linear
+// light; all other outputs come from the nearest texel.
 uniform ivec2 u_origin;      // left column and top row of the image in the target
-uniform sampler2D u_map;     // for each pixel: place in the source, texels; depth along the view's axis of what is at depth 1; tile
+uniform sampler2D u_map;     // for each pixel: position in the source, texels; depth along the view's axis of a point at depth 1; tile
 #ifdef TAPS
-uniform sampler2D u_taps;    // for each of TAPS x TAPS parts of a pixel: place in the source, texels; negative = nothing
+uniform sampler2D u_taps;    // for each of TAPS x TAPS parts of a pixel: position in the source, texels; negative = nothing
 #endif
 uniform sampler2D u_color;
 uniform sampler2D u_depth;   // near / depth along the view's axis
@@ -26,13 +26,13 @@ uniform float u_d[8];        // k1, k2, p1, p2, k3 to k6
 #else
 uniform float u_d[4];
 #endif
-uniform float u_reach;       // how far the distortion holds: squared distance on the plane z = 1, or angle
-uniform float u_turn_px;     // columns of a whole turn of an equirectangular image
+uniform float u_reach;       // limit of the distortion model: squared distance on the plane z = 1, or angle
+uniform float u_turn_px;     // columns of a full turn of an equirectangular image
 layout(location = 3) out vec2 out_flow;
 
 const float NOTHING = uintBitsToFloat(0x7FC00000u);
 
-// As project() of geometry/projections.py.
+// The same as project() of geometry/projections.py.
 vec2 project(vec3 p) {
     vec2 plane;
 #if defined(PINHOLE)
@@ -64,8 +64,8 @@ vec3 mixed(vec2 place) {
     return mix(top, bottom, part.y);
 }
 
-// How much a value rises from a texel's centre to the place "part" beside it, -0.5 to 0.5, from its two neighbours. Where one of them
-// belongs to another surface, only the other one counts; where they disagree on the direction, none.
+// Returns the change of a value from a texel's centre to the offset "part", -0.5 to 0.5, by its two neighbours. If one of them belongs to
+// another surface, only the other one counts; if they disagree on the direction, none.
 float rise(float before, float here, float after, float part) {
     float left = here - before, right = after - here;
     if (isnan(left)) left = right;
@@ -75,7 +75,7 @@ float rise(float before, float here, float after, float part) {
     return part * (abs(left) < abs(right) ? left : right);
 }
 
-// near / depth is linear in the picture of any plane, so this is exact there.
+// near / depth is linear in the image of a plane, so this is exact on planes.
 float reversed_depth(vec2 place, ivec2 at) {
     vec2 part = place - 0.5 - vec2(at);
     float here = texelFetch(u_depth, at, 0).r;
@@ -85,7 +85,7 @@ float reversed_depth(vec2 place, ivec2 at) {
 }
 
 #ifdef FLOW
-// How far the surface that is seen at a place of the source has moved, in its texels.
+// Returns the flow, texels, of the surface that is seen at a position of the source.
 vec2 moved_at(vec2 place, ivec2 at) {
     vec2 part = place - 0.5 - vec2(at);
     vec2 here = texelFetch(u_flow, at, 0).rg;

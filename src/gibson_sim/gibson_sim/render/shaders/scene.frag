@@ -1,36 +1,36 @@
-// Colours a surface, and fills what else was asked for. The target is sRGB, so everything here is linear.
+// Shades a surface and writes the further outputs. The target is sRGB, so everything here is linear.
 in vec2 v_uv;
-#ifdef COLORED
+#ifdef VERTEX_COLORS
 in vec3 v_color;  // linear
 #endif
 #ifdef APPEARANCE
 flat in uint v_material;
 #endif
-#ifdef SURFACE
+#ifdef WORLD_POSITION
 in vec3 v_position;
 #endif
-#ifdef TURNED
+#ifdef WORLD_NORMAL
 in vec3 v_normal;
 #endif
 
 #ifndef MATERIALS
 uniform vec4 u_color;
 uniform vec4 u_surface;
-uniform vec4 u_glow;
+uniform vec4 u_emission;
 uniform vec4 u_maps;
 #else
-// Looked up for each vertex: a software renderer takes long over a look into a buffer for each pixel.
+// Read in the vertex shader: a software renderer is slow at reading buffers for each pixel.
 flat in vec4 v_base_color;
 flat in vec4 v_surface;
-flat in vec4 v_glow;
+flat in vec4 v_emission;
 flat in vec4 v_maps;
 #endif
 
 #ifdef TEXTURED
 uniform sampler2D u_texture;
 #endif
-#ifdef CUT
-uniform bool u_translucent;  // draw what is not solid, instead of what is
+#ifdef ALPHA_TEST
+uniform bool u_translucent;  // draw the translucent pass, not the opaque one
 #endif
 
 layout(location = 0) out vec4 out_color;
@@ -52,26 +52,26 @@ in vec3 v_local;
 
 void main() {
 #ifndef MATERIALS
-    Material material = Material(u_color, u_surface, u_glow, u_maps);
+    Material material = Material(u_color, u_surface, u_emission, u_maps);
 #else
-    Material material = Material(v_base_color, v_surface, v_glow, v_maps);
+    Material material = Material(v_base_color, v_surface, v_emission, v_maps);
 #endif
     vec4 color = material.color;
 #ifdef TEXTURED
     color *= texture(u_texture, v_uv);
 #endif
-#ifdef COLORED
+#ifdef VERTEX_COLORS
     color.rgb *= v_color;
 #endif
-#ifdef CUT
+#ifdef ALPHA_TEST
     if ((color.a < material.surface.z) != u_translucent) discard;
 #endif
 #ifdef APPEARANCE
     color.rgb = with_appearance(color.rgb, appearances[v_material], v_local);
 #endif
-#ifdef TURNED
-    // Scans are open and their triangles may be turned either way: the side that is seen is the outside. What is seen is decided by
-    // the flat triangle, whose corners go round as its normals say: at the rim of a round thing the smooth normal may well point away.
+#ifdef WORLD_NORMAL
+    // Scans are open and wound either way: the side that is seen is the outside. The flat triangle decides which one that is, as it is
+    // wound as its normals say: at a silhouette the smooth normal may point away.
     vec3 normal = normalize(gl_FrontFacing ? v_normal : -v_normal);
 #endif
 #ifndef UNLIT
@@ -85,7 +85,7 @@ void main() {
     surface.base_color = color.rgb;
     surface.metallic = material.surface.x;
     surface.roughness = material.surface.y;
-    surface.emissive = material.glow.rgb;
+    surface.emissive = material.emission.rgb;
     surface.occlusion = 1.0;
 #ifdef MATERIAL_MAPS
     apply_maps(surface, v_uv, material.maps);
@@ -100,7 +100,7 @@ void main() {
     out_normal = vec4(0.5 + 0.5 * (mat3(optical_from_world) * normal), 1.0);
 #endif
 #ifdef FLOW
-    // Clip y points down in the picture, as pixels do (the flip is in the projection).
+    // Clip y points down in the picture, as rows do (the flip is in the projection).
     vec2 before = (0.5 + 0.5 * v_before.xy / v_before.z) * size.xy;
     vec2 now = (0.5 + 0.5 * (clip_from_world * vec4(v_position, 1.0)).xy / (clip_from_world * vec4(v_position, 1.0)).w) * size.xy;
     out_flow = v_before.z > 0.0 ? now - before : vec2(uintBitsToFloat(0x7FC00000u));

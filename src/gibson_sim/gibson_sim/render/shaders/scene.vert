@@ -1,9 +1,9 @@
-// Takes triangles to the image.
+// Transforms vertices to clip space.
 layout(location = 0) in vec3 in_position;
 layout(location = 1) in vec3 in_normal;
 layout(location = 2) in uint in_material;
 layout(location = 3) in vec2 in_uv;
-#ifdef COLORED
+#ifdef VERTEX_COLORS
 layout(location = 8) in vec4 in_color;  // linear
 out vec3 v_color;
 #endif
@@ -14,7 +14,7 @@ flat out uint v_label;
 
 #ifdef MOVING
 layout(location = 5) in uint in_link;
-layout(location = 6) in uint in_placed_label;     // is added to the label of the vertices
+layout(location = 6) in uint in_placed_label;     // added to the label of the vertices
 layout(location = 7) in uint in_placed_material;  // likewise
 struct Link { vec4 x, y, z; };  // rows of T_world_link
 layout(std430, binding = 0) readonly buffer Links { Link links[]; };
@@ -23,10 +23,10 @@ layout(std430, binding = 1) readonly buffer LinksBefore { Link links_before[]; }
 #endif
 #endif
 
-#ifdef SURFACE
+#ifdef WORLD_POSITION
 out vec3 v_position;  // world frame
 #endif
-#ifdef TURNED
+#ifdef WORLD_NORMAL
 out vec3 v_normal;  // world frame
 #endif
 #ifdef FLOW
@@ -43,11 +43,11 @@ flat out uint v_material;
 layout(std430, binding = 2) readonly buffer Materials { Material materials[]; };
 flat out vec4 v_base_color;
 flat out vec4 v_surface;
-flat out vec4 v_glow;
+flat out vec4 v_emission;
 flat out vec4 v_maps;
 #endif
 
-// Whatever else a program draws, it must put things at the same places to the bit.
+// All programs must compute the same positions to the bit.
 invariant gl_Position;
 
 void main() {
@@ -60,10 +60,10 @@ void main() {
     normal = vec3(dot(link.x.xyz, normal), dot(link.y.xyz, normal), dot(link.z.xyz, normal));
 #endif
     gl_Position = clip_from_world * vec4(position, 1.0);
-#ifdef SURFACE
+#ifdef WORLD_POSITION
     v_position = position;
 #endif
-#ifdef TURNED
+#ifdef WORLD_NORMAL
     v_normal = normal;
 #endif
 #ifdef FLOW
@@ -78,7 +78,7 @@ void main() {
     v_local = in_position;
 #endif
     v_uv = in_uv;
-#ifdef COLORED
+#ifdef VERTEX_COLORS
     v_color = in_color.rgb;
 #endif
 #if defined(APPEARANCE) || defined(MATERIALS)
@@ -92,7 +92,7 @@ void main() {
 #ifdef MATERIALS
     v_base_color = materials[number].color;
     v_surface = materials[number].surface;
-    v_glow = materials[number].glow;
+    v_emission = materials[number].emission;
     v_maps = materials[number].maps;
 #endif
 #endif

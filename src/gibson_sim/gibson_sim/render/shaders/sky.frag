@@ -1,4 +1,4 @@
-// The surroundings where nothing is.
+// Draws the surroundings.
 in vec3 v_direction;
 layout(binding = 0) uniform sampler2D u_surroundings;  // equirectangular, linear
 layout(location = 0) out vec4 out_color;
@@ -6,7 +6,7 @@ layout(location = 0) out vec4 out_color;
 void main() {
     vec3 d = normalize(v_direction);
     vec2 at = vec2(0.5 - atan(d.y, d.x) * 0.15915494, acos(clamp(d.z, -1.0, 1.0)) * 0.31830989);
-    // The seam behind the viewer: filter across it, from whichever side is nearer.
+    // Filters across the seam, which is towards -x.
     vec2 size = vec2(textureSize(u_surroundings, 0));
     float x = at.x * size.x - 0.5;
     float low = floor(x);

@@ -1,4 +1,4 @@
-// One triangle over all of the picture, as far away as can be, with the way that each pixel appearances.
+// One triangle that covers the picture at infinite depth, with the viewing direction of each pixel.
 out vec3 v_direction;  // world frame, any length
 
 void main() {

@@ -1,4 +1,4 @@
-"""Kinematics of robots on wheels: one small interface, one file for each way to steer. Pure: no physics engine, no ROS."""
+"""Kinematics of wheeled robots: one interface, one file for each kind of drive. Pure: no physics engine, no ROS."""
 
 from __future__ import annotations
 

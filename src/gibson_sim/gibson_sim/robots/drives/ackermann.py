@@ -1,7 +1,7 @@
 """Kinematics of a car: two driven wheels behind, two steered ones in front. Pure arithmetic, SI units.
 
-A command is a forward speed and a yaw rate (as ros2_controllers' ackermann_steering_controller takes a Twist); their quotient is
-the curvature of the path of the rear axle's middle. Curvatures are 1/m, positive to the left.
+A command is a forward speed and a yaw rate (as in a Twist for ros2_controllers' ackermann_steering_controller); their quotient is
+the curvature of the path of the rear axle's centre. Curvatures are 1/m, positive to the left.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, Plana
 
 
 def steering_angles(curvature: float, car: AckermannSpec) -> tuple[float, float]:
-    """Returns the angles (left, right) of the front wheels, radians, positive to the left, whose axles meet at the turn's centre."""
+    """Returns the angles (left, right) of the front wheels, radians, positive to the left, whose axes meet at the centre of the turn."""
     half = curvature * car.steering_separation / 2
     return math.atan2(car.wheelbase * curvature, 1.0 - half), math.atan2(car.wheelbase * curvature, 1.0 + half)
 
 
 def curvature_from_steering(left: float, right: float, car: AckermannSpec) -> float:
-    """Returns the curvature that front wheels at these angles (radians) give; where they disagree, the mean of both."""
+    """Returns the curvature by the angles of the front wheels (radians): the mean of both if they disagree."""
     half = car.steering_separation / 2
     a, b = math.tan(left), math.tan(right)
     return (a / (car.wheelbase + a * half) + b / (car.wheelbase - b * half)) / 2
@@ -32,13 +32,13 @@ def rear_speeds(linear: float, curvature: float, car: AckermannSpec) -> tuple[fl
     return linear * (1.0 - half) / car.wheel_radius, linear * (1.0 + half) / car.wheel_radius
 
 
-def wanted_motion(wanted: PlanarVelocity, car: AckermannSpec) -> tuple[float, float | None]:
-    """Returns (speed m/s, curvature 1/m) within the car's limits; curvature None = stay as steered.
+def feasible_motion(commanded: PlanarVelocity, car: AckermannSpec) -> tuple[float, float | None]:
+    """Returns (speed m/s, curvature 1/m) within the car's limits; curvature None = keep the steering.
 
-    The path asked for comes first: a speed that is too high for it is cut, and a turn that is too tight becomes the tightest one.
-    A yaw rate without a speed steers to the end without driving, because a car cannot turn on the spot.
+    The commanded path has priority: a speed that is too high for it is cut, and a turn that is too tight becomes the tightest one.
+    A yaw rate without a speed steers to the limit without driving, because a car cannot turn on the spot.
     """
-    speed, yaw_rate = wanted.linear, wanted.angular
+    speed, yaw_rate = commanded.linear, commanded.angular
     if speed == 0.0:
         return 0.0, math.copysign(car.max_curvature, yaw_rate) if yaw_rate else None
     curvature = min(max(yaw_rate / speed, -car.max_curvature), car.max_curvature)
@@ -47,7 +47,7 @@ def wanted_motion(wanted: PlanarVelocity, car: AckermannSpec) -> tuple[float, fl
 
 
 class AckermannDrive(Drive):
-    """Steers at a limited rate while it speeds up; odometry takes the rear wheels' mean and the front wheels' angles."""
+    """Steers at a limited rate while it accelerates; odometry uses the rear wheels' mean and the front wheels' angles."""
 
     def __init__(self, spec: AckermannSpec) -> None:
         super().__init__(
@@ -62,11 +62,11 @@ class AckermannDrive(Drive):
         )
         self._spec = spec
         self._steering = 0.0
-        """Angle of a single front wheel in the middle, radians: what the limit of the rate counts."""
+        """Angle of a single front wheel in the middle, radians, to which the rate limit applies."""
 
-    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
+    def _follow(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
         car = self._spec
-        speed, curvature = wanted_motion(wanted, car)
+        speed, curvature = feasible_motion(commanded, car)
         if curvature is not None:
             steering = math.atan(curvature * car.wheelbase)
             self._steering = approach(self._steering, steering, math.pi / 2, car.max_steering_rate * dt)
@@ -76,16 +76,16 @@ class AckermannDrive(Drive):
         return DriveTargets(rear_speeds(self._rolled.linear, now, car), steering_angles(now, car))
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
-        """Returns what the encoders see, without ``slip``."""
+        """Returns the turns that the encoders measure, without ``slip``."""
         return increments if self._grip == 1.0 else [increment / self._grip for increment in increments]
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
-        """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""
+        """Returns the motion of the base by the wheels: forward, left (m), rotation (rad)."""
         car = self._spec
         forward = car.wheel_radius * (increments[0] + increments[1]) / 2
         return self._arc(forward, curvature_from_steering(angles[0], angles[1], car))
 
     def _arc(self, forward: float, curvature: float) -> tuple[float, float, float]:
-        """Returns the motion of the base, (x, y, yaw), for that of the rear axle's middle, which never goes sideways."""
+        """Returns the motion of the base, (x, y, yaw), for that of the rear axle's centre, which never moves sideways."""
         turn = forward * curvature
         return forward, -self._spec.rear_axle_x * turn, turn

@@ -1,4 +1,4 @@
-"""What all drives share: velocities in the plane, their limits, dead reckoning, and the interface that physics uses."""
+"""Base class of all drives, which physics uses, and what they share: planar velocities, their limits, command delay, dead reckoning."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class PlanarVelocity(NamedTuple):
 
 
 class DriveTargets(NamedTuple):
-    """What the motors of a drive shall do until the next step."""
+    """Targets of the motors of a drive until the next step."""
 
     speeds: tuple[float, ...]
-    """rad/s of ``Drive.wheels``, forward positive."""
+    """Speeds of ``Drive.wheels``, rad/s, forward positive."""
     angles: tuple[float, ...] = ()
-    """Radians of ``Drive.steering``, positive to the left."""
+    """Angles of ``Drive.steering``, radians, positive to the left."""
 
 
 class DriveJoint(NamedTuple):
-    """A joint with a motor of the drive."""
+    """A motorised joint of a drive."""
 
     name: str
     sign: float = 1.0
@@ -43,128 +43,127 @@ class DriveJoint(NamedTuple):
 
 
 class BaseServo(NamedTuple):
-    """A drive whose wheels slide by nature moves the base itself, with what force the wheels would have.
+    """Moves the base of a drive whose wheels slide by design, with as much force as the wheels would have.
 
-    No engine simulates rollers cheaply, and Bullet's friction lets a wheel that is driven while it slides sideways slip many times
-    too much, the more the slower it turns. So such wheels turn without friction, and the base gets the velocity that they should
-    give it: walls stop it, it pushes what is light, and it slides where the floor is too steep.
+    No engine simulates rollers cheaply, and in Bullet a driven wheel that slides sideways slips many times too much, the more the slower it turns.
+    Such wheels therefore turn without friction, and the base gets the velocity that they should give it: walls stop it, it pushes light things,
+    and it slides where the floor is too steep.
     """
 
     traction: float
-    """Greatest force along the floor, as a fraction of what presses the wheels onto it."""
+    """Greatest force along the floor, as a fraction of the load on the wheels."""
     reach: float
-    """Metres from the base's origin to the wheels: lever of that force."""
+    """Distance from the base's origin to the wheels, metres: the lever arm of that force."""
 
 
 class Response(NamedTuple):
-    """How a drive falls short of what it is told, within its limits."""
+    """How a drive deviates from its commands, within its limits."""
 
     delay: float = 0.0
-    """Seconds from a command to what the motors do about it."""
+    """Time from a command to its effect on the motors, s."""
     slip: float = 0.0
-    """Part of the way along the floor that the wheels roll and the base does not go."""
+    """Fraction of the distance that the wheels roll and the base does not move."""
     turn_slip: float = 0.0
-    """Part of the turn."""
+    """Fraction of the rotation that the wheels roll and the base does not make."""
 
 
 class Drive(ABC):
-    """The drive of one robot: what its motors shall do, and where its wheels say that it is. Knows no engine."""
+    """The drive of one robot: targets of its motors, and its wheel odometry. Knows no engine."""
 
     def __init__(
         self, wheels: Sequence[DriveJoint], wheel_torque: float,
         steering: Sequence[DriveJoint] = (), steering_torque: float = 0.0, servo: BaseServo | None = None,
         response: Response | None = None,
     ) -> None:  # fmt: skip
-        """Sets what never changes.
+        """Starts at rest.
 
         Args:
             wheels: Joints that are driven by velocity and whose turns odometry counts.
-            wheel_torque: N m, of each.
+            wheel_torque: Torque limit of each, N m.
             steering: Joints that are driven by position and whose angles odometry reads.
-            steering_torque: N m, of each.
-            servo: How the base is moved where its wheels do not move it.
-            response: Its delay and slip; None = it has none.
+            steering_torque: Torque limit of each, N m.
+            servo: Moves the base in place of the wheels; None = the wheels move it.
+            response: Delay and slip; None = none.
         """
         self.wheels, self.wheel_torque = tuple(wheels), wheel_torque
         self.steering, self.steering_torque = tuple(steering), steering_torque
         self.servo = servo
         self.velocity = PlanarVelocity()
-        """What the base was told last, within the limits; with slip it is not what the base does."""
+        """Commanded velocity of the base, within the limits; with slip the base moves differently."""
         self.response = response or Response()
-        """Its delay and slip."""
         self._delay = CommandDelay(self.response.delay)
         self._grip, self._turn_grip = 1.0 - self.response.slip, 1.0 - self.response.turn_slip
         self._path = DeadReckoning()
 
-    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        """Comes nearer to what was wanted a delay ago, as far as the limits let it in ``dt`` seconds; returns what the motors must do.
+    def targets(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
+        """Approaches the velocity that was commanded a delay ago, as far as the limits allow in ``dt`` seconds; returns the motor targets.
 
         Args:
-            wanted: What is wanted now.
-            dt: Seconds since the last call, always the same.
+            commanded: Velocity that is commanded now.
+            dt: Time since the last call, s, always the same.
         """
-        return self._follow(self._delay.pass_on(wanted, dt), dt)
+        return self._follow(self._delay.delayed(commanded, dt), dt)
 
     @property
     def base_velocity(self) -> PlanarVelocity:
-        """``velocity`` without what slip takes of it."""
+        """``velocity`` less its slip."""
         linear, lateral, angular = self.velocity
         return PlanarVelocity(linear * self._grip, lateral * self._grip, angular * self._turn_grip)
 
     @property
     def _rolled(self) -> PlanarVelocity:
-        """At what the wheels roll in the engine: wheels that push the base do not slip there, so they turn less instead."""
+        """Velocity at which the wheels roll in the engine, where wheels that push the base do not slip: they turn less instead."""
         return self.velocity if self.servo else self.base_velocity
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
-        """Returns what the encoders of ``wheels`` see, radians: what wheels that slip do not turn in the engine is put back.
+        """Returns the turns that the encoders of ``wheels`` measure, radians, with the slip that the wheels do not have in the engine.
 
         Args:
-            increments: Radians that each of them rolled forward in the engine.
+            increments: Turn of each wheel in the engine, radians, forward positive.
         """
         return increments
 
     @abstractmethod
-    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+    def _follow(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
+        """Approaches ``commanded`` within the limits, and returns the motor targets."""
 
     @abstractmethod
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
-        """Returns how far the base went, forward and to the left (metres, along an arc) and turned (radians).
+        """Returns the motion of the base by the wheels: forward and to the left (metres, along an arc), rotation (radians).
 
         Args:
-            increments: Radians that each of ``wheels`` rolled forward.
-            angles: Radians at which each of ``steering`` stands, positive to the left.
+            increments: Turn of each of ``wheels``, radians, forward positive.
+            angles: Angle of each of ``steering``, radians, positive to the left.
         """
 
     def advance(self, forward: float, left: float, turn: float, dt: float) -> None:
-        """Adds to the odometry a motion as ``travel`` returns it, which took ``dt`` seconds, above 0."""
+        """Adds a motion, as ``travel`` returns it, to the odometry; it took ``dt`` seconds, above 0."""
         self._path.add(forward, left, turn, dt)
 
     @property
     def odometry(self) -> Odometry:
-        """Where the wheels say that the base is: one that slips deceives them, as on a real robot."""
+        """Pose and velocity of the base by the wheels; slip makes them wrong, as on a real robot."""
         return self._path.odometry
 
 
 class CommandDelay:
-    """Holds every wanted velocity back for a while; the base stands still until the first one comes out."""
+    """Delays commanded velocities; the first ones that it returns are zero."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._waiting: deque[PlanarVelocity] = deque()
 
-    def pass_on(self, wanted: PlanarVelocity, dt: float) -> PlanarVelocity:
-        """Takes in what is wanted at this step, of ``dt`` seconds, and returns what was wanted the delay before, in whole steps."""
+    def delayed(self, commanded: PlanarVelocity, dt: float) -> PlanarVelocity:
+        """Stores the velocity of this step, of ``dt`` seconds, and returns the one of the delay before, in whole steps."""
         steps = round(self._seconds / dt)
         if steps < 1:
-            return wanted
-        self._waiting.append(wanted)
+            return commanded
+        self._waiting.append(commanded)
         return self._waiting.popleft() if len(self._waiting) > steps else PlanarVelocity()
 
 
 class DeadReckoning:
-    """Sums small arcs in the plane, each exactly."""
+    """Integrates small arcs in the plane, each exactly."""
 
     def __init__(self) -> None:
         self._x = self._y = self._yaw = 0.0
@@ -174,10 +173,10 @@ class DeadReckoning:
         """Adds one arc.
 
         Args:
-            forward: Metres along the base's x axis while it turned.
-            left: Metres along its y axis.
-            turn: Radians, counter-clockwise.
-            dt: Seconds that it took, above 0.
+            forward: Motion along the base's x axis while it rotates, metres.
+            left: Motion along its y axis, metres.
+            turn: Rotation, radians, counter-clockwise.
+            dt: Duration, s, above 0.
         """
         half = turn / 2
         # The chord of an arc; the series keeps full precision where sin(x)/x would be 0/0.
@@ -191,21 +190,21 @@ class DeadReckoning:
 
     @property
     def odometry(self) -> Odometry:
-        """Where the base is, from where it started."""
+        """Pose of the base relative to its start, and its velocity."""
         linear, lateral, angular = self._velocity
         return Odometry(self._x, self._y, wrap_angle(self._yaw), linear, angular, lateral)
 
 
 def active_command(command: VelocityCommand | None, now_ns: int, timeout_ns: int) -> PlanarVelocity:
-    """Returns what to obey at ``now_ns``: the command's velocity, or zero where it is None or older than ``timeout_ns``."""
+    """Returns the velocity to apply at ``now_ns``: that of the command, or zero if it is None or older than ``timeout_ns``."""
     if command is None or now_ns - command.stamp_ns > timeout_ns:
         return PlanarVelocity()
     return PlanarVelocity(command.linear[0], command.linear[1], command.angular[2])
 
 
-def approach(current: float, wanted: float, limit: float, change: float) -> float:
-    """Returns ``wanted`` clipped to +-``limit``, at most ``change`` away from ``current``."""
+def approach(current: float, goal: float, limit: float, change: float) -> float:
+    """Returns ``goal`` clipped to +-``limit``, at most ``change`` away from ``current``."""
     # Comparisons, not min() and max(), which take twice as long: this runs at every step.
-    target = -limit if wanted < -limit else limit if wanted > limit else wanted
+    target = -limit if goal < -limit else limit if goal > limit else goal
     lowest, highest = current - change, current + change
     return lowest if target < lowest else highest if target > highest else target

@@ -1,6 +1,6 @@
 """Kinematics of wheels on the left and on the right: differential drive and skid steer. Pure arithmetic, SI units.
 
-Wheel speeds are positive when the wheel rolls forward, whatever the sign of its joint's axis in the URDF.
+Wheel speeds are positive if the wheel rolls forward, whatever the sign of its joint's axis in the URDF.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ def body_velocity(left: float, right: float, drive: DifferentialSpec) -> PlanarV
     )
 
 
-def limit_velocity(current: PlanarVelocity, wanted: PlanarVelocity, limits: DifferentialSpec, dt: float) -> PlanarVelocity:
-    """Returns the velocity to command next: towards ``wanted`` from ``current``, within the drive's speeds and accelerations.
+def limit_velocity(current: PlanarVelocity, commanded: PlanarVelocity, limits: DifferentialSpec, dt: float) -> PlanarVelocity:
+    """Returns the velocity to command next: towards ``commanded`` from ``current``, within the drive's speeds and accelerations.
 
     Args:
         current: Velocity commanded in the step before.
-        wanted: Velocity asked for; not altered, and its ``lateral`` is not obeyed: these wheels do not roll sideways.
+        commanded: Commanded velocity; its ``lateral`` is ignored, since these wheels do not roll sideways.
         limits: Speeds and accelerations.
-        dt: Seconds between the two.
+        dt: Time between the two, s.
     """
-    linear = approach(current.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt)
-    angular = approach(current.angular, wanted.angular, limits.max_angular, limits.max_angular_acceleration * dt)
+    linear = approach(current.linear, commanded.linear, limits.max_linear, limits.max_linear_acceleration * dt)
+    angular = approach(current.angular, commanded.angular, limits.max_angular, limits.max_angular_acceleration * dt)
     return PlanarVelocity(linear, 0.0, angular)
 
 
 class DifferentialDrive(Drive):
-    """Wheels stand left, right, left, right ...; those of one side turn alike, and odometry takes their mean."""
+    """The wheels are in the order left, right, left, right ...; those of one side turn alike, and odometry uses their mean."""
 
     def __init__(self, spec: DifferentialSpec) -> None:
         ones = (1.0,) * len(spec.left_joints)
@@ -52,14 +52,14 @@ class DifferentialDrive(Drive):
         super().__init__(joints, spec.max_wheel_torque, servo=servo, response=response)
         self._spec = spec
 
-    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        self.velocity = limit_velocity(self.velocity, wanted, self._spec, dt)
+    def _follow(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
+        self.velocity = limit_velocity(self.velocity, commanded, self._spec, dt)
         linear, _, angular = self._rolled
         left, right = wheel_speeds(linear, angular, self._spec)
         return DriveTargets((left, right) * len(self._spec.left_joints))
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
-        """Returns what the encoders see: both sides together without ``slip``, their difference without ``turn_slip``."""
+        """Returns the turns that the encoders measure: the mean of both sides without ``slip``, their difference without ``turn_slip``."""
         if self.servo or self._grip == self._turn_grip == 1.0:
             return increments
         seen: list[float] = []
@@ -69,7 +69,7 @@ class DifferentialDrive(Drive):
         return seen
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
-        """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""
+        """Returns the motion of the base by the wheels: forward, left (m), rotation (rad)."""
         wheels = len(self._spec.left_joints)
         linear, _, angular = body_velocity(sum(increments[::2]) / wheels, sum(increments[1::2]) / wheels, self._spec)
         return linear, 0.0, angular

@@ -1,16 +1,16 @@
-"""How far wheel odometry may be off: covariances of its pose and of its twist, from the errors that a robot's file gives. Pure.
+"""Covariances of the pose and the twist of wheel odometry, from the errors that a robot's file gives. Pure.
 
 The error of the pose is propagated as in Siegwart, Nourbakhsh and Scaramuzza, "Introduction to Autonomous Mobile Robots" (2011), 5.2.4:
-an error of the yaw moves all that is driven after it. What is propagated is not one matrix but the effect of each cause, since the
-causes are not white:
+an error of the yaw displaces all later motion. The effect of each cause is propagated by itself, not one matrix, since the causes are not white
+noise:
 
-- Wrong radii, a wrong separation and a constant slip last for the whole run. Their effects grow with the distance, not with its root.
-- Slip at random stays the same for 1 m or 1 rad (``wheel_noise``), then another one comes. Within such a piece its effect grows like
-  that of a constant; the effects of finished pieces add up as independent ones, in a matrix: the alphas of Thrun, Burgard and Fox,
+- Wrong radii, a wrong separation and a constant slip last for the whole run. Their effects grow with the distance, not with its square root.
+- Random slip is constant over 1 m or 1 rad (``wheel_odometry``), then a new one is drawn. Within such a stretch its effect grows like
+  that of a constant; the effects of finished stretches add up as independent ones, in a matrix: the alphas of Thrun, Burgard and Fox,
   "Probabilistic Robotics" (2005), 5.4.
 - Encoders lag by less than a tick, however far the robot drives.
 
-A robot does not know the sign of its systematic errors, so each counts as a random number with mean 0 and their size as its deviation.
+A robot does not know the sign of its systematic errors, so each is a random number with mean 0 and its size as the standard deviation.
 """
 
 from __future__ import annotations
@@ -24,61 +24,60 @@ from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 Planar = tuple[float, float, float]
 """x (m), y (m), yaw (rad); or forward, left, turn; or their rates."""
 Matrix3 = tuple[float, float, float, float, float, float, float, float, float]
-"""By rows."""
+"""A 3 x 3 matrix, row by row."""
 _NONE: Planar = (0.0, 0.0, 0.0)
 
 _LEAST_POSE = 1e-6
-"""m^2 and rad^2: a robot settles on its wheels by less than 1 mm and 1 mrad. Filters divide by variances, so none is ever 0."""
+"""Least variance of the pose, m^2 and rad^2: a robot settles on its wheels by less than 1 mm and 1 mrad. Filters divide by variances."""
 _LEAST_SPEED = 1e-6
-"""(m/s)^2: of a base at rest."""
+"""Least variance of the forward speed, (m/s)^2."""
 _LEAST_SIDEWAYS = 1e-5
-"""(m/s)^2, across the wheels: contacts in the engine give way, and heavy robots that skid are pushed by some mm/s."""
+"""Least variance of the speed across the wheels, (m/s)^2: contacts in the engine yield, and heavy robots that skid are pushed by some mm/s."""
 _LEAST_YAW_RATE = 1e-6
-"""(rad/s)^2."""
+"""Least variance of the yaw rate, (rad/s)^2."""
 _ROLLING = 0.002
-"""Part of the way, and of the turn, by which wheels roll wrongly in the engine, whose contacts give way a little."""
+"""Fraction of the motion by which wheels roll wrongly in the engine, whose contacts yield a little."""
 _PIECE_M, _PIECE_RAD = 0.01, 0.02
-"""Motions are propagated in pieces of this length: within one, the path is as good as straight."""
-
-
+"""Translation (m) and rotation (rad) after which a motion is propagated: within them, the path is nearly straight."""
 _STEERED = 0.0015
-"""Turn of a base with steered wheels that these do not show, rad for the root of a metre: they slide a little while their angle changes."""
+"""Unmeasured rotation of a base with steered wheels, rad per square root of a metre: they slide a little while their angle changes."""
 
 
 class OdometryCovariance(NamedTuple):
-    """How well odometry is known."""
+    """Covariances of odometry."""
 
     pose: Matrix3
-    """Of x, y (m) and yaw (rad), along the axes of the odom frame."""
+    """Covariance of x, y (m) and yaw (rad), odom frame."""
     twist: Matrix3
-    """Of the speeds forward and to the left (m/s) and the yaw rate (rad/s), base frame."""
+    """Covariance of the speeds forward and to the left (m/s) and the yaw rate (rad/s), base frame."""
 
 
-class _Piece(NamedTuple):
-    """A motion of the base as the wheels measured it, or its rates."""
+class _Motion(NamedTuple):
+    """A motion of the base as the wheels measure it, or its rates."""
 
     forward: float = 0.0
     left: float = 0.0
     turn: float = 0.0
     by_left_wheels: Planar = (0.0, 0.0, 0.0)
-    """The part of it that the wheels on the left made."""
+    """The part of (forward, left, turn) due to the wheels on the left."""
     distance: float = 0.0
+    """Length of the translation, m."""
     angle: float = 0.0
-    """Of translation and rotation, whatever their sign."""
+    """Absolute rotation, rad."""
     turning: tuple[float, float] = (0.0, 0.0)
-    """``angle`` along the direction of the translation, forward where the base turns in place."""
+    """``angle`` along the direction of the translation, forward if the base turns in place."""
 
-    def plus(self, other: _Piece) -> _Piece:
+    def plus(self, other: _Motion) -> _Motion:
         (a, b, c), (p, q, r) = self.by_left_wheels, other.by_left_wheels
-        return _Piece(
+        return _Motion(
             self.forward + other.forward, self.left + other.left, self.turn + other.turn, (a + p, b + q, c + r),
             self.distance + other.distance, self.angle + other.angle,
             (self.turning[0] + other.turning[0], self.turning[1] + other.turning[1]),
         )  # fmt: skip
 
-    def over(self, seconds: float) -> _Piece:
+    def over(self, seconds: float) -> _Motion:
         a, b, c = self.by_left_wheels
-        return _Piece(
+        return _Motion(
             self.forward / seconds, self.left / seconds, self.turn / seconds, (a / seconds, b / seconds, c / seconds),
             self.distance / seconds, self.angle / seconds, (self.turning[0] / seconds, self.turning[1] / seconds),
         )  # fmt: skip
@@ -87,7 +86,7 @@ class _Piece(NamedTuple):
 class OdometryErrors:
     """The covariances of one robot's odometry since its last reset.
 
-    They depend on what the wheels measured alone, in steps of their own, so whoever reads them changes nothing.
+    They depend only on what the wheels measured: reading them changes nothing.
     """
 
     def __init__(
@@ -102,10 +101,10 @@ class OdometryErrors:
         """Starts at the origin of the odom frame, at rest.
 
         Args:
-            spec: What is wrong with the odometry.
-            slip: Part of the way that the wheels roll and the base does not go.
-            turn_slip: Part of the turn.
-            ticks: For each wheel, how far the base goes (forward m, left m, turn rad) when its encoder counts one tick; () = no encoders.
+            spec: Errors of the odometry.
+            slip: Fraction of the distance that the wheels roll and the base does not move.
+            turn_slip: The same for rotation.
+            ticks: For each wheel, the motion of the base (forward m, left m, rotation rad) for one tick of its encoder; () = no encoders.
             steered: Whether wheels are steered.
         """
         self._radii = spec.left_radius_factor - 1.0, spec.right_radius_factor - 1.0
@@ -116,61 +115,62 @@ class OdometryErrors:
         self.reset()
 
     def reset(self) -> None:
-        """Starts anew: the pose is exact again."""
+        """Starts again with an exact pose."""
         self._yaw = 0.0
         self._lasting = [_NONE] * 4
+        """Effects on the pose of the errors that last, one standard deviation each."""
         self._by_distance, self._by_angle = [_NONE] * 2, [_NONE] * 2
         self._finished: tuple[float, ...] = (0.0,) * 6
-        """Of finished pieces of slip: xx, xy, x yaw, yy, y yaw, yaw yaw."""
+        """Covariance by finished stretches of slip: xx, xy, x yaw, yy, y yaw, yaw yaw."""
         self._distance_left = self._angle_left = 1.0
-        self._pending, self._last = _Piece(), _Piece()
+        self._pending, self._last = _Motion(), _Motion()
         self._dt, self._still = 1.0, 0.0
 
     def add(self, forward: float, left: float, turn: float, by_left_wheels: Planar, dt: float) -> None:
-        """Notes a small motion that took ``dt`` seconds, as odometry counts it: forward and left (m), turn (rad).
+        """Adds a small motion, as odometry measures it.
 
         Args:
-            forward: Metres along the base's x axis.
-            left: Metres along its y axis.
-            turn: Radians, counter-clockwise.
-            by_left_wheels: The part of (forward, left, turn) that the wheels on the robot's left made.
-            dt: Seconds, above 0.
+            forward: Motion along the base's x axis, metres.
+            left: Motion along its y axis, metres.
+            turn: Rotation, radians, counter-clockwise.
+            by_left_wheels: The part of (forward, left, turn) due to the wheels on the robot's left.
+            dt: Duration, s, above 0.
         """
         self._dt = dt
         if forward == 0.0 and left == 0.0 and turn == 0.0:
             self._still += dt
-            self._last = _Piece()
+            self._last = _Motion()
             return
         distance, angle = math.hypot(forward, left), abs(turn)
         x, y = (forward / distance, left / distance) if distance > 0.0 else (1.0, 0.0)
-        self._last = _Piece(forward, left, turn, by_left_wheels, distance, angle, (angle * x, angle * y))
+        self._last = _Motion(forward, left, turn, by_left_wheels, distance, angle, (angle * x, angle * y))
         self._still, self._pending = 0.0, self._pending.plus(self._last)
         if self._pending.distance >= _PIECE_M or self._pending.angle >= _PIECE_RAD:
             self._propagate()
 
     def covariance(self) -> OdometryCovariance:
-        """Returns how well pose and twist are known now."""
+        """Returns the covariances of pose and twist now."""
         return OdometryCovariance(self._pose(), self._twist())
 
     def _propagate(self) -> None:
-        piece = self._pending
-        self._lasting, self._by_distance, self._by_angle, self._finished = self._moved(piece)
-        self._yaw += piece.turn
-        self._distance_left -= piece.distance
-        self._angle_left -= piece.angle
+        motion = self._pending
+        self._lasting, self._by_distance, self._by_angle, self._finished = self._moved(motion)
+        self._yaw += motion.turn
+        self._distance_left -= motion.distance
+        self._angle_left -= motion.angle
         if self._distance_left <= 0.0:
-            self._finished = _with(self._finished, self._by_distance)
+            self._finished = _plus_effects(self._finished, self._by_distance)
             self._by_distance, self._distance_left = [_NONE] * 2, 1.0
         if self._angle_left <= 0.0:
-            self._finished = _with(self._finished, self._by_angle)
+            self._finished = _plus_effects(self._finished, self._by_angle)
             self._by_angle, self._angle_left = [_NONE] * 2, 1.0
-        self._pending = _Piece()
+        self._pending = _Motion()
 
-    def _moved(self, piece: _Piece) -> tuple[list[Planar], list[Planar], list[Planar], tuple[float, ...]]:
-        """Returns the effects of all causes on the pose after one more piece of motion."""
-        half = self._yaw + piece.turn / 2
+    def _moved(self, motion: _Motion) -> tuple[list[Planar], list[Planar], list[Planar], tuple[float, ...]]:
+        """Returns the effects of all causes on the pose after one more motion."""
+        half = self._yaw + motion.turn / 2
         cos, sin = math.cos(half), math.sin(half)
-        dx, dy = piece.forward * cos - piece.left * sin, piece.forward * sin + piece.left * cos
+        dx, dy = motion.forward * cos - motion.left * sin, motion.forward * sin + motion.left * cos
 
         def moved(effect: Planar, error: Planar) -> Planar:
             forward, left, turn = error
@@ -178,7 +178,7 @@ class OdometryErrors:
             x = effect[0] - dy * yaw + forward * cos - left * sin
             return x, effect[1] + dx * yaw + forward * sin + left * cos, effect[2] + turn
 
-        lasting, by_distance, by_angle = self._causes(piece)
+        lasting, by_distance, by_angle = self._causes(motion)
         xx, xy, xt, yy, yt, tt = self._finished
         finished = (
             xx - 2 * dy * xt + dy * dy * tt, xy + dx * xt - dy * yt - dx * dy * tt, xt - dy * tt,
@@ -191,10 +191,10 @@ class OdometryErrors:
             finished,
         )
 
-    def _causes(self, piece: _Piece) -> tuple[list[Planar], list[Planar], list[Planar]]:
-        """Returns one standard deviation of each error of a motion: those that last, those of slip by distance and by angle."""
-        forward, left, turn = piece.forward, piece.left, piece.turn
-        (a, b, c), (on_left, on_right) = piece.by_left_wheels, self._radii
+    def _causes(self, motion: _Motion) -> tuple[list[Planar], list[Planar], list[Planar]]:
+        """Returns one standard deviation of each error of a motion: errors that last, slip by distance, slip by angle."""
+        forward, left, turn = motion.forward, motion.left, motion.turn
+        (a, b, c), (on_left, on_right) = motion.by_left_wheels, self._radii
         turn_by_angle, turn_by_distance, slip_by_distance, slip_by_angle = self._slip
         lasting: list[Planar] = [
             (on_left * a, on_left * b, on_left * c),
@@ -203,35 +203,35 @@ class OdometryErrors:
             (0.0, 0.0, self._turn_scale * turn),
         ]
         by_distance: list[Planar] = [
-            (0.0, 0.0, turn_by_distance * piece.distance),
+            (0.0, 0.0, turn_by_distance * motion.distance),
             (slip_by_distance * forward, slip_by_distance * left, 0.0),
         ]
-        x, y = piece.turning
-        return lasting, by_distance, [(0.0, 0.0, turn_by_angle * piece.angle), (slip_by_angle * x, slip_by_angle * y, 0.0)]
+        x, y = motion.turning
+        return lasting, by_distance, [(0.0, 0.0, turn_by_angle * motion.angle), (slip_by_angle * x, slip_by_angle * y, 0.0)]
 
     def _pose(self) -> Matrix3:
         lasting, by_distance, by_angle, finished = self._moved(self._pending)
         yaw = self._yaw + self._pending.turn
         cos, sin = math.cos(yaw), math.sin(yaw)
-        # An encoder is 0 to 1 tick behind: the mean of the square is a third.
+        # An encoder lags by 0 to 1 tick: the mean square is a third.
         lag = [
             ((x * cos - y * sin) / math.sqrt(3.0), (x * sin + y * cos) / math.sqrt(3.0), turn / math.sqrt(3.0))
             for x, y, turn in self._ticks
         ]
-        xx, xy, xt, yy, yt, tt = _with(finished, [*lasting, *by_distance, *by_angle, *lag])
+        xx, xy, xt, yy, yt, tt = _plus_effects(finished, [*lasting, *by_distance, *by_angle, *lag])
         return (xx + _LEAST_POSE, xy, xt, xy, yy + _LEAST_POSE, yt, xt, yt, tt + _LEAST_POSE)
 
     def _twist(self) -> Matrix3:
         causes = self._causes(self._last.over(self._dt))
-        # The difference of two lags, each even over a tick, has a variance of 1/6. Wheels that have not counted for a while are slower.
+        # The difference of two lags, each uniform over a tick, has a variance of 1/6. Wheels without a tick for a while are slower.
         tick = 1.0 / self._dt / math.sqrt(6.0) if self._still == 0.0 else 1.0 / max(self._still, self._dt) / math.sqrt(3.0)
         lag = [(x * tick, y * tick, turn * tick) for x, y, turn in self._ticks]
-        xx, xy, xt, yy, yt, tt = _with((0.0,) * 6, [cause for some in causes for cause in some] + lag)
+        xx, xy, xt, yy, yt, tt = _plus_effects((0.0,) * 6, [cause for some in causes for cause in some] + lag)
         return (xx + _LEAST_SPEED, xy, xt, xy, yy + _LEAST_SIDEWAYS, yt, xt, yt, tt + _LEAST_YAW_RATE)
 
 
-def _with(matrix: tuple[float, ...], effects: Sequence[Planar]) -> tuple[float, ...]:
-    """Returns a symmetric matrix (xx, xy, xt, yy, yt, tt) with independent effects of one standard deviation each."""
+def _plus_effects(matrix: tuple[float, ...], effects: Sequence[Planar]) -> tuple[float, ...]:
+    """Returns a symmetric matrix (xx, xy, xt, yy, yt, tt) plus independent effects of one standard deviation each."""
     xx, xy, xt, yy, yt, tt = matrix
     for x, y, t in effects:
         xx, xy, xt, yy, yt, tt = xx + x * x, xy + x * y, xt + x * t, yy + y * y, yt + y * t, tt + t * t

@@ -12,7 +12,7 @@ from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTar
 
 
 class OmniDrive(Drive):
-    """Moves the base in every direction; odometry is the motion that fits all wheels best."""
+    """Moves the base in every direction; odometry is the least-squares fit to all wheels."""
 
     def __init__(self, spec: OmniSpec) -> None:
         reach = sum(math.hypot(*wheel.position) for wheel in spec.wheels) / len(spec.wheels)
@@ -24,25 +24,25 @@ class OmniDrive(Drive):
         self._wheels_from_body = [tuple(row) for row in matrix.tolist()]
         self._body_from_wheels = [tuple(row) for row in np.linalg.pinv(matrix).tolist()]
 
-    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
+    def _follow(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
         now, limits = self.velocity, self._spec
         self.velocity = PlanarVelocity(
-            approach(now.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt),
-            approach(now.lateral, wanted.lateral, limits.max_lateral, limits.max_lateral_acceleration * dt),
-            approach(now.angular, wanted.angular, limits.max_angular, limits.max_angular_acceleration * dt),
+            approach(now.linear, commanded.linear, limits.max_linear, limits.max_linear_acceleration * dt),
+            approach(now.lateral, commanded.lateral, limits.max_lateral, limits.max_lateral_acceleration * dt),
+            approach(now.angular, commanded.angular, limits.max_angular, limits.max_angular_acceleration * dt),
         )
         return DriveTargets(self.wheel_speeds(self.velocity))
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
-        """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""
+        """Returns the motion of the base by the wheels: forward, left (m), rotation (rad)."""
         return self.body_velocity(increments)
 
     def wheel_speeds(self, velocity: PlanarVelocity) -> tuple[float, ...]:
-        """Returns the speeds of the joints, rad/s, that move the base so."""
+        """Returns the joint speeds, rad/s, for a velocity of the base."""
         x, y, yaw = velocity
         return tuple(a * x + b * y + c * yaw for a, b, c in self._wheels_from_body)
 
     def body_velocity(self, speeds: Sequence[float]) -> PlanarVelocity:
-        """Returns the base's velocity for joints at ``speeds``, rad/s: with more than three wheels the best fit (least squares)."""
+        """Returns the base's velocity for joint speeds, rad/s: with more than three wheels the least-squares fit."""
         x, y, yaw = (sum(a * b for a, b in zip(row, speeds, strict=True)) for row in self._body_from_wheels)
         return PlanarVelocity(x, y, yaw)

@@ -1,6 +1,6 @@
-"""What arms, grippers and lifts can be told: pure values, checked where they are born. Radians or metres, and per second.
+"""Joint commands for arms, grippers and lifts: pure values, checked when they are made. Radians or metres, and per second.
 
-Limits are those of a robot, so ``joint_control`` checks them.
+``robots.joints.control`` checks them against the limits of a robot.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class JointPositions:
-    """Joints shall go there as fast as they may, and stay."""
+    """Moves joints to positions as fast as their limits allow, and holds them there."""
 
     positions: Numbers
     names: tuple[str, ...] = ()
     """One for each number; empty = all joints that obey commands, in the order of the URDF."""
     efforts: Numbers = ()
-    """The most that each motor uses, on the way and there, N m or N; 0, or none at all = what the joint allows."""
+    """Effort limit of each motor, on the way and at the goal, N m or N; 0, or empty = that of the joint."""
 
     def __post_init__(self) -> None:
         _check_row("joint positions", self.names, self.positions)
@@ -37,7 +37,7 @@ class JointPositions:
 
 @dataclass(frozen=True, slots=True)
 class JointVelocities:
-    """Joints shall move so until they are told otherwise, or come to a limit; 0 = stay where they are."""
+    """Moves joints at velocities until the next command or a position limit; 0 = stay where they are."""
 
     velocities: Numbers
     names: tuple[str, ...] = ()
@@ -49,7 +49,7 @@ class JointVelocities:
 
 @dataclass(frozen=True, slots=True)
 class JointEfforts:
-    """Motors shall push so until they are told otherwise, up to the limits of velocity and position; 0 = let the joint go."""
+    """Applies efforts until the next command, within the limits of velocity and position; 0 = let the joint swing freely."""
 
     efforts: Numbers
     """N m or N."""
@@ -62,7 +62,7 @@ class JointEfforts:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryPoint:
-    """Where the joints of a trajectory shall be at one time; numbers are in the order of its names."""
+    """The joints of a trajectory at one time, in the order of its names."""
 
     time_ns: int
     """Nanoseconds from the start of the trajectory."""
@@ -75,15 +75,15 @@ class TrajectoryPoint:
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
-    """Joints shall pass through points (trajectory_msgs/JointTrajectory); without any, they stop where they are: all, if none is named.
+    """Moves joints through points (trajectory_msgs/JointTrajectory); without points, the named joints stop, or all if none is named.
 
-    Between two points: a quintic where both have accelerations, a cubic where both have velocities, else a straight line.
+    Between two points: a quintic if both have accelerations, a cubic if both have velocities, else a straight line.
     """
 
     names: tuple[str, ...]
     points: tuple[TrajectoryPoint, ...]
     start_ns: int = 0
-    """Simulation time from which the times count; 0 = when it arrives."""
+    """Simulation time at which it starts, ns; 0 = when it arrives."""
 
     def __post_init__(self) -> None:
         if not self.points:

@@ -1,6 +1,6 @@
-"""Moves joints as they are told: in every step, how fast each motor must turn, or which position it must hold. Pure.
+"""Joint control: from joint commands to the speed or the position that each motor holds in a step. Pure.
 
-Motors turn at the speed of a setpoint that keeps to the limits, plus a little for each radian (metre) that the joint is behind it.
+The speed is that of a setpoint within the limits, plus a correction proportional to the distance of the joint from it.
 """
 
 from __future__ import annotations
@@ -17,54 +17,54 @@ from gibson_sim.robots.joints.commands import JointCommand, JointEfforts, JointP
 from gibson_sim.types import NS_PER_S
 
 DEFAULT_SPEED = 1.0
-"""rad/s or m/s at which a joint without a limit of velocity goes to a position."""
+"""Speed at which a joint without a velocity limit moves to a position, rad/s or m/s."""
 _GAIN_PER_S = 50.0
-"""Speed for each radian (metre) behind the setpoint, 1/s: a lag dies out within 0.1 s."""
+"""Speed per radian (metre) of distance from the setpoint, 1/s: a lag vanishes within 0.1 s."""
 _LEAD_S = 0.1
-"""A setpoint is at most so far ahead of a joint that something holds back."""
+"""Greatest time that a setpoint is ahead of a joint that something holds back, s."""
 _UNLIMITED_SPEED = 100.0
-"""rad/s or m/s that a motor that pushes reaches in a joint without a limit of velocity."""
+"""Greatest speed under an effort command of a joint without a velocity limit, rad/s or m/s."""
 ARRIVED = 1e-3
-"""Radians or metres from the end at which a motion is over."""
+"""Distance from the goal at which a motion is over, radians or metres."""
 _ROUNDING = 1e-6
-"""Radians, metres and per second by which commands may miss a limit: planners that go to a limit round."""
+"""Excess over a limit that commands may have, radians or metres, and per second: planners round."""
 _FASTER = 1.01
-"""Factor on the limit of velocity, for the mean between two points of a trajectory, for the same reason."""
+"""Factor on the velocity limit for the mean velocity between two points of a trajectory, for the same reason."""
 
 
 class JointTargets(NamedTuple):
-    """What the motors shall do until the next step; joints in neither go on as they were told."""
+    """Targets of the motors until the next step; joints without one keep their last."""
 
     speeds: dict[str, float]
-    """rad/s or m/s."""
+    """Speeds to hold, rad/s or m/s."""
     held: dict[str, float]
-    """Radians or metres."""
+    """Positions to hold, radians or metres."""
     efforts: dict[str, float]
-    """N m or N: the most that motors use; those that are not in it use what their joint allows."""
+    """Effort limits, N m or N; missing = that of the joint."""
 
 
 class _Motion(Protocol):
-    """What one joint is doing."""
+    """The motion of one joint under a command."""
 
     effort: float | None
-    """The most that its motor uses; None = what the joint allows."""
+    """Effort limit of its motor, N m or N; None = that of the joint."""
 
     def speed(self, position: float, now_ns: int, step_ns: int) -> float:
         """Returns the speed for the step that begins at ``now_ns``, the joint being at ``position``."""
 
     def end(self, position: float, now_ns: int) -> float | None:
-        """Returns the position to hold where the motion is over, else None."""
+        """Returns the position to hold if the motion is over, else None."""
 
 
 class JointControl:
-    """The joints of one robot that obey commands; the others are not its business."""
+    """The joints of one robot that obey commands."""
 
     def __init__(self, joints: Sequence[UrdfJoint], others: Sequence[str] = ()) -> None:
-        """Lets all joints rest.
+        """Starts without commands.
 
         Args:
-            joints: That obey commands, in the order of the URDF.
-            others: Joints that move, but obey others (the wheels of the drive): for error messages.
+            joints: Joints that obey commands, in the order of the URDF.
+            others: Joints that something else commands (the wheels of the drive), for error messages.
         """
         self._joints = {joint.name: joint for joint in joints}
         self._others = tuple(others)
@@ -83,16 +83,16 @@ class JointControl:
     def command(
         self, command: JointCommand, now_ns: int, positions: Mapping[str, float], velocities: Mapping[str, float]
     ) -> None:
-        """Replaces what the joints that it names are doing, from the state that they are in.
+        """Replaces the motions of the joints that the command names, from their present state.
 
         Args:
-            command: What to do; a trajectory without points stops the joints that it names, or, without names, all.
+            command: The command; a trajectory without points stops the joints that it names, or, without names, all.
             now_ns: Simulation time.
-            positions: Of all ``names``, now.
-            velocities: Of all ``names``, now.
+            positions: Present positions of all ``names``.
+            velocities: Present velocities of all ``names``.
 
         Raises:
-            CommandError: an unknown joint, a number beyond a limit, a trajectory that is over; nothing has changed then.
+            CommandError: a joint is unknown, a value exceeds a limit, or the trajectory is over; nothing has changed then.
         """
         if isinstance(command, JointTrajectory):
             new = self._trajectory(command, now_ns, positions, velocities)
@@ -102,21 +102,21 @@ class JointControl:
             for (joint, goal), effort in zip(self._rows(command.names, command.positions, "positions"), efforts, strict=True):
                 _check_position(joint, goal, "")
                 _check_effort(joint, effort)
-                new[joint.name] = _Goal(joint, goal, positions[joint.name], effort or None)
+                new[joint.name] = _ToPosition(joint, goal, positions[joint.name], effort or None)
         elif isinstance(command, JointEfforts):
             new = {}
             for joint, effort in self._rows(command.names, command.efforts, "efforts"):
                 _check_effort(joint, effort)
-                new[joint.name] = _Pushing(joint, effort)
+                new[joint.name] = _AtEffort(joint, effort)
         else:
             new = {}
             for joint, speed in self._rows(command.names, command.velocities, "velocities"):
                 _check_velocity(joint, speed, "")
-                new[joint.name] = _Turning(joint, speed) if speed else _Rest(positions[joint.name])
+                new[joint.name] = _AtVelocity(joint, speed) if speed else _Hold(positions[joint.name])
         self._motions.update(new)
 
     def step(self, now_ns: int, step_ns: int, positions: Mapping[str, float]) -> JointTargets:
-        """Returns what changes for the step that begins at ``now_ns`` and lasts ``step_ns``; ``positions``: of all ``active``."""
+        """Returns the targets that change for the step that begins at ``now_ns`` and lasts ``step_ns``; ``positions`` has all ``active``."""
         speeds, held, efforts = {}, {}, {}
         for name, motion in list(self._motions.items()):
             end = motion.end(positions[name], now_ns)
@@ -127,14 +127,14 @@ class JointControl:
                 del self._motions[name]
                 continue
             speeds[name] = motion.speed(positions[name], now_ns, step_ns)
-            if motion.effort == 0.0:  # let go once, it needs nobody
+            if motion.effort == 0.0:  # a free joint needs no further targets
                 del self._motions[name]
         return JointTargets(speeds, held, efforts)
 
     def setpoint(self, name: str, now_ns: int) -> float | None:
-        """Returns where a joint shall be by its trajectory, radians or metres; None = it follows none (any more)."""
+        """Returns the setpoint of a joint by its trajectory, radians or metres; None = it follows none (any more)."""
         motion = self._motions.get(name)
-        return motion.setpoint(now_ns) if isinstance(motion, _Path) else None
+        return motion.setpoint(now_ns) if isinstance(motion, _AlongTrajectory) else None
 
     def _rows(self, names: tuple[str, ...], row: tuple[float, ...], what: str) -> list[tuple[UrdfJoint, float]]:
         names = names or self.names
@@ -156,14 +156,14 @@ class JointControl:
     ) -> dict[str, _Motion]:
         if not command.points:
             names = [self._joint(name).name for name in command.names] or self.active
-            return {name: _Rest(positions[name]) for name in names}
+            return {name: _Hold(positions[name]) for name in names}
         start_ns = command.start_ns or now_ns
         out: dict[str, _Motion] = {}
         for i, name in enumerate(command.names):
             joint = self._joint(name)
             knots = [_knot(joint, k, i, point, start_ns) for k, point in enumerate(command.points)]
             if knots[-1].time_ns == now_ns:
-                out[name] = _Goal(joint, knots[-1].position, positions[name])
+                out[name] = _ToPosition(joint, knots[-1].position, positions[name])
                 continue
             if knots[-1].time_ns < now_ns:
                 raise CommandError(
@@ -176,8 +176,8 @@ class JointControl:
         return out
 
 
-class _Rest:
-    """Stays where it is."""
+class _Hold:
+    """Holds a position."""
 
     effort: float | None = None
 
@@ -191,8 +191,8 @@ class _Rest:
         return self._position
 
 
-class _Turning:
-    """Goes on until a limit of position, and stays there."""
+class _AtVelocity:
+    """Moves at a velocity until a position limit, and stays there."""
 
     effort: float | None = None
 
@@ -200,7 +200,7 @@ class _Turning:
         self._joint, self._speed = joint, speed
 
     def speed(self, position: float, now_ns: int, step_ns: int) -> float:
-        if not _is_bounded(self._joint):
+        if not self._joint.is_bounded:
             return self._speed
         dt = step_ns / NS_PER_S
         return min(max(self._speed, (self._joint.lower - position) / dt), (self._joint.upper - position) / dt)
@@ -209,16 +209,16 @@ class _Turning:
         return None
 
 
-class _Pushing(_Turning):
-    """A motor that would go faster and has only so much effort pushes with just that, and no faster than the joint may go."""
+class _AtEffort(_AtVelocity):
+    """Applies an effort: the motor has the greatest speed as its target, and the effort as its limit."""
 
     def __init__(self, joint: UrdfJoint, effort: float) -> None:
         super().__init__(joint, math.copysign(joint.velocity or _UNLIMITED_SPEED, effort))
         self.effort = abs(effort)
 
 
-class _Goal:
-    """Goes to a position at the greatest speed."""
+class _ToPosition:
+    """Moves to a position at the greatest speed."""
 
     def __init__(self, joint: UrdfJoint, goal: float, position: float, effort: float | None = None) -> None:
         self._fastest, self._goal, self._setpoint = joint.velocity or DEFAULT_SPEED, goal, position
@@ -244,14 +244,14 @@ class _Knot(NamedTuple):
     acceleration: float | None = None
 
 
-class _Path:
-    """Passes through knots."""
+class _AlongTrajectory:
+    """Moves through knots."""
 
     effort: float | None = None
 
     def __init__(self, joint: UrdfJoint, knots: Sequence[_Knot]) -> None:
         self._fastest = joint.velocity or math.inf
-        self._lower, self._upper = (joint.lower, joint.upper) if _is_bounded(joint) else (-math.inf, math.inf)
+        self._lower, self._upper = (joint.lower, joint.upper) if joint.is_bounded else (-math.inf, math.inf)
         self._knots = knots
         self._polynomials = [_polynomial(a, b) for a, b in pairwise(knots)]
         self._segment = 0
@@ -265,7 +265,7 @@ class _Path:
         return last.position if now_ns >= last.time_ns and abs(position - last.position) < ARRIVED else None
 
     def setpoint(self, time_ns: int) -> float:
-        """Returns where the joint shall be; a curve between two points may not leave the limits either."""
+        """Returns the setpoint at a time, within the limits also between two knots."""
         if time_ns <= self._knots[0].time_ns:
             return self._knots[0].position
         if time_ns >= self._knots[-1].time_ns:
@@ -281,10 +281,10 @@ class _Path:
         return min(max(position, self._lower), self._upper)
 
 
-def _path(joint: UrdfJoint, knots: list[_Knot], first_ns: int, position: float, velocity: float) -> _Path:
-    """Returns the path through those knots that come after ``first_ns``, from the state that the joint has then."""
+def _path(joint: UrdfJoint, knots: list[_Knot], first_ns: int, position: float, velocity: float) -> _AlongTrajectory:
+    """Returns the motion through the knots after ``first_ns``, from the state of the joint at that time."""
     ahead = [knot for knot in knots if knot.time_ns > first_ns]
-    # Planners repeat the present state as their first point: its acceleration is known to them alone.
+    # Planners repeat the present state as their first point, and only they know its acceleration.
     acceleration = next((knot.acceleration for knot in knots if knot.time_ns == first_ns), None)
     all_knots = [_Knot(first_ns, position, velocity, acceleration or 0.0), *ahead]
     for a, b in pairwise(all_knots):
@@ -294,11 +294,11 @@ def _path(joint: UrdfJoint, knots: list[_Knot], first_ns: int, position: float, 
                 f"joint trajectory: joint {quoted(joint.name)} would go from {a.position:g} to {b.position:g} at {abs(mean):g} a second, "
                 f"its limit is {joint.velocity:g}; give it more time"
             )
-    return _Path(joint, all_knots)
+    return _AlongTrajectory(joint, all_knots)
 
 
 def _polynomial(a: _Knot, b: _Knot) -> tuple[float, ...]:
-    """Returns coefficients of seconds since ``a``, the constant one first: quintic, cubic or linear, by what both ends give."""
+    """Returns the coefficients of a polynomial of seconds since ``a``, constant first: quintic, cubic or linear, by what both ends have."""
     t, change = (b.time_ns - a.time_ns) / NS_PER_S, b.position - a.position
     if a.velocity is None or b.velocity is None:
         return a.position, change / t
@@ -317,14 +317,14 @@ def _polynomial(a: _Knot, b: _Knot) -> tuple[float, ...]:
 
 
 def servo_speed(now: float, then: float, position: float, step_ns: int, fastest: float) -> float:
-    """Returns how fast the motor of a joint at ``position`` must turn while its setpoint goes from ``now`` to ``then``.
+    """Returns the motor speed of a joint at ``position`` while its setpoint moves from ``now`` to ``then``.
 
     Args:
-        now: Setpoint at the beginning of the step.
-        then: Setpoint at its end.
-        position: Of the joint, at its beginning.
-        step_ns: How long the step lasts.
-        fastest: Limit of the speed, above 0.
+        now: Set point at the beginning of the step.
+        then: Set point at its end.
+        position: Position of the joint at its beginning.
+        step_ns: Length of the step, ns.
+        fastest: Speed limit, above 0.
     """
     dt = step_ns / NS_PER_S
     speed = (then - now) / dt + min(_GAIN_PER_S, 0.5 / dt) * (now - position)
@@ -341,12 +341,8 @@ def _knot(joint: UrdfJoint, number: int, column: int, point: TrajectoryPoint, st
     return _Knot(start_ns + point.time_ns, point.positions[column], velocity, acceleration)
 
 
-def _is_bounded(joint: UrdfJoint) -> bool:
-    return joint.lower <= joint.upper and joint.kind != "continuous"
-
-
 def _check_position(joint: UrdfJoint, value: float, where: str) -> None:
-    if _is_bounded(joint) and not joint.lower - _ROUNDING <= value <= joint.upper + _ROUNDING:
+    if joint.is_bounded and not joint.lower - _ROUNDING <= value <= joint.upper + _ROUNDING:
         raise CommandError(
             f"joint {quoted(joint.name)}: position{where} is {value:g}, must be {joint.lower:g} to {joint.upper:g}"
         )

@@ -1,6 +1,6 @@
-"""When the goal of an arm or a gripper is reached, or missed: the rules of ros2_controllers' joint_trajectory_controller and gripper controllers.
+"""When the goal of an arm or a gripper is reached or missed: the rules of ros2_controllers' joint_trajectory_controller and gripper controllers.
 
-Pure: positions and times go in, an outcome comes out. ``ros/topics/arm_actions.py`` puts actions around it.
+Pure: positions and times go in, an outcome comes out. ``ros/topics/arm_actions.py`` has the actions.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
 GOAL_TOLERANCE = 0.01
-"""Radians or metres by which a joint may miss the end of its trajectory, unless the goal says otherwise."""
+"""Default tolerance of a joint at the end of its trajectory, radians or metres."""
 GOAL_TIME = 2.0
-"""Seconds that it may be late, unless the goal says otherwise."""
+"""Default time that a trajectory may be late, s."""
 STALL_SPEED = 1e-3
-"""rad/s or m/s of a finger below which it counts as held up."""
+"""Speed of a finger below which it counts as blocked, rad/s or m/s."""
 STALL_TIME_NS = NS_PER_S // 5
-"""How long, simulation time, fingers must be held up for a gripper to count as stalled: by what it holds, as a rule."""
+"""Time that fingers must be blocked for a gripper to count as stalled, usually by what it holds, simulation time, ns."""
 
 
 class TrajectoryCode(IntEnum):
-    """How a trajectory ended: the numbers of control_msgs/FollowJointTrajectory."""
+    """How a trajectory ended: error codes of control_msgs/FollowJointTrajectory."""
 
     SUCCESSFUL = 0
     INVALID_GOAL = -1
@@ -37,7 +37,7 @@ class TrajectoryCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What one joint may miss; 0 = what is usual, below 0 = anything."""
+    """Tolerances of one joint; 0 = the default, below 0 = unlimited."""
 
     position: float = 0.0
     """Radians or metres."""
@@ -51,7 +51,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A goal is over."""
+    """The result of a goal."""
 
     code: TrajectoryCode
     reason: str = ""
@@ -59,22 +59,22 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryGoal:
-    """What a trajectory must fulfil."""
+    """The goal of a trajectory: its end, and tolerances."""
 
     names: tuple[str, ...]
     end: tuple[float, ...]
-    """Where each joint shall be at last, radians or metres."""
+    """Position of each joint at the end, radians or metres."""
     end_ns: int
-    """Simulation time at which it shall be there."""
+    """Simulation time of the end."""
     path: Mapping[str, Tolerance] = field(default_factory=dict)
-    """On the way; usual is anything."""
+    """Tolerances on the way; unlimited by default."""
     goal: Mapping[str, Tolerance] = field(default_factory=dict)
-    """At the end."""
+    """Tolerances at the end."""
     goal_time: float = 0.0
-    """Seconds that it may be late; 0 = what is usual."""
+    """Time that it may be late, s; 0 = the default."""
 
     def check(self, known: Sequence[str]) -> None:
-        """Raises CommandError where a tolerance is of a joint that the trajectory does not move, or a joint is not one of ``known``."""
+        """Raises CommandError if the trajectory does not move the joint of a tolerance, or a joint is not one of ``known``."""
         for name in (*self.path, *self.goal):
             if name not in self.names:
                 raise CommandError(
@@ -91,9 +91,9 @@ class TrajectoryGoal:
 
         Args:
             now_ns: Simulation time.
-            desired: Where joints shall be by the trajectory now; those that are not named are at its end.
-            positions: Of all joints of the goal, now.
-            velocities: The same.
+            desired: Present setpoints of the trajectory; joints that are missing are at its end.
+            positions: Present positions of all joints of the goal.
+            velocities: Their velocities.
         """
         if now_ns < self.end_ns:
             for name, tolerance in self.path.items():
@@ -111,7 +111,7 @@ class TrajectoryGoal:
         return None
 
     def _missed(self, positions: Mapping[str, float], velocities: Mapping[str, float]) -> str:
-        """Returns what is not yet as it shall be, in words; empty = all is."""
+        """Returns which tolerance at the end is not met, in words; empty = all are."""
         for name, end in zip(self.names, self.end, strict=True):
             tolerance = self.goal.get(name, Tolerance())
             allowed, error = tolerance.position or GOAL_TOLERANCE, abs(positions[name] - end)
@@ -124,33 +124,33 @@ class TrajectoryGoal:
 
 @dataclass(frozen=True, slots=True)
 class GripperOutcome:
-    """How fingers are."""
+    """State of the fingers."""
 
     position: float
-    """Radians or metres: the mean of all fingers."""
+    """Mean of all fingers, radians or metres."""
     effort: float
-    """N or N m: the greatest of all."""
+    """Greatest of all fingers, N or N m."""
     stalled: bool
-    """Something holds them up."""
+    """Whether something blocks them."""
     reached_goal: bool
 
     @property
     def is_over(self) -> bool:
-        """Whether the gripper is there, or cannot get there."""
+        """Whether the gripper is at its goal, or cannot get there."""
         return self.stalled or self.reached_goal
 
 
 class GripperGoal:
-    """What a gripper was told."""
+    """The goal of a gripper."""
 
     def __init__(self, joints: tuple[str, ...], position: float, now_ns: int) -> None:
-        """Begins at ``now_ns``; ``position``: of every finger, radians or metres."""
+        """Begins at ``now_ns``; ``position`` is that of every finger, radians or metres."""
         self._joints, self._position, self._moved_ns = joints, position, now_ns
 
     def outcome(
         self, now_ns: int, positions: Mapping[str, float], velocities: Mapping[str, float], efforts: Mapping[str, float]
     ) -> GripperOutcome:
-        """Returns how the fingers are now; call it at every tick."""
+        """Returns the state of the fingers now; call it at every tick."""
         if any(abs(velocities[name]) > STALL_SPEED for name in self._joints):
             self._moved_ns = now_ns
         reached = all(abs(positions[name] - self._position) <= GOAL_TOLERANCE / 4 for name in self._joints)

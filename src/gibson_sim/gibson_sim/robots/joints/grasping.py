@@ -1,6 +1,6 @@
-"""The rules of grasping: when a gripper takes hold, of what, and when it lets go. Pure.
+"""The rules of grasping: when a gripper grasps, what, and when it releases it. Pure.
 
-``PhysicsWorld.grasp``, ``release`` and ``grasp_state`` obey them, and ``docs/manipulation.md`` explains them.
+``PhysicsWorld.arms`` applies them, and ``docs/manipulation.md`` explains them.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ GraspMode = Literal["physical", "assisted", "sticky"]
 GRASP_MODES: tuple[GraspMode, ...] = ("physical", "assisted", "sticky")
 GripperMove = Literal["closes", "opens", "stays"]
 _SMALL_MOVE = 0.02
-"""Part of its range by which a gripper must be told to move for it to count as closing or opening."""
+"""Fraction of its range by which a command must move a gripper to count as closing or opening."""
 _HANDLES = ("handle", "knob")
-"""Words in the names of links that hands are made for."""
+"""Words in the names of links that are made to be grasped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +30,15 @@ class GraspSettings:
     """How grippers hold."""
 
     mode: GraspMode = "assisted"
-    """physical: friction alone. assisted: a ball joint to what is in reach. sticky: rigid, to what the gripper touches."""
+    """physical: friction alone. assisted: a ball joint to what is in reach. sticky: a rigid joint to what the gripper touches."""
     distance: float = 0.2
-    """assisted: metres from the tool's origin to a surface within which it takes hold."""
+    """assisted: greatest distance from the tool's origin to a surface, metres."""
     max_force: float = 500.0
-    """N: the most that a joint between gripper and object bears; sticky: also N m. More pulls them apart."""
+    """Force limit of the joint between gripper and object, N; sticky: also its torque limit, N m. A stronger pull moves them apart."""
     release_force: float = 0.0
-    """N above which it lets go; 0 = never."""
+    """Force above which the gripper releases, N; 0 = never."""
     release_angle: float = math.radians(90.0)
-    """Radians from closed beyond which it lets go of a door; 0 = never."""
+    """Opening angle beyond which the gripper releases a door, radians; 0 = never."""
 
     def __post_init__(self) -> None:
         if self.mode not in GRASP_MODES:
@@ -61,23 +61,23 @@ class GraspState:
     mode: GraspMode
     holding: bool = False
     body: str = ""
-    """What it holds: a body or another robot."""
+    """Name of the body or the other robot that is held."""
     link: str = ""
     force: float = 0.0
-    """N, that the joint bore in the last step; physical: those along the normals of all points of contact, added up."""
+    """Load of the joint in the last step, N; physical: sum of the normal forces at all points of contact."""
     torque: float = 0.0
-    """N m, that a rigid joint bore in the last step."""
+    """Torque on a rigid joint in the last step, N m."""
     reason: str = ""
-    """Why it holds nothing, or nothing any more; empty where it was not told to, or is open."""
+    """Why it holds nothing, or nothing any more; empty if it was not commanded to grasp, or is open."""
 
 
 class Candidate(NamedTuple):
-    """A link that a gripper could take hold of."""
+    """A link that a gripper could grasp."""
 
     body: str
     link: str
     distance: float
-    """Metres; what is least is best."""
+    """Metres; the least is best."""
 
 
 def is_handle(link: str) -> bool:
@@ -86,15 +86,15 @@ def is_handle(link: str) -> bool:
 
 
 def best_candidate(candidates: Iterable[Candidate], within: float) -> Candidate | None:
-    """Returns what a gripper takes hold of: the nearest handle or knob within a distance, else the nearest link; None = nothing."""
+    """Returns what a gripper grasps: the nearest handle or knob within a distance, else the nearest link; None = nothing."""
     near = [candidate for candidate in candidates if candidate.distance < within]
     return min(near, key=lambda c: (not is_handle(c.link), c.distance, c.body, c.link), default=None)
 
 
 def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping[str, float]) -> GripperMove:
-    """Returns what a command wants of a gripper whose joints are at ``positions``: by the first of its joints that it names.
+    """Returns what a command does to a gripper whose joints are at ``positions``, by the first of its joints that it names.
 
-    A command without names counts by the joints in ``positions``, in their order.
+    A command without names is for the joints in ``positions``, in their order.
     """
     if isinstance(command, JointTrajectory):
         rows = command.points[-1].positions if command.points else ()
@@ -102,23 +102,23 @@ def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping
         rows = command.positions
     else:
         rows = command.efforts if isinstance(command, JointEfforts) else command.velocities
-    wanted = dict(zip(command.names or tuple(positions), rows, strict=False))
+    commanded = dict(zip(command.names or tuple(positions), rows, strict=False))
     span = gripper.closed - gripper.open
     low, high = sorted((gripper.open, gripper.closed))
     for joint in gripper.joints:
-        if joint in wanted:
+        if joint in commanded:
             speeds = isinstance(command, (JointVelocities, JointEfforts))
-            # What presses a finger beyond its end does not open the hand: it is told to close all the same.
+            # A finger that is pressed beyond its end counts as at its end.
             now = min(max(positions[joint], low), high)
-            # A speed has no end: any is enough.
-            change = math.copysign(1.0, span) * wanted[joint] if speeds else (wanted[joint] - now) / span
+            # Any speed is enough, since it has no end.
+            change = math.copysign(1.0, span) * commanded[joint] if speeds else (commanded[joint] - now) / span
             least = 0.0 if speeds else _SMALL_MOVE
             return "closes" if change > least else "opens" if change < -least else "stays"
     return "stays"
 
 
 def hinge_of(model: UrdfModel, link: str) -> str | None:
-    """Returns the joint on which a link's door turns: the first turning one from the root to the link; None = nothing turns it."""
+    """Returns the hinge of a link's door: the first revolute joint from the root to the link; None = there is none."""
     above = {joint.child: joint for joint in model.joints}
     hinge = None
     while link in above:
@@ -129,13 +129,13 @@ def hinge_of(model: UrdfModel, link: str) -> str | None:
     return hinge
 
 
-def reason_to_let_go(settings: GraspSettings, force: float, hinge: float | None) -> str:
-    """Returns why a gripper lets go, in words; empty = it holds on.
+def release_reason(settings: GraspSettings, force: float, hinge: float | None) -> str:
+    """Returns why a gripper must release what it holds; empty = it must not.
 
     Args:
-        settings: Which limits there are.
-        force: N, that the joint bore in the last step.
-        hinge: Radians from closed of the door that it holds; None = it holds no door.
+        settings: The limits.
+        force: Load of the joint in the last step, N.
+        hinge: Opening angle of the door that it holds, radians; None = it holds no door.
     """
     if settings.release_force and force > settings.release_force:
         return f"let go: {force:.0f} N is more than the set force, {settings.release_force:g} N"

@@ -1,7 +1,7 @@
-"""Where the end of a chain of joints is, and which joints bring it where it shall be. Pure arithmetic; nothing moves in the engine.
+"""Forward and inverse kinematics of a chain of joints. Pure arithmetic; nothing moves in the engine.
 
-Not PyBullet's solver: with limits and a rest pose it misses most poses that an arm of seven joints reaches, because both only pull at
-its solution. Here limits are walls, and the rest pose uses only what the task leaves free.
+It does not use PyBullet's solver: with limits and a rest pose that misses most poses that an arm of seven joints reaches, because both only bias
+its solution. Here limits are hard, and the rest pose acts only in the null space of the task.
 """
 
 from __future__ import annotations
@@ -21,67 +21,67 @@ from gibson_sim.quoting import quoted
 
 F64 = NDArray[np.float64]
 _RESTARTS = 24
-"""Places from which it is tried anew where the first try ends in a dead end."""
+"""Number of random starting points if the first attempt fails."""
 _ITERATIONS = 80
-"""Of one try."""
+"""Iterations of one attempt."""
 _POLISHING = 20
-"""The last of them, which heed the target alone."""
+"""Last iterations of an attempt, without the rest pose."""
 _EXACT = 1e-7
-"""Metres and radians that need no improvement."""
+"""Error that needs no improvement, metres and radians."""
 _SETTLED = 1e-4
-"""Change in an iteration, radians and metres, below which the rest pose has had its way."""
+"""Change of the joints in an iteration below which the rest pose is approached as far as possible, radians and metres."""
 _REST_GAIN = 0.3
-"""Part of the way to the rest pose that an iteration goes, as far as the target allows."""
+"""Fraction of the way to the rest pose in an iteration, as far as the target allows."""
 _REST_DAMPING = 1e-2
 """Damping of the null-space motion towards the rest pose."""
-_DEAD_END = 0.98
-"""A try whose error was no smaller than so much of it ten iterations ago is given up."""
+_STALLED = 0.98
+"""Ratio of the error to that of ten iterations ago above which an attempt is given up."""
 _DAMPING = 0.05
-"""Of the least squares, for the square of each metre of error: calm near a stretched arm, quick near the target."""
+"""Damping of the least squares per squared metre of error: stable near a stretched arm, fast near the target."""
 _FAR = 0.3
-"""Metres above which more error damps no more."""
-_ARM = 0.5
+"""Error above which the damping does not grow, metres."""
+_ROTATION_WEIGHT = 0.5
 """Weight of rotation against translation, m/rad."""
-_LONGEST = 0.5
-"""Radians or metres that a joint moves in an iteration."""
+_MAX_STEP = 0.5
+"""Greatest motion of a joint in an iteration, radians or metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChainSolution:
-    """Joints that bring the end of a chain as near to a target as was found, and how near."""
+    """Joint positions that bring the tip of a chain as near to a target as was found, and the remaining error."""
 
     names: tuple[str, ...]
-    """Moving joints of the chain, the root's first; those that follow others are not among them."""
+    """Moving joints of the chain, the root's first, without those that mimic others."""
     positions: tuple[float, ...]
     """Radians or metres, within the limits."""
     position_error: float
-    """Metres between the target and where they bring the end."""
+    """Distance of the tip from the target, metres."""
     angle_error: float
-    """Radians between the two; 0 where no orientation was asked for."""
+    """Angle between the two, radians; 0 if the orientation does not count."""
 
     def within(self, position_error: float, angle_error: float) -> bool:
-        """Returns whether both errors are at most so large, metres and radians."""
+        """Returns whether both errors are at most these, metres and radians."""
         return self.position_error <= position_error and self.angle_error <= angle_error
 
 
 @dataclass(frozen=True, slots=True)
 class _Link:
-    """A joint on the way to the tip."""
+    """A joint between the root and the tip."""
 
     joint: UrdfJoint
     T_parent_joint: Mat4
     leader: str
-    """The joint whose position decides that of this one: itself, or the one that it mimics; empty = it is fixed."""
+    """The joint that determines its position: itself, or the one that it mimics; empty = it is fixed."""
     mimic: Mimic | None
 
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """How a joint moves the tip, root's frame."""
+    """The axis of a joint, root's frame."""
 
     leader: str
     factor: float
-    """Of its motion by that of its leader."""
+    """Ratio of its motion to that of its leader."""
     direction: F64
     """(3,), unit vector."""
     origin: F64
@@ -90,7 +90,7 @@ class _Axis:
 
 
 class Chain:
-    """The joints between the root of a model and one of its links. What mimics another joint goes where that one puts it."""
+    """The joints between the root of a model and one of its links; joints that mimic others follow them."""
 
     def __init__(self, model: UrdfModel, tip: str, joints: Sequence[str] | None = None) -> None:
         """Finds the chain.
@@ -98,7 +98,7 @@ class Chain:
         Args:
             model: The tree of links.
             tip: Link at its end.
-            joints: Those that may move; None = all of the chain that move at all. The others stay where they are.
+            joints: Joints that may move; None = all moving joints of the chain. The others stay where they are.
 
         Raises:
             CommandError: there is no such link, no joint moves it, or a joint is not of the chain.
@@ -122,7 +122,7 @@ class Chain:
             if name not in moving:
                 raise CommandError(f"joint {quoted(name)} does not move link {quoted(tip)}; these do: {', '.join(moving)}")
         self.names = tuple(name for name in moving if joints is None or name in joints)
-        """The joints that may move, the root's first; those that follow others are not among them."""
+        """The joints that may move, the root's first, without those that mimic others."""
         if not self.names:
             raise CommandError(f"no joint of the chain to link {quoted(tip)} may move; name at least one of {', '.join(moving)}")
         limits = [_limits(model, name) for name in self.names]
@@ -130,13 +130,13 @@ class Chain:
         self._upper = np.array([upper for _, upper in limits])
 
     def pose(self, positions: Mapping[str, float]) -> Mat4:
-        """Returns T_root_tip, (4, 4); joints that are not named are at 0."""
+        """Returns T_root_tip, (4, 4); missing joints are at 0."""
         return self._forward(positions)[0]
 
     def jacobian(self, positions: Mapping[str, float]) -> tuple[Mat4, F64]:
-        """Returns T_root_tip, (4, 4), and what takes velocities of ``names`` to those of the tip, (6, J), linear then angular, root's axes."""
+        """Returns T_root_tip, (4, 4), and the Jacobian, (6, J), from velocities of ``names`` to the twist of the tip, linear first, root's axes."""
         T_root_tip, axes = self._forward(positions)
-        return T_root_tip, self._columns(T_root_tip, axes)
+        return T_root_tip, self._jacobian_of(T_root_tip, axes)
 
     def solve(
         self,
@@ -146,13 +146,13 @@ class Chain:
         rest: Mapping[str, float] | None = None,
         orientation: bool = True,
     ) -> ChainSolution:
-        """Returns the joints that bring the tip to a target; equal questions have equal answers, to the bit.
+        """Returns the joints that bring the tip to a target; equal arguments give equal results, to the bit.
 
         Args:
             target: T_root_tip, (4, 4).
-            start: Where joints are now: the search begins there, and ends near there if it can; those not named are at 0.
-            rest: Where joints shall be as far as the target leaves them free; those not named have no rest_positions, None = none has.
-            orientation: Whether it counts; False = the tip's origin alone shall be there.
+            start: Present positions, near which the search begins and, if possible, ends; missing joints are at 0.
+            rest: Joint positions to approach as far as the target leaves joints free; missing joints have none, None = none has.
+            orientation: Whether the orientation of the target counts, or only its position.
 
         Raises:
             CommandError: a number of the target is not finite.
@@ -174,10 +174,12 @@ class Chain:
                 break
         error, _ = self._error(target, best, start, orientation)
         positions = tuple(best.tolist())
-        return ChainSolution(self.names, positions, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])) / _ARM)
+        return ChainSolution(
+            self.names, positions, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])) / _ROTATION_WEIGHT
+        )
 
     def _descend(self, target: Mat4, begin: F64, others: Mapping[str, float], rest_positions: F64, orientation: bool) -> F64:
-        """Goes downhill from ``begin``: damped least squares among the joints that no limit stops."""
+        """Returns the result of an attempt from ``begin``, by damped least squares of the joints that no limit stops."""
         q, before = begin, math.inf
         for iteration in range(_ITERATIONS):
             error, jacobian = self._error(target, q, others, orientation)
@@ -186,11 +188,11 @@ class Chain:
             if size < _EXACT and not resting:
                 break
             if iteration % 10 == 9:
-                if size > max(_DEAD_END * before, 10 * _EXACT):
+                if size > max(_STALLED * before, 10 * _EXACT):
                     break
                 before = size
             step = self._step(q, error, jacobian, rest_positions if resting else None)
-            step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-30))
+            step *= min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-30))
             after: F64 = np.clip(q + step, self._lower, self._upper)
             moved = float(np.abs(after - q).max())
             q = after
@@ -199,7 +201,7 @@ class Chain:
         return q
 
     def _step(self, q: F64, error: F64, jacobian: F64, rest_positions: F64 | None) -> F64:
-        """Returns by how much the joints move; those that a limit stops are taken out until none is left that would pass it."""
+        """Returns the motion of the joints in an iteration; joints that a limit stops are left out, until none would pass its limit."""
         free = np.ones(len(q), dtype=bool)
         step = np.zeros(len(q))
         damping = 1e-12 + _DAMPING * min(float(error @ error), _FAR**2)
@@ -216,17 +218,17 @@ class Chain:
         return step
 
     def _error(self, target: Mat4, q: F64, others: Mapping[str, float], orientation: bool) -> tuple[F64, F64]:
-        """Returns the way from the tip to its target, metres (the turn times ``_ARM``), (6,) or (3,), and its Jacobian by the joints."""
+        """Returns the error from the tip to its target, (6,) or (3,), metres (rotation times ``_ROTATION_WEIGHT``), and the Jacobian of the tip."""
         T_root_tip, axes = self._forward({**others, **dict(zip(self.names, q.tolist(), strict=True))})
-        error, jacobian = target[:3, 3] - T_root_tip[:3, 3], self._columns(T_root_tip, axes)
+        error, jacobian = target[:3, 3] - T_root_tip[:3, 3], self._jacobian_of(T_root_tip, axes)
         if not orientation:
             return error, jacobian[:3]
-        jacobian[3:] *= _ARM
-        turn = _ARM * _rotation_vector(target[:3, :3] @ T_root_tip[:3, :3].T)
-        return np.concatenate([error, turn]), jacobian
+        jacobian[3:] *= _ROTATION_WEIGHT
+        rotation = _ROTATION_WEIGHT * _rotation_vector(target[:3, :3] @ T_root_tip[:3, :3].T)
+        return np.concatenate([error, rotation]), jacobian
 
-    def _columns(self, T_root_tip: Mat4, axes: Sequence[_Axis]) -> F64:
-        """Returns what takes velocities of ``names`` to those of the tip, (6, J), linear then angular, root's axes."""
+    def _jacobian_of(self, T_root_tip: Mat4, axes: Sequence[_Axis]) -> F64:
+        """Returns the Jacobian, (6, J), from velocities of ``names`` to the twist of the tip, linear first, root's axes."""
         out = np.zeros((6, len(self.names)))
         for axis in axes:
             if axis.leader not in self.names:
@@ -240,7 +242,7 @@ class Chain:
         return out
 
     def _forward(self, positions: Mapping[str, float]) -> tuple[Mat4, list[_Axis]]:
-        """Returns T_root_tip, and how every joint that moves does so."""
+        """Returns T_root_tip, and the axes of all moving joints."""
         T: Mat4 = np.eye(4)
         axes: list[_Axis] = []
         for link in self._path:
@@ -254,13 +256,13 @@ class Chain:
         return T, axes
 
 
-def _self_motion(jacobian: F64, wanted: F64) -> F64:
-    """Returns the motion of the joints, (J,), that leaves the tip where it is and comes nearest to ``wanted``, (J,); NaN = no rest_positions."""
+def _self_motion(jacobian: F64, desired: F64) -> F64:
+    """Returns the motion of the joints, (J,), that does not move the tip and is nearest to ``desired``, (J,); NaN = no rest position."""
     _, sizes, rows = np.linalg.svd(jacobian)
     free: F64 = rows[int((sizes > 1e-6).sum()) :]
-    has_rest = ~np.isnan(wanted)
+    has_rest = ~np.isnan(desired)
     part = free[:, has_rest]
-    amounts = np.linalg.solve(part @ part.T + _REST_DAMPING * np.eye(len(free)), part @ wanted[has_rest])
+    amounts = np.linalg.solve(part @ part.T + _REST_DAMPING * np.eye(len(free)), part @ desired[has_rest])
     return np.asarray(amounts @ free)
 
 
@@ -269,7 +271,7 @@ def _leader(joint: UrdfJoint) -> str:
 
 
 def _limits(model: UrdfModel, name: str) -> tuple[float, float]:
-    """Returns the limits of a joint, within which those that follow it keep theirs."""
+    """Returns the limits of a joint within which the joints that mimic it keep theirs."""
     lower, upper = -math.inf, math.inf
     for joint in model.joints:
         if joint.kind == "fixed" or _leader(joint) != name or not joint.is_bounded:

@@ -1,6 +1,6 @@
-"""Cartesian servo: from a wanted velocity of the tool to velocities of the joints. Pure arithmetic.
+"""Cartesian servo: from a velocity of the tool to velocities of the joints. Pure arithmetic.
 
-``PhysicsWorld.servo`` obeys it, and ``docs/manipulation.md`` explains it.
+``PhysicsWorld.arms.servo`` applies it, and ``docs/manipulation.md`` explains it.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 _RANK = 1e-6
-"""Part of the greatest singular value below which a direction counts as impossible."""
+"""Fraction of the greatest singular value below which a direction counts as impossible."""
 
 
 @dataclass(frozen=True, slots=True)
 class ToolTwist:
-    """A wanted velocity of an arm's tool against the robot's base."""
+    """A commanded velocity of an arm's tool relative to the robot's base."""
 
     linear: Vec3
-    """m/s, of the tool's origin."""
+    """Velocity of the tool's origin, m/s."""
     angular: Vec3
     """rad/s."""
     frame: str = ""
-    """Link of the robot whose axes these are; empty = its base."""
+    """Link of the robot along whose axes they are; empty = its base."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.linear, *self.angular))):
@@ -40,20 +40,20 @@ class ToolTwist:
 
 @dataclass(frozen=True, slots=True)
 class ServoSettings:
-    """How a servo moves."""
+    """Limits and damping of a servo."""
 
     max_linear: float = 0.5
-    """m/s; what is faster is slowed down as a whole, so that the direction stays."""
+    """m/s; a faster twist is slowed down as a whole, so that its direction stays."""
     max_angular: float = 1.5
     """rad/s; the same."""
     timeout: float = 0.25
-    """Seconds of simulation time after which a velocity no longer counts: the arm stops."""
+    """Seconds of simulation time after which a command is stale and the arm stops."""
     damping: float = 0.05
     """Greatest damping, at a singularity; metres and radians."""
     singular: float = 0.08
     """Singular value of the Jacobian below which damping begins."""
     homing: float = 0.5
-    """Part of the way to the home pose that joints go in a second, as far as the tool leaves them free."""
+    """Fraction of the way to the home pose that joints move per second, as far as the tool leaves them free."""
 
     def __post_init__(self) -> None:
         for name in ("max_linear", "max_angular", "timeout", "damping", "singular"):
@@ -77,19 +77,19 @@ def servo_speeds(
 ) -> F64:
     """Returns the velocities of the joints, (J,), that move the tool by a twist, as far as they can.
 
-    Near a singularity they are damped. A joint at its limit is left out, and the others do its work if they can. What the task leaves free
-    goes towards the home pose. All are slowed down together where one would be too fast.
+    Near a singularity they are damped. A joint at its limit is left out, and the others make up for it if they can. Joints that the task leaves
+    free move towards the home pose. All are slowed down together if one would be too fast.
 
     Args:
         jacobian: (6, J), from joint velocities to the twist of the tool.
         twist: (6,), linear m/s, angular rad/s, in the axes of the Jacobian.
         positions: (J,), radians or metres.
-        home: (J,), the pose to which joints go as far as they are free; NaN = none.
-        lower: (J,), limits of the positions; -inf = none.
-        upper: (J,).
-        fastest: (J,), limits of the velocities; inf = none.
-        dt: Seconds of the step for which the velocities are.
-        settings: How it moves.
+        home: (J,), the pose towards which free joints move; NaN = none.
+        lower: (J,), lower position limits; -inf = none.
+        upper: (J,), upper position limits; inf = none.
+        fastest: (J,), velocity limits; inf = none.
+        dt: Length of the step, seconds.
+        settings: Damping and homing.
     """
     free = np.ones(len(positions), dtype=bool)
     speeds = np.zeros(len(positions))
@@ -109,7 +109,7 @@ def servo_speeds(
 
 
 def _least_squares(jacobian: F64, twist: F64, homing: F64, settings: ServoSettings) -> F64:
-    """Returns the velocities of the joints that are free; ``homing`` counts only as far as it does not move the tool."""
+    """Returns the velocities of the free joints; ``homing`` is projected to motions that do not move the tool."""
     u, sizes, rows = np.linalg.svd(jacobian, full_matrices=True)
     count = len(sizes)
     least = np.minimum(sizes / settings.singular, 1.0)

@@ -1,4 +1,4 @@
-"""Makes another link the root of a URDF: the frame of odometry, which is at floor height. Pure."""
+"""Makes another link the root of a URDF: the frame of odometry, which is on the floor. Pure."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.description.rigid_groups import rpy_from_matrix
 from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.description.xacro import keep_description
 from gibson_sim.errors import RobotError
@@ -16,18 +17,18 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_xml, read_file
 
 FOOTPRINT = "base_footprint"
-"""Link that is put on the floor below a root that is above it."""
+"""Name of the link on the floor."""
 
 
 def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, float], frictions: Mapping[str, float]) -> Path:
-    """Returns a URDF whose root is the frame of odometry: the file itself if nothing is to be changed, else one in the cache.
+    """Returns a URDF whose root is the frame of odometry: the file itself if nothing changes, else one in the cache.
 
     Args:
-        model: the description.
-        base: a link that only fixed joints join to the root.
-        height: metres of the root above the floor; not 0 = a link below it, named ``base_footprint``, becomes the root.
-        drops: joint -> metres by which its child hangs lower than the file says.
-        frictions: link -> Coulomb friction, in the place of what the file says.
+        model: The description.
+        base: A link that only fixed joints join to the root.
+        height: Height of the root above the floor, metres; if not 0, a link below it, named ``base_footprint``, becomes the root.
+        drops: Joint -> distance by which its child is lowered, metres.
+        frictions: Link -> Coulomb friction that replaces that of the file.
 
     Raises:
         RobotError: ``base`` cannot be the root, or there is no such joint.
@@ -41,10 +42,10 @@ def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, fl
             f"join to it: {known}"
         )
     top = parse_xml(read_file(model.path))
-    _lower(top, model, drops)
-    _rub(top, model, frictions)
+    _lower_joints(top, model, drops)
+    _set_frictions(top, model, frictions)
     if base != model.root:
-        _turn_over(top, model, base)
+        _reverse_joints(top, model, base)
     if height != 0.0:
         taken = {link.name for link in model.links}
         name = (
@@ -55,11 +56,11 @@ def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, fl
         ET.SubElement(top, "link", name=name)
         under = np.eye(4)
         under[2, 3] = height
-        _fixed(top, f"{name}_to_{base}".replace("/", "_"), name, base, under)
+        _add_fixed_joint(top, f"{name}_to_{base}".replace("/", "_"), name, base, under)
     return keep_description(ET.tostring(top, encoding="utf-8", xml_declaration=True), model.path)
 
 
-def _lower(top: ET.Element, model: UrdfModel, drops: Mapping[str, float]) -> None:
+def _lower_joints(top: ET.Element, model: UrdfModel, drops: Mapping[str, float]) -> None:
     """Moves the origins of joints down, along the z axis of the root."""
     transforms = model.transforms()
     elements = {element.get("name"): element for element in top.findall("joint")}
@@ -72,8 +73,8 @@ def _lower(top: ET.Element, model: UrdfModel, drops: Mapping[str, float]) -> Non
         origin.set("xyz", " ".join(f"{c:.9g}" for c in np.array(joint.pose.position) + down))
 
 
-def _rub(top: ET.Element, model: UrdfModel, frictions: Mapping[str, float]) -> None:
-    """Gives links their friction."""
+def _set_frictions(top: ET.Element, model: UrdfModel, frictions: Mapping[str, float]) -> None:
+    """Sets the friction of links."""
     elements = {element.get("name"): element for element in top.findall("link")}
     for name, value in frictions.items():
         if value < 0.0:
@@ -88,28 +89,21 @@ def _rub(top: ET.Element, model: UrdfModel, frictions: Mapping[str, float]) -> N
         given.set("value", f"{value:.9g}")
 
 
-def _turn_over(top: ET.Element, model: UrdfModel, base: str) -> None:
-    """Turns the fixed joints between the root and ``base`` over, so that each child becomes the parent."""
+def _reverse_joints(top: ET.Element, model: UrdfModel, base: str) -> None:
+    """Reverses the fixed joints between the root and ``base``, so that each child becomes the parent."""
     by_child = {joint.child: joint for joint in model.joints}
     elements = {element.get("name"): element for element in top.findall("joint")}
     name = base
     while name != model.root:
         joint = by_child[name]
         top.remove(elements[joint.name])
-        _fixed(top, joint.name, joint.child, joint.parent, invert(matrix_from_pose(joint.pose)))
+        _add_fixed_joint(top, joint.name, joint.child, joint.parent, invert(matrix_from_pose(joint.pose)))
         name = joint.parent
 
 
-def _fixed(top: ET.Element, name: str, parent: str, child: str, T_parent_child: Mat4) -> None:
+def _add_fixed_joint(top: ET.Element, name: str, parent: str, child: str, T_parent_child: Mat4) -> None:
     joint = ET.SubElement(top, "joint", name=name, type="fixed")
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
-    r = T_parent_child[:3, :3]
-    pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
-    if np.hypot(r[0, 0], r[1, 0]) > 1e-9:
-        roll, yaw = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
-    else:
-        roll, yaw = np.arctan2(-r[1, 2], r[1, 1]), 0.0
-    ET.SubElement(
-        joint, "origin", xyz=" ".join(f"{c:.9g}" for c in T_parent_child[:3, 3]), rpy=f"{roll:.9g} {pitch:.9g} {yaw:.9g}"
-    )
+    xyz, rpy = T_parent_child[:3, 3], rpy_from_matrix(T_parent_child[:3, :3])
+    ET.SubElement(joint, "origin", xyz=" ".join(f"{c:.9g}" for c in xyz), rpy=" ".join(f"{angle:.9g}" for angle in rpy))

@@ -12,9 +12,9 @@ import numpy as np
 
 from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.errors import ConfigError, RobotError
+from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.loading.settings import NAME, Settings, read_yaml
 from gibson_sim.types import (
     DEFAULT_OUTPUTS,
     DISTORTIONS,
@@ -34,29 +34,30 @@ _CAMERA_KEYS = (
 )  # fmt: skip
 _MATRIX_KEYS = ("fx", "fy", "cx", "cy", "skew")
 _POSE_KEYS = ("xyz", "rpy_deg")
+_ZERO = (0.0, 0.0, 0.0)
 
 
-def read_cameras(robot: Settings, model: UrdfModel, name: str) -> tuple[CameraSpec, ...]:
+def read_cameras(robot: YamlMap, model: UrdfModel, name: str) -> tuple[CameraSpec, ...]:
     """Returns the cameras of the robot ``name``, in the order of the file."""
     entries = robot.values.get("cameras") or []
     if not isinstance(entries, list):
         raise RobotError(f"{robot.where}: cameras must be a list, is {type(entries).__name__}")
-    return _cameras(_entries(entries, robot.where), robot.where, lambda link: f"{name}/{model.link(link).name}")
+    return _cameras(_entries(robot, entries), robot.where, lambda link: f"{name}/{model.link(link).name}")
 
 
 def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
     """Returns the cameras of a file whose section ``cameras`` is as in a ``robot.yaml``, which may be the file itself.
 
     Args:
-        path: the YAML file.
-        links: ``<body>/<link>``, all that a camera may be fixed to. The file may leave out the body where only one has such a link;
+        path: The YAML file.
+        links: ``<body>/<link>`` of all links that a camera may be fixed to. The file may omit the body if only one has such a link;
             ``map`` is the world.
 
     Returns:
         The cameras on links; those with a ``view`` are left out, see ``gibson_sim.scenes.load_views``.
 
     Raises:
-        RobotError: the file cannot be read, or a key or a value is wrong; an unknown link is answered with those that there are.
+        RobotError: the file cannot be read, or a key, a value or a link is wrong.
     """
     entries = [entry for entry in camera_entries(path) if "view" not in entry.values]
 
@@ -75,26 +76,26 @@ def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
         raise RobotError(f"{path}: {error}") from error
 
 
-def camera_entries(path: Path) -> list[Settings]:
+def camera_entries(path: Path) -> list[YamlMap]:
     """Returns the entries of the section ``cameras`` of a file, at least one.
 
     Raises:
         RobotError: the file cannot be read, or there are none.
     """
-    document = Settings(read_yaml(path), str(path))
-    if "urdf" not in document.values:  # else it is a robot.yaml, and its other keys are checked where robots are loaded
+    document = read_yaml_map(path, error=RobotError)
+    if "urdf" not in document.values:  # else it is a robot.yaml, whose other keys load_robot checks
         document.check_keys(("cameras",))
     entries = document.values.get("cameras") or []
     if not isinstance(entries, list) or not entries:
         raise RobotError(f"{path}: cameras is {quoted(entries)}, must be a list with at least one camera, as in a robot.yaml")
-    return _entries(entries, str(path))
+    return _entries(document, entries)
 
 
-def _entries(entries: list[Any], where: str) -> list[Settings]:
-    return [Settings(entry, f"{where}: cameras[{i}]") for i, entry in enumerate(entries)]
+def _entries(top: YamlMap, entries: list[Any]) -> list[YamlMap]:
+    return [top.within(entry, f"cameras[{i}]") for i, entry in enumerate(entries)]
 
 
-def _cameras(entries: list[Settings], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
+def _cameras(entries: list[YamlMap], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
     cameras = tuple(read_camera(entry, find_link) for entry in entries)
     names = [camera.name for camera in cameras]
     if len(set(names)) != len(names):
@@ -102,8 +103,8 @@ def _cameras(entries: list[Settings], where: str, find_link: Callable[[str], str
     return cameras
 
 
-def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSpec:
-    """Returns the camera of an entry; ``find_link`` returns the whole name of a link, empty = the world.
+def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpec:
+    """Returns the camera of an entry; ``find_link`` returns the full name of a link, empty = the world.
 
     Raises:
         RobotError: a key or a value is wrong.
@@ -111,7 +112,7 @@ def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSp
     """
     settings.check_keys(_CAMERA_KEYS)
     camera_name = settings.text("name")
-    if not NAME.fullmatch(camera_name):
+    if not ROS_NAME.fullmatch(camera_name):
         raise RobotError(f"{settings.where}: name is {quoted(camera_name)}; use letters, digits and _, a letter first")
     link = find_link(settings.text("link"))
     values: dict[str, Any] = {
@@ -121,7 +122,7 @@ def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSp
     }
     for key, kind in (("effects", ImageEffects), ("depth_noise", DepthNoise)):
         if (section := settings.section(key)) is not None:
-            values[key] = _plain(section, kind)
+            values[key] = _numeric_spec(section, kind)
     outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {quoted(outputs)}, must be a list of {', '.join(OUTPUTS)}")
@@ -129,13 +130,13 @@ def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSp
     return CameraSpec(name=camera_name, link=link, pose=pose, outputs=tuple(outputs), **values)
 
 
-def _optics(settings: Settings) -> dict[str, Any]:
-    """Returns the fields of ``CameraSpec`` that say where a direction is in the image."""
+def _optics(settings: YamlMap) -> dict[str, Any]:
+    """Returns the fields of ``CameraSpec`` that define its projection."""
     projection = cast(Projection, settings.text("projection", "pinhole"))
     if projection not in DISTORTIONS:
         raise RobotError(f"{settings.where}: projection is {quoted(projection)}, must be one of {', '.join(DISTORTIONS)}")
     out: dict[str, Any] = {"projection": projection}
-    # Angles of another kind of camera would be ignored: say so instead.
+    # Angles of another projection would be ignored silently.
     for key, field, owner in (("fov_y_deg", "fov_y", "pinhole"), ("fov_deg", "fov", "fisheye")):
         if key in settings.values:
             if projection != owner:
@@ -162,7 +163,7 @@ def _optics(settings: Settings) -> dict[str, Any]:
     return out
 
 
-def _matrix(settings: Settings) -> tuple[float, ...]:
+def _matrix(settings: YamlMap) -> tuple[float, ...]:
     """Returns K from nine numbers by rows, or from a mapping of focal lengths and principal point."""
     if isinstance(settings.values["k"], list):
         return settings.floats("k")
@@ -177,16 +178,16 @@ def _matrix(settings: Settings) -> tuple[float, ...]:
     return (given["fx"], given.get("skew", 0.0), given["cx"], 0.0, given["fy"], given["cy"], 0.0, 0.0, 1.0)
 
 
-def _plain(section: Settings, kind: type[ImageEffects] | type[DepthNoise]) -> ImageEffects | DepthNoise:
-    """Returns a value all of whose fields are numbers, those named in the file."""
+def _numeric_spec(section: YamlMap, kind: type[ImageEffects] | type[DepthNoise]) -> ImageEffects | DepthNoise:
+    """Returns a specification whose fields are all numbers, with those of the file."""
     whole = tuple(f.name for f in fields(kind) if isinstance(f.default, int))
     names = tuple(f.name for f in fields(kind))
     section.check_keys(names)
     return kind(**section.integers(whole), **section.numbers(tuple(n for n in names if n not in whole)))  # type: ignore[arg-type]
 
 
-def _camera_pose(settings: Settings, link: str) -> Pose:
-    """Returns T_link_optical. REP 103: a link whose name holds ``_optical`` has optical axes already."""
+def _camera_pose(settings: YamlMap, link: str) -> Pose:
+    """Returns T_link_optical. REP 103: a link with ``_optical`` in its name already has optical axes."""
     place = settings.section("pose")
     if "_optical" in link.rpartition("/")[2]:
         if place is not None:
@@ -197,7 +198,7 @@ def _camera_pose(settings: Settings, link: str) -> Pose:
     T_link_camera: Mat4 = np.eye(4)
     if place is not None:
         place.check_keys(_POSE_KEYS)
-        roll, pitch, yaw = (math.radians(angle) for angle in place.vector("rpy_deg"))
-        T_link_camera = matrix_from_pose(pose_from_xyz_rpy(place.vector("xyz"), (roll, pitch, yaw)))
+        roll, pitch, yaw = (math.radians(angle) for angle in place.vec3("rpy_deg", _ZERO))
+        T_link_camera = matrix_from_pose(pose_from_xyz_rpy(place.vec3("xyz", _ZERO), (roll, pitch, yaw)))
     T_link_camera[:3, :3] = T_link_camera[:3, :3] @ R_LINK_OPTICAL
     return pose_from_matrix(T_link_camera)

@@ -1,6 +1,7 @@
-"""Guesses the ``robot.yaml`` of a robot that has none: its drive, where it stands on the floor, a lidar and a camera. Pure.
+"""Guesses the ``robot.yaml`` of a robot that has none: its drive, its height above the floor, a lidar and a camera. Pure.
 
-What is guessed is said, one line each; what cannot be guessed is a ``RobotError`` that says what to do.
+Each guess has a line of its own; what cannot be guessed is a ``RobotError`` that says what to do. ``find_wheels`` and ``find_pairs`` recognise
+wheels by their joints and shapes.
 """
 
 from __future__ import annotations
@@ -20,215 +21,62 @@ from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.quoting import quoted
-
-_STRAIGHT = 0.99
-"""Cosine of the largest angle between an axis and where it should point."""
-_LEVEL = 0.14
-"""Sine of the largest angle between an axis and the floor."""
-_ROUND = 0.15
-"""Part of its radius by which the outline of a wheel may differ from a circle about its axis."""
-_SAME = 0.03
-"""Metres by which the two wheels of a pair may differ in x and in z."""
-_LIFT = 0.2
-"""Part of its radius by which a wheel may hang above the lowest one."""
-
-
-@dataclass(frozen=True, slots=True)
-class Wheel:
-    """What turns about a level axis."""
-
-    joint: UrdfJoint
-    hub: NDArray[np.float64]
-    """(3,), in the root's frame, metres."""
-    radius: float
-    """Metres; 0 = it has no shape that can be measured."""
-    collides: bool
-    """Whether it has a collision shape."""
-    swivel: UrdfJoint | None
-    """The nearest joint above it that turns about an upright axis; None = it cannot be steered."""
-
-    @property
-    def bottom(self) -> float:
-        """Lowest point, z in the root's frame, metres."""
-        return float(self.hub[2]) - self.radius
-
-    @property
-    def is_caster(self) -> bool:
-        """Whether it swivels freely, or is called a caster."""
-        text = f"{self.joint.name} {self.joint.child}".lower()
-        free = self.swivel is not None and not steers(self.swivel)
-        return free or "caster" in text or "castor" in text
-
-
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """Two wheels that mirror each other."""
-
-    left: Wheel
-    right: Wheel
-
-    @property
-    def x(self) -> float:
-        """Of its axle, in the root's frame, metres."""
-        return float(self.left.hub[0] + self.right.hub[0]) / 2
-
-    @property
-    def swivels(self) -> bool:
-        """Whether both wheels are on joints that steer."""
-        return self.left.swivel is not None and self.right.swivel is not None
-
-
-def steers(joint: UrdfJoint) -> bool:
-    """Returns whether a joint about an upright axis is one that steers, and not the swivel of a caster."""
-    return joint.kind == "revolute" or "steer" in f"{joint.name} {joint.child}".lower()
-
-
-def find_wheels(model: UrdfModel, points: MeshPoints | None = None) -> tuple[list[Wheel], list[UrdfJoint]]:
-    """Returns (what may be a wheel, continuous joints whose axis is level but along x).
-
-    Args:
-        model: the links.
-        points: reads meshes; None = a wheel that is a mesh has no radius.
-    """
-    transforms = model.transforms()
-    above = {joint.child: joint for joint in model.joints}
-    wheels, sideways = [], []
-    for joint in model.joints:
-        if joint.kind != "continuous" or joint.mimic is not None:
-            continue
-        frame = transforms[joint.child]
-        axis = frame[:3, :3] @ np.array(joint.axis)
-        if abs(axis[2]) > _LEVEL:
-            continue
-        wheel = _wheel(model, joint, transforms, _swivel(joint, above, transforms), points)
-        if wheel is None:
-            continue
-        if abs(axis[1]) >= _STRAIGHT:
-            wheels.append(wheel)
-        elif abs(axis[0]) >= _STRAIGHT:
-            sideways.append(joint)
-    return wheels, sideways
-
-
-def find_pairs(wheels: list[Wheel]) -> list[Pair]:
-    """Returns the pairs that stand on the floor, from the rear to the front; casters and what has no mirror image are left out."""
-    able = [wheel for wheel in wheels if not wheel.is_caster]
-    pairs = _mirrored(able)
-    if not pairs:
-        return []
-    lowest = min(wheel.bottom for pair in pairs for wheel in (pair.left, pair.right))
-    standing = [pair for pair in pairs if pair.left.bottom - lowest <= max(_LIFT * pair.left.radius, 0.01)]
-    return sorted(standing, key=lambda pair: pair.x)
-
-
-def _mirrored(wheels: list[Wheel]) -> list[Pair]:
-    pairs: list[Pair] = []
-    # The widest first: wheels side by side on one axle belong to their own likes.
-    left = sorted(wheels, key=lambda wheel: -wheel.hub[1])
-    middle = (max(w.hub[1] for w in wheels) + min(w.hub[1] for w in wheels)) / 2 if wheels else 0.0
-    taken: set[str] = set()
-    for wheel in left:
-        if wheel.hub[1] - middle < 0.01:
-            continue
-        likes = [
-            other
-            for other in wheels
-            if other.joint.name not in taken
-            and np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).max() <= _SAME
-            and abs(wheel.hub[1] + other.hub[1] - 2 * middle) <= _SAME
-            and abs(wheel.radius - other.radius) <= _ROUND * max(wheel.radius, other.radius)
-        ]
-        if likes:
-            best = min(likes, key=lambda other: float(np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).sum()))
-            taken.add(best.joint.name)
-            pairs.append(Pair(wheel, best))
-    return pairs
-
-
-def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str, Mat4]) -> UrdfJoint | None:
-    higher = above.get(joint.parent)
-    while higher is not None:
-        if higher.kind in ("revolute", "continuous"):
-            axis = transforms[higher.child][:3, :3] @ np.array(higher.axis)
-            if abs(axis[2]) >= _STRAIGHT:
-                return higher
-        higher = above.get(higher.parent)
-    return None
-
-
-def _wheel(
-    model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
-) -> Wheel | None:
-    """Returns the joint as a wheel; None = what hangs on it is not round about its axis."""
-    frame = transforms[joint.child]
-    hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
-    links = [model.link(name) for name in rigid_links(model, joint.child)]
-    collides = any(link.collisions for link in links)
-    for kind in ("collisions", "visuals"):
-        spanned = [link_points(getattr(link, kind), transforms[link.name], points) for link in links]
-        offset = np.concatenate(spanned) - hub
-        if len(offset):
-            break
-    else:
-        return Wheel(joint, hub, 0.0, collides, swivel)
-    level = np.cross(axis, (0.0, 0.0, 1.0))
-    flat = np.stack([offset @ level, offset[:, 2]], axis=-1)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    radius = float((high - low).max()) / 2
-    outline = np.abs(np.array([*-low, *high]) - radius).max()
-    if radius <= 0 or outline > _ROUND * radius:
-        return None
-    # What is written there, where it is what was measured: a cylinder that is turned by 1.57 and not by pi/2 seems larger.
-    exact = [item.shape.size[0] for link in links for item in getattr(link, kind) if item.shape.kind in ("sphere", "cylinder")]
-    near = [size for size in exact if abs(size - radius) < _ROUND * radius]
-    return Wheel(joint, hub, max(near, default=radius), collides, swivel)
-
+from gibson_sim.robots.loading.base_frame import FOOTPRINT
+from gibson_sim.robots.loading.drive import ALIGNED
 
 DESCRIPTION_SUFFIXES = (".urdf", ".xacro")
-"""Of files that describe a robot without a ``robot.yaml``, lower case."""
+"""Suffixes of files that describe a robot without a ``robot.yaml``, lower case."""
+_LEVEL = 0.14
+"""Sine of the largest angle between the axis of a wheel and the floor."""
+_ROUND = 0.15
+"""Greatest deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
+_SAME = 0.03
+"""Greatest difference of the two wheels of a pair in x and in z, metres."""
+_LIFT = 0.2
+"""Greatest height of a wheel above the lowest one, as a fraction of its radius."""
 _FLOOR = 0.005
-"""Metres by which the root may miss the floor."""
+"""Distance from the floor at which the root counts as on it, metres."""
 _LEAST_DROP, _MAX_DROP = 0.001, 0.03
-"""Metres by which wheels may hang above the floor; more is an error in the file."""
+"""Least and greatest height of wheels above the floor that is corrected, metres; more is an error in the file."""
 _TOUCHES = 0.01
-"""Metres above the lowest point of the wheels below which a link is taken to touch the floor."""
+"""Height above the lowest point of the wheels below which a link counts as touching the floor, metres."""
 _GRIP = 1.0
 """Friction of driven wheels."""
-_FOOTPRINT = "base_footprint"
 _MAX_STEERING_DEG = 30.0
-"""Of steering joints without limits."""
+"""Limit for steering joints that have none."""
 _LIDAR = re.compile(r"scan|laser|lidar|hokuyo|velodyne|ouster", re.IGNORECASE)
 _CAMERA = re.compile(r"camera\d*(_(rgb|color|front|link|frame))*$", re.IGNORECASE)
 _MOUNT = re.compile(r"mount|bracket|tower|plate|support|screw|holder", re.IGNORECASE)
 _NO_COLOR = re.compile(r"depth|infra|ir_|_ir\b|right|fisheye", re.IGNORECASE)
 _MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
+_BY_HAND = "write a robot.yaml with the drive that it has (docs/robots.md)"
 
 
 @dataclass(frozen=True, slots=True)
 class DerivedRobot:
-    """What was guessed."""
+    """A guessed ``robot.yaml``."""
 
     values: dict[str, Any]
-    """As a ``robot.yaml`` has them, without ``urdf``."""
+    """Its keys and values, without ``urdf``."""
     notes: tuple[str, ...]
     """One line for each guess."""
 
 
 def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_drive: bool = True) -> DerivedRobot:
-    """Returns what a ``robot.yaml`` for this description could say.
+    """Returns a guess of the ``robot.yaml`` for a description.
 
     Args:
-        model: the description.
-        points: reads meshes; None = what is a mesh is not measured.
-        needs_drive: False = a robot without wheels has no drive, which else is an error.
+        model: The description.
+        points: Reads meshes; None = meshes are not measured.
+        needs_drive: Whether a robot without wheels is an error, or has no drive.
 
     Raises:
-        RobotError: it has no wheels, or wheels that no drive fits; one line.
+        RobotError: there are no wheels, or no drive fits them; one line.
     """
     values: dict[str, Any] = {}
     notes: list[str] = []
     try:
-        drive, wheels = _drive(model, points, notes)
+        drive, wheels = _derive_drive(model, points, notes)
     except RobotError:
         if needs_drive:
             raise
@@ -247,11 +95,11 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
     return DerivedRobot(values, tuple(notes))
 
 
-def _drive(model: UrdfModel, points: MeshPoints | None, notes: list[str]) -> tuple[dict[str, Any], list[Wheel]]:
+def _derive_drive(model: UrdfModel, points: MeshPoints | None, notes: list[str]) -> tuple[dict[str, Any], list[Wheel]]:
     wheels, sideways = find_wheels(model, points)
     pairs = find_pairs(wheels)
     if not pairs:
-        raise RobotError(_why_none(model, wheels, sideways))
+        raise RobotError(_no_drive_reason(model, wheels, sideways))
     fixed = [pair for pair in pairs if not (pair.left.swivel or pair.right.swivel)]
     steered = [pair for pair in pairs if pair.swivels]
     lone = [
@@ -279,7 +127,7 @@ def _drive(model: UrdfModel, points: MeshPoints | None, notes: list[str]) -> tup
         drive = {"type": "differential", "left_joint": pair.left.joint.name, "right_joint": pair.right.joint.name}
     else:
         used = fixed
-        drive = _many(model, fixed)
+        drive = _multi_axle_drive(model, fixed)
     radius = _radius(model, used)
     measured = [Wheel(w.joint, w.hub, w.radius or radius, w.collides, w.swivel) for p in used for w in (p.left, p.right)]
     drive["wheel_radius"] = round(radius, 5)
@@ -294,10 +142,7 @@ def _drive(model: UrdfModel, points: MeshPoints | None, notes: list[str]) -> tup
     return drive, measured
 
 
-_BY_HAND = "write a robot.yaml with the drive that it has (docs/robots.md)"
-
-
-def _why_none(model: UrdfModel, wheels: Sequence[Wheel], sideways: Sequence[UrdfJoint]) -> str:
+def _no_drive_reason(model: UrdfModel, wheels: Sequence[Wheel], sideways: Sequence[UrdfJoint]) -> str:
     """Returns why a robot cannot drive, and what to do."""
     if sideways and not wheels:
         names = ", ".join(joint.name for joint in sideways[:4])
@@ -328,7 +173,7 @@ def _ackermann(driven: Pair, front: Pair) -> dict[str, Any]:
     return drive
 
 
-def _many(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]:
+def _multi_axle_drive(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]:
     rear_to_front = [wheel.joint.name for pair in pairs for wheel in (pair.left, pair.right)]
     meshes = (visual.shape.mesh for link in model.links for visual in link.visuals)
     texts = (*(link.name for link in model.links), *(joint.name for joint in model.joints), *(Path(mesh).name for mesh in meshes))
@@ -340,7 +185,7 @@ def _many(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]:
 
 
 def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> float:
-    """Returns the radius of the driven wheels."""
+    """Returns the radius of the driven wheels, metres."""
     wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
     bare = [wheel.joint.child for wheel in wheels if not wheel.collides]
     if bare:
@@ -352,7 +197,7 @@ def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> float:
     if min(driven) > 0.0:
         return float(np.mean(driven))
     height = float(pairs[0].left.hub[2])
-    if _FOOTPRINT in model.root and height > 0:
+    if FOOTPRINT in model.root and height > 0:
         return height
     raise RobotError(
         f"{model.path}: the radius of its wheels cannot be measured; write a robot.yaml with drive.wheel_radius: "
@@ -361,7 +206,7 @@ def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> float:
 
 
 def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) -> float:
-    """Returns by how much wheels hang too high to touch the floor, as those on springs do in many files, metres; 0 = they touch it."""
+    """Returns the height of wheels above the floor, metres, as those on springs have in many files; 0 = they touch it."""
     transforms = model.transforms()
     turning = {joint.child for joint in model.joints if joint.kind == "continuous" and not joint.has_motor}
     own = {name for wheel in wheels for name in rigid_links(model, wheel.joint.child)}
@@ -374,17 +219,17 @@ def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) 
     drop, lowest = max(below)
     if drop > _MAX_DROP:
         raise RobotError(
-            f"{model.path}: link {quoted(lowest)} reaches {drop:.3g} m lower than the wheels, so that they do not touch the floor; mend the "
+            f"{model.path}: link {quoted(lowest)} reaches {drop:.3g} m lower than the wheels, so that they do not touch the floor; correct the "
             "origins in the file"
         )
-    # A little lower, so that they bear what the casters else would.
+    # A little lower, so that they carry the load that the casters otherwise would.
     return drop + _LEAST_DROP if drop > _LEAST_DROP else 0.0
 
 
 def _friction(
     model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None, values: dict[str, Any], notes: list[str]
 ) -> None:
-    """Lets wheels grip and what else touches the floor slide, where the file does not say how: it stands for casters that roll."""
+    """Sets frictions that the file does not give: wheels grip, and other links on the floor slide, as casters that roll."""
     transforms = model.transforms()
     turning = {wheel.joint.child for wheel in wheels}
     floor = min(wheel.bottom for wheel in wheels)
@@ -400,7 +245,7 @@ def _friction(
 
 def _base(model: UrdfModel, floor: float, values: dict[str, Any], notes: list[str]) -> None:
     """Chooses the frame of odometry, which is on the floor; ``floor`` is the lowest point of the wheels, z in the root's frame."""
-    footprint = [name for name in model.fixed_to_root() if name.split("/")[-1] == _FOOTPRINT and name != model.root]
+    footprint = [name for name in model.fixed_to_root() if name.split("/")[-1] == FOOTPRINT and name != model.root]
     transforms = model.transforms()
     for name in footprint:
         if abs(float(transforms[name][2, 3]) - floor) <= 2 * _FLOOR and _is_upright(transforms[name]):
@@ -420,9 +265,9 @@ def _is_upright(T_root_link: Mat4) -> bool:
 
 
 def _sensors(model: UrdfModel, values: dict[str, Any], notes: list[str]) -> None:
-    """Puts one lidar and one camera on links whose names say that they are there."""
+    """Adds a lidar and a camera on links with such names."""
     transforms = model.transforms()
-    lidar = _named(model, _LIDAR, lambda name: abs(float(transforms[name][2, 2])) > 0.99)
+    lidar = _link_named(model, _LIDAR, lambda name: abs(float(transforms[name][2, 2])) > 0.99)
     if lidar:
         values["lidar"] = {"link": lidar}
         notes.append(f"lidar: at {lidar}, 360 degrees, 0.12 to 12 m (there is a link of that name)")
@@ -434,14 +279,14 @@ def _sensors(model: UrdfModel, values: dict[str, Any], notes: list[str]) -> None
         and not _NO_COLOR.search(name)
         and abs(float(transforms[name][2, 2])) < 0.9
     ]
-    camera = cameras[0] if cameras else _named(model, _CAMERA, lambda name: float(transforms[name][0, 0]) > 0.5)
+    camera = cameras[0] if cameras else _link_named(model, _CAMERA, lambda name: float(transforms[name][0, 0]) > 0.5)
     if camera:
         values["cameras"] = [{"name": "camera", "link": camera}]
         notes.append(f"camera: at {camera}, 640 x 480, 60 degrees high (there is a link of that name)")
 
 
-def _named(model: UrdfModel, pattern: re.Pattern[str], fits: Callable[[str], bool]) -> str:
-    """Returns the last link along the tree below the first whose name matches, "" = none."""
+def _link_named(model: UrdfModel, pattern: re.Pattern[str], fits: Callable[[str], bool]) -> str:
+    """Returns the last link with a matching name on the chain of fixed joints from the first; empty = none."""
     parents: Mapping[str, str] = {joint.child: joint.parent for joint in model.joints if joint.kind == "fixed"}
     names = [link.name for link in model.links if pattern.search(link.name) and not _MOUNT.search(link.name) and fits(link.name)]
     if not names:
@@ -451,3 +296,155 @@ def _named(model: UrdfModel, pattern: re.Pattern[str], fits: Callable[[str], boo
         if parents.get(name) == found:
             found = name
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """A link that turns about a level axis."""
+
+    joint: UrdfJoint
+    hub: NDArray[np.float64]
+    """Its centre, (3,), in the root's frame, metres."""
+    radius: float
+    """Metres; 0 = no shape of it can be measured."""
+    collides: bool
+    """Whether it has a collision shape."""
+    swivel: UrdfJoint | None
+    """The nearest joint above it with a vertical axis; None = it cannot be steered."""
+
+    @property
+    def bottom(self) -> float:
+        """Lowest point, z in the root's frame, metres."""
+        return float(self.hub[2]) - self.radius
+
+    @property
+    def is_caster(self) -> bool:
+        """Whether it swivels freely, or has a caster's name."""
+        text = f"{self.joint.name} {self.joint.child}".lower()
+        free = self.swivel is not None and not steers(self.swivel)
+        return free or "caster" in text or "castor" in text
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two wheels that are mirror images of each other."""
+
+    left: Wheel
+    right: Wheel
+
+    @property
+    def x(self) -> float:
+        """Position of its axle along x in the root's frame, metres."""
+        return float(self.left.hub[0] + self.right.hub[0]) / 2
+
+    @property
+    def swivels(self) -> bool:
+        """Whether both wheels are on joints that steer."""
+        return self.left.swivel is not None and self.right.swivel is not None
+
+
+def steers(joint: UrdfJoint) -> bool:
+    """Returns whether a joint with a vertical axis steers, and is not the swivel of a caster."""
+    return joint.kind == "revolute" or "steer" in f"{joint.name} {joint.child}".lower()
+
+
+def find_wheels(model: UrdfModel, points: MeshPoints | None = None) -> tuple[list[Wheel], list[UrdfJoint]]:
+    """Returns (possible wheels, continuous joints of round links whose axis is along x).
+
+    Args:
+        model: The links.
+        points: Reads meshes; None = a wheel that is a mesh has no radius.
+    """
+    transforms = model.transforms()
+    above = {joint.child: joint for joint in model.joints}
+    wheels, sideways = [], []
+    for joint in model.joints:
+        if joint.kind != "continuous" or joint.mimic is not None:
+            continue
+        frame = transforms[joint.child]
+        axis = frame[:3, :3] @ np.array(joint.axis)
+        if abs(axis[2]) > _LEVEL:
+            continue
+        wheel = _wheel(model, joint, transforms, _swivel(joint, above, transforms), points)
+        if wheel is None:
+            continue
+        if abs(axis[1]) >= ALIGNED:
+            wheels.append(wheel)
+        elif abs(axis[0]) >= ALIGNED:
+            sideways.append(joint)
+    return wheels, sideways
+
+
+def find_pairs(wheels: list[Wheel]) -> list[Pair]:
+    """Returns the pairs that stand on the floor, from the rear to the front, without casters and wheels that have no mirror image."""
+    able = [wheel for wheel in wheels if not wheel.is_caster]
+    pairs = _mirrored(able)
+    if not pairs:
+        return []
+    lowest = min(wheel.bottom for pair in pairs for wheel in (pair.left, pair.right))
+    standing = [pair for pair in pairs if pair.left.bottom - lowest <= max(_LIFT * pair.left.radius, 0.01)]
+    return sorted(standing, key=lambda pair: pair.x)
+
+
+def _mirrored(wheels: list[Wheel]) -> list[Pair]:
+    pairs: list[Pair] = []
+    # The outermost first, so that twin wheels on an axle are paired with their mirror images.
+    left = sorted(wheels, key=lambda wheel: -wheel.hub[1])
+    middle = (max(w.hub[1] for w in wheels) + min(w.hub[1] for w in wheels)) / 2 if wheels else 0.0
+    taken: set[str] = set()
+    for wheel in left:
+        if wheel.hub[1] - middle < 0.01:
+            continue
+        matches = [
+            other
+            for other in wheels
+            if other.joint.name not in taken
+            and np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).max() <= _SAME
+            and abs(wheel.hub[1] + other.hub[1] - 2 * middle) <= _SAME
+            and abs(wheel.radius - other.radius) <= _ROUND * max(wheel.radius, other.radius)
+        ]
+        if matches:
+            best = min(matches, key=lambda other: float(np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).sum()))
+            taken.add(best.joint.name)
+            pairs.append(Pair(wheel, best))
+    return pairs
+
+
+def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str, Mat4]) -> UrdfJoint | None:
+    """Returns the nearest joint above another one with a vertical axis."""
+    higher = above.get(joint.parent)
+    while higher is not None:
+        if higher.kind in ("revolute", "continuous"):
+            axis = transforms[higher.child][:3, :3] @ np.array(higher.axis)
+            if abs(axis[2]) >= ALIGNED:
+                return higher
+        higher = above.get(higher.parent)
+    return None
+
+
+def _wheel(
+    model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
+) -> Wheel | None:
+    """Returns the wheel on a joint; None = the links on it are not round about its axis."""
+    frame = transforms[joint.child]
+    hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
+    links = [model.link(name) for name in rigid_links(model, joint.child)]
+    collides = any(link.collisions for link in links)
+    for kind in ("collisions", "visuals"):
+        spanned = [link_points(getattr(link, kind), transforms[link.name], points) for link in links]
+        offset = np.concatenate(spanned) - hub
+        if len(offset):
+            break
+    else:
+        return Wheel(joint, hub, 0.0, collides, swivel)
+    level = np.cross(axis, (0.0, 0.0, 1.0))
+    flat = np.stack([offset @ level, offset[:, 2]], axis=-1)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    radius = float((high - low).max()) / 2
+    outline = np.abs(np.array([*-low, *high]) - radius).max()
+    if radius <= 0 or outline > _ROUND * radius:
+        return None
+    # The radius in the file, if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
+    exact = [item.shape.size[0] for link in links for item in getattr(link, kind) if item.shape.kind in ("sphere", "cylinder")]
+    near = [size for size in exact if abs(size - radius) < _ROUND * radius]
+    return Wheel(joint, hub, max(near, default=radius), collides, swivel)

@@ -1,4 +1,4 @@
-"""Reads the ``drive`` section of a ``robot.yaml``: what the file does not give is measured in the URDF."""
+"""Reads the ``drive`` section of a ``robot.yaml``; dimensions that the file does not give are measured in the URDF."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import RobotError
+from gibson_sim.formats.yaml_map import YamlMap
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec, OmniSpec, OmniWheel
-from gibson_sim.robots.loading.settings import Settings
 
 _LIMITS = ("max_linear", "max_angular", "max_linear_acceleration", "max_wheel_torque", "command_delay", "slip")
 _TURNS = ("max_angular_acceleration", "turn_slip")
-_STRAIGHT = 0.99
-"""Cosine of the largest angle between an axis and where it should point."""
+ALIGNED = 0.99
+"""Cosine of the largest angle between the axis of a joint and its ideal direction."""
 
 
-def read_drive(robot: Settings, model: UrdfModel) -> DriveSpec | None:
+def read_drive(robot: YamlMap, model: UrdfModel) -> DriveSpec | None:
     """Returns the drive; None = the file gives none."""
     settings = robot.section("drive")
     if settings is None:
@@ -29,13 +29,13 @@ def read_drive(robot: Settings, model: UrdfModel) -> DriveSpec | None:
     kind = settings.text("type")
     if kind not in _READERS:
         raise RobotError(f"{settings.where}: type is {quoted(kind)}, must be one of {', '.join(_READERS)}")
-    return _READERS[kind](_Parts(settings, model))
+    return _READERS[kind](_DriveSection(settings, model))
 
 
-class _Parts:
-    """The section, and where the parts that it names are in the URDF."""
+class _DriveSection:
+    """The section, and the joints that it names in the URDF."""
 
-    def __init__(self, settings: Settings, model: UrdfModel) -> None:
+    def __init__(self, settings: YamlMap, model: UrdfModel) -> None:
         self.settings, self.model, self.where = settings, model, settings.where
         self._transforms = model.transforms()
 
@@ -48,27 +48,27 @@ class _Parts:
         return self.frame(joint)[:3, :3] @ np.array(joint.axis)
 
     def wheel(self, name: str) -> tuple[UrdfJoint, float]:
-        """Returns a joint whose wheel rolls along x, and +1 if forward when it turns positively, else -1."""
+        """Returns a joint whose wheel rolls along x, and +1 if a positive turn rolls it forward, else -1."""
         joint = self.model.joint(name)
         across = float(self.axis(joint)[1])
-        if joint.kind != "continuous" or abs(across) < _STRAIGHT:
+        if joint.kind != "continuous" or abs(across) < ALIGNED:
             raise RobotError(
                 f"{self.model.path}: joint {quoted(name)} cannot drive: it must be continuous, with its axis along y of {self.model.root}"
             )
         return joint, 1.0 if across > 0 else -1.0
 
-    def kingpin(self, name: str) -> tuple[UrdfJoint, float]:
-        """Returns a joint that steers, and +1 if to the left when it turns positively, else -1."""
+    def steering_joint(self, name: str) -> tuple[UrdfJoint, float]:
+        """Returns a joint that steers, and +1 if a positive turn steers to the left, else -1."""
         joint = self.model.joint(name)
         up = float(self.axis(joint)[2])
-        if joint.kind not in ("revolute", "continuous") or abs(up) < _STRAIGHT:
+        if joint.kind not in ("revolute", "continuous") or abs(up) < ALIGNED:
             raise RobotError(
                 f"{self.model.path}: joint {quoted(name)} cannot steer: it must be revolute, with its axis along z of {self.model.root}"
             )
         return joint, 1.0 if up > 0 else -1.0
 
-    def apart(self, left: UrdfJoint, right: UrdfJoint) -> float:
-        """Returns how far ``left`` is to the left (+y) of ``right``, metres."""
+    def track(self, left: UrdfJoint, right: UrdfJoint) -> float:
+        """Returns the distance of ``left`` to the left (+y) of ``right``, metres."""
         distance = float(self.frame(left)[1, 3] - self.frame(right)[1, 3])
         if distance <= 0:
             raise RobotError(
@@ -77,7 +77,7 @@ class _Parts:
         return distance
 
     def radius(self, wheels: Sequence[UrdfJoint]) -> float:
-        """Returns ``wheel_radius``, from the file or from shapes that agree."""
+        """Returns ``wheel_radius``, from the file, or from the wheels' shapes if they agree."""
         if "wheel_radius" in self.settings.values:
             return self.settings.number("wheel_radius")
         radii = [_wheel_radius(self.model, joint.child) for joint in wheels]
@@ -95,113 +95,113 @@ class _Parts:
         return tuple(value)
 
 
-def _differential(parts: _Parts) -> DifferentialSpec:
+def _differential(section: _DriveSection) -> DifferentialSpec:
     limits = (*_LIMITS, *_TURNS)
-    parts.settings.check_keys(("type", "left_joint", "right_joint", "wheel_radius", "wheel_separation", *limits))
-    left, right = (parts.wheel(parts.settings.text(key)) for key in ("left_joint", "right_joint"))
-    given = parts.settings.numbers(("wheel_separation", *limits))
-    separation = given.pop("wheel_separation", parts.apart(left[0], right[0]))
+    section.settings.check_keys(("type", "left_joint", "right_joint", "wheel_radius", "wheel_separation", *limits))
+    left, right = (section.wheel(section.settings.text(key)) for key in ("left_joint", "right_joint"))
+    given = section.settings.numbers(("wheel_separation", *limits))
+    separation = given.pop("wheel_separation", section.track(left[0], right[0]))
     return DifferentialSpec(
         kind="differential", left_joints=(left[0].name,), right_joints=(right[0].name,), left_signs=(left[1],), right_signs=(right[1],),
-        wheel_radius=parts.radius((left[0], right[0])), wheel_separation=separation, **given,
+        wheel_radius=section.radius((left[0], right[0])), wheel_separation=separation, **given,
     )  # fmt: skip
 
 
-def _skid_steer(parts: _Parts) -> DifferentialSpec:
+def _skid_steer(section: _DriveSection) -> DifferentialSpec:
     limits = (*_LIMITS, *_TURNS, "traction")
     keys = ("type", "left_joints", "right_joints", "wheel_radius", "wheel_separation", "separation_factor", *limits)
-    parts.settings.check_keys(keys)
-    left, right = ([parts.wheel(name) for name in parts.names(key)] for key in ("left_joints", "right_joints"))
-    separation = min(parts.apart(a, b) for a, _ in left for b, _ in right)
-    given = parts.settings.numbers(("wheel_separation", "separation_factor", *limits))
+    section.settings.check_keys(keys)
+    left, right = ([section.wheel(name) for name in section.names(key)] for key in ("left_joints", "right_joints"))
+    separation = min(section.track(a, b) for a, _ in left for b, _ in right)
+    given = section.settings.numbers(("wheel_separation", "separation_factor", *limits))
     factor = given.pop("separation_factor", 1.0)
     if factor <= 0:
-        raise RobotError(f"{parts.where}: separation_factor is {factor:g}, must be above 0")
+        raise RobotError(f"{section.where}: separation_factor is {factor:g}, must be above 0")
     separation = given.pop("wheel_separation", separation) * factor
     return DifferentialSpec(
-        kind="skid_steer", wheel_separation=separation, wheel_radius=parts.radius([joint for joint, _ in left + right]),
+        kind="skid_steer", wheel_separation=separation, wheel_radius=section.radius([joint for joint, _ in left + right]),
         left_joints=tuple(joint.name for joint, _ in left), right_joints=tuple(joint.name for joint, _ in right),
         left_signs=tuple(sign for _, sign in left), right_signs=tuple(sign for _, sign in right), **given,
     )  # fmt: skip
 
 
-def _omni(parts: _Parts) -> OmniSpec:
+def _omni(section: _DriveSection) -> OmniSpec:
     limits = (*_LIMITS, "max_lateral", "max_lateral_acceleration", *_TURNS, "traction")
-    parts.settings.check_keys(("type", "wheels", "wheel_radius", *limits))
-    items = parts.settings.values.get("wheels")
+    section.settings.check_keys(("type", "wheels", "wheel_radius", *limits))
+    items = section.settings.values.get("wheels")
     if not isinstance(items, list) or not items:
-        raise RobotError(f"{parts.where}: wheels is {quoted(items)}, must be a list of {{joint: .., roller_deg: ..}}")
-    wheels = [_omni_wheel(parts, Settings(item, f"{parts.where}: wheels[{i}]")) for i, item in enumerate(items)]
-    joints = [parts.model.joint(wheel.joint) for wheel in wheels]
-    given = parts.settings.numbers(limits)
+        raise RobotError(f"{section.where}: wheels is {quoted(items)}, must be a list of {{joint: .., roller_deg: ..}}")
+    wheels = [_omni_wheel(section, section.settings.within(item, f"wheels[{i}]")) for i, item in enumerate(items)]
+    joints = [section.model.joint(wheel.joint) for wheel in wheels]
+    given = section.settings.numbers(limits)
     for sideways, forward in (("max_lateral", "max_linear"), ("max_lateral_acceleration", "max_linear_acceleration")):
         if forward in given:
             given.setdefault(sideways, given[forward])
-    return OmniSpec(wheels=tuple(wheels), wheel_radius=parts.radius(joints), **given)
+    return OmniSpec(wheels=tuple(wheels), wheel_radius=section.radius(joints), **given)
 
 
-def _omni_wheel(parts: _Parts, item: Settings) -> OmniWheel:
+def _omni_wheel(section: _DriveSection, item: YamlMap) -> OmniWheel:
     item.check_keys(("joint", "roller_deg"))
-    joint = parts.model.joint(item.text("joint"))
-    axis, hub = parts.axis(joint), parts.frame(joint)[:3, 3]
-    if joint.kind != "continuous" or math.hypot(axis[0], axis[1]) < _STRAIGHT:
+    joint = section.model.joint(item.text("joint"))
+    axis, hub = section.axis(joint), section.frame(joint)[:3, 3]
+    if joint.kind != "continuous" or math.hypot(axis[0], axis[1]) < ALIGNED:
         raise RobotError(
-            f"{parts.model.path}: joint {quoted(joint.name)} cannot drive: it must be continuous, with a level axis in {parts.model.root}"
+            f"{section.model.path}: joint {quoted(joint.name)} cannot drive: it must be continuous, with a level axis in {section.model.root}"
         )
-    # A wheel that turns positively about its axis rolls along axis x up.
+    # A positive turn rolls the wheel along axis x up.
     heading = math.atan2(-axis[0], axis[1])
     roller = math.radians(item.numbers(("roller_deg",)).get("roller_deg", 0.0))
     return OmniWheel(joint.name, (float(hub[0]), float(hub[1])), heading, roller)
 
 
-def _ackermann(parts: _Parts) -> AckermannSpec:
+def _ackermann(section: _DriveSection) -> AckermannSpec:
     numbers = ("max_steering_deg", "max_steering_rate", "max_steering_torque", "min_turning_radius")
     measured_keys = ("wheelbase", "wheel_separation", "steering_separation")
     keys = ("left_joint", "right_joint", "left_steering_joint", "right_steering_joint")
-    parts.settings.check_keys(("type", *keys, "wheel_radius", *measured_keys, *numbers, *_LIMITS))
-    left, right = (parts.wheel(parts.settings.text(key)) for key in keys[:2])
-    left_pin, right_pin = (parts.kingpin(parts.settings.text(key)) for key in keys[2:])
+    section.settings.check_keys(("type", *keys, "wheel_radius", *measured_keys, *numbers, *_LIMITS))
+    left, right = (section.wheel(section.settings.text(key)) for key in keys[:2])
+    left_pin, right_pin = (section.steering_joint(section.settings.text(key)) for key in keys[2:])
     rear, front = (
-        float(parts.frame(a[0])[0, 3] + parts.frame(b[0])[0, 3]) / 2 for a, b in ((left, right), (left_pin, right_pin))
+        float(section.frame(a[0])[0, 3] + section.frame(b[0])[0, 3]) / 2 for a, b in ((left, right), (left_pin, right_pin))
     )
     if front <= rear:
         raise RobotError(
-            f"{parts.where}: {quoted(left_pin[0].name)} is not in front (+x) of {quoted(left[0].name)}; were they swapped?"
+            f"{section.where}: {quoted(left_pin[0].name)} is not in front (+x) of {quoted(left[0].name)}; were they swapped?"
         )
-    given = parts.settings.numbers((*measured_keys, *numbers, *_LIMITS))
+    given = section.settings.numbers((*measured_keys, *numbers, *_LIMITS))
     given.setdefault("wheelbase", front - rear)
-    given.setdefault("wheel_separation", parts.apart(left[0], right[0]))
-    given.setdefault("steering_separation", parts.apart(left_pin[0], right_pin[0]))
+    given.setdefault("wheel_separation", section.track(left[0], right[0]))
+    given.setdefault("steering_separation", section.track(left_pin[0], right_pin[0]))
     return AckermannSpec(
         left_joint=left[0].name, right_joint=right[0].name, left_sign=left[1], right_sign=right[1],
         left_steering_joint=left_pin[0].name, right_steering_joint=right_pin[0].name,
         left_steering_sign=left_pin[1], right_steering_sign=right_pin[1],
-        max_steering=_max_steering(parts, given.pop("max_steering_deg", None), (left_pin[0], right_pin[0])),
-        wheel_radius=parts.radius((left[0], right[0])), rear_axle_x=rear, **given,
+        max_steering=_max_steering(section, given.pop("max_steering_deg", None), (left_pin[0], right_pin[0])),
+        wheel_radius=section.radius((left[0], right[0])), rear_axle_x=rear, **given,
     )  # fmt: skip
 
 
-def _max_steering(parts: _Parts, given_deg: float | None, pins: Sequence[UrdfJoint]) -> float:
-    """Returns the angle, radians, to which both wheels can be steered, both ways."""
+def _max_steering(section: _DriveSection, given_deg: float | None, pins: Sequence[UrdfJoint]) -> float:
+    """Returns the angle, radians, to which both wheels can be steered in both directions."""
     ends = [min(-joint.lower, joint.upper) for joint in pins if joint.lower <= joint.upper]
     if given_deg is None:
         if not ends:
-            raise RobotError(f"{parts.model.path}: the steering joints have no limits; give drive.max_steering_deg")
+            raise RobotError(f"{section.model.path}: the steering joints have no limits; give drive.max_steering_deg")
         return min(ends)
     if ends and math.radians(given_deg) > min(ends) + 1e-6:
         raise RobotError(
-            f"{parts.where}: max_steering_deg is {given_deg:g}, the limits of the joints allow {math.degrees(min(ends)):g}"
+            f"{section.where}: max_steering_deg is {given_deg:g}, the limits of the joints allow {math.degrees(min(ends)):g}"
         )
     return math.radians(given_deg)
 
 
-_READERS: dict[str, Callable[[_Parts], DriveSpec]] = {
+_READERS: dict[str, Callable[[_DriveSection], DriveSpec]] = {
     "differential": _differential, "skid_steer": _skid_steer, "omni": _omni, "ackermann": _ackermann,
 }  # fmt: skip
 
 
 def _wheel_radius(model: UrdfModel, link_name: str) -> float:
-    """Returns the radius of the largest sphere or cylinder of the link: collision shapes first, else what is drawn."""
+    """Returns the radius of the largest sphere or cylinder of a link: of its collision shapes, else of its visuals."""
     link = model.link(link_name)
     for shapes in ([c.shape for c in link.collisions], [v.shape for v in link.visuals]):
         radii = [shape.size[0] for shape in shapes if shape.kind in ("sphere", "cylinder")]

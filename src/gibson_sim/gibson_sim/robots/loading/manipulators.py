@@ -1,4 +1,4 @@
-"""Reads what a ``robot.yaml`` says of arms: ``manipulators``, ``named_poses`` and ``home``."""
+"""Reads the sections of a ``robot.yaml`` about arms: ``manipulators``, ``named_poses`` and ``home``."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import RobotError
+from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.drive_spec import DriveSpec
 from gibson_sim.robots.drives import make_drive
-from gibson_sim.robots.loading.settings import NAME, Settings
 from gibson_sim.robots.spec import GripperSpec, ManipulatorSpec, NamedPose
 
 MANIPULATOR_KEYS = ("manipulators", "named_poses", "home")
 _ROUNDING = 1e-6
-"""Radians or metres by which a position may miss a limit."""
+"""Excess of a position over a limit that is tolerated, radians or metres."""
 
 
-def read_manipulators(robot: Settings, model: UrdfModel, drive: DriveSpec | None) -> tuple[ManipulatorSpec, ...]:
+def read_manipulators(robot: YamlMap, model: UrdfModel, drive: DriveSpec | None) -> tuple[ManipulatorSpec, ...]:
     """Returns the arms, in the order of the file."""
     items = robot.values.get("manipulators") or []
     if not isinstance(items, list):
@@ -27,24 +27,24 @@ def read_manipulators(robot: Settings, model: UrdfModel, drive: DriveSpec | None
             f"{robot.where}: manipulators is {quoted(items)}, must be a list of {{name: .., joints: [..], tip_link: ..}}"
         )
     joints = _Joints(model, drive)
-    found = [_manipulator(Settings(item, f"{robot.where}: manipulators[{i}]"), model, joints) for i, item in enumerate(items)]
-    _check_distinct([one.name for one in found], f"{robot.where}: manipulators", "are named")
-    every = [name for one in found for name in (*one.joints, *(one.gripper.joints if one.gripper else ()))]
+    found = [_manipulator(robot.within(item, f"manipulators[{i}]"), model, joints) for i, item in enumerate(items)]
+    _check_distinct([arm.name for arm in found], f"{robot.where}: manipulators", "are named")
+    every = [name for arm in found for name in (*arm.joints, *(arm.gripper.joints if arm.gripper else ()))]
     _check_distinct(every, f"{robot.where}: manipulators", "move joint")
     return tuple(found)
 
 
 def read_poses(
-    robot: Settings, model: UrdfModel, drive: DriveSpec | None
+    robot: YamlMap, model: UrdfModel, drive: DriveSpec | None
 ) -> tuple[tuple[NamedPose, ...], tuple[tuple[str, float], ...]]:
-    """Returns the named poses, and where joints are at load and after a reset: those of ``home``, the others where they rest."""
+    """Returns the named poses, and the joint positions at load and after a reset: those of ``home``, else 0 or the nearest limit."""
     section = robot.section("named_poses")
     joints = _Joints(model, drive)
     poses = []
     for name, values in {} if section is None else section.values.items():
-        if not isinstance(name, str) or not NAME.fullmatch(name):
+        if not isinstance(name, str) or not ROS_NAME.fullmatch(name):
             raise RobotError(f"{robot.where}: named_poses: name {quoted(name)} must be letters, digits and _, a letter first")
-        poses.append(NamedPose(name, _positions(Settings(values, f"{robot.where}: named_poses: {name}"), joints)))
+        poses.append(NamedPose(name, _positions(robot.within(values, f"named_poses: {name}"), joints)))
     at_home: dict[str, float] = {}
     if "home" in robot.values:
         home = robot.text("home")
@@ -66,20 +66,21 @@ class _Joints:
         if drive is not None:
             made = make_drive(drive)
             self.driven = {joint.name for joint in (*made.wheels, *made.steering)}
-        self.known = {joint.name: joint for joint in model.joints if self._why_not(joint) is None}
+        self.known = {joint.name: joint for joint in model.joints if self._refusal(joint) is None}
 
     def get(self, name: Any, where: str) -> UrdfJoint:
         """Returns the joint of this name."""
         if not isinstance(name, str) or not name:
             raise RobotError(f"{where}: {quoted(name)} is no name of a joint")
-        reason = self._why_not(self.model.joint(name))
+        reason = self._refusal(self.model.joint(name))
         if reason is not None:
             raise RobotError(
                 f"{where}: joint {quoted(name)} {reason}; joints that obey commands: {', '.join(self.known) or 'none'}"
             )
         return self.known[name]
 
-    def _why_not(self, joint: UrdfJoint) -> str | None:
+    def _refusal(self, joint: UrdfJoint) -> str | None:
+        """Returns why a joint does not obey commands; None = it does."""
         if joint.name in self.driven:
             return "belongs to the drive"
         if joint.mimic is not None:
@@ -87,10 +88,10 @@ class _Joints:
         return None if joint.has_motor else f"is {joint.kind} and has no motor"
 
 
-def _manipulator(item: Settings, model: UrdfModel, joints: _Joints) -> ManipulatorSpec:
+def _manipulator(item: YamlMap, model: UrdfModel, joints: _Joints) -> ManipulatorSpec:
     item.check_keys(("name", "joints", "tip_link", "gripper"))
     name = item.text("name")
-    if not NAME.fullmatch(name):
+    if not ROS_NAME.fullmatch(name):
         raise RobotError(f"{item.where}: name {quoted(name)} is not usable in ROS; use letters, digits and _, a letter first")
     names = _names(item, "joints")
     chain = [joints.get(joint, f"{item.where}: joints") for joint in names]
@@ -111,13 +112,10 @@ def _manipulator(item: Settings, model: UrdfModel, joints: _Joints) -> Manipulat
     return ManipulatorSpec(name, names, tip, chain[0].parent, gripper)
 
 
-def _gripper(section: Settings, joints: _Joints) -> GripperSpec:
+def _gripper(section: YamlMap, joints: _Joints) -> GripperSpec:
     section.check_keys(("joints", "open", "closed", "max_effort"))
     names = _names(section, "joints")
     found = [joints.get(name, f"{section.where}: joints") for name in names]
-    for key in ("open", "closed", "max_effort"):
-        if key not in section.values:
-            raise RobotError(f"{section.where}: {key} is missing")
     opened, closed, effort = (section.number(key) for key in ("open", "closed", "max_effort"))
     for joint in found:
         for key, value in (("open", opened), ("closed", closed)):
@@ -133,7 +131,7 @@ def _gripper(section: Settings, joints: _Joints) -> GripperSpec:
     return GripperSpec(names, opened, closed, effort)
 
 
-def _positions(values: Settings, joints: _Joints) -> tuple[tuple[str, float], ...]:
+def _positions(values: YamlMap, joints: _Joints) -> tuple[tuple[str, float], ...]:
     out = []
     for name in values.values:
         joint = joints.get(name, values.where)
@@ -148,7 +146,7 @@ def _check_position(joint: UrdfJoint, value: float, where: str) -> None:
         raise RobotError(f"{where} is {value:g}, joint {quoted(joint.name)} goes from {joint.lower:g} to {joint.upper:g}")
 
 
-def _names(item: Settings, key: str) -> tuple[str, ...]:
+def _names(item: YamlMap, key: str) -> tuple[str, ...]:
     value = item.values.get(key)
     if not isinstance(value, list) or not value or not all(isinstance(name, str) and name for name in value):
         raise RobotError(f"{item.where}: {key} is {quoted(value)}, must be a list of joint names")
@@ -174,5 +172,5 @@ def _joints_above(model: UrdfModel, link: str) -> list[str]:
 
 
 def _at_rest(joint: UrdfJoint) -> float:
-    """Returns 0, or the limit that is next to it."""
+    """Returns 0, or the limit nearest to it."""
     return min(max(0.0, joint.lower), joint.upper) if joint.is_bounded else 0.0

@@ -8,8 +8,8 @@ from typing import Any
 from gibson_sim.description.rigid_groups import rigid_groups
 from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.errors import RobotError
+from gibson_sim.formats.yaml_map import YamlMap
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.loading.settings import Settings
 from gibson_sim.robots.sensor_specs import (
     TURN,
     BatterySpec,
@@ -34,7 +34,7 @@ _BATTERY = (
 _WHEELS = ("left_radius_factor", "right_radius_factor", "separation_factor", "alpha1", "alpha2", "alpha3", "alpha4")
 
 
-def read_sensors(robot: Settings, model: UrdfModel, name: str) -> SensorSpecs:
+def read_sensors(robot: YamlMap, model: UrdfModel, name: str) -> SensorSpecs:
     """Returns the sensors of the robot ``name``.
 
     Raises:
@@ -52,29 +52,29 @@ def read_sensors(robot: Settings, model: UrdfModel, name: str) -> SensorSpecs:
     )
 
 
-def _sections(robot: Settings, key: str) -> list[Settings]:
-    """Returns the one mapping under ``key``, or those of a list."""
+def _sections(robot: YamlMap, key: str) -> list[YamlMap]:
+    """Returns the mapping under ``key``, or those of a list."""
     value = robot.values.get(key)
     if isinstance(value, list):
-        return [Settings(item, f"{robot.where}: {key}[{i}]") for i, item in enumerate(value)]
+        return [robot.within(item, f"{key}[{i}]") for i, item in enumerate(value)]
     section = robot.section(key)
     return [] if section is None else [section]
 
 
-def _lidar(settings: Settings, model: UrdfModel, name: str) -> LidarSpec:
+def _lidar(settings: YamlMap, model: UrdfModel, name: str) -> LidarSpec:
     values = _values(settings, _RANGING, ("beams", "seed"), ("angle_min_deg", "fov_deg"), ("name", "link"))
-    # Less than a turn looks ahead, unless told otherwise.
+    # A field of view of less than a revolution is centred ahead by default.
     if "fov" in values and values["fov"] < TURN - 1e-9:
         values.setdefault("angle_min", -values["fov"] / 2)
     return LidarSpec(link=_link(settings, model, name), **values)
 
 
-def _lidar_3d(settings: Settings, model: UrdfModel, name: str) -> Lidar3DSpec:
+def _lidar_3d(settings: YamlMap, model: UrdfModel, name: str) -> Lidar3DSpec:
     whole, angles = ("channels", "samples", "seed"), ("elevation_min_deg", "elevation_max_deg")
     return Lidar3DSpec(link=_link(settings, model, name), **_values(settings, _RANGING, whole, angles, ("name", "link")))
 
 
-def _imu(settings: Settings, model: UrdfModel, name: str) -> ImuSpec:
+def _imu(settings: YamlMap, model: UrdfModel, name: str) -> ImuSpec:
     values = _values(settings, _IMU, ("seed",), texts=("name", "link"), other=("orientation",))
     orientation = settings.values.get("orientation", True)
     if not isinstance(orientation, bool):
@@ -82,33 +82,33 @@ def _imu(settings: Settings, model: UrdfModel, name: str) -> ImuSpec:
     return ImuSpec(link=_link(settings, model, name), orientation=orientation, **values)
 
 
-def _bumper(settings: Settings, model: UrdfModel, name: str) -> BumperSpec:
+def _bumper(settings: YamlMap, model: UrdfModel, name: str) -> BumperSpec:
     values = _values(settings, ("threshold", "rate_hz"), (), ("max_slope_deg",), ("name", "link"), ("links",))
     links = settings.values.get("links", [])
     if not isinstance(links, list) or not all(isinstance(link, str) for link in links):
         raise RobotError(f"{settings.where}: links is {quoted(links)}, must be a list of names of links")
-    # A contact tells the rigid body, not which of the links in it was met.
+    # A contact names the rigid group, not the link in it.
     first = {member: group.name for group in rigid_groups(model)[0] for member in group.members}
-    feeling = tuple(dict.fromkeys(first[model.link(link).name] for link in links))
+    sensitive = tuple(dict.fromkeys(first[model.link(link).name] for link in links))
     link = model.root if "link" not in settings.values else model.link(settings.text("link")).name
-    return BumperSpec(link=f"{name}/{link}", links=feeling, **values)
+    return BumperSpec(link=f"{name}/{link}", links=sensitive, **values)
 
 
-def _link(settings: Settings, model: UrdfModel, name: str) -> str:
+def _link(settings: YamlMap, model: UrdfModel, name: str) -> str:
     return f"{name}/{model.link(settings.text('link')).name}"
 
 
 def _values(
-    settings: Settings,
+    settings: YamlMap,
     numbers: tuple[str, ...],
     integers: tuple[str, ...] = (),
     degrees: tuple[str, ...] = (),
     texts: tuple[str, ...] = (),
     other: tuple[str, ...] = (),
 ) -> dict[str, Any]:
-    """Returns those fields of a spec that the file gives, by name; a key that is none of these is an error.
+    """Returns the fields of a specification that the file gives, by name; any other key is an error.
 
-    Angles lose their ``_deg`` and become radians. ``link`` and ``other`` are checked by the caller, and not in the result.
+    Angles lose their ``_deg`` and become radians. The caller reads ``link`` and ``other``, which are not in the result.
     """
     settings.check_keys((*texts, *other, *numbers, *integers, *degrees))
     values: dict[str, Any] = {**settings.numbers(numbers), **settings.integers(integers)}

@@ -1,6 +1,6 @@
-"""Messages from values and values from messages: the only place that knows what the messages look like inside.
+"""Converts values to messages and back; other packages do not access the fields of messages.
 
-``x_to_msg`` makes a message, ``x_from_msg`` reads one. Stamps are copied from the data that a message describes, never taken
+``x_to_msg`` makes a message, ``x_from_msg`` reads one. Stamps are copied from the data that a message describes, never read
 from a clock. Large arrays are copied once, as bytes: a list or an ndarray in a message field costs tens of milliseconds.
 """
 

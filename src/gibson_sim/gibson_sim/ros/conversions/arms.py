@@ -1,4 +1,4 @@
-"""What arms are told, what they hold, and what robots touch."""
+"""Converts commands of arms, grasp states, contacts and collision counts."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def tool_twist_from_msg(msg: TwistStamped, frame_prefix: str = "") -> ToolTwist:
     """Returns the velocity of a tool.
 
     Args:
-        msg: Its frame is a link of the robot; empty = its base.
-        frame_prefix: Stands before the names of the robot's links in frames.
+        msg: its frame is a link of the robot; empty = its base.
+        frame_prefix: of the robot's links in frame names.
 
     Raises:
         CommandError: a number is NaN or infinite.
@@ -29,7 +29,7 @@ def tool_twist_from_msg(msg: TwistStamped, frame_prefix: str = "") -> ToolTwist:
 
 
 def grasp_state_to_msg(state: GraspState, stamp_ns: int) -> RosGraspState:
-    """Returns what a gripper holds."""
+    """Returns the grasp state of a gripper as a message."""
     msg = RosGraspState(header=header_to_msg(stamp_ns, ""), arm=state.arm, mode=state.mode, holding=state.holding)
     msg.body, msg.link, msg.reason = state.body, state.link, state.reason
     msg.force, msg.torque = state.force, state.torque
@@ -37,7 +37,7 @@ def grasp_state_to_msg(state: GraspState, stamp_ns: int) -> RosGraspState:
 
 
 def contacts_to_msg(contacts: Iterable[Contact], stamp_ns: int) -> Contacts:
-    """Returns all points of contact."""
+    """Returns contact points as a message."""
     return Contacts(header=header_to_msg(stamp_ns, WORLD_FRAME), contacts=[_contact_to_msg(contact) for contact in contacts])
 
 
@@ -56,7 +56,7 @@ def _contact_to_msg(contact: Contact) -> RosContact:
 
 
 def collision_count_to_msg(count: CollisionCount, stamp_ns: int) -> RosCollisionCount:
-    """Returns what a robot ran into."""
+    """Returns the collision count of a robot as a message."""
     msg = RosCollisionCount(header=header_to_msg(stamp_ns, ""), count=count.count, ongoing=count.ongoing)
     msg.duration, msg.greatest_force = count.duration, count.greatest_force
     msg.last_link, msg.last_body = count.last_link, count.last_body

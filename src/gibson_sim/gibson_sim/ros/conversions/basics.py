@@ -1,4 +1,4 @@
-"""Stamps, vectors, poses and transforms."""
+"""Converts stamps, vectors, poses and transforms."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gibson_sim.types import NS_PER_S, Pose, Vec3
 
 
 def time_to_msg(stamp_ns: int) -> Time:
-    """Returns the stamp of a whole number of nanoseconds."""
+    """Returns the stamp of a time in nanoseconds."""
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
 def time_from_msg(msg: Time) -> int:
-    """Returns nanoseconds."""
+    """Returns a stamp in nanoseconds."""
     return int(msg.sec) * NS_PER_S + int(msg.nanosec)
 
 
@@ -45,7 +45,7 @@ def pose_to_msg(pose: Pose) -> RosPose:
 
 
 def pose_from_msg(msg: RosPose) -> Pose:
-    """Returns the pose of a message whose quaternion has length 1."""
+    """Returns the pose of a message, whose quaternion must have length 1."""
     p, q = msg.position, msg.orientation
     return Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 

@@ -1,4 +1,4 @@
-"""Images and the calibration of cameras."""
+"""Converts images, camera calibrations and label names."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ENCODINGS: dict[Output, str] = {
     "position": "32FC3",
     "flow": "32FC2",
 }
-"""How the pixels of each output are written in an image message."""
+"""Output -> encoding in an image message."""
 _PIXELS: dict[str, tuple[type[np.generic], int]] = {
     "rgb8": (np.uint8, 3),
     "32FC1": (np.float32, 1),
@@ -35,14 +35,14 @@ _PIXELS: dict[str, tuple[type[np.generic], int]] = {
     "32FC2": (np.float32, 2),
     "32FC3": (np.float32, 3),
 }
-"""Encoding -> type and number of channels."""
+"""Encoding -> dtype and number of channels."""
 
 
 def camera_info_to_msg(camera: CameraSpec, stamp_ns: int) -> CameraInfo:
     """Returns the calibration of a camera, whose image is not rectified: R is the identity and P begins with K.
 
-    In the right camera of a stereo pair P has Tx = -fx baseline. ROS has no model of an equirectangular camera: its name stands in
-    ``distortion_model`` and all matrices are zero, which says "no calibration" to whoever looks for a pinhole.
+    For the right camera of a stereo pair, P has Tx = -fx baseline. ROS has no model of an equirectangular camera: ``distortion_model`` is
+    its name and all matrices are zero, which means "not calibrated" to nodes that expect a pinhole camera.
     """
     info = CameraInfo(header=header_to_msg(stamp_ns, camera.optical_frame), height=camera.height, width=camera.width)
     if camera.projection == "equirectangular":
@@ -73,40 +73,40 @@ def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: s
 
 
 def frame_to_image_msgs(
-    frame: Frame, wanted: Collection[str] | None = None, make_image: Callable[..., Any] = image_to_msg
+    frame: Frame, kinds: Collection[str] | None = None, make_image: Callable[..., Any] = image_to_msg
 ) -> Iterator[tuple[str, Any]]:
-    """Yields the messages of a frame, each after what it carries (see ``names.camera_topics``), all with the frame's stamp.
+    """Yields kind (see ``names.camera_topics``) and message of the images and camera_info of a frame, all with the frame's stamp.
 
-    Each is made when it is asked for: one that was sent and dropped leaves its memory, which the caches still hold, to the next one.
+    Each message is made when the iterator reaches it: one that was sent and dropped leaves its memory, still in the cache, to the next one.
 
     Args:
-        frame: its images.
-        wanted: make only these; None = all.
-        make_image: makes a sensor_msgs/Image: ``image_to_msg``, or ``fast_images.image_to_bytes``.
+        frame: with the images.
+        kinds: make only these; None = all.
+        make_image: makes a sensor_msgs/Image: ``image_to_msg``, or ``fast_publish.image_to_bytes``.
     """
     camera, stamp = frame.camera, frame.stamp_ns
     for output, encoding in ENCODINGS.items():
         pixels = getattr(frame, output)
         if pixels is None:
             continue
-        if wanted is None or output in wanted:
+        if kinds is None or output in kinds:
             yield output, make_image(pixels, encoding, stamp, camera.optical_frame)
-        if wanted is None or f"{output}_info" in wanted:
+        if kinds is None or f"{output}_info" in kinds:
             yield f"{output}_info", camera_info_to_msg(camera, stamp)
 
 
 def compressed_to_msg(data: bytes, image_format: str, stamp_ns: int, frame_id: str) -> CompressedImage:
-    """Returns a compressed image; ``data`` and ``image_format`` are those of ``sensors.image_codecs``."""
+    """Returns a compressed image; ``data`` and ``image_format`` come from ``sensors.image_codecs``."""
     return CompressedImage(header=header_to_msg(stamp_ns, frame_id), format=image_format, data=array("B", data))
 
 
 def label_info_type() -> Any:
-    """Returns the message type that names labels: of vision_msgs where it is installed, else ours with the same fields."""
+    """Returns the type of LabelInfo messages: that of vision_msgs if it is installed, otherwise ours with the same fields."""
     return _label_module().LabelInfo
 
 
 def label_info_to_msg(labels: Sequence[str], stamp_ns: int, frame_id: str) -> Any:
-    """Returns the names of the numbers in label images: the index is the number."""
+    """Returns the message with the names of label numbers; the index into ``labels`` is the number."""
     module = _label_module()
     make = getattr(module, "VisionClass", None) or module.LabelClass
     classes = [make(class_id=number, class_name=name) for number, name in enumerate(labels)]
@@ -118,7 +118,7 @@ def _label_module() -> Any:
 
 
 def array_from_image(msg: Image) -> NDArray[Any]:
-    """Returns the pixels of an image in one of our encodings, (H, W), (H, W, 2) or (H, W, 3); they share the message's memory."""
+    """Returns the pixels of an image in one of ``ENCODINGS``, (H, W), (H, W, 2) or (H, W, 3), a view of the message's memory."""
     if msg.encoding not in _PIXELS:
         raise SceneError(f"image has encoding {quoted(msg.encoding)}, known: {', '.join(_PIXELS)}")
     kind, channels = _PIXELS[msg.encoding]

@@ -1,4 +1,4 @@
-"""What a robot is told, and what it measures."""
+"""Converts the commands of a robot, odometry and planar scans."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gibson_sim.sensors.lidar import Scan
 from gibson_sim.types import NS_PER_S, Odometry, Pose, VelocityCommand
 
 _UNKNOWN = 1e6
-"""Variance of what is not measured, m^2, rad^2 and their rates."""
+"""Variance of quantities that are not measured, m^2, rad^2 and their rates."""
 
 
 def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
-    """Returns the command in a Twist that arrived at ``stamp_ns``.
+    """Returns the velocity command in a Twist that arrived at ``stamp_ns``.
 
     Raises:
         CommandError: a number is NaN or infinite.
@@ -58,9 +58,9 @@ def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:
 
 
 def planar_covariance(matrix: Sequence[float]) -> tuple[float, ...]:
-    """Returns the 36 numbers of a message for nine of (x, y, yaw), each by rows.
+    """Returns the (6, 6) covariance of a message for the (3, 3) covariance of (x, y, yaw), both row by row.
 
-    A planar base says nothing of z, roll and pitch: a filter must not trust them, nor divide by zero.
+    A planar base measures no z, roll and pitch: their variances are large, so that a filter neither trusts them nor divides by zero.
     """
     xx, xy, xt, yx, yy, yt, tx, ty, tt = matrix
     no, far = 0.0, _UNKNOWN
@@ -75,13 +75,13 @@ def planar_covariance(matrix: Sequence[float]) -> tuple[float, ...]:
 
 
 def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand:
-    """Returns what a JointTrajectory or a JointState asks of joints.
+    """Returns the joint command in a JointTrajectory or a JointState.
 
-    A JointState with positions says where they shall go, and, with efforts beside them, what motors use at most on the way and there (0 = what
-    the joint allows); one with velocities alone, how fast they shall move.
+    A JointState with positions sets the targets of its joints, and its efforts, if any, are the limits of their motors (0 = the joint's own
+    limit); one with velocities alone sets the velocities.
 
     Raises:
-        CommandError: it cannot be obeyed as it is.
+        CommandError: the command is invalid.
     """
     if isinstance(msg, JointState):
         names = tuple(msg.name)

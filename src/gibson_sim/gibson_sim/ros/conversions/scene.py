@@ -1,22 +1,15 @@
-"""Scenes and their states."""
+"""Converts scenes, their states and floor maps to messages, and scenes and states back."""
 
 from __future__ import annotations
 
+import math
 from array import array
-from typing import TYPE_CHECKING
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from nav_msgs.msg import MapMetaData, OccupancyGrid
-
-from gibson_sim.ros.conversions.basics import header_to_msg, time_to_msg
-
-if TYPE_CHECKING:  # SciPy with it: 0.4 s that a render node, which has no map, would lose whenever it starts
-    from gibson_sim.maps.floor_map import FloorMap
-import math
-from dataclasses import asdict, fields
-from typing import Any
-
 from geometry_msgs.msg import Point
+from nav_msgs.msg import MapMetaData, OccupancyGrid
 from std_msgs.msg import ColorRGBA
 
 from gibson_msgs.msg import (
@@ -33,27 +26,22 @@ from gibson_msgs.msg import (
 from gibson_sim.description.shapes import Appearance, Pattern, Shape, ShapeKind, VisualSpec
 from gibson_sim.errors import SceneError
 from gibson_sim.quoting import quoted
-from gibson_sim.ros.conversions.basics import pose_from_msg, pose_to_msg, time_from_msg, vector_from_msg, vector_to_msg
+from gibson_sim.ros.conversions.basics import (
+    header_to_msg,
+    pose_from_msg,
+    pose_to_msg,
+    time_from_msg,
+    time_to_msg,
+    vector_from_msg,
+    vector_to_msg,
+)
 from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec, PointLight
 from gibson_sim.types import OUTPUTS, WORLD_FRAME, CameraSpec, DepthNoise, ImageEffects, SceneState, Vec3
 
+if TYPE_CHECKING:  # it imports SciPy: 0.4 s at each start of a render node, which has no map
+    from gibson_sim.maps.floor_map import FloorMap
+
 _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1
-
-
-def floor_map_to_msg(floor: FloorMap, floor_z: float, stamp_ns: int, frame_id: str) -> OccupancyGrid:
-    """Returns the map of a floor: 0 = free, 100 = occupied, -1 = neither floor nor obstacle. Rows run along y, from the lowest."""
-    cells = np.full(floor.shape, _UNKNOWN, dtype=np.int8)
-    cells[floor.free] = _FREE
-    cells[floor.occupied] = _OCCUPIED
-    msg = OccupancyGrid(header=header_to_msg(stamp_ns, frame_id))
-    msg.info = MapMetaData(map_load_time=time_to_msg(stamp_ns), resolution=floor.resolution)
-    msg.info.height, msg.info.width = floor.shape
-    msg.info.origin.position.x, msg.info.origin.position.y = floor.origin
-    msg.info.origin.position.z = floor_z
-    msg.data = array("b", cells.tobytes())
-    return msg
-
-
 _SHAPES: dict[ShapeKind, int] = {
     "mesh": RosVisual.SHAPE_MESH,
     "box": RosVisual.SHAPE_BOX,
@@ -87,7 +75,7 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
     """Returns the scene in a message.
 
     Raises:
-        SceneError: an index points nowhere or a shape is unknown.
+        SceneError: an index is out of range or a shape is unknown.
     """
     links = tuple(msg.links)
 
@@ -122,6 +110,135 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
     cameras = tuple(_camera_from_msg(c, link_name(c.link)) for c in msg.cameras)
     light = _light_from_msg(msg.light)
     return DrawnScene(msg.name, msg.revision, msg.content_hash, links, tuple(visuals), cameras, light)
+
+
+def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...], epoch: int = 0, epoch_step: int = 0) -> RosSceneState:
+    """Returns the state as a message."""
+    msg = RosSceneState(header=header_to_msg(state.stamp_ns, WORLD_FRAME), revision=state.revision, step=state.step)
+    msg.poses = array("d", np.hstack([state.positions, state.quats_xyzw]).tobytes())
+    msg.twists = array("d", state.twists.tobytes())
+    msg.due_cameras = array("I", due_cameras)
+    msg.epoch, msg.epoch_step = epoch, epoch_step
+    return msg
+
+
+def scene_state_from_msg(msg: RosSceneState, links: tuple[str, ...]) -> SceneState:
+    """Returns the state in a message; ``links`` are those of its scene.
+
+    Raises:
+        ConfigError: the number of rows of the arrays is not that of the links.
+    """
+    poses = np.array(msg.poses, dtype=np.float64).reshape(-1, 7)
+    twists = np.array(msg.twists, dtype=np.float64).reshape(-1, 6) if len(msg.twists) else np.zeros((len(poses), 6))
+    return SceneState(
+        stamp_ns=time_from_msg(msg.header.stamp),
+        step=msg.step,
+        revision=msg.revision,
+        links=links,
+        positions=poses[:, :3],
+        quats_xyzw=poses[:, 3:],
+        twists=twists,
+    )
+
+
+def floor_map_to_msg(floor: FloorMap, floor_z: float, stamp_ns: int, frame_id: str) -> OccupancyGrid:
+    """Returns the map of a floor: 0 = free, 100 = occupied, -1 = neither floor nor obstacle. Rows run along y, from the lowest."""
+    cells = np.full(floor.shape, _UNKNOWN, dtype=np.int8)
+    cells[floor.free] = _FREE
+    cells[floor.occupied] = _OCCUPIED
+    msg = OccupancyGrid(header=header_to_msg(stamp_ns, frame_id))
+    msg.info = MapMetaData(map_load_time=time_to_msg(stamp_ns), resolution=floor.resolution)
+    msg.info.height, msg.info.width = floor.shape
+    msg.info.origin.position.x, msg.info.origin.position.y = floor.origin
+    msg.info.origin.position.z = floor_z
+    msg.data = array("b", cells.tobytes())
+    return msg
+
+
+def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVisual:
+    return RosVisual(
+        name=visual.name,
+        link=link,
+        shape=_SHAPES[visual.shape.kind],
+        mesh=visual.shape.mesh,
+        size=vector_to_msg(visual.shape.size),
+        pose=pose_to_msg(visual.pose),
+        color=_color_to_msg(visual.color or (0.0, 0.0, 0.0, 0.0)),
+        semantic_class=semantic_class,
+        look=[] if visual.appearance is None else [_appearance_to_msg(visual.appearance)],
+    )
+
+
+def _color_to_msg(rgba: tuple[float, float, float, float]) -> ColorRGBA:
+    return ColorRGBA(r=float(rgba[0]), g=float(rgba[1]), b=float(rgba[2]), a=float(rgba[3]))
+
+
+def _appearance_to_msg(appearance: Appearance) -> RosLook:
+    msg = RosLook(hue=appearance.hue, saturation=appearance.saturation, value=appearance.value)
+    msg.metallic = math.nan if appearance.metallic is None else appearance.metallic
+    msg.roughness = math.nan if appearance.roughness is None else appearance.roughness
+    if appearance.pattern is not None:
+        first, second = appearance.pattern.colors
+        msg.pattern, msg.pattern_seed, msg.pattern_colors = appearance.pattern.kind, appearance.pattern.seed, (*first, *second)
+        msg.pattern_size, msg.pattern_image = appearance.pattern.size, appearance.pattern.image
+    return msg
+
+
+def _appearance_from_msg(msg: RosLook) -> Appearance:
+    pattern = None
+    if msg.pattern:
+        colors = (_triple(msg.pattern_colors[:3]), _triple(msg.pattern_colors[3:]))
+        pattern = Pattern(msg.pattern, int(msg.pattern_seed), colors, msg.pattern_size, msg.pattern_image)
+    metallic, roughness = (None if math.isnan(v) else v for v in (msg.metallic, msg.roughness))
+    return Appearance(msg.hue, msg.saturation, msg.value, pattern, metallic, roughness)
+
+
+def _camera_to_msg(camera: CameraSpec, link: int) -> RosCamera:
+    return RosCamera(
+        name=camera.name,
+        link=link,
+        pose=pose_to_msg(camera.pose),
+        frame_id=camera.optical_frame,
+        width=camera.width,
+        height=camera.height,
+        projection=camera.projection,
+        k=camera.matrix or (),
+        d=camera.distortion,
+        fov_y=camera.fov_y,
+        fov=camera.fov,
+        near=camera.near,
+        far=camera.far,
+        rate=camera.rate_hz,
+        outputs=list(camera.outputs),
+        samples=camera.samples,
+        stereo_baseline=camera.stereo_baseline,
+        effects=RosImageEffects(**asdict(camera.effects)),
+        depth_noise=RosDepthNoise(**asdict(camera.depth_noise)),
+    )
+
+
+def _camera_from_msg(msg: RosCamera, link: str) -> CameraSpec:
+    return CameraSpec(
+        name=msg.name,
+        link=link,
+        pose=pose_from_msg(msg.pose),
+        width=msg.width,
+        height=msg.height,
+        fov_y=msg.fov_y,
+        near=msg.near,
+        far=msg.far,
+        rate_hz=msg.rate,
+        outputs=tuple(o for o in OUTPUTS if o in msg.outputs),
+        projection=msg.projection,
+        matrix=tuple(msg.k) or None,
+        distortion=tuple(msg.d),
+        fov=msg.fov,
+        samples=msg.samples,
+        stereo_baseline=msg.stereo_baseline,
+        frame_id="" if msg.frame_id == f"{msg.name}_optical_frame" else msg.frame_id,
+        effects=ImageEffects(**{f.name: getattr(msg.effects, f.name) for f in fields(ImageEffects)}),
+        depth_noise=DepthNoise(**{f.name: getattr(msg.depth_noise, f.name) for f in fields(DepthNoise)}),
+    )
 
 
 def _light_to_msg(light: LightSpec) -> RosLight:
@@ -182,124 +299,9 @@ def _light_from_msg(msg: RosLight) -> LightSpec:
     )
 
 
-def _appearance_to_msg(appearance: Appearance) -> RosLook:
-    msg = RosLook(hue=appearance.hue, saturation=appearance.saturation, value=appearance.value)
-    msg.metallic = math.nan if appearance.metallic is None else appearance.metallic
-    msg.roughness = math.nan if appearance.roughness is None else appearance.roughness
-    if appearance.pattern is not None:
-        first, second = appearance.pattern.colors
-        msg.pattern, msg.pattern_seed, msg.pattern_colors = appearance.pattern.kind, appearance.pattern.seed, (*first, *second)
-        msg.pattern_size, msg.pattern_image = appearance.pattern.size, appearance.pattern.image
-    return msg
-
-
-def _appearance_from_msg(msg: RosLook) -> Appearance:
-    pattern = None
-    if msg.pattern:
-        colors = (_triple(msg.pattern_colors[:3]), _triple(msg.pattern_colors[3:]))
-        pattern = Pattern(msg.pattern, int(msg.pattern_seed), colors, msg.pattern_size, msg.pattern_image)
-    metallic, roughness = (None if math.isnan(v) else v for v in (msg.metallic, msg.roughness))
-    return Appearance(msg.hue, msg.saturation, msg.value, pattern, metallic, roughness)
-
-
-def _triple(values: Any) -> Vec3:
-    return (float(values[0]), float(values[1]), float(values[2]))
-
-
 def _point_to_msg(v: Vec3) -> Point:
     return Point(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
-def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVisual:
-    return RosVisual(
-        name=visual.name,
-        link=link,
-        shape=_SHAPES[visual.shape.kind],
-        mesh=visual.shape.mesh,
-        size=vector_to_msg(visual.shape.size),
-        pose=pose_to_msg(visual.pose),
-        color=_color_to_msg(visual.color or (0.0, 0.0, 0.0, 0.0)),
-        semantic_class=semantic_class,
-        look=[] if visual.appearance is None else [_appearance_to_msg(visual.appearance)],
-    )
-
-
-def _color_to_msg(rgba: tuple[float, float, float, float]) -> ColorRGBA:
-    return ColorRGBA(r=float(rgba[0]), g=float(rgba[1]), b=float(rgba[2]), a=float(rgba[3]))
-
-
-def _camera_to_msg(camera: CameraSpec, link: int) -> RosCamera:
-    return RosCamera(
-        name=camera.name,
-        link=link,
-        pose=pose_to_msg(camera.pose),
-        frame_id=camera.optical_frame,
-        width=camera.width,
-        height=camera.height,
-        projection=camera.projection,
-        k=camera.matrix or (),
-        d=camera.distortion,
-        fov_y=camera.fov_y,
-        fov=camera.fov,
-        near=camera.near,
-        far=camera.far,
-        rate=camera.rate_hz,
-        outputs=list(camera.outputs),
-        samples=camera.samples,
-        stereo_baseline=camera.stereo_baseline,
-        effects=RosImageEffects(**asdict(camera.effects)),
-        depth_noise=RosDepthNoise(**asdict(camera.depth_noise)),
-    )
-
-
-def _camera_from_msg(msg: RosCamera, link: str) -> CameraSpec:
-    return CameraSpec(
-        name=msg.name,
-        link=link,
-        pose=pose_from_msg(msg.pose),
-        width=msg.width,
-        height=msg.height,
-        fov_y=msg.fov_y,
-        near=msg.near,
-        far=msg.far,
-        rate_hz=msg.rate,
-        outputs=tuple(o for o in OUTPUTS if o in msg.outputs),
-        projection=msg.projection,
-        matrix=tuple(msg.k) or None,
-        distortion=tuple(msg.d),
-        fov=msg.fov,
-        samples=msg.samples,
-        stereo_baseline=msg.stereo_baseline,
-        frame_id="" if msg.frame_id == f"{msg.name}_optical_frame" else msg.frame_id,
-        effects=ImageEffects(**{f.name: getattr(msg.effects, f.name) for f in fields(ImageEffects)}),
-        depth_noise=DepthNoise(**{f.name: getattr(msg.depth_noise, f.name) for f in fields(DepthNoise)}),
-    )
-
-
-def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...], epoch: int = 0, epoch_step: int = 0) -> RosSceneState:
-    """Returns the state as a message."""
-    msg = RosSceneState(header=header_to_msg(state.stamp_ns, WORLD_FRAME), revision=state.revision, step=state.step)
-    msg.poses = array("d", np.hstack([state.positions, state.quats_xyzw]).tobytes())
-    msg.twists = array("d", state.twists.tobytes())
-    msg.due_cameras = array("I", due_cameras)
-    msg.epoch, msg.epoch_step = epoch, epoch_step
-    return msg
-
-
-def scene_state_from_msg(msg: RosSceneState, links: tuple[str, ...]) -> SceneState:
-    """Returns the state in a message, whose links are those of its scene.
-
-    Raises:
-        ConfigError: the arrays do not have as many rows as there are links.
-    """
-    poses = np.array(msg.poses, dtype=np.float64).reshape(-1, 7)
-    twists = np.array(msg.twists, dtype=np.float64).reshape(-1, 6) if len(msg.twists) else np.zeros((len(poses), 6))
-    return SceneState(
-        stamp_ns=time_from_msg(msg.header.stamp),
-        step=msg.step,
-        revision=msg.revision,
-        links=links,
-        positions=poses[:, :3],
-        quats_xyzw=poses[:, 3:],
-        twists=twists,
-    )
+def _triple(values: Any) -> Vec3:
+    return (float(values[0]), float(values[1]), float(values[2]))

@@ -1,4 +1,4 @@
-"""What IMUs, lidars of many channels, bumpers and batteries measure. Planar scans are in ``robot``."""
+"""Converts measurements of IMUs, 3-D lidars, bumpers and batteries, and point clouds of depth cameras. Planar scans are in ``robot``."""
 
 from __future__ import annotations
 
@@ -17,37 +17,13 @@ from gibson_sim.sensors.bumper import BumperReading
 from gibson_sim.sensors.imu import LEAST_VARIANCE, ImuReading
 from gibson_sim.sensors.lidar import LidarCloud
 
-
-def cloud_to_msg(cloud: NDArray[np.void], stamp_ns: int, frame_id: str) -> PointCloud2:
-    """Returns an organised cloud.
-
-    Args:
-        cloud: (H, W), C-contiguous, with four-byte fields; all are declared as float32, ``rgb`` too, as PCL and rviz want it.
-        stamp_ns: of the image that it was made from.
-        frame_id: the frame of its points.
-    """
-    height, width = cloud.shape
-    data = array("B")
-    data.frombytes(np.ascontiguousarray(cloud).view(np.uint8).data)
-    msg = PointCloud2(header=header_to_msg(stamp_ns, frame_id), height=height, width=width)
-    msg.fields = [
-        PointField(name=name, offset=int(field[1]), datatype=PointField.FLOAT32, count=1)
-        for name, field in (cloud.dtype.fields or {}).items()
-    ]
-    msg.is_bigendian = False
-    msg.point_step, msg.row_step = cloud.dtype.itemsize, cloud.dtype.itemsize * width
-    msg.is_dense = False  # where nothing was seen there are NaNs
-    msg.data = data
-    return msg
-
-
 LIDAR_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")])
 """A point of a lidar's cloud: 18 bytes without gaps."""
 _FIELD_TYPES = {np.dtype("<f4"): PointField.FLOAT32, np.dtype("<u2"): PointField.UINT16}
 
 
 def imu_to_msg(reading: ImuReading, frame_id: str) -> Imu:
-    """Returns a sample as REP 145 wants it: gravity included, and -1 first in the covariance of what is not reported."""
+    """Returns a sample by REP 145: gravity is included, and the first covariance of a quantity that is not reported is -1."""
     msg = Imu(header=header_to_msg(reading.stamp_ns, frame_id))
     msg.angular_velocity = vector_to_msg(reading.angular_velocity)
     msg.linear_acceleration = vector_to_msg(reading.linear_acceleration)
@@ -80,8 +56,31 @@ def lidar_cloud_to_msg(cloud: LidarCloud, frame_id: str) -> PointCloud2:
     return msg
 
 
+def cloud_to_msg(cloud: NDArray[np.void], stamp_ns: int, frame_id: str) -> PointCloud2:
+    """Returns an organised cloud.
+
+    Args:
+        cloud: (H, W), C-contiguous, with four-byte fields; all are declared as float32, ``rgb`` too, as PCL and rviz expect.
+        stamp_ns: of the depth image.
+        frame_id: frame of the points.
+    """
+    height, width = cloud.shape
+    data = array("B")
+    data.frombytes(np.ascontiguousarray(cloud).view(np.uint8).data)
+    msg = PointCloud2(header=header_to_msg(stamp_ns, frame_id), height=height, width=width)
+    msg.fields = [
+        PointField(name=name, offset=int(field[1]), datatype=PointField.FLOAT32, count=1)
+        for name, field in (cloud.dtype.fields or {}).items()
+    ]
+    msg.is_bigendian = False
+    msg.point_step, msg.row_step = cloud.dtype.itemsize, cloud.dtype.itemsize * width
+    msg.is_dense = False  # points without depth are NaN
+    msg.data = data
+    return msg
+
+
 def bumper_to_msgs(reading: BumperReading, frame_id: str) -> tuple[Bool, WrenchStamped]:
-    """Returns whether it is pressed, and force and torque of all that presses, about the origin of ``frame_id`` and along its axes."""
+    """Returns whether the bumper is pressed, and total force and torque, about the origin of ``frame_id`` and along its axes."""
     wrench = WrenchStamped(header=header_to_msg(reading.stamp_ns, frame_id))
     wrench.wrench.force = vector_to_msg(reading.force)
     wrench.wrench.torque = vector_to_msg(reading.torque)
@@ -89,7 +88,7 @@ def bumper_to_msgs(reading: BumperReading, frame_id: str) -> tuple[Bool, WrenchS
 
 
 def battery_to_msg(reading: BatteryReading, frame_id: str = "") -> BatteryState:
-    """Returns the state of a battery that is being discharged; an empty one is not. What is not measured is NaN."""
+    """Returns the state of a battery: discharging, or not charging if it is empty. Quantities that are not measured are NaN."""
     msg = BatteryState(header=header_to_msg(reading.stamp_ns, frame_id))
     msg.voltage, msg.current, msg.charge = reading.voltage, reading.current, reading.charge_ah
     msg.capacity = msg.design_capacity = reading.capacity_ah

@@ -1,4 +1,4 @@
-"""Numbers of all that a node publishes at a tick, to compare two runs by."""
+"""Digests of all that a node publishes at a tick, by which two runs are compared."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class DigestPublisher:
         self._digests: dict[str, int] = {}
 
     def add(self, topic: str, *values: Any) -> None:
-        """Takes what is published on a topic; a second time before the next tick adds to the first."""
+        """Adds the digest of what is published on a topic; a second one before the next tick is combined with the first."""
         topic, digest = self._node.resolve_topic_name(topic), digest_of(values)
         before = self._digests.get(topic)
         self._digests[topic] = digest if before is None else digest_of((before, digest))
 
     def publish(self, stamp_ns: int, epoch: int, step: int) -> None:
-        """Publishes what was collected, if anything was."""
+        """Publishes the digests that were collected, if there are any."""
         if not self._digests:
             return
         message = TickDigest(header=conversions.header_to_msg(stamp_ns, ""), epoch=epoch, step=step)

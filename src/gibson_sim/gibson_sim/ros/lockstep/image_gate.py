@@ -1,4 +1,4 @@
-"""Time waits for images that have subscribers, where it passes as fast as possible without lockstep."""
+"""Holds time for images that have subscribers, where it passes as fast as possible without lockstep."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from gibson_sim.ros.topics import names, qos
 from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import NS_PER_S, CameraSpec
 
-_LOOK_NS = NS_PER_S // 10
-"""Wall time between two looks at who subscribes to images and who publishes them."""
-_AGAIN_NS = NS_PER_S // 2
-"""How often a render node that has not answered yet is given the present tick: its subscription may have come after that."""
+_GRAPH_PERIOD_NS = NS_PER_S // 10
+"""Wall time between two queries of the publishers and subscribers of images, ns."""
+_REPUBLISH_PERIOD_NS = NS_PER_S // 2
+"""Wall time between two copies of the present tick for a render node that has never answered, ns: it may have subscribed after the tick."""
 
 
 class ImageGate:
@@ -25,51 +25,51 @@ class ImageGate:
 
     A render node that does not answer within the timeout is not waited for until it answers again.
 
-    Subscribes, while it is switched on:
+    Subscribes, while it is enabled:
         tick_done (gibson_msgs/TickDone): which render nodes there are, and which ticks they have done.
     """
 
-    def __init__(self, node: Node, timeout_s: float, go_on: Callable[[], None], publish_again: Callable[[bool], None]) -> None:
-        """Holds nothing before it is switched on.
+    def __init__(self, node: Node, timeout_s: float, on_open: Callable[[], None], publish_again: Callable[[bool], None]) -> None:
+        """Is disabled at first, and holds nothing.
 
         Args:
             node: the physics node.
             timeout_s: timeout of a tick, seconds of wall time.
-            go_on: is called when a tick is done.
+            on_open: is called when a tick is done.
             publish_again: publishes the state of the present tick once more, given False.
         """
         self._node, self._timeout_ns = node, round(timeout_s * NS_PER_S)
-        self._go_on, self._publish_again = go_on, publish_again
+        self._on_open, self._publish_again = on_open, publish_again
         self._subscription: Any = None
-        self._known: dict[str, bool] = {}
-        """Whether a render node has answered yet, by its name; those that are not waited for are missing."""
+        self._has_answered: dict[str, bool] = {}
+        """Render node -> whether it has answered yet; nodes that are not waited for are absent."""
         self._publishing: dict[str, frozenset[str]] = {}
-        """Names of the nodes that publish images of a camera, by its name; only of cameras whose images have subscribers."""
-        self._looked_ns = 0
-        self._stamp_ns, self._opened_ns, self._again_ns = 0, 0, 0
+        """Camera -> names of the nodes that publish its images; only cameras whose images have subscribers."""
+        self._queried_ns = 0
+        self._stamp_ns, self._opened_ns, self._republished_ns = 0, 0, 0
         self._waits_for: set[str] = set()
 
-    def switch(self, on: bool) -> None:
-        """Begins to hold time, or ends it."""
+    def enable(self, on: bool) -> None:
+        """Enables or disables the gate."""
         if on and self._subscription is None:
-            self._subscription = self._node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE)
+            self._subscription = self._node.create_subscription(TickDone, names.TICK_DONE, self._on_tick_done, qos.TICK_DONE)
         elif not on and self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
-            self._known.clear()
-            self.restart()
+            self._has_answered.clear()
+            self.reset()
 
     @property
     def is_open(self) -> bool:
         """Whether the present tick is done."""
         return not self._waits_for
 
-    def restart(self) -> None:
+    def reset(self) -> None:
         """Forgets the present tick: the simulation was reset."""
         self._waits_for.clear()
 
-    def publish_tick(self, stamp_ns: int, cameras: Sequence[CameraSpec], due: Collection[int]) -> None:
-        """Takes note that a tick was published.
+    def begin_tick(self, stamp_ns: int, cameras: Sequence[CameraSpec], due: Collection[int]) -> None:
+        """Closes the gate for a tick that was published, if an image of it has subscribers.
 
         Args:
             stamp_ns: of the tick, simulation time.
@@ -77,24 +77,25 @@ class ImageGate:
             due: indices of those that are due at this tick.
         """
         self._waits_for.clear()
-        if not self._known or not due:
+        if not self._has_answered or not due:
             return
         now_ns = time.monotonic_ns()
-        if now_ns - self._looked_ns > _LOOK_NS:
-            self._looked_ns = now_ns
+        if now_ns - self._queried_ns > _GRAPH_PERIOD_NS:
+            self._queried_ns = now_ns
             self._publishing = {camera.name: found for camera in cameras if (found := self._publishers(camera))}
         for i in due:
-            self._waits_for |= self._publishing.get(cameras[i].name, frozenset()) & self._known.keys()
-        self._stamp_ns, self._opened_ns, self._again_ns = stamp_ns, now_ns, now_ns
+            self._waits_for |= self._publishing.get(cameras[i].name, frozenset()) & self._has_answered.keys()
+        self._stamp_ns, self._opened_ns, self._republished_ns = stamp_ns, now_ns, now_ns
 
-    def may_go(self) -> bool:
-        """Returns whether the next step may be made; gives up those who are too late."""
+    def may_step(self) -> bool:
+        """Returns whether the next step may be made; stops waiting for render nodes that have timed out."""
         if not self._waits_for:
             return True
         now_ns = time.monotonic_ns()
         if now_ns - self._opened_ns < self._timeout_ns:
-            if now_ns - self._again_ns > _AGAIN_NS and not all(self._known[name] for name in self._waits_for):
-                self._again_ns = now_ns
+            answered = all(self._has_answered[name] for name in self._waits_for)
+            if now_ns - self._republished_ns > _REPUBLISH_PERIOD_NS and not answered:
+                self._republished_ns = now_ns
                 self._publish_again(False)
             return False
         late = ", ".join(map(quoted, sorted(self._waits_for)))
@@ -103,7 +104,7 @@ class ImageGate:
             f"{self._timeout_ns / NS_PER_S:g} s; time goes on without them"
         )
         for name in self._waits_for:
-            del self._known[name]
+            del self._has_answered[name]
         self._waits_for.clear()
         return True
 
@@ -113,16 +114,16 @@ class ImageGate:
         found = [p for t in topics if node.count_subscribers(t) for p in node.get_publishers_info_by_topic(t)]
         return frozenset(f"{p.node_namespace.strip('/')}/{p.node_name}".lstrip("/") for p in found)
 
-    def _on_done(self, msg: TickDone) -> None:
-        name, waits = msg.participant, bool(self._waits_for)
+    def _on_tick_done(self, msg: TickDone) -> None:
+        name, waited = msg.participant, bool(self._waits_for)
         if msg.event == TickDone.DONE:
-            self._known[name] = True
+            self._has_answered[name] = True
             if msg.stamp.sec * NS_PER_S + msg.stamp.nanosec == self._stamp_ns:
                 self._waits_for.discard(name)
         elif msg.event == TickDone.JOIN and msg.after == CAMERAS:
-            self._known[name] = False
+            self._has_answered[name] = False
         else:
-            self._known.pop(name, None)
+            self._has_answered.pop(name, None)
             self._waits_for.discard(name)
-        if waits and not self._waits_for:
-            self._go_on()
+        if waited and not self._waits_for:
+            self._on_open()

@@ -1,4 +1,7 @@
-"""What comes from outside and changes the simulation: written down at the step that obeys it, and taken back in at exactly that step."""
+"""The journal of a run: all commands and requests that changed the simulation, each with the step at which it took effect.
+
+A replay sends them back with these steps, and each takes effect at its step again.
+"""
 
 from __future__ import annotations
 
@@ -22,39 +25,41 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(order=True, slots=True)
-class _Planned:
+class _ScheduledInput:
     """An input that waits for its step."""
 
     epoch: int
     step: int
     number: int
+    """Order of arrival."""
     name: str = field(compare=False)
     message: Any = field(compare=False)
 
 
 class Journal:
-    """The inputs of a run.
+    """Publishes the inputs of a run, and schedules those of a replay.
 
     Publishes:
-        inputs (gibson_msgs/Input): every command and request that changed the simulation, with the step that was the first to obey.
+        inputs (gibson_msgs/Input): every command and request that changed the simulation, with the first step at which it is in effect.
 
     Subscribes:
-        inputs_at (gibson_msgs/Input): inputs to obey at their step; one whose step is over is obeyed at once, with a warning.
+        inputs_at (gibson_msgs/Input): inputs to apply at their step; one that is late is applied at once, with a warning.
     """
 
-    def __init__(self, node: Node, simulator: Simulator, received: Callable[[str], None]) -> None:
-        """Starts to listen; ``received`` is called with the topic when something arrived on ``inputs_at``."""
-        self._simulator, self._received = simulator, received
+    def __init__(self, node: Node, simulator: Simulator, on_received: Callable[[str], None]) -> None:
+        """Subscribes; ``on_received`` is called with the topic of each input that arrives."""
+        self._simulator, self._on_received = simulator, on_received
         self._publisher = node.create_publisher(Input, names.INPUTS, **qos.overridable(qos.INPUTS))
         self._topic = node.resolve_topic_name(names.INPUTS_AT)
         node.create_subscription(Input, names.INPUTS_AT, self._on_input, qos.INPUTS_AT)
-        self._planned: list[_Planned] = []
+        self._scheduled: list[_ScheduledInput] = []
+        """A heap."""
         self._count = 0
         self.late = 0
-        """Inputs that came after their step."""
+        """Inputs that arrived after their step."""
 
     def note(self, name: str, message: Any) -> None:
-        """Publishes an input that the next step obeys, if anybody wants to know."""
+        """Publishes an input that takes effect at the next step, if ``inputs`` has subscribers."""
         if not self._publisher.get_subscription_count():
             return
         simulator, type_name = self._simulator, type_name_of(type(message))
@@ -68,24 +73,24 @@ class Journal:
         try:
             message = deserialize_message(bytes(msg.data), message_class(msg.type))
         except (*UNKNOWN, RuntimeError) as error:
-            logger.warning("an input for %s is left out, its type %r or its data cannot be read: %s", msg.name, msg.type, error)
+            logger.warning("an input for %s is ignored, its type %r or its data cannot be read: %s", msg.name, msg.type, error)
         else:
             self._count += 1
-            heapq.heappush(self._planned, _Planned(msg.epoch, msg.step, self._count, msg.name, message))
-        self._received(self._topic)
+            heapq.heappush(self._scheduled, _ScheduledInput(msg.epoch, msg.step, self._count, msg.name, message))
+        self._on_received(self._topic)
 
-    def due(self) -> list[tuple[str, Any]]:
-        """Returns (name, message or request) of the planned inputs that the next step obeys, in their order."""
-        if not self._planned:
+    def pop_due(self) -> list[tuple[str, Any]]:
+        """Removes the scheduled inputs that are due at the next step; returns (name, message or request) of each, in order."""
+        if not self._scheduled:
             return []
         now = self._simulator.epoch, self._simulator.epoch_step
         found = []
-        while self._planned and (self._planned[0].epoch, self._planned[0].step) <= now:
-            planned = heapq.heappop(self._planned)
-            if (planned.epoch, planned.step) < now:
+        while self._scheduled and (self._scheduled[0].epoch, self._scheduled[0].step) <= now:
+            item = heapq.heappop(self._scheduled)
+            if (item.epoch, item.step) < now:
                 self.late += 1
-                logger.warning("an input for %s came after its step %d of epoch %d", planned.name, planned.step, planned.epoch)
-            found.append((planned.name, planned.message))
-            if planned.name.endswith(EPOCH_REQUESTS):
-                break  # what comes behind it may belong to the time after
+                logger.warning("an input for %s arrived after its step %d of epoch %d", item.name, item.step, item.epoch)
+            found.append((item.name, item.message))
+            if item.name.endswith(EPOCH_REQUESTS):
+                break  # the inputs after it may belong to the next epoch
         return found

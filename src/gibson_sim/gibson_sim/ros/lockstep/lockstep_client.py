@@ -1,4 +1,4 @@
-"""Taking part in lockstep: a renderer, a controller, a replay."""
+"""The client side of lockstep: a renderer, a controller or a replay takes part by its ``LockstepParticipant``."""
 
 from __future__ import annotations
 
@@ -10,38 +10,29 @@ from rclpy.node import Node
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.matching import reaches_all
+from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.fast_publish import FastTickDone
 
-MATCHING_S, SETTLED_S = 10.0, 1.0
-"""Within so long those who listen to a new publisher are known and can hear it; nobody has come for so long."""
-
-
-def wait_for_readers(node: Node) -> None:
-    """Returns once all who listen to a topic of a node can hear it, or after a while: a new process hears of the others one by one."""
-    publishers = list(node.publishers)
-    deadline, since, before = time.monotonic() + MATCHING_S, time.monotonic(), [-1]
-    while time.monotonic() < min(deadline, since + SETTLED_S):
-        readers = [publisher.get_subscription_count() for publisher in publishers]
-        if readers != before or not all(reaches_all(node, publisher) for publisher in publishers):
-            since, before = time.monotonic(), readers
-        time.sleep(0.02)
+DISCOVERY_TIMEOUT_S = 10.0
+"""Wall time within which the subscribers of a new publisher are discovered and matched, s."""
+SETTLED_S = 1.0
+"""Wall time without a new match after which discovery counts as complete, s."""
 
 
 class LockstepParticipant:
-    """Tells a simulation in lockstep that a node has done its part of a tick; without lockstep nobody listens, and it costs nothing.
+    """Reports to a simulation in lockstep which ticks a node has done. Without lockstep ``tick_done`` has no subscriber: reports cost nothing.
 
     Publishes:
         tick_done (gibson_msgs/TickDone).
     """
 
     def __init__(self, node: Node, after: str = "", *, watches: bool = False) -> None:
-        """Takes part from the next tick on.
+        """Joins: the simulation waits for this participant from the next tick on.
 
         Args:
-            node: who takes part; it must listen to what it waits for by now.
+            node: the participant's node; it must have subscribed to what it waits for.
             after: topic whose ticks count; ``cameras`` = ticks at which a camera is due; empty = every tick.
-            watches: it has no part in what happens: time goes on without it where its node has gone.
+            watches: it only watches, as a recorder does: time goes on without it if its node has gone.
         """
         self._messages: dict[tuple[str, ...], FastTickDone] = {}
         self.name = node.get_fully_qualified_name().lstrip("/")
@@ -51,15 +42,15 @@ class LockstepParticipant:
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether a simulation in lockstep listens."""
+        """Whether a simulation in lockstep subscribes to ``tick_done``."""
         return bool(self._publisher.get_subscription_count())
 
-    def done(self, stamp: Any, sent: Sequence[str] = ()) -> None:
-        """Says that a tick is done.
+    def tick_done(self, stamp: Any, sent: Sequence[str] = ()) -> None:
+        """Reports a tick as done.
 
         Args:
-            stamp: builtin_interfaces/Time, that of what the tick was known by.
-            sent: topics on which commands were sent in this tick, once for each command: they count before time goes on.
+            stamp: builtin_interfaces/Time of the message that began the tick.
+            sent: topics on which commands were sent in this tick, once for each command: the tick ends when they have arrived.
         """
         if not self.has_subscribers:
             return
@@ -69,5 +60,16 @@ class LockstepParticipant:
         self._publisher.publish(message.serialize(stamp.sec, stamp.nanosec))
 
     def leave(self) -> None:
-        """Takes part no longer."""
+        """Leaves: the simulation no longer waits for this participant."""
         self._publisher.publish(TickDone(event=TickDone.LEAVE, participant=self.name))
+
+
+def wait_for_subscribers(node: Node) -> None:
+    """Blocks until all subscribers of a node's topics are matched, at most ``DISCOVERY_TIMEOUT_S``: a new process discovers them one by one."""
+    publishers = list(node.publishers)
+    deadline, since, before = time.monotonic() + DISCOVERY_TIMEOUT_S, time.monotonic(), [-1]
+    while time.monotonic() < min(deadline, since + SETTLED_S):
+        counts = [publisher.get_subscription_count() for publisher in publishers]
+        if counts != before or not all(is_fully_matched(node, publisher) for publisher in publishers):
+            since, before = time.monotonic(), counts
+        time.sleep(0.02)

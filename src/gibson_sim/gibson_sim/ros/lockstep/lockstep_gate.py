@@ -1,4 +1,4 @@
-"""Lockstep on topics: who takes part, who is late, and what then."""
+"""The simulation's side of lockstep: participants join and report ticks as done on ``tick_done``; late ones are named, then skipped or fatal."""
 
 from __future__ import annotations
 
@@ -16,264 +16,125 @@ from gibson_sim.errors import LockstepError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.matching import reaches_all
+from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.topics.stamped_commands import StampedCommands
 from gibson_sim.standard.lockstep import CAMERAS, Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
 
 LATE_NS = 2 * NS_PER_S
-"""A tick that waits for so long is worth a warning."""
-JOIN_LIMIT_S = 120.0
-"""So long time waits for participants that were announced."""
-_MATCHING_NS = 3 * NS_PER_S
-"""After so long a new participant is believed to hear us."""
-_AGAIN_NS = NS_PER_S // 2
-"""How often a participant that came back is given the present tick, until it has done it."""
+"""Wall time after which a waiting tick is logged as late, and then again, ns."""
+JOIN_TIMEOUT_S = 120.0
+"""Least wall time that declared participants have to join, s."""
+_DISCOVERY_TIMEOUT_NS = 3 * NS_PER_S
+"""Wall time after which a new participant counts as matched, ns."""
+_REPUBLISH_PERIOD_NS = NS_PER_S // 2
+"""Wall time between two copies of the present tick for a participant that rejoined, ns."""
 _SETTLED_NS = NS_PER_S // 2
-"""For so long somebody who knows nothing of lockstep must have heard us before time begins: then we hear it, too."""
-_MOST_KNOWN = 256
-_FIRST_ANSWER_NS = 5 * NS_PER_S
-"""After so long without its very first answer, what it listens to is published once more: it may have been lost."""
+"""Wall time for which a participant known by a rule must be matched before time starts, ns: then its own messages arrive, too."""
+_FIRST_ANSWER_TIMEOUT_NS = 5 * NS_PER_S
+"""Wall time without the very first answer of a participant after which the whole tick is published again, ns: it may have been lost."""
+_CACHE_SIZE = 256
+"""Messages in the cache of ``_read``."""
 
 
 class LockstepGate:
     """Holds time until every participant has done the present tick.
 
     Subscribes:
-        tick_done (gibson_msgs/TickDone): who takes part, and has done what.
+        tick_done (gibson_msgs/TickDone): participants join, report ticks as done, and leave.
     """
 
     def __init__(
-        self, node: Node, config: PhysicsConfig, go_on: Callable[[], None], publish_again: Callable[[bool], None]
+        self, node: Node, config: PhysicsConfig, on_open: Callable[[], None], publish_again: Callable[[bool], None]
     ) -> None:
-        """Hears nobody before ``listen``.
+        """Receives nothing before ``subscribe``.
 
         Args:
             node: the physics node.
             config: its settings.
-            go_on: is called when a tick is done.
-            publish_again: publishes the state of the present tick once more, for a participant that came back; with True
+            on_open: is called when a tick is done.
+            publish_again: publishes the state of the present tick once more, for a participant that rejoined; with True
                 all of the tick, for one that knows nothing of lockstep.
 
         Raises:
             ConfigError: setting ``participants`` is not of the form that the message shows.
         """
         self.core = Lockstep(parse_participants(config.participants))
-        self._node, self._config, self._go_on, self._publish_again = node, config, go_on, publish_again
+        self._node, self._config, self._on_open, self._publish_again = node, config, on_open, publish_again
         self._started_ns = time.monotonic_ns()
-        self._reported_ns = self._again_ns = 0
-        self._came_back: set[str] = set()
-        self._new: dict[str, int] = {}
+        self._reported_ns = self._republished_ns = 0
+        self._rejoined: set[str] = set()
+        self._unmatched: dict[str, int] = {}
+        """Participants that joined and may not be matched yet -> when they joined."""
         self._watchers: set[str] = set()
-        self._strangers = {p.name: 0 for p in self.core.participants}
-        """Those known by a rule that may not hear us yet, and since when they seem to."""
+        self._unmatched_rules = {p.name: 0 for p in self.core.participants}
+        """Participants known by a rule that may not be matched yet -> since when they seem to be; 0 = they are not."""
         self.timeouts = 0
         self.failure: LockstepError | None = None
         """Why the run has to end."""
         self._stamped: StampedCommands | None = None
-        self._beside: Any = None
-        """What hears participants join in the context of commands of a second type; None once time has begun."""
-        self._joined_beside: set[str] = set()
-        self._known: dict[bytes, Any] = {}
+        self._second_subscription: Any = None
+        """To ``tick_done``, in the context of commands of a second type; None once time has started."""
+        self._joined_there: set[str] = set()
+        """Participants whose JOIN has arrived in that context."""
+        self._cache: dict[bytes, Any] = {}
         """Messages by all their bytes but for the stamp: those of a participant differ in nothing else, tick after tick."""
 
-    def listen(self, stamped: StampedCommands | None) -> None:
-        """Lets participants join; the node must listen to all commands by now, those under a second type in ``stamped``.
+    def subscribe(self, stamped: StampedCommands | None) -> None:
+        """Lets participants join. The node must have subscribed to all commands before, under a second type in ``stamped``.
 
-        News of a context's subscriptions come in the order in which they were made. So whose JOIN arrives knows of all the others already, and
-        none of the commands that it sends from then on is lost; those under a second type once it has arrived in their context, too.
+        A context announces its subscriptions in the order in which they were made. A participant whose JOIN arrives has therefore discovered all
+        the others, and none of the commands that it sends from then on is lost. For commands of a second type this holds once its JOIN has
+        arrived in their context, too.
         """
         self._stamped = stamped
         if stamped is not None:
-            self._beside = stamped.hear(
-                TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_beside.add(msg.participant)
+            self._second_subscription = stamped.create_subscription(
+                TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_there.add(msg.participant)
             )
-        self._node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE, raw=True)
+        self._node.create_subscription(TickDone, names.TICK_DONE, self._on_tick_done, qos.TICK_DONE, raw=True)
 
-    def publish_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
-        """Takes note that a tick was published; ``topics`` says with what, if anybody wants to know."""
+    def begin_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
+        """Closes the gate for a tick that was published; ``topics`` returns what was published at it, and is called only if that matters."""
         core = self.core
-        core.publish_tick(stamp_ns, topics() if core.topics else (), time.monotonic_ns())
+        core.begin_tick(stamp_ns, topics() if core.topics else (), time.monotonic_ns())
 
-    def receive(self, topic: str) -> None:
-        """Takes note that a command arrived; goes on where that was the last that the tick waited for."""
+    def receive_command(self, topic: str) -> None:
+        """Handles the arrival of a command; opens the gate if the tick waited for nothing else."""
         was_open = self.core.is_open
-        self.core.receive(topic.lstrip("/"), time.monotonic_ns())
+        self.core.receive_command(topic.lstrip("/"), time.monotonic_ns())
         if self.core.is_open and not was_open:
-            self._go_on()
+            self._on_open()
 
-    def restart(self) -> None:
+    def reset(self) -> None:
         """Forgets the present tick: the simulation was reset."""
-        self.core.restart()
+        self.core.reset()
 
-    def _read(self, data: bytes) -> tuple[Any, int]:
-        """Returns a TickDone, whose own stamp may be that of another tick, and its stamp; a tenth of the time that rclpy takes."""
-        if data[1] != 1:  # not little-endian
-            msg = deserialize_message(data, TickDone)
-            return msg, conversions.time_from_msg(msg.stamp)
-        length = int.from_bytes(data[8:12], "little")
-        start = 12 + -(-length // 4) * 4
-        key = data[:start] + data[start + 8 :]
-        msg = self._known.get(key)
-        if msg is None:
-            if len(self._known) >= _MOST_KNOWN:
-                self._known.clear()
-            msg = self._known[key] = deserialize_message(data, TickDone)
-        return msg, stamp_ns(data, start)
-
-    def _on_done(self, data: bytes) -> None:
-        now_ns, core, was_open = time.monotonic_ns(), self.core, self.core.is_open
-        msg, stamp_ns = self._read(data)
-        name = msg.participant
-        if msg.event in (TickDone.JOIN, TickDone.WATCH):
-            self._node.get_logger().info(f"lockstep: {quoted(name)} takes part{f', after {msg.after}' if msg.after else ''}")
-            self._new[name] = now_ns
-            (self._watchers.add if msg.event == TickDone.WATCH else self._watchers.discard)(name)
-            if core.join(name, msg.after.lstrip("/")):
-                self._came_back.add(name)
-        elif msg.event == TickDone.LEAVE:
-            self._node.get_logger().info(f"lockstep: {quoted(name)} leaves")
-            core.leave(name, now_ns)
-        elif any(p.name == name for p in core.participants):
-            sent = [topic.lstrip("/") for topic in msg.sent]
-            if core.done(name, stamp_ns, sent, now_ns):
-                self._came_back.discard(name)
-        else:
-            self._node.get_logger().warning(
-                f"lockstep: {quoted(name)} has done a tick, but has not joined: nobody waits for it; send a JOIN first",
-                throttle_duration_sec=5.0,
-            )
-        if core.is_open and not was_open:
-            self._go_on()
-
-    def may_go(self) -> bool:
-        """Returns whether the next tick may begin; says who is late, and sets ``failure`` where somebody is too late."""
+    def may_step(self) -> bool:
+        """Returns whether the next tick may begin; logs which participants are late, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
-        limit_s, opened_ns = self._config.participant_timeout, self._started_ns
-        if core.absent:
-            what, limit_s = "has not joined", max(JOIN_LIMIT_S, limit_s)
+        timeout_s, opened_ns = self._config.participant_timeout, self._started_ns
+        if core.missing:
+            timeout_s = max(JOIN_TIMEOUT_S, timeout_s)
         elif not core.is_open:
-            what, opened_ns = f"has not done the tick at {(core.stamp_ns or 0) / NS_PER_S:.3f} s", now_ns - core.waited_ns(now_ns)
-            self._repeat_tick(now_ns)
-        elif self._is_matched(now_ns):
+            opened_ns = now_ns - core.waited_ns(now_ns)
+            self._republish_tick(now_ns)
+        elif self._all_matched(now_ns):
             return True
-        elif not self._strangers:
+        elif not self._unmatched_rules:
             return False
-        else:
-            what = "does not listen yet"
-        waited_s = (now_ns - opened_ns) / NS_PER_S
-        if waited_s > limit_s:
-            return self._give_up(f"{what} after {waited_s:.1f} s", now_ns)
-        if waited_s * NS_PER_S > LATE_NS and now_ns - self._reported_ns > LATE_NS:
+        waited_ns = now_ns - opened_ns
+        if waited_ns > timeout_s * NS_PER_S:
+            return self._time_out(waited_ns, now_ns)
+        if waited_ns > LATE_NS and now_ns - self._reported_ns > LATE_NS:
             self._reported_ns = now_ns
-            if self._gone_watchers(now_ns):
+            if self._remove_gone_watchers(now_ns):
                 return core.is_open
-            self._node.get_logger().warning(f"lockstep: {self._late()} {what} after {waited_s:.1f} s; time waits")
+            self._node.get_logger().warning(f"lockstep: waiting for {self._describe_late()}; {waited_ns / NS_PER_S:.1f} s so far")
         return False
 
-    def _gone_watchers(self, now_ns: int) -> list[str]:
-        """Lets those go whose nodes have gone and who only watched; returns their names."""
-        there = self._names_there()
-        gone = [name for name in self.core.waits_for if name in self._watchers and name not in there]
-        for name in gone:
-            self._node.get_logger().warning(f"lockstep: {quoted(name)} has gone without leaving; time goes on without it")
-            self.core.leave(name, now_ns)
-        return gone
-
-    def _names_there(self) -> set[str]:
-        return {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
-
-    def _is_matched(self, now_ns: int) -> bool:
-        """Returns whether everybody hears what is published from now on."""
-        if not self._new and not self._strangers:
-            self._end_listening_beside()
-            return True
-        self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._is_ready(n)}
-        rules = {p.name: p.answer for p in self.core.participants}
-        heard = {n: since or now_ns if self._is_matched_with(rules[n]) else 0 for n, since in self._strangers.items()}
-        self._strangers = {n: since for n, since in heard.items() if not since or now_ns - since < _SETTLED_NS}
-        return not self._new and not self._strangers
-
-    def _repeat_tick(self, now_ns: int) -> None:
-        """Gives the present tick again to one that came back, and to one whose first answer does not come."""
-        mute = [p for p in self.core.participants if p.answer and p.waits_for_it and not p.ticks and not p.missed]
-        lost = bool(mute) and self.core.waited_ns(now_ns) > _FIRST_ANSWER_NS
-        if (lost and now_ns - self._again_ns > _FIRST_ANSWER_NS) or (self._came_back and now_ns - self._again_ns > _AGAIN_NS):
-            self._again_ns = now_ns
-            self._publish_again(lost)
-
-    def _give_up(self, what: str, now_ns: int) -> bool:
-        late = self._late()
-        if self.core.absent or self._config.on_timeout == "stop":
-            self.failure = LockstepError(
-                f"lockstep: {late} {what}: the run ends. Mend it, raise 'participant_timeout', or set 'on_timeout' to go_on "
-                "to do without its answer"
-            )
-            return False
-        self.core.give_up(now_ns)
-        self._strangers = {}
-        self.timeouts += 1
-        self._node.get_logger().warning(
-            f"lockstep: {late} {what}: this tick goes on without it; the run cannot be repeated to the bit"
-        )
-        return True
-
-    def _is_ready(self, name: str) -> bool:
-        """Returns whether all between a participant and us arrives."""
-        return (self._beside is None or name in self._joined_beside) and self._hears_us(name)
-
-    def _end_listening_beside(self) -> None:
-        if self._beside is not None and self._stamped is not None:
-            self._stamped.unsubscribe(self._beside)
-            self._beside = None
-
-    def _hears_us(self, name: str) -> bool:
-        """Returns whether all that a participant listens to reaches it: its messages may be here before its subscriptions are."""
-        after = next((p.after for p in self.core.participants if p.name == name), "")
-        topic = names.SCENE_STATE if after == CAMERAS else after
-        return any(
-            _full_name(p) == name and self._reaches(p, topic) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
-        )
-
-    def _is_matched_with(self, answer: str) -> bool:
-        """Returns whether somebody publishes a topic, and all that those listen to reaches them."""
-        found = [p for p in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(answer)) if p.node_name]
-        return bool(found) and all(map(self._reaches, found))
-
-    def _reaches(self, endpoint: Any, topic: str = "") -> bool:
-        """Returns whether all that the node of an endpoint listens to reaches it, a certain topic among it.
-
-        Not while its name has not arrived, nor while nothing is known of its subscription to that topic: news of publishers and of
-        subscriptions come apart from each other.
-        """
-        node = self._node
-        if not endpoint.node_namespace.startswith("/"):
-            return False
-        try:
-            found = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
-        except NodeNameNonExistentError:
-            return False
-        topics = {listened for listened, _ in found}
-        if topic and node.resolve_topic_name(topic) not in topics:
-            return False
-        ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
-        return all(reaches_all(node, publisher) for publisher in ours)
-
-    def _late(self) -> str:
-        """Returns the names of those who are waited for, and what is known of them."""
-        there = self._names_there()
-        rules = {p.name: p.answer for p in self.core.participants}
-        parts = []
-        for name in self.core.waits_for or self._strangers:
-            if rules.get(name):
-                gone = not self._node.count_publishers(rules[name])
-                parts.append(f"{quoted(name)} ({'nobody publishes' if gone else 'no message on'} {rules[name]})")
-            else:
-                parts.append(f"{quoted(name)} ({'it hangs or is slow' if name in there else 'there is no such node'})")
-        return ", ".join(parts)
-
     def summary(self) -> dict[str, Any]:
-        """Returns for how long everybody waited for whom."""
+        """Returns how long the ticks waited for each participant."""
         return {
             "timeouts": self.timeouts,
             "participants": {
@@ -287,7 +148,170 @@ class LockstepGate:
             },
         }
 
+    # Reports of participants
+
+    def _on_tick_done(self, data: bytes) -> None:
+        now_ns, core, was_open = time.monotonic_ns(), self.core, self.core.is_open
+        msg, stamp_ns = self._read(data)
+        name = msg.participant
+        if msg.event in (TickDone.JOIN, TickDone.WATCH):
+            self._node.get_logger().info(f"lockstep: {quoted(name)} joined; time waits for it at {_ticks(msg.after)}")
+            self._unmatched[name] = now_ns
+            (self._watchers.add if msg.event == TickDone.WATCH else self._watchers.discard)(name)
+            if core.join(name, msg.after.lstrip("/")):
+                self._rejoined.add(name)
+        elif msg.event == TickDone.LEAVE:
+            self._node.get_logger().info(f"lockstep: {quoted(name)} left")
+            core.leave(name, now_ns)
+        elif any(p.name == name for p in core.participants):
+            sent = [topic.lstrip("/") for topic in msg.sent]
+            if core.tick_done(name, stamp_ns, sent, now_ns):
+                self._rejoined.discard(name)
+        else:
+            self._node.get_logger().warning(
+                f"lockstep: {quoted(name)} reports a tick as done, but has not joined, so time does not wait for it; send JOIN first",
+                throttle_duration_sec=5.0,
+            )
+        if core.is_open and not was_open:
+            self._on_open()
+
+    def _read(self, data: bytes) -> tuple[Any, int]:
+        """Returns a TickDone and its stamp, in a tenth of the time that rclpy takes. The stamp in the TickDone itself may be another tick's."""
+        if data[1] != 1:  # not little-endian
+            msg = deserialize_message(data, TickDone)
+            return msg, conversions.time_from_msg(msg.stamp)
+        length = int.from_bytes(data[8:12], "little")
+        start = 12 + -(-length // 4) * 4
+        key = data[:start] + data[start + 8 :]
+        msg = self._cache.get(key)
+        if msg is None:
+            if len(self._cache) >= _CACHE_SIZE:
+                self._cache.clear()
+            msg = self._cache[key] = deserialize_message(data, TickDone)
+        return msg, stamp_ns(data, start)
+
+    def _republish_tick(self, now_ns: int) -> None:
+        """Publishes the present tick again for a participant that rejoined, and for one whose first answer does not come."""
+        silent = [p for p in self.core.participants if p.answer and p.pending and not p.ticks and not p.missed]
+        lost = bool(silent) and self.core.waited_ns(now_ns) > _FIRST_ANSWER_TIMEOUT_NS
+        elapsed_ns = now_ns - self._republished_ns
+        if (lost and elapsed_ns > _FIRST_ANSWER_TIMEOUT_NS) or (self._rejoined and elapsed_ns > _REPUBLISH_PERIOD_NS):
+            self._republished_ns = now_ns
+            self._publish_again(lost)
+
+    # Late participants
+
+    def _time_out(self, waited_ns: int, now_ns: int) -> bool:
+        what = f"lockstep: timed out after {waited_ns / NS_PER_S:.1f} s, waiting for {self._describe_late()}"
+        if self.core.missing or self._config.on_timeout == "stop":
+            self.failure = LockstepError(
+                f"{what}: the run ends. Fix it, raise 'participant_timeout', or set 'on_timeout' to go_on to continue without its answer"
+            )
+            return False
+        self.core.skip_late(now_ns)
+        self._unmatched_rules = {}
+        self.timeouts += 1
+        self._node.get_logger().warning(f"{what}: this tick goes on without it; the run cannot be repeated to the bit")
+        return True
+
+    def _remove_gone_watchers(self, now_ns: int) -> list[str]:
+        """Removes pending participants that only watched and whose nodes have gone; returns their names."""
+        there = self._participating_nodes()
+        gone = [name for name in self.core.waits_for if name in self._watchers and name not in there]
+        for name in gone:
+            self._node.get_logger().warning(f"lockstep: {quoted(name)} has gone without leaving; time goes on without it")
+            self.core.leave(name, now_ns)
+        return gone
+
+    def _participating_nodes(self) -> set[str]:
+        """Returns the names of the nodes that publish ``tick_done``."""
+        return {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
+
+    def _describe_late(self) -> str:
+        """Returns which participants are late, with what, and what is known of their nodes."""
+        core = self.core
+        if core.missing:
+            nodes = {
+                f"{namespace.strip('/')}/{name}".lstrip("/") for name, namespace in self._node.get_node_names_and_namespaces()
+            }
+            known = {True: "the node has started, it may be loading", False: "there is no such node yet"}
+            return ", ".join(f"{quoted(name)} to join ({known[name in nodes]})" for name in core.missing)
+        what = "to be discovered" if core.stamp_ns is None else f"to finish the tick at {core.stamp_ns / NS_PER_S:.3f} s"
+        there, answers = self._participating_nodes(), {p.name: p.answer for p in core.participants}
+        parts = []
+        for name in core.waits_for or self._unmatched_rules:
+            if answer := answers.get(name):
+                known_of_it = f"no {'message' if self._node.count_publishers(answer) else 'publisher'} on {answer}"
+            else:
+                known_of_it = "the node hangs or is slow" if name in there else "there is no such node"
+            parts.append(f"{quoted(name)} {what} ({known_of_it})")
+        return ", ".join(parts)
+
+    # Discovery
+
+    def _all_matched(self, now_ns: int) -> bool:
+        """Returns whether all participants get what is published from now on."""
+        if not self._unmatched and not self._unmatched_rules:
+            self._end_second_subscription()
+            return True
+        self._unmatched = {
+            name: since
+            for name, since in self._unmatched.items()
+            if now_ns - since < _DISCOVERY_TIMEOUT_NS and not self._is_matched_both_ways(name)
+        }
+        answers = {p.name: p.answer for p in self.core.participants}
+        matched = {n: since or now_ns if self._rule_is_matched(answers[n]) else 0 for n, since in self._unmatched_rules.items()}
+        self._unmatched_rules = {n: since for n, since in matched.items() if not since or now_ns - since < _SETTLED_NS}
+        return not self._unmatched and not self._unmatched_rules
+
+    def _is_matched_both_ways(self, name: str) -> bool:
+        """Returns whether a participant's messages arrive here, and ours there."""
+        return (self._second_subscription is None or name in self._joined_there) and self._is_matched(name)
+
+    def _end_second_subscription(self) -> None:
+        if self._second_subscription is not None and self._stamped is not None:
+            self._stamped.unsubscribe(self._second_subscription)
+            self._second_subscription = None
+
+    def _is_matched(self, name: str) -> bool:
+        """Returns whether all that a participant subscribes to reaches it. Its JOIN may arrive before its subscriptions are known."""
+        after = next((p.after for p in self.core.participants if p.name == name), "")
+        topic = names.SCENE_STATE if after == CAMERAS else after
+        return any(
+            _full_name(p) == name and self._node_is_matched(p, topic)
+            for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
+        )
+
+    def _rule_is_matched(self, answer: str) -> bool:
+        """Returns whether the topic of a rule has publishers, and all that their nodes subscribe to reaches them."""
+        found = [p for p in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(answer)) if p.node_name]
+        return bool(found) and all(map(self._node_is_matched, found))
+
+    def _node_is_matched(self, endpoint: Any, topic: str = "") -> bool:
+        """Returns whether all that the node of an endpoint subscribes to reaches it, a certain topic among it.
+
+        It does not while the node's name or its subscription to that topic is unknown: publishers and subscriptions are discovered
+        independently of each other.
+        """
+        node = self._node
+        if not endpoint.node_namespace.startswith("/"):
+            return False
+        try:
+            found = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
+        except NodeNameNonExistentError:
+            return False
+        topics = {name for name, _ in found}
+        if topic and node.resolve_topic_name(topic) not in topics:
+            return False
+        ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
+        return all(is_fully_matched(node, publisher) for publisher in ours)
+
 
 def _full_name(info: Any) -> str:
-    """Returns the name under which the node of an endpoint takes part."""
+    """Returns the participant name of an endpoint's node."""
     return f"{info.node_namespace.strip('/')}/{info.node_name}".lstrip("/")
+
+
+def _ticks(after: str) -> str:
+    """Returns which ticks a participant waits for, in words."""
+    return "ticks with camera images" if after == CAMERAS else f"ticks with {after}" if after else "every tick"

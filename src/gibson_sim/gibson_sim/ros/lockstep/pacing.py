@@ -1,4 +1,4 @@
-"""How far simulation time should be: pure arithmetic on whole nanoseconds of a steady clock."""
+"""The pace of simulation time: pure arithmetic on whole nanoseconds of a steady clock."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from gibson_sim.types import NS_PER_S
 
 
 class Pacer:
-    """Says how many ticks are due, so that simulation time keeps ``rate`` times the pace of wall time.
+    """Computes how many ticks are due, so that simulation time passes at ``rate`` times wall time.
 
-    When the simulation cannot keep up it does not race to catch up later: whatever it is behind by more than ``max_lag_ns`` is
-    given up and counted in ``lost_ns``.
+    A simulation that cannot keep up does not race to catch up later: lag beyond ``max_lag_ns`` is dropped and counted in ``lost_ns``.
     """
 
     def __init__(self, tick_hz: int, rate: float, *, max_lag_ns: int = NS_PER_S // 4, burst: int = 1) -> None:
@@ -18,23 +17,23 @@ class Pacer:
         self._start_ns: int | None = None
         self._ticks = 0
         self.lost_ns = 0
-        """Wall time given up so far, nanoseconds."""
+        """Wall time dropped so far, ns."""
 
     def restart(self) -> None:
-        """Starts the clock anew at the next call of ``due``: time stood still, or jumped."""
+        """Restarts the clock at the next call of ``due``: time stood still, or jumped."""
         self._start_ns, self._ticks = None, 0
 
     def set_rate(self, rate: float) -> None:
-        """Goes on at another pace; 0 = as fast as possible."""
+        """Sets the rate; 0 = as fast as possible."""
         self._rate = rate
         self.restart()
 
-    def give_back(self, ticks: int) -> None:
-        """Takes back ticks that were due and not made: they are due again."""
+    def return_unused(self, ticks: int) -> None:
+        """Makes ticks that were due and not made due again."""
         self._ticks -= ticks
 
     def due(self, now_ns: int) -> int:
-        """Returns how many ticks to make now; the first call starts the clock. The caller makes them all, or gives some back."""
+        """Returns how many ticks to make now; the first call starts the clock. The caller makes them all, or returns the rest."""
         if self._rate == 0.0:
             return self._burst
         if self._start_ns is None:

@@ -1,4 +1,4 @@
-"""The drive node: drives the robot as a user's own node would, by standard topics alone."""
+"""The drive node: drives a robot like a user's own node would, by standard topics alone."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from gibson_sim.robots import load
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
-from gibson_sim.ros.nodes.awaited import Awaited
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.matching import wait_until_received
+from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
 
@@ -35,17 +35,18 @@ KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": 
 """Key -> direction of (linear, angular)."""
 KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
 TOUR_LENGTH, FORWARD_LENGTH = 30.0, 2.0
-_LIMIT_S, _LAUNCHED_LIMIT_S = 10.0, 60.0
-"""Wall time that it may take until the commands are received, s: beside a simulation that runs, and where a recorder is starting."""
+"""Default lengths of a tour and of other drives, m."""
+_MATCH_TIMEOUT_S, _LAUNCHED_MATCH_TIMEOUT_S = 10.0, 60.0
+"""Wall time until all subscribers of the commands must be matched, s: normally, and under the launcher, which may start a recorder."""
 
 
 class DriveNode(Node):
     """Follows a tour, a script or the keyboard; ends with exit code 0 when the drive is done.
 
-    Parameters: the fields of ``gibson_sim.config.DriveConfig``.
+    Parameters: the fields of ``gibson_sim.client_config.DriveConfig``.
 
     Subscribes:
-        ground_truth/odom (nav_msgs/Odometry): where the robot is; each message makes one command, so the drive keeps
+        ground_truth/odom (nav_msgs/Odometry): the robot's pose; each message causes one command, so the drive follows
             simulation time at any rate.
 
     Publishes:
@@ -64,7 +65,7 @@ class DriveNode(Node):
             self._drive = _KeyboardDrive(config)
         elif config.drive == "tour":
             for module in (load_scene.__module__, load.__name__):
-                logging.getLogger(module).setLevel(logging.ERROR)  # the physics node said it all
+                logging.getLogger(module).setLevel(logging.ERROR)  # the physics node has logged the same
             robot = load_robot(config.robot)
             self._map, self._radius = furnished_floor_map(load_scene(config.scene), robot), robot.radius
         else:
@@ -72,28 +73,28 @@ class DriveNode(Node):
             self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))
         self._message_type = TwistStamped if config.stamped else Twist
         self._publisher = self.create_publisher(self._message_type, names.CMD_VEL, qos.COMMAND)
-        self._simulation = Awaited.simulation(self, names.GROUND_TRUTH, config.timeout)
-        self._done, self._begun, self._sent = False, False, 0
-        self._begin_at: float | None = None
+        self._simulation = WaitCondition.for_simulation(self, names.GROUND_TRUTH, config.timeout)
+        self._done, self._started, self._sent = False, False, 0
+        self._start_by: float | None = None
         self._lockstep: LockstepParticipant | None = None
 
-    def _look(self) -> None:
-        """Begins once the simulation is there and whoever must receive the commands does: a simulation of ours waits for that."""
-        if self._begun or not self._simulation.look():
+    def _try_to_start(self) -> None:
+        """Starts once the simulation is there and all subscribers of the commands are matched; time waits for that."""
+        if self._started or not self._simulation.is_met():
             return
-        if self._begin_at is None:
-            self._begin_at = time.monotonic() + (_LAUNCHED_LIMIT_S if started_by_launcher() else _LIMIT_S)
-        received, wanted = self._publisher.get_subscription_count(), self._config.subscribers
-        if received < wanted:
-            if time.monotonic() < self._begin_at:
+        if self._start_by is None:
+            self._start_by = time.monotonic() + (_LAUNCHED_MATCH_TIMEOUT_S if started_by_launcher() else _MATCH_TIMEOUT_S)
+        matched, required = self._publisher.get_subscription_count(), self._config.subscribers
+        if matched < required:
+            if time.monotonic() < self._start_by:
                 return
             kind = self._message_type.__name__
             self.get_logger().warning(
-                f"{received} of {wanted} subscribers receive {self._publisher.topic_name} as {kind}; drives on"
+                f"only {matched} of {required} subscribers receive {self._publisher.topic_name} as {kind}; driving anyway"
             )
-        self._begun = True
+        self._started = True
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
-        if self._config.drive != "keyboard":  # a person does not answer every tick
+        if self._config.drive != "keyboard":  # a user does not press a key in every tick
             self._lockstep = LockstepParticipant(self, after=names.GROUND_TRUTH)
 
     def _on_odometry(self, msg: Odometry) -> None:
@@ -106,14 +107,14 @@ class DriveNode(Node):
         linear, angular = self._drive.command(x, y, yaw, stamp_ns)
         self._send(linear, angular, msg.header.stamp)
         if self._lockstep is not None:
-            self._lockstep.done(msg.header.stamp, (self._publisher.topic_name,))
+            self._lockstep.tick_done(msg.header.stamp, (self._publisher.topic_name,))
         self._done = self._drive.done
 
     def _plan(self, x: float, y: float) -> _Drive:
         """Returns a tour that starts at (x, y)."""
         assert self._map is not None
         path = plan_tour(self._map, (x, y), self._radius, self._config.length or TOUR_LENGTH)
-        self.get_logger().info(f"tour of {len(path)} points starts at {x:.2f},{y:.2f}")
+        self.get_logger().info(f"tour of {len(path)} points starts at x {x:.2f} m, y {y:.2f} m")
         return _TourDrive(PathFollower(path, max_linear=self._config.linear, max_angular=self._config.angular))
 
     def _send(self, linear: float, angular: float, stamp: Any) -> None:
@@ -127,23 +128,23 @@ class DriveNode(Node):
 
     def spin(self) -> int:
         """Drives until the drive is done or the context ends; returns the exit code."""
-        spin_while(self, self._drives_on)
-        wait_until_received(self._publisher)
-        self.get_logger().info(f"{'done' if self._done else 'asked to end'} after {self._sent} commands")
+        spin_while(self, self._is_unfinished)
+        wait_until_acknowledged(self._publisher)
+        self.get_logger().info(f"{'done' if self._done else 'stopped'} after {self._sent} commands")
         return 0
 
-    def _drives_on(self) -> bool:
-        self._look()
+    def _is_unfinished(self) -> bool:
+        self._try_to_start()
         return not self._done
 
     def close(self) -> None:
-        """Gives the terminal back."""
+        """Restores the terminal."""
         if self._drive is not None:
             self._drive.close()
 
 
 class _Drive:
-    """Says what to command at a pose and a time; ``done`` ends the drive."""
+    """Computes the command at a pose and a time; ``done`` ends the drive."""
 
     done = False
 
@@ -152,7 +153,7 @@ class _Drive:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Frees what it holds."""
+        """Releases its resources."""
 
 
 class _TourDrive(_Drive):

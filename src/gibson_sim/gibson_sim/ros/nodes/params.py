@@ -1,4 +1,4 @@
-"""The bridge between ROS parameters and the frozen settings in ``gibson_sim.config``."""
+"""Declares the settings of ``gibson_sim.config`` as ROS parameters, and reads them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ T = TypeVar("T")
 
 
 class HasParameters(Protocol):
-    """What is needed of a node."""
+    """The methods of a node that are used here."""
 
     def declare_parameter(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
         """Declares a parameter and returns it."""
 
     def set_descriptor(self, name: str, descriptor: ParameterDescriptor) -> Any:
-        """Describes a declared parameter anew."""
+        """Replaces the descriptor of a declared parameter."""
 
 
 def config_from_parameters(node: HasParameters, cls: type[T], *, changeable: tuple[str, ...] = ()) -> T:
     """Declares one parameter per field of ``cls``, read-only but for ``changeable``, and returns ``cls`` filled with the values.
 
-    The type and the limits are checked by the dataclass, so that a wrong value fails with the same words from everywhere. The limits are
-    declared afterwards: rclpy would refuse a value in its own words first.
+    The dataclass checks types and limits, so that a wrong value gives the same message from everywhere. The limits are declared
+    afterwards; otherwise rclpy would refuse the value first, with its own message.
 
     Raises:
         ConfigError: a value has the wrong type or is not allowed.
@@ -41,11 +41,11 @@ def config_from_parameters(node: HasParameters, cls: type[T], *, changeable: tup
 
 
 def descriptor_of(f: Field[Any], *, changeable: bool) -> ParameterDescriptor:
-    """Returns what tools may know of a setting: its meaning, its limits in words, and as a range where both limits are finite.
+    """Returns the parameter descriptor of a setting: its meaning, its limits in words, and as a range if both are finite.
 
     Args:
-        f: made by ``setting``.
-        changeable: it may be set while the node runs.
+        f: field made by ``setting``.
+        changeable: the parameter may be set while the node runs.
     """
     words = [f"one of {', '.join(f.metadata['choices'])}" if f.metadata["choices"] else limits_of(f)]
     words += [] if changeable else ["read when the node starts: restart it to change this"]
@@ -56,7 +56,7 @@ def descriptor_of(f: Field[Any], *, changeable: bool) -> ParameterDescriptor:
         dynamic_typing=True,  # an integer may stand for a number with a point, as in `ros2 param set /physics rate 2`
     )
     low, high = f.metadata["minimum"], f.metadata["maximum"]
-    # A range has two ends. One that goes to the end of all numbers would make a slider that no hand can set.
+    # A range has two ends. One up to the greatest number would make a slider that no user can set.
     if math.isfinite(low) and math.isfinite(high):
         if type(f.default) is int:
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]

@@ -1,4 +1,4 @@
-"""The physics node: owner of time and of the scene."""
+"""The physics node: owns simulation time and the scene."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from gibson_sim.ros.lockstep.journal import Journal
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
 from gibson_sim.ros.lockstep.pacing import Pacer
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, write_summary
-from gibson_sim.ros.nodes.only_simulation import OnlySimulation
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.nodes.physics_stats import PhysicsStats
+from gibson_sim.ros.nodes.single_simulation_guard import SingleSimulationGuard
 from gibson_sim.ros.services.simulation_services import SimulationServices
 from gibson_sim.ros.topics import names
-from gibson_sim.ros.topics.matching import wait_for_others, wait_until_received
+from gibson_sim.ros.topics.discovery import wait_for_peers, wait_until_acknowledged
+from gibson_sim.ros.topics.incompatible_publishers import IncompatiblePublishers
 from gibson_sim.ros.topics.robot_interface import RobotInterface
 from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.ros.topics.stamped_commands import StampedCommands
 from gibson_sim.ros.topics.tick_publisher import TickPublisher
-from gibson_sim.ros.topics.unreceived import UnreceivedPublishers
 from gibson_sim.ros.topics.world_interface import WorldInterface
 from gibson_sim.scenes.randomise import load_rules
 from gibson_sim.standard.job_folder import LOADED, note_in_job
@@ -43,23 +43,23 @@ from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S
 
-_MOST_TICKS_OF_LOCKSTEP = 64
-"""Ticks that nobody answers to, made in one turn."""
+_LOCKSTEP_TICKS_AT_ONCE = 64
+"""Most ticks without a pending participant that one turn of the loop makes."""
 
 
 class PhysicsNode(Node):
-    """Steps the world and publishes all of a step with one stamp.
+    """Steps the world and publishes all data of a step with one stamp.
 
     Parameters: the fields of ``gibson_sim.config.PhysicsConfig``; ``rate`` may be changed while it runs.
 
     Publishes:
         real_time_factor (std_msgs/Float64): simulation time over wall time, once a second of wall time.
-        /diagnostics (diagnostic_msgs/DiagnosticArray): what ``PhysicsStats`` knows, once a second of wall time.
-        run_info (gibson_msgs/RunInfo, latched): settings and surroundings.
-        tick_digest (gibson_msgs/TickDigest), with ``digests``: numbers of all that a tick holds.
-        And what ``TickPublisher`` and ``Journal`` list.
+        /diagnostics (diagnostic_msgs/DiagnosticArray): the statistics of ``PhysicsStats``, once a second of wall time.
+        run_info (gibson_msgs/RunInfo, latched): settings and environment.
+        tick_digest (gibson_msgs/TickDigest), with ``digests``: digests of all data of a tick.
+        The topics of ``TickPublisher`` and ``Journal``.
 
-    Subscribes, with ``lockstep``, to what ``LockstepGate`` lists; with ``rate`` 0, to what ``ImageGate`` lists.
+    Subscribes, with ``lockstep``, to the topics of ``LockstepGate``; with ``rate`` 0, to those of ``ImageGate``.
 
     Services: those of ``SimulationServices``, the standard simulation_interfaces.
     """
@@ -71,60 +71,59 @@ class PhysicsNode(Node):
             GibsonSimError: a setting, the scene or a robot cannot be used, or another simulation runs in this domain.
         """
         super().__init__("physics", **kwargs)
-        self._alone: OnlySimulation | None = None
+        self._guard: SingleSimulationGuard | None = None
         self._simulator: Simulator | None = None
         self._stamped: StampedCommands | None = None
-        self._standard: SimulationServices | None = None
+        self._sim_services: SimulationServices | None = None
         self._config = config = config_from_parameters(self, PhysicsConfig, changeable=("rate",))
         self.add_on_set_parameters_callback(self._on_parameters)
         scene = populate(config.scene, config.robot, config.start, sdf_lamps=config.sdf_lamps, robot_tf=config.robot_tf)
         rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
-        self._alone = OnlySimulation(self)
-        self._alone.claim()
+        self._guard = SingleSimulationGuard(self)
+        self._guard.acquire()
         self._simulator = Simulator(scene, config)
-        ticks_at_once = _MOST_TICKS_OF_LOCKSTEP if config.lockstep else 1
+        ticks_at_once = _LOCKSTEP_TICKS_AT_ONCE if config.lockstep else 1
         self._pacer = Pacer(config.step_hz, config.rate, burst=ticks_at_once * config.step_hz // config.publish_hz)
         self._stamped = StampedCommands(self) if config.cmd_vel_type == "both" else None
-        self._unreceived = UnreceivedPublishers(self, self._stamped)
-        self._journal = Journal(self, self._simulator, self._on_input)
+        self._incompatible = IncompatiblePublishers(self, self._stamped)
+        self._journal = Journal(self, self._simulator, self._on_command_received)
         self._digests = DigestPublisher(self) if config.digests else None
         self._world_topics = WorldInterface(self, config, rules)
         self._robots: dict[str, RobotInterface] = {}
         self._ticks = TickPublisher(self, config, self._simulator, self._robots, self._world_topics, self._digests)
         self._gate: LockstepGate | None = None
         if config.lockstep:
-            self._ticks.gate = self._gate = LockstepGate(self, config, self._on_tick_done, self._ticks.publish_again)
+            self._ticks.gate = self._gate = LockstepGate(self, config, self._on_gate_open, self._ticks.publish_again)
         self._images: ImageGate | None = None
         if config.image_timeout and not config.lockstep:
             self._ticks.images = self._images = ImageGate(
-                self, config.image_timeout, self._on_tick_done, self._ticks.publish_again
+                self, config.image_timeout, self._on_gate_open, self._ticks.publish_again
             )
-            self._images.switch(config.rate == 0.0)
+            self._images.enable(config.rate == 0.0)
         self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
-        self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
-        self._seen_epoch = -1
+        self._published: tuple[PhysicsWorld | None, int] = (None, -1)
+        """World and revision of the scene that were published last."""
+        self._published_epoch = -1
         self._timer: Timer | None = None
         self._done = False
-        self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note, config.lockstep)
-        self._follow_changes()
+        self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note, config.lockstep)
+        self._publish_changes()
         if self._gate is not None:
-            self._gate.listen(self._stamped)
+            self._gate.subscribe(self._stamped)
         note_in_job(LOADED, "\n".join(camera.name for camera in self._world_topics.cameras))
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
-        places = "; ".join(f"{r.name} at {r.start.position[0]:.2f},{r.start.position[1]:.2f}" for r in spec.robots)
-        self.get_logger().info(
-            f"scene {spec.name}: {len(spec.visuals)} visuals, {len(spec.collisions)} collision shapes; {places or 'no robot'}"
-        )
+        starts = ", ".join(f"{r.name} at x {r.start.position[0]:.2f} m, y {r.start.position[1]:.2f} m" for r in spec.robots)
+        self.get_logger().info(f"scene {spec.name} is ready: {starts or 'no robot'}")
 
     @property
     def simulator(self) -> Simulator:
-        """World and state; it is there from the end of the constructor to ``close``."""
+        """World and state; it exists from the end of the constructor to ``close``."""
         assert self._simulator is not None, "the node is closed"
         return self._simulator
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Takes another pace while the simulation runs."""
+        """Sets the rate while the simulation runs."""
         for parameter in parameters:
             if parameter.name == "rate":
                 try:
@@ -133,25 +132,25 @@ class PhysicsNode(Node):
                     return SetParametersResult(successful=False, reason=str(error))
                 self._pacer.set_rate(self._config.rate)
                 if self._images is not None:
-                    self._images.switch(self._config.rate == 0.0)
+                    self._images.enable(self._config.rate == 0.0)
                 self._set_timer()
         return SetParametersResult(successful=True)
 
-    # What changed
+    # Changes of the scene
 
-    def _follow_changes(self) -> None:
-        """Publishes what changed since the last look: resets, robots that came or went, the scene."""
+    def _publish_changes(self) -> None:
+        """Publishes all changes since the last call: resets, robots that came or went, the scene."""
         simulator = self.simulator
         world, revision = simulator.world, simulator.scene.revision
-        if self._seen != (world, revision):
-            self._enter(world, new=self._seen[0] is not world)
-            self._seen = (world, revision)
-        if simulator.epoch != self._seen_epoch:
-            self._seen_epoch = simulator.epoch
+        if self._published != (world, revision):
+            self._publish_scene(world, new=self._published[0] is not world)
+            self._published = (world, revision)
+        if simulator.epoch != self._published_epoch:
+            self._published_epoch = simulator.epoch
             self._begin_epoch()
 
-    def _enter(self, world: PhysicsWorld | None, *, new: bool) -> None:
-        """Gives every robot its topics, takes back those of robots that are gone, and publishes the scene."""
+    def _publish_scene(self, world: PhysicsWorld | None, *, new: bool) -> None:
+        """Makes the topics of new robots, removes those of robots that are gone, and publishes the scene."""
         if new:
             self._ticks.forget()
         kept = set() if world is None or new else {robot.name for robot in world.scene.robots}
@@ -161,22 +160,24 @@ class PhysicsNode(Node):
             return
         for robot in world.scene.robots:
             if robot.name not in self._robots:
-                self._robots[robot.name] = RobotInterface(self, self._stamped, robot, world, self._config, self._on_input)
+                self._robots[robot.name] = RobotInterface(
+                    self, self._stamped, robot, world, self._config, self._on_command_received
+                )
                 self._robots[robot.name].reset(world.step_count)
         self._world_topics.publish_scene(world)
         if new:
             self._world_topics.publish_map(world)
 
     def _begin_epoch(self) -> None:
-        """Forgets what belongs to the time before a reset, and says so to everybody."""
+        """Forgets the state of the time before a reset, and announces the reset."""
         simulator = self.simulator
         world = simulator.world
         self._pacer.restart()
         self._ticks.forget()
         if self._gate is not None:
-            self._gate.restart()
+            self._gate.reset()
         if self._images is not None:
-            self._images.restart()
+            self._images.reset()
         if self._digests is not None:
             self._digests.forget()
         steps, stamp_ns = (world.step_count, world.stamp_ns) if world is not None else (0, 0)
@@ -191,10 +192,10 @@ class PhysicsNode(Node):
     # Time
 
     def spin(self, *beside: Node) -> int:
-        """Makes time until the context ends, ``duration`` has passed or a client ends it; returns the exit code.
+        """Steps the simulation until the context ends, ``duration`` has passed or a client ends it; returns the exit code.
 
         Args:
-            beside: nodes that work in the same process.
+            beside: other nodes to spin in the same process.
         """
         executor = make_executor()
         for node in (self, *beside):
@@ -202,72 +203,72 @@ class PhysicsNode(Node):
         self._wait_for_subscribers(executor)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         if self._gate is not None and self._stamped is not None:
-            self._stamped.wake = partial(executor.create_task, self._on_tick_done)
+            self._stamped.on_arrival = partial(executor.create_task, self._on_gate_open)
         self._set_timer()
         self.create_timer(1.0, self._report, clock=steady)
-        assert self._alone is not None, "it was claimed in the constructor"
-        self._alone.watch()
-        self.create_timer(1.0, self._world_topics.give_way, clock=steady)
-        self.create_timer(1.0, self._unreceived.look, clock=steady)
+        assert self._guard is not None, "it was acquired in the constructor"
+        self._guard.watch()
+        self.create_timer(1.0, self._world_topics.withdraw_map, clock=steady)
+        self.create_timer(1.0, self._incompatible.check, clock=steady)
         self._stats.restart(self._stamp_ns)
         while is_running() and not self._done:
             executor.spin_once(timeout_sec=0.5)
             if self._images is not None and not self._images.is_open:
-                self._turn()  # the timer rests, so that renderers have the processor; the timeout may have passed
+                self._turn()  # the timer is off, so that renderers have the processor; the timeout may have passed
             if self._gate is not None:
                 if self._gate.failure is not None:
                     raise self._gate.failure
                 if self._gate.core.is_open and not self._config.rate:
-                    self._turn()  # a request may have set time going
+                    self._turn()  # a request may have started time
         self._end_last_tick(executor)
         return 0
 
     def _end_last_tick(self, executor: Executor) -> None:
-        """Says when time ended; waits until all have done the last tick, where ``duration`` ended the run, and have what was published."""
+        """Publishes the last clock; waits until the participants have done the last tick, and until subscribers have acknowledged it."""
         self._ticks.end_clock(self._stamp_ns)
         gate = self._gate
-        while gate is not None and gate.core.stamp_ns is not None and not gate.may_go():
+        while gate is not None and gate.core.stamp_ns is not None and not gate.may_step():
             if gate.failure is not None:
                 raise gate.failure
             if self.simulator.quitting or not is_running():
                 break
             executor.spin_once(timeout_sec=0.1)
-        while self._images is not None and not self._images.may_go() and is_running() and not self.simulator.quitting:
+        while self._images is not None and not self._images.may_step() and is_running() and not self.simulator.quitting:
             executor.spin_once(timeout_sec=0.1)
-        wait_until_received(*self.publishers)
+        wait_until_acknowledged(*self.publishers)
 
     def _set_timer(self) -> None:
-        """Wakes the loop as often as time has to pass at the present rate."""
+        """Sets the period of the loop for the present rate."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
         rate = self._config.rate
         period = min(1.0 / (self._config.clock_hz * rate), 0.01) if rate else 1e-5
         if self._gate is not None and not rate:
-            period = 0.02  # what it waits for wakes it; turning meanwhile would take the processor from those
+            period = 0.02  # the gate wakes the loop when it opens; more turns would take the processor from the participants
         self._timer = self.create_timer(period, self._turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _turn(self) -> None:
-        """Makes the steps that are due now, as far as lockstep and images let it."""
+        """Makes the steps that are due now, as far as the gates allow."""
         if self._done:
             return
         simulator, now_ns, gate, images = self.simulator, time.monotonic_ns(), self._gate, self._images
         if gate is not None and self._stamped is not None:
-            for topic in self._stamped.arrived():
-                gate.core.receive(topic.lstrip("/"), now_ns)
-        if (gate is None or gate.may_go()) and (images is None or images.may_go()):
+            for topic in self._stamped.pop_arrived():
+                gate.core.receive_command(topic.lstrip("/"), now_ns)
+        if (gate is None or gate.may_step()) and (images is None or images.may_step()):
             # Not while a tick waits: a renderer that has the next scene already could not draw it.
-            self._follow_changes()
-            self._take_planned()
+            self._publish_changes()
+            self._apply_scheduled()
             left = simulator.steps_due(self._pacer.due(now_ns))
             left = self._pipeline(now_ns, left) if self._config.pipelined else self._make_steps(now_ns, left)
             if left and simulator.state is SimulationState.PLAYING:
-                self._pacer.give_back(left)
+                self._pacer.return_unused(left)
         if images is not None and self._timer is not None and images.is_open == self._timer.is_canceled():
             (self._timer.reset if images.is_open else self._timer.cancel)()
-        self._done = self._done or (self._standard is not None and self._standard.quit_is_answered)
+        self._done = self._done or (self._sim_services is not None and self._sim_services.quit_is_answered)
 
     def _make_steps(self, now_ns: int, left: int) -> int:
-        """Makes steps and publishes what is due at them, until a tick waits for others; returns how many of ``left`` are left."""
+        """Makes steps and publishes what is due at them, until a gate closes; returns how many of ``left`` are left."""
         while left and not self._done:
             for robot in self._robots.values():
                 robot.latch_commands()
@@ -281,14 +282,14 @@ class PhysicsNode(Node):
                 self._images is not None and not self._images.is_open
             ):
                 break
-            if self._take_planned():
+            if self._apply_scheduled():
                 break
         return left
 
     def _pipeline(self, now_ns: int, left: int) -> int:
-        """Publishes the tick that was made while the others did the one before, and makes the next one while they do this one.
+        """Publishes the tick that was made while the participants did the one before, and makes the next one while they do this one.
 
-        The commands that answer a tick are obeyed not in the next tick, which is made already, but in the one after it.
+        The commands that answer a tick are applied not in the next tick, which is made already, but in the one after it.
         """
         gate, world = self._gate, self.simulator.world
         assert gate is not None, "the settings allow a pipeline in lockstep alone"
@@ -296,7 +297,7 @@ class PhysicsNode(Node):
             if self._ticks.holds_tick:
                 if not gate.core.is_open:
                     break
-                # Before it is published: an answer to it must not slip in.
+                # Before it is published: answers to it are for a later tick.
                 for robot in self._robots.values():
                     robot.latch_commands()
                 self._ticks.release(world)
@@ -309,35 +310,35 @@ class PhysicsNode(Node):
                 left -= 1
         return left
 
-    def _on_tick_done(self) -> None:
-        """Makes the next tick now, not when the timer says so."""
+    def _on_gate_open(self) -> None:
+        """Makes the next tick now, without waiting for the timer."""
         if self._timer is not None and not self._done:
             self._turn()
 
-    def _on_input(self, topic: str) -> None:
-        """Takes note that a command arrived, which lockstep may have waited for."""
+    def _on_command_received(self, topic: str) -> None:
+        """Tells the lockstep gate that a command arrived: the tick may have waited for it."""
         if self._gate is not None:
-            self._gate.receive(topic)
+            self._gate.receive_command(topic)
 
-    def _take_planned(self) -> bool:
-        """Obeys what was planned for the next step. In lockstep only once a tick is done: until then, not all of it may be there.
+    def _apply_scheduled(self) -> bool:
+        """Applies the inputs scheduled for the next step. In lockstep it is called once a tick is done: before, some may not have arrived.
 
         Returns:
-            Whether a request was among it, after which no step may be due: it may have stopped time, or taken the world away.
+            Whether there was a request among them: it may have stopped time or unloaded the world, so that no more steps are due.
         """
         requested = False
-        while planned := self._journal.due():
-            for name, message in planned:
+        while scheduled := self._journal.pop_due():
+            for name, message in scheduled:
                 robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)
                 try:
                     if robot is not None:
                         robot.receive(name, message)
-                    elif self._standard is not None:
+                    elif self._sim_services is not None:
                         requested = True
-                        self._standard.repeat(name, message)
+                        self._sim_services.replay(name, message)
                 except ConfigError as error:
-                    self.get_logger().warning(f"a planned input is left out: {error}")
-            self._follow_changes()
+                    self.get_logger().warning(f"a scheduled input is ignored: {error}")
+            self._publish_changes()
         return requested
 
     def _step(self, now_ns: int) -> None:
@@ -350,7 +351,7 @@ class PhysicsNode(Node):
         self.simulator.step()
 
     def _end_step(self, stamp_ns: int) -> None:
-        """Takes note that a step was published, with which ``duration`` may have passed."""
+        """Counts a published step, and ends the run once ``duration`` has passed."""
         self._stats.end_step(stamp_ns)
         self._done = bool(self._config.duration) and stamp_ns >= self._config.duration * NS_PER_S
 
@@ -360,26 +361,26 @@ class PhysicsNode(Node):
         return 0 if world is None else world.stamp_ns
 
     def _wait_for_subscribers(self, executor: Executor) -> None:
-        """Holds time until those hear each other who are in ``wait_for``, so that none misses the start."""
-        wanted, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
+        """Holds time until the nodes of ``wait_for`` are matched, so that none misses the start."""
+        subscribers, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
-        wanted.update(dict.fromkeys(images, wanted.pop("cameras", 0)))
-        wanted.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), wanted.pop("robots", 0)))
-        commanders = wanted.pop("commands", 0)
-        heard = {
-            f"publishers of {robot.robot.name}'s cmd_vel ({commanders})": partial(robot.is_commanded_by, commanders)
+        subscribers.update(dict.fromkeys(images, subscribers.pop("cameras", 0)))
+        subscribers.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), subscribers.pop("robots", 0)))
+        count = subscribers.pop("commands", 0)
+        commanders = {
+            f"publishers of {robot.robot.name}'s cmd_vel ({count})": partial(robot.has_commanders, count)
             for robot in self._robots.values()
         }
-        wait_for_others(self, executor, wanted, heard)
+        wait_for_peers(self, executor, subscribers, commanders)
 
     def _report(self) -> None:
         self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())
 
     def close(self) -> None:
         """Writes the summary and frees the world."""
-        if self._standard is not None:
-            self._standard.close()
-            self._standard = None
+        if self._sim_services is not None:
+            self._sim_services.close()
+            self._sim_services = None
         if self._stamped is not None:
             self._stamped.close()
             self._stamped = None
@@ -387,8 +388,8 @@ class PhysicsNode(Node):
             write_summary(self._config.summary_path, self._stats.summary(self._robots.values()))
             self._simulator.close()
             self._simulator = None
-        if self._alone is not None:
-            self._alone.close()
+        if self._guard is not None:
+            self._guard.close()
 
 
 def main(args: list[str] | None = None) -> None:

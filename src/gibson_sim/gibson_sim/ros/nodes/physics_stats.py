@@ -1,4 +1,4 @@
-"""What the physics node says of itself: once a second while it runs, and at the end."""
+"""The statistics of the physics node: published once a second, and summarised at the end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gibson_sim.types import NS_PER_S
 
 
 class PhysicsStats:
-    """Counts time, and reports what others count.
+    """Measures the real-time factor, and reports it with the counts of the node's parts.
 
     Publishes:
         real_time_factor (std_msgs/Float64), /diagnostics (diagnostic_msgs/DiagnosticArray).
@@ -39,19 +39,19 @@ class PhysicsStats:
         self._diagnostics_pub = node.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
 
     def begin_step(self, now_ns: int, stamp_ns: int) -> None:
-        """Takes that a step begins, at ``now_ns`` of a steady clock, in a world at ``stamp_ns``."""
+        """Notes the start of a step, at ``now_ns`` of a steady clock, in a world at ``stamp_ns``."""
         self._first_step = self._first_step or (now_ns, stamp_ns)
 
     def end_step(self, stamp_ns: int) -> None:
-        """Takes that a step is made and published."""
+        """Notes that a step is made and published."""
         self._last_step = (time.monotonic_ns(), stamp_ns)
 
     def restart(self, stamp_ns: int) -> None:
-        """Takes that time goes on from ``stamp_ns``: what was before does not count for the real-time factor."""
+        """Restarts the real-time factor at ``stamp_ns``, when time has jumped."""
         self._last_report = (time.monotonic_ns(), stamp_ns)
 
     def publish(self, stamp_ns: int, rate: float, robots: Iterable[RobotInterface]) -> None:
-        """Publishes how fast time passed since the last report, against ``rate``, and what was counted."""
+        """Publishes the real-time factor since the last report, whether it keeps ``rate``, and all counts."""
         wall_ns, robots = time.monotonic_ns(), tuple(robots)
         factor = (stamp_ns - self._last_report[1]) / max(1, wall_ns - self._last_report[0])
         self._last_report = (wall_ns, stamp_ns)
@@ -72,19 +72,19 @@ class PhysicsStats:
             "late_inputs": self._journal.late,
         }
         if self._gate is not None:
-            values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "nobody"
+            values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "none"
             values["lockstep_timeouts"] = self._gate.timeouts
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
             name="gibson_sim: physics",
-            message="slower than asked for" if behind else "on time" if playing else state,
+            message="slower than the requested rate" if behind else "on time" if playing else state,
             hardware_id=simulator.scene.name,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         self._diagnostics_pub.publish(DiagnosticArray(header=conversions.header_to_msg(stamp_ns, ""), status=[status]))
 
     def summary(self, robots: Iterable[RobotInterface]) -> dict[str, Any]:
-        """Returns what was measured since the first step."""
+        """Returns the measurements since the first step."""
         first = self._first_step or self._last_step
         wall_s, sim_s = ((last - start) / NS_PER_S for start, last in zip(first, self._last_step, strict=True))
         world, robots = self._simulator.world, tuple(robots)
@@ -103,6 +103,6 @@ class PhysicsStats:
 
 
 def _commands(robots: Iterable[RobotInterface]) -> dict[str, int]:
-    """Returns how many commands the robots were given, and how many of them they refused."""
+    """Returns how many commands the robots received, and how many of them were refused."""
     counts = [(robot.commands_seen, robot.refused_commands) for robot in robots]
     return {"commands": sum(seen for seen, _ in counts), "refused_commands": sum(refused for _, refused in counts)}

@@ -1,6 +1,6 @@
-"""Draws a recorded run again, from its recorded states, without physics and without DDS: ``gibson-sim render``.
+"""Renders a recorded run again from its recorded states, without physics and without DDS: ``gibson-sim render``.
 
-A program of its own that takes its settings as JSON: ``python -m gibson_sim.ros.nodes.render_bag '{"bag": {...}, "render": {...}}'``.
+It is a separate program with its settings as JSON: ``python -m gibson_sim.ros.nodes.render_bag '{"bag": {...}, "render": {...}}'``.
 Topics, types, quality of service and stamps are those of the render node. It uses message types, but never ``rclpy.init``.
 """
 
@@ -24,7 +24,7 @@ from gibson_sim.bags.definitions import canonical_type
 from gibson_sim.bags.metadata import FOREVER_NS, TopicQos
 from gibson_sim.bags.progress import Advance, no_progress, progress_bar
 from gibson_sim.bags.reader import BagReader
-from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, Schedule, scene_topics, state_period_ns, topics_to_copy
+from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, CameraSchedule, scene_topics, state_period_ns, topics_to_copy
 from gibson_sim.bags.writer import BagWriter, Compression
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
@@ -51,85 +51,18 @@ from gibson_sim.scenes.randomise import Rules, load_rules, randomise
 from gibson_sim.scenes.scene_yaml import read_scene_yaml
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.scenes.views import FloorExtent, View, Views
-from gibson_sim.sensors.frame_history import PictureTaker, Taken
+from gibson_sim.sensors.frame_history import FrameHistory, PendingFrameSet
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
+logger = logging.getLogger(__name__)
 _SEPARATOR = "=" * 80
 _HISTORIES = ("keep_last", "keep_all")
 _RELIABILITIES = ("reliable", "best_effort")
 _DURABILITIES = ("transient_local", "volatile")
 
 
-def definitions_of(connections: Iterable[Connection]) -> dict[str, str]:
-    """Returns the text of each message type that a bag embeds, nested types too, by type name.
-
-    The bytes of a copied message are of these definitions, whatever is installed here.
-    """
-    found: dict[str, str] = {}
-    for connection in connections:
-        if connection.msgdef.format != MessageDefinitionFormat.MSG:
-            continue
-        first, *nested = connection.msgdef.data.split(_SEPARATOR)
-        found[canonical_type(connection.msgtype)] = first.strip() + "\n"
-        for part in nested:
-            head, _, text = part.strip().partition("\n")
-            found[canonical_type(head.removeprefix("MSG:").strip())] = text.strip() + "\n"
-    return found
-
-
-def offered_qos(connection: Connection) -> TopicQos:
-    """Returns the quality of service that a topic was recorded with; what the bag does not tell is the default."""
-    profiles = connection.ext.offered_qos_profiles if isinstance(connection.ext, ConnectionExtRosbag2) else []
-    if not profiles:
-        return TopicQos()
-    profile, default = profiles[0], TopicQos()
-
-    def word(value: str, known: tuple[str, ...], otherwise: str) -> str:
-        return value.lower() if value.lower() in known else otherwise
-
-    def nanoseconds(sec: int, nsec: int) -> int:
-        return sec * NS_PER_S + nsec or FOREVER_NS
-
-    return TopicQos(
-        history=word(profile.history.name, _HISTORIES, default.history),
-        depth=profile.depth or default.depth,
-        reliability=word(profile.reliability.name, _RELIABILITIES, default.reliability),
-        durability=word(profile.durability.name, _DURABILITIES, default.durability),
-        deadline_ns=nanoseconds(profile.deadline.sec, profile.deadline.nsec),
-        lifespan_ns=nanoseconds(profile.lifespan.sec, profile.lifespan.nsec),
-    )
-
-
-logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """What was drawn."""
-
-    images: int
-    """Of all cameras; all outputs of a camera at one stamp count once."""
-    outputs: int
-    cameras: tuple[str, ...]
-    run_s: float
-    """Of the recorded run, seconds."""
-    wall_s: float
-    """For drawing and writing, without loading the scene, seconds."""
-    skipped_states: int
-    """At which a camera was due, but whose scene is not in the bag."""
-
-    def text(self) -> str:
-        """Returns the line that a user reads."""
-        speed = self.run_s / self.wall_s if self.wall_s else 0.0
-        lost = f", {self.skipped_states} states left out: the bag has not their scene" if self.skipped_states else ""
-        return (
-            f"{self.images} images ({self.outputs} pictures) of {', '.join(self.cameras)}: {self.run_s:.2f} s of the run in "
-            f"{self.wall_s:.2f} s, {speed:.2f} times real time{lost}"
-        )
-
-
 def render_bag(job: RenderBagConfig, render: RenderConfig, advance: Advance = no_progress) -> Summary:
-    """Draws a bag and writes a new one.
+    """Renders a bag into a new one.
 
     Raises:
         GibsonSimError: the bag has nothing to draw, a setting is impossible, a file is missing, or the disk is full.
@@ -138,28 +71,45 @@ def render_bag(job: RenderBagConfig, render: RenderConfig, advance: Advance = no
         return rendering.run()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pending:
-    """Pictures that are being drawn."""
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Statistics of a rendered bag."""
 
-    taken: Taken
-    messages: list[CameraMessages]
-    """One a picture."""
-    T_target_cameras: list[Mat4 | None]
-    log_ns: int
+    images: int
+    """Images of all cameras; all outputs of a camera at one stamp count once."""
+    outputs: int
+    """Images of all outputs."""
+    cameras: tuple[str, ...]
+    run_s: float
+    """Duration of the recorded run, s of simulation time."""
+    wall_s: float
+    """Wall time for drawing and writing, without loading the scene, s."""
+    skipped_states: int
+    """States at which a camera was due, but whose scene is not in the bag."""
+
+    def text(self) -> str:
+        """Returns one line for the user."""
+        speed = self.run_s / self.wall_s if self.wall_s else 0.0
+        lost = f", {self.skipped_states} states skipped: the bag lacks their scene" if self.skipped_states else ""
+        return (
+            f"{self.images} images ({self.outputs} pictures) of {', '.join(self.cameras)}: {self.run_s:.2f} s of the run in "
+            f"{self.wall_s:.2f} s, {speed:.2f} times real time{lost}"
+        )
 
 
 class _Rendering:
-    """One bag that is drawn again."""
+    """Renders one bag."""
 
     def __init__(self, bag: BagReader, job: RenderBagConfig, render: RenderConfig, advance: Advance) -> None:
         self._bag, self._job, self._render, self._advance = bag, job, render, advance
         self._renderer: Renderer | None = None
-        self._taker: PictureTaker | None = None
+        self._frame_history: FrameHistory | None = None
         self._loaded: DrawnScene | None = None
-        """The scene that is loaded, as it was recorded; and as it is drawn."""
+        """The loaded scene as it was recorded."""
         self._drawn: DrawnScene | None = None
+        """The loaded scene as it is drawn."""
         self._started = 0.0
+        """When drawing began, monotonic clock, s."""
         self._topics = scene_topics(bag)
         begin_ns, end_ns = bag.span_ns
         self._begin_ns = begin_ns + round(job.begin * NS_PER_S)
@@ -170,24 +120,26 @@ class _Rendering:
             )
         self._rules: Rules | None = load_rules(find_config(job.randomise, "randomisation")) if job.randomise else None
         self._lights = _load_lights(job.lights) if job.lights else None
-        self._given: tuple[CameraSpec, ...] = ()
-        self._wanted_views: tuple[View, ...] = read_views(job.views, job.wanted_view_size(), job.view_rate)
+        self._added_cameras: tuple[CameraSpec, ...] = ()
+        """Cameras of the setting ``cameras``; they replace the recorded ones."""
+        self._requested_views: tuple[View, ...] = read_views(job.views, job.wanted_view_size(), job.view_rate)
         self._views: dict[int, Views] = {}
-        """Of each scene of the bag, by revision."""
+        """Revision of a scene -> its views."""
         self._floor: FloorExtent | None = None
         self._recorded: dict[int, DrawnScene] = {}
-        """Scenes of the bag by revision, the newest of each so far."""
+        """Revision -> the newest scene so far, as recorded."""
         self._read_scenes()
         self._copied = topics_to_copy(bag.topics(), job.copy, self._topics)
         self._cameras = self._all_cameras()
         self._kinds = {name: self._kinds_of(messages) for name, messages in self._cameras.items()}
-        self._transforms = CameraTransforms(bag, self._given, self._copied)
+        """Camera -> kind of message -> topic."""
+        self._transforms = CameraTransforms(bag, self._added_cameras, self._copied)
         self._view_transforms = ViewTransforms()
-        self._schedule = Schedule(state_period_ns(bag, self._topics.state), interpolate=job.interpolate)
-        self._due_as_recorded = not (job.cameras or self._wanted_views or job.rate or job.interpolate)
-        self._pending: _Pending | None = None
-        self._behind: list[Item] = []
-        """What comes after the pictures that are still being drawn."""
+        self._schedule = CameraSchedule(state_period_ns(bag, self._topics.state), interpolate=job.interpolate)
+        self._due_as_recorded = not (job.cameras or self._requested_views or job.rate or job.interpolate)
+        self._pending: _PendingFrames | None = None
+        self._after_pending: list[Item] = []
+        """Items to be written after the frames that are still being drawn."""
         self._images = self._outputs = self._skipped = 0
 
     def _read_scenes(self) -> None:
@@ -195,22 +147,24 @@ class _Rendering:
             self._recorded.setdefault(msg.revision, conversions.scene_from_msg(msg))
         if self._job.cameras:
             links = dict.fromkeys(link for scene in self._recorded.values() for link in scene.links)
-            self._given, views = load_camera_file(Path(self._job.cameras), tuple(links))
-            self._wanted_views = (*views, *self._wanted_views)
+            self._added_cameras, views = load_camera_file(Path(self._job.cameras), tuple(links))
+            self._requested_views = (*views, *self._requested_views)
         for scene in self._recorded.values():
-            self._take_views(scene)
+            self._find_views(scene)
         for name, reason in next(iter(self._views.values())).absent.items() if self._views else ():
             if all(name in views.absent for views in self._views.values()):
                 raise ConfigError(reason)
 
-    def _take_views(self, scene: DrawnScene) -> None:
-        """Finds the views of a scene."""
-        if self._wanted_views:
+    def _find_views(self, scene: DrawnScene) -> None:
+        """Sets the views of a scene."""
+        if self._requested_views:
             cameras = () if self._job.cameras else scene.cameras
-            known = replace(scene, cameras=(*cameras, *self._given))
-            # A scene does not say which of its bodies are robots, but their links come first.
+            known = replace(scene, cameras=(*cameras, *self._added_cameras))
+            # A drawn scene does not tell which of its bodies are robots, but their links come first.
             first = next((link for link in scene.links if "/" in link), "")
-            self._views[scene.revision] = Views(self._wanted_views, known, first.partition("/")[0], lambda: self._floor_of(scene))
+            self._views[scene.revision] = Views(
+                self._requested_views, known, first.partition("/")[0], lambda: self._floor_of(scene)
+            )
 
     def _floor_of(self, scene: DrawnScene) -> FloorExtent:
         """Returns the extent of the floor; it is measured once."""
@@ -219,23 +173,23 @@ class _Rendering:
         return self._floor
 
     def _cameras_of(self, scene: DrawnScene) -> tuple[CameraSpec, ...]:
-        """Returns the cameras to draw in a scene: those whose link it has, and its views."""
+        """Returns the cameras to draw in a scene: those whose link exists, and the views."""
         changes: dict[str, Any] = {}
         if self._job.rate:
             changes["rate_hz"] = self._job.rate
         if outputs := self._job.wanted_outputs():
             changes["outputs"] = outputs
-        cameras = self._given or (() if self._job.cameras else scene.cameras)
+        cameras = self._added_cameras or (() if self._job.cameras else scene.cameras)
         there = [camera for camera in cameras if camera.link in ("", *scene.links)]
         if scene.revision in self._views:
             there += self._views[scene.revision].cameras
         return tuple(replace(camera, **changes) for camera in there)
 
     def _all_cameras(self) -> dict[str, CameraMessages]:
-        """Returns what makes the messages of each camera, by name."""
+        """Returns camera name -> its ``CameraMessages``."""
         cameras = {camera.name: camera for scene in self._recorded.values() for camera in self._cameras_of(scene)}
         if not cameras:
-            raise ConfigError(f"bag {self._bag.folder} has no cameras of its own; give some with --cameras")
+            raise ConfigError(f"bag {self._bag.folder} has no cameras of its own; add some with --cameras")
         registrations = self._render.registrations()
         for name in {*registrations, *registrations.values()} - set(cameras):
             raise ConfigError(f"setting 'register_depth' names camera {quoted(name)}; there are: {', '.join(cameras)}")
@@ -245,13 +199,13 @@ class _Rendering:
         }
 
     def _kinds_of(self, messages: CameraMessages) -> dict[str, str]:
-        """Returns the topic of each kind of message that is written of a camera."""
+        """Returns kind -> topic of the messages that are written for a camera."""
         outputs = messages.camera.outputs
-        wanted = {*outputs, *(f"{output}_info" for output in outputs), REGISTERED, REGISTERED_INFO}
-        return {kind: self._topics.prefix + topic for kind, _, topic in messages.topics() if kind in wanted}
+        kinds = {*outputs, *(f"{output}_info" for output in outputs), REGISTERED, REGISTERED_INFO}
+        return {kind: self._topics.prefix + topic for kind, _, topic in messages.topics() if kind in kinds}
 
     def run(self) -> Summary:
-        """Draws everything."""
+        """Renders the whole bag."""
         definitions = definitions_of(c for c in self._bag.connections if c.msgtype not in (SCENE_TYPE, STATE_TYPE))
         with BagWriter(
             self._job.output,
@@ -261,10 +215,10 @@ class _Rendering:
         ) as bag:
             self._declare(bag)
             with BagQueue(bag) as queue:
-                for topic, log_ns, data in self._stream():
-                    self._take(queue, topic, log_ns, data)
+                for topic, log_ns, data in self._messages():
+                    self._process(queue, topic, log_ns, data)
                     self._advance((log_ns - self._begin_ns) / max(self._end_ns - self._begin_ns, 1))
-                self._settle(queue)
+                self._write_pending(queue)
         return Summary(
             self._images, self._outputs, tuple(self._cameras), (self._end_ns - self._begin_ns) / NS_PER_S,
             time.monotonic() - self._started if self._started else 0.0, self._skipped,
@@ -286,55 +240,55 @@ class _Rendering:
             for _, message_type, topic in messages.label_topics():
                 bag.add_topic(self._topics.prefix + topic, type_name_of(message_type), qos.LATCHED)
 
-    def _stream(self) -> Iterator[tuple[str, int, bytes]]:
-        """Yields the messages between begin and end, before them the latched ones that were sent earlier, with the time of the begin."""
-        wanted = (self._topics.scene, self._topics.state, *self._copied)
-        latched = [topic for topic, info in self._bag.topics().items() if info.latched and topic in wanted]
+    def _messages(self) -> Iterator[tuple[str, int, bytes]]:
+        """Yields the messages between begin and end, after the earlier latched ones, which get the time of the begin."""
+        topics = (self._topics.scene, self._topics.state, *self._copied)
+        latched = [topic for topic, info in self._bag.topics().items() if info.latched and topic in topics]
         if self._job.begin and latched:
             for topic, _, data in self._bag.raw_messages(latched, stop_ns=self._begin_ns):
                 yield topic, self._begin_ns, data
-        yield from self._bag.raw_messages(wanted, start_ns=self._begin_ns, stop_ns=self._end_ns + 1)
+        yield from self._bag.raw_messages(topics, start_ns=self._begin_ns, stop_ns=self._end_ns + 1)
 
-    def _take(self, queue: BagQueue, topic: str, log_ns: int, data: bytes) -> None:
-        """Takes the next message of the recorded bag."""
+    def _process(self, queue: BagQueue, topic: str, log_ns: int, data: bytes) -> None:
+        """Processes the next message of the recorded bag."""
         if topic == self._topics.scene:
             self._on_scene(queue, self._bag.decode(SCENE_TYPE, data), log_ns)
         elif topic == self._topics.state:
             self._on_state(queue, self._bag.decode(STATE_TYPE, data), log_ns)
         else:
-            self._later(queue, [Raw(topic, self._transforms.completed(topic, data), log_ns)])
+            self._write(queue, [Raw(topic, self._transforms.completed(topic, data), log_ns)])
 
-    def _later(self, queue: BagQueue, items: list[Item]) -> None:
-        """Writes items, behind the pictures that are being drawn."""
+    def _write(self, queue: BagQueue, items: list[Item]) -> None:
+        """Writes items after the frames that are being drawn."""
         if self._pending is not None:
-            self._behind += items
+            self._after_pending += items
         else:
             queue.put(items)
 
-    def _settle(self, queue: BagQueue) -> None:
-        """Waits for the pictures that are being drawn and hands them to the writer, with all that came behind them."""
+    def _write_pending(self, queue: BagQueue) -> None:
+        """Waits for the frames that are being drawn, and writes them and all items after them."""
         if self._pending is None:
             return
         pictures: list[Item] = []
         pending, self._pending = self._pending, None
         for frame, messages, T_target_camera in zip(
-            pending.taken.frames(), pending.messages, pending.T_target_cameras, strict=True
+            pending.frames.result(), pending.messages, pending.T_target_cameras, strict=True
         ):
             kinds = self._kinds[messages.camera.name]
             pictures.append(Picture(messages, kinds, frame, T_target_camera, pending.log_ns))
             self._images += 1
             self._outputs += len(messages.camera.outputs)
-        behind, self._behind = self._behind, []
-        queue.put([*pictures, *behind])
+        after, self._after_pending = self._after_pending, []
+        queue.put([*pictures, *after])
 
     def _on_scene(self, queue: BagQueue, msg: Any, log_ns: int) -> None:
         scene = self._recorded[msg.revision] = conversions.scene_from_msg(msg)
-        self._take_views(scene)
-        sent = conversions.scene_to_msg(self._looked(scene), conversions.time_from_msg(msg.header.stamp))
-        self._later(queue, [Raw(self._topics.scene, exact_bytes(sent), log_ns)])
+        self._find_views(scene)
+        sent = conversions.scene_to_msg(self._with_settings(scene), conversions.time_from_msg(msg.header.stamp))
+        self._write(queue, [Raw(self._topics.scene, exact_bytes(sent), log_ns)])
 
-    def _looked(self, scene: DrawnScene) -> DrawnScene:
-        """Returns the scene with the cameras, lights and looks that are asked for."""
+    def _with_settings(self, scene: DrawnScene) -> DrawnScene:
+        """Returns the scene with the requested cameras, lights and appearances."""
         links = self._views[scene.revision].scene.links if scene.revision in self._views else scene.links
         scene = replace(scene, links=links, cameras=self._cameras_of(scene), light=self._lights or scene.light)
         return scene if self._rules is None else randomise(scene, self._job.randomise_seed, self._rules)
@@ -346,7 +300,7 @@ class _Rendering:
             self._skipped += bool(len(msg.due_cameras))
             return
         if scene != self._loaded:
-            self._settle(queue)
+            self._write_pending(queue)
             self._load(queue, scene, conversions.time_from_msg(msg.header.stamp), log_ns)
         assert self._drawn is not None
         state = conversions.scene_state_from_msg(msg, scene.links)
@@ -356,44 +310,44 @@ class _Rendering:
             if views is not None:
                 poses = views.poses(moment)
                 moment = views.extended(moment, poses)
-                self._later(queue, [Raw(names.TF, self._view_transforms.message(views.cameras, poses, moment.stamp_ns), log_ns)])
+                self._write(queue, [Raw(names.TF, self._view_transforms.message(views.cameras, poses, moment.stamp_ns), log_ns)])
             written = conversions.scene_state_to_msg(moment, due, getattr(msg, "epoch", 0), getattr(msg, "epoch_step", 0))
-            self._later(queue, [Raw(self._topics.state, serialize_message(written), log_ns)])
+            self._write(queue, [Raw(self._topics.state, serialize_message(written), log_ns)])
             if due:
                 self._draw(queue, moment, [self._drawn.cameras[k].name for k in due], log_ns)
 
     def _load(self, queue: BagQueue, scene: DrawnScene, stamp_ns: int, log_ns: int) -> None:
-        """Loads a scene, or what is new in it."""
-        local, warnings = with_local_files(self._looked(scene), self._render.asset_folders())
+        """Loads a scene, or its changes."""
+        local, warnings = with_local_files(self._with_settings(scene), self._render.asset_folders())
         if self._renderer is None:
             self._renderer = open_renderer(local, self._render)
-            self._taker = PictureTaker(self._renderer)
+            self._frame_history = FrameHistory(self._renderer)
             self._started = time.monotonic()
         else:
             self._renderer.update(local)
         for warning in (*warnings, *self._renderer.warnings):
             logger.warning("%s", warning)
-        if self._taker is not None:
-            self._taker.forget()
+        if self._frame_history is not None:
+            self._frame_history.forget()
         self._loaded, self._drawn = scene, local
         for camera in local.cameras:
             messages = self._cameras[camera.name]
             topics = {output: self._topics.prefix + topic for output, _, topic in messages.label_topics()}
             labels = [Raw(topics[output], exact_bytes(label), log_ns) for output, label in messages.labels(local, stamp_ns)]
-            self._later(queue, list(labels))
+            self._write(queue, list(labels))
 
     def _draw(self, queue: BagQueue, state: SceneState, cameras: list[str], log_ns: int) -> None:
-        """Begins to draw cameras; meanwhile the pictures before are handed to the writer."""
-        assert self._taker is not None and self._renderer is not None
+        """Starts to draw cameras; meanwhile the frames before are written."""
+        assert self._frame_history is not None and self._renderer is not None
         messages = [self._cameras[name] for name in cameras]
         specs = [m.to_draw(frozenset(self._kinds[m.camera.name])) for m in messages]
-        taken = self._taker.take(state, [spec for spec in specs if spec is not None])
+        frames = self._frame_history.start(state, [spec for spec in specs if spec is not None])
         targets = [
             None if m.target is None else invert(self._renderer.camera_matrix(state, m.target)) @ self._renderer.camera_matrix(state, m.camera)
             for m in messages
         ]  # fmt: skip
-        self._settle(queue)
-        self._pending = _Pending(taken, messages, targets, log_ns)
+        self._write_pending(queue)
+        self._pending = _PendingFrames(frames, messages, targets, log_ns)
 
     def __enter__(self) -> _Rendering:
         return self
@@ -401,6 +355,57 @@ class _Rendering:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._renderer is not None:
             self._renderer.close()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PendingFrames:
+    """Frames that are being drawn."""
+
+    frames: PendingFrameSet
+    messages: list[CameraMessages]
+    """One for each frame."""
+    T_target_cameras: list[Mat4 | None]
+    log_ns: int
+
+
+def definitions_of(connections: Iterable[Connection]) -> dict[str, str]:
+    """Returns type name -> definition of each message type embedded in a bag, nested types included.
+
+    The bytes of a copied message follow these definitions, whatever versions are installed here.
+    """
+    found: dict[str, str] = {}
+    for connection in connections:
+        if connection.msgdef.format != MessageDefinitionFormat.MSG:
+            continue
+        first, *nested = connection.msgdef.data.split(_SEPARATOR)
+        found[canonical_type(connection.msgtype)] = first.strip() + "\n"
+        for part in nested:
+            head, _, text = part.strip().partition("\n")
+            found[canonical_type(head.removeprefix("MSG:").strip())] = text.strip() + "\n"
+    return found
+
+
+def offered_qos(connection: Connection) -> TopicQos:
+    """Returns the quality of service that a topic was recorded with; policies that the bag does not have are the defaults."""
+    profiles = connection.ext.offered_qos_profiles if isinstance(connection.ext, ConnectionExtRosbag2) else []
+    if not profiles:
+        return TopicQos()
+    profile, default = profiles[0], TopicQos()
+
+    def word(value: str, known: tuple[str, ...], otherwise: str) -> str:
+        return value.lower() if value.lower() in known else otherwise
+
+    def nanoseconds(sec: int, nsec: int) -> int:
+        return sec * NS_PER_S + nsec or FOREVER_NS
+
+    return TopicQos(
+        history=word(profile.history.name, _HISTORIES, default.history),
+        depth=profile.depth or default.depth,
+        reliability=word(profile.reliability.name, _RELIABILITIES, default.reliability),
+        durability=word(profile.durability.name, _DURABILITIES, default.durability),
+        deadline_ns=nanoseconds(profile.deadline.sec, profile.deadline.nsec),
+        lifespan_ns=nanoseconds(profile.lifespan.sec, profile.lifespan.nsec),
+    )
 
 
 def _load_lights(path: str) -> LightSpec:
@@ -412,7 +417,7 @@ def _load_lights(path: str) -> LightSpec:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Draws a bag as the JSON in the only argument says; ends the process with 1 and one line on stderr for a user's error."""
+    """Renders a bag with the settings in the only argument, as JSON; ends the process with 1 and one line on stderr for a user's error."""
     logging.addLevelName(logging.WARNING, "WARN")
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
     end_with_parent()

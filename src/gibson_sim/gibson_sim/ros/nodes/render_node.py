@@ -20,7 +20,7 @@ from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
-from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant, wait_for_readers
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant, wait_for_subscribers
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.nodes.render_stats import RenderStats
@@ -30,25 +30,25 @@ from gibson_sim.ros.topics.camera_publisher import REGISTERED, CameraPublisher
 from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.sensors.frame_history import PictureTaker
+from gibson_sim.sensors.frame_history import FrameHistory
 from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import Frame, SceneState as State
 
-_SCENE_PATIENCE_S = 2.0
-"""States of another revision than that of the scene are no cause for a warning for so long: the two race over two topics."""
+_REVISION_TIMEOUT_S = 2.0
+"""Wall time after which states of another revision than the scene's are logged, s: scene and states arrive on two topics, in any order."""
 
 
 class RenderNode(Node):
-    """Draws the newest state at which a camera is due that somebody listens to, and counts those it had to skip.
+    """Draws the newest state at which a camera with subscribers is due, and counts those it had to skip.
 
-    What nobody listens to is neither drawn nor encoded. Several such nodes may share the cameras (``cameras``), each under a node name
-    of its own: ``--ros-args -r __node:=render_2``. docs/images.md says more about the topics.
+    Images without subscribers are neither drawn nor encoded. Several render nodes may share the cameras (``cameras``), each under a node
+    name of its own: ``--ros-args -r __node:=render_2``. docs/images.md has more about the topics.
 
     Parameters: the fields of ``gibson_sim.config.RenderConfig``, and ``qos_overrides.<topic>.publisher.*``.
 
     Subscribes:
-        scene (gibson_msgs/Scene, latched): what to draw; another revision changes what is loaded.
-        scene_state (gibson_msgs/SceneState): poses, and which cameras take an image.
+        scene (gibson_msgs/Scene, latched): what to draw; another revision updates what is loaded.
+        scene_state (gibson_msgs/SceneState): poses, and the cameras that are due.
 
     Publishes, for each camera, with the stamp of the state drawn, in the frame ``<camera>_optical_frame``:
         <camera>/image_raw (sensor_msgs/Image rgb8), <camera>/camera_info (sensor_msgs/CameraInfo), <camera>/image_raw/compressed
@@ -71,31 +71,34 @@ class RenderNode(Node):
         """Opens the device. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
-            GraphicsUnavailableError: nothing here can draw.
+            GraphicsUnavailableError: there is no usable EGL device.
         """
         super().__init__("render", **kwargs)
         self._renderer: Renderer | None = None
         self._config = config_from_parameters(self, RenderConfig)
-        open_context(
-            device_of(self._config), library=self._config.egl_library
-        ).close()  # fail now, with a clear message, not when the scene arrives
+        # Fails now, with a clear message, not when the scene arrives.
+        open_context(device_of(self._config), library=self._config.egl_library).close()
         self._scene: DrawnScene | None = None
         self._cameras: dict[int, CameraPublisher] = {}
+        """By index in the scene."""
         self._state_subscription: Any = None
         self._early: SceneState | None = None
-        self._foreign_since = 0.0
-        self._taker: PictureTaker | None = None
+        """The newest state that arrived before its scene."""
+        self._mismatched_since = 0.0
+        """When states of another revision began to arrive (monotonic clock, s); 0 = the revisions agree."""
+        self._frame_history: FrameHistory | None = None
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
         self._failure: ConfigError | None = None
         self._last_done: tuple[int, int] | None = None
+        """Epoch and stamp of the last tick reported as done; None = no state has arrived."""
         self._digests = DigestPublisher(self) if self._config.digests else None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = qos.make_publisher(self, DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _on_scene(self, msg: Scene) -> None:
-        """Loads the scene, then asks for states: a subscriber to the state is one that is ready to draw."""
+        """Loads the scene, then subscribes to the state: the subscription tells that this node is ready to draw."""
         try:
             scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders())
             self._load(scene, warnings)
@@ -105,27 +108,28 @@ class RenderNode(Node):
         for camera in self._cameras.values():
             camera.publish_labels(scene, conversions.time_from_msg(msg.header.stamp))
         early = self._early
-        if early is not None and early.revision <= scene.revision:  # a later one waits for a scene that is still to come
+        if early is not None and early.revision <= scene.revision:  # a higher one waits for its scene
             self._early = None
             if early.revision == scene.revision:
-                self._take([early])
+                self._process_states([early])
 
     def _load(self, scene: DrawnScene, warnings: Sequence[str]) -> None:
+        """Loads a scene, or its changes, and updates the publishers of the cameras."""
         started = time.monotonic()
-        progress, anew = _Progress(self.get_logger().info), True
+        progress, reloaded = _Progress(self.get_logger().info), True
         if self._renderer is None:
             self._renderer = open_renderer(scene, self._config, progress)
-            self._taker = PictureTaker(self._renderer)
+            self._frame_history = FrameHistory(self._renderer)
         else:
-            anew = self._renderer.update(scene, progress=progress)
+            reloaded = self._renderer.update(scene, progress=progress)
         for warning in (*warnings, *self._renderer.warnings):
             self.get_logger().warning(warning)
-        assert self._taker is not None
-        self._taker.forget()
+        assert self._frame_history is not None
+        self._frame_history.forget()
         self._scene = scene
-        self._take_cameras(scene)
+        self._update_cameras(scene)
         info = self._renderer.info
-        if anew:
+        if reloaded:
             self.get_logger().info(
                 f"scene {scene.name}: {info['triangles']} triangles, {info['textures']} textures "
                 f"in {time.monotonic() - started:.1f} s, on {info['renderer']}"
@@ -135,21 +139,21 @@ class RenderNode(Node):
             self._lockstep = LockstepParticipant(self, after=CAMERAS)
             self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
 
-    def _take_cameras(self, scene: DrawnScene) -> None:
-        """Makes the topics of cameras that are new, keeps those of the ones that stayed, and removes the others."""
+    def _update_cameras(self, scene: DrawnScene) -> None:
+        """Makes the publishers of new cameras, keeps those of unchanged ones, and destroys the others."""
         by_name = {camera.name: camera for camera in scene.cameras}
-        wanted, registrations = self._config.wanted_cameras(), self._config.registrations()
+        requested, registrations = self._config.wanted_cameras(), self._config.registrations()
         try:
             self._config.check_cameras(tuple(by_name))
         except ConfigError as error:
-            # A robot may go, or come, while the simulation runs; at the beginning it is a slip.
+            # Robots come and go while the simulation runs; in the first scene it is an error of the user.
             if self._state_subscription is None and by_name:
                 self._failure = error
             self.get_logger().warning(str(error))
         old = {publisher.camera.name: publisher for publisher in self._cameras.values()}
         self._cameras = {}
         for index, camera in enumerate(scene.cameras):
-            if wanted and camera.name not in wanted:
+            if requested and camera.name not in requested:
                 continue
             target = by_name.get(registrations.get(camera.name, ""))
             found = old.get(camera.name)
@@ -163,88 +167,91 @@ class RenderNode(Node):
             publisher.close()
 
     def _on_state(self, msg: SceneState) -> None:
-        """Draws the newest of the states that wait at which a camera is due that somebody listens to."""
-        self._take([msg, *take_waiting(self._state_subscription)])
+        """Draws the newest waiting state at which a camera with subscribers is due."""
+        self._process_states([msg, *pop_queue(self._state_subscription)])
 
-    def _take(self, states: Sequence[SceneState]) -> None:
+    def _process_states(self, states: Sequence[SceneState]) -> None:
+        """Draws one of several states, and reports the newest tick as done."""
         assert self._scene is not None
         if self._last_done is None:
             self._last_done = (-1, -1)
             if self._lockstep is not None and self._lockstep.has_subscribers:
-                wait_for_readers(self)
-        ours = [state for state in states if state.revision == self._scene.revision]
-        self._note_foreign(states, bool(ours))
-        due = {i for state in ours for i in state.due_cameras if i in self._cameras}
-        wanted = {i: self._cameras[i].wanted() for i in due}
+                wait_for_subscribers(self)
+        drawable = [state for state in states if state.revision == self._scene.revision]
+        self._note_mismatched(states, bool(drawable))
+        due = {i for state in drawable for i in state.due_cameras if i in self._cameras}
+        subscribed = {i: self._cameras[i].subscribed_kinds() for i in due}
         newest = None
-        for state in ours:
-            heard = any(wanted.get(i) for i in state.due_cameras)
-            if heard or (newest is None and any(i in due for i in state.due_cameras)):
+        for state in drawable:
+            has_subscribers = any(subscribed.get(i) for i in state.due_cameras)
+            if has_subscribers or (newest is None and any(i in due for i in state.due_cameras)):
                 newest = state
         for i in due:
-            if not wanted[i]:
-                self._stats.count_due(self._cameras[i].camera, 0, wanted=False)
+            if not subscribed[i]:
+                self._stats.count_due(self._cameras[i].camera, 0, subscribed=False)
         drawn = None
         if newest is not None and _when(newest) != self._last_done:
-            drawn = self._draw(newest, {i: wanted[i] for i in newest.due_cameras if i in due})
-        asked = next((state for state in reversed(ours) if state.due_cameras), None)
-        if asked is not None and self._lockstep is not None:
-            self._last_done = _when(asked)
-            self._lockstep.done(asked.header.stamp)
-        if drawn is not None:  # nobody waits for this
+            drawn = self._draw(newest, {i: subscribed[i] for i in newest.due_cameras if i in due})
+        tick = next((state for state in reversed(drawable) if state.due_cameras), None)
+        if tick is not None and self._lockstep is not None:
+            self._last_done = _when(tick)
+            self._lockstep.tick_done(tick.header.stamp)
+        if drawn is not None:  # after the report, so that time need not wait for the statistics
             self._stats.add(*drawn)
 
-    def _note_foreign(self, states: Sequence[SceneState], ours: bool) -> None:
-        """Keeps the newest state of a revision whose scene is still to come; warns where it does not come."""
+    def _note_mismatched(self, states: Sequence[SceneState], has_drawable: bool) -> None:
+        """Stores the newest state whose scene has not arrived; warns if the scene stays away."""
         assert self._scene is not None
-        foreign = [state for state in states if state.revision != self._scene.revision]
-        waiting = next((state for state in reversed(foreign) if state.due_cameras), None)
-        if ours or not foreign:
-            self._early, self._foreign_since = waiting, 0.0
+        mismatched = [state for state in states if state.revision != self._scene.revision]
+        early = next((state for state in reversed(mismatched) if state.due_cameras), None)
+        if has_drawable or not mismatched:
+            self._early, self._mismatched_since = early, 0.0
             return
-        self._early = waiting or self._early
-        self._foreign_since = self._foreign_since or time.monotonic()
-        if time.monotonic() - self._foreign_since > _SCENE_PATIENCE_S:
+        self._early = early or self._early
+        self._mismatched_since = self._mismatched_since or time.monotonic()
+        if time.monotonic() - self._mismatched_since > _REVISION_TIMEOUT_S:
             self.get_logger().warning(
-                f"states are of scene revision {foreign[-1].revision}, revision {self._scene.revision} is loaded; nothing is drawn "
+                f"states are of scene revision {mismatched[-1].revision}, revision {self._scene.revision} is loaded; nothing is drawn "
                 "until the scene of that revision arrives",
                 throttle_duration_sec=5.0,
             )
 
-    def _draw(self, msg: SceneState, wanted: dict[int, frozenset[str]]) -> tuple[int, int, int, list[Frame], list[str]] | None:
-        """Draws and publishes what is wanted of the cameras that are due; returns what ``RenderStats.add`` takes, None = no pictures."""
-        assert self._scene is not None and self._taker is not None
+    def _draw(
+        self, msg: SceneState, subscribed: dict[int, frozenset[str]]
+    ) -> tuple[int, int, int, list[Frame], list[str]] | None:
+        """Draws and publishes the subscribed kinds of messages of due cameras; returns arguments of ``RenderStats.add``, None = no images."""
+        assert self._scene is not None and self._frame_history is not None
         stamp_ns, started = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
-        specs = {i: spec for i, kinds in wanted.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
-        moving = [self._cameras[i].camera for i in wanted if needs_previous(self._cameras[i].camera)]
+        specs = {i: spec for i, kinds in subscribed.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
+        moving = [self._cameras[i].camera for i in subscribed if needs_previous(self._cameras[i].camera)]
         frames: list[Frame] = []
         try:
             if specs or moving:
                 state = conversions.scene_state_from_msg(msg, self._scene.links)
-                frames = self._taker.take(state, list(specs.values())).frames()
-                self._taker.note(state, moving)
+                frames = self._frame_history.start(state, list(specs.values())).result()
+                self._frame_history.note(state, moving)
                 drawn = time.monotonic_ns()
-                messages = self._publish(dict(zip(specs, frames, strict=True)), wanted, state)
+                messages = self._publish(dict(zip(specs, frames, strict=True)), subscribed, state)
         except GibsonSimError as error:
             self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
             return None
-        for i, kinds in wanted.items():
+        for i, kinds in subscribed.items():
             if kinds:
-                self._stats.count_due(self._cameras[i].camera, stamp_ns, wanted=True)
+                self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
                 self._cameras[i].publish_info(stamp_ns, kinds)
         if self._digests is not None:
             self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
         return (started, drawn, time.monotonic_ns(), frames, messages) if frames else None
 
-    def _publish(self, frames: dict[int, Frame], wanted: dict[int, frozenset[str]], state: State) -> list[str]:
-        """Publishes images; returns the kinds of messages, each after the name of its camera."""
+    def _publish(self, frames: dict[int, Frame], subscribed: dict[int, frozenset[str]], state: State) -> list[str]:
+        """Publishes images; returns ``<camera>/<kind>`` of each message."""
         done: list[str] = []
         if self._digests is not None:
             self._add_digests(frames.values())
         for i, frame in frames.items():
             publisher = self._cameras[i]
-            T_target_camera = self._registration(publisher, state, frame) if REGISTERED in wanted[i] else None
-            done += [f"{publisher.camera.name}/{kind}" for kind in publisher.publish(frame, wanted[i], T_target_camera)]
+            T_target_camera = self._registration(publisher, state, frame) if REGISTERED in subscribed[i] else None
+            done += [f"{publisher.camera.name}/{kind}" for kind in publisher.publish(frame, subscribed[i], T_target_camera)]
         return done
 
     def _add_digests(self, frames: Iterable[Frame]) -> None:
@@ -255,7 +262,7 @@ class RenderNode(Node):
                 self._digests.add(topics[output], getattr(frame, output))
 
     def _registration(self, publisher: CameraPublisher, state: State, frame: Frame) -> Mat4 | None:
-        """Returns where the camera of a frame is, as the camera sees it that its depth is registered to."""
+        """Returns T_target_camera of a frame's camera and the camera that its depth is registered to; None = none."""
         if publisher.target is None or self._renderer is None:
             return None
         T: Mat4 = invert(self._renderer.camera_matrix(state, publisher.target)) @ frame.T_world_camera
@@ -276,7 +283,7 @@ class RenderNode(Node):
         if self._renderer is None:
             return
         values = self._stats.since_last_report()
-        message = "draws every image" if values["images_per_s"] else "nothing is asked for"
+        message = "draws every image" if values["images_per_s"] else "no image has a subscriber"
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if values["skipped"] else DiagnosticStatus.OK,
             name=f"gibson_sim: {self.get_fully_qualified_name().lstrip('/')}",
@@ -288,7 +295,7 @@ class RenderNode(Node):
         self._diagnostics_pub.publish(DiagnosticArray(header=header, status=[status]))
 
     def summary(self) -> dict[str, Any]:
-        """Returns what was measured since the first image."""
+        """Returns the statistics since the first image."""
         info = self._renderer.info if self._renderer else {}
         return {**self._stats.summary(), "renderer": info.get("renderer", ""), "triangles": info.get("triangles", 0)}
 
@@ -300,29 +307,29 @@ class RenderNode(Node):
             self._renderer = None
 
 
-def take_waiting(subscription: Any) -> Iterator[Any]:
-    """Yields the messages that wait in a subscription's queue. The executor would hand out one, then draw, then the next."""
+def pop_queue(subscription: Any) -> Iterator[Any]:
+    """Yields all messages in a subscription's queue; the executor would process them one by one, each with its drawing."""
     with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-            yield taken[0]
+        while (message := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield message[0]
 
 
 def _when(state: SceneState) -> tuple[int, int]:
-    """Returns epoch and stamp: in lockstep, a state that comes twice has been drawn."""
+    """Returns epoch and stamp, by which a state that is published again in lockstep is recognised."""
     return state.epoch, conversions.time_from_msg(state.header.stamp)
 
 
 class _Progress:
-    """Says how far the loading of a scene is, every two seconds."""
+    """Logs the progress of loading a scene, every two seconds."""
 
-    def __init__(self, say: Callable[[str], Any]) -> None:
-        self._say, self._last = say, time.monotonic()
+    def __init__(self, log: Callable[[str], Any]) -> None:
+        self._log, self._last = log, time.monotonic()
 
     def __call__(self, what: str, part: float) -> None:
         now = time.monotonic()
         if now - self._last >= 2.0:
             self._last = now
-            self._say(f"{what}: {100.0 * part:.0f} %")
+            self._log(f"{what}: {100.0 * part:.0f} %")
 
 
 def main(args: list[str] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Counts what a render node draws and publishes, and how long that takes, in wall time."""
+"""Statistics of a render node: images drawn, messages published, and the wall time that takes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gibson_sim.sensors.schedule import images_due
 from gibson_sim.types import NS_PER_S, CameraSpec, Frame
 
 _KEPT = 10_000
-"""Times that medians are taken of: the newest, so that a run of days needs no more memory."""
+"""Number of the newest times that medians are computed from: it bounds the memory of long runs."""
 
 
 class RenderStats:
-    """What a render node has done since it began.
+    """Counts since the start of a render node.
 
-    Simulation time may jump back: then a new epoch begins, and what lies between the two is neither skipped nor measured.
+    Simulation time may jump back, at the start of a new epoch; the interval of the jump counts neither as skipped nor as simulated.
     """
 
     def __init__(self) -> None:
@@ -34,17 +34,17 @@ class RenderStats:
         self._simulated_ns = 0
         self._reported = (time.monotonic_ns(), 0, 0)
 
-    def count_due(self, camera: CameraSpec, stamp_ns: int, *, wanted: bool) -> None:
-        """Takes that an image of a camera was due: those due since the last one were skipped, unless nobody wanted them."""
+    def count_due(self, camera: CameraSpec, stamp_ns: int, *, subscribed: bool) -> None:
+        """Counts a due image of a camera; images due since the last one count as skipped, unless they had no subscriber."""
         last = self._stamps.pop(camera.name, None)
-        if not wanted:
+        if not subscribed:
             return
         if last is not None and stamp_ns > last:
             self.skipped += images_due(last, stamp_ns, camera.rate_hz) - 1
         self._stamps[camera.name] = stamp_ns
 
     def add(self, started_ns: int, drawn_ns: int, published_ns: int, frames: list[Frame], messages: Iterable[str]) -> None:
-        """Takes images drawn at one stamp, the kinds of messages made of them, and when that was done (monotonic clock)."""
+        """Adds the images drawn at one stamp, the kinds of messages made of them, and the times of that (monotonic clock, ns)."""
         stamp_ns = frames[0].stamp_ns
         if not self._images:
             self._first_ns = published_ns
@@ -63,7 +63,7 @@ class RenderStats:
         self._last_ns, self.last_stamp_ns = published_ns, stamp_ns
 
     def since_last_report(self) -> dict[str, float]:
-        """Returns figures since the last call."""
+        """Returns rates and counts since the last call."""
         now, total = time.monotonic_ns(), sum(self._images.values())
         then, images, skipped = self._reported
         self._reported = (now, total, self.skipped)
@@ -75,7 +75,7 @@ class RenderStats:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Returns figures since the first image."""
+        """Returns rates and counts since the first image."""
         wall_s, sim_s = (self._last_ns - self._first_ns) / NS_PER_S, self._simulated_ns / NS_PER_S
         return {
             "images": dict(self._images),

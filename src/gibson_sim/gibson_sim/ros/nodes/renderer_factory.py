@@ -1,18 +1,18 @@
-"""Opens a renderer as the settings of a node say."""
+"""Makes a renderer from the settings of a node."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from gibson_sim.config import RenderConfig
-from gibson_sim.render.batching.batches import Progress
+from gibson_sim.render.batching.scene_geometry import Progress
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import DrawnScene
 
 
 def device_of(config: RenderConfig) -> int | str | None:
-    """Returns the EGL device that is asked for, by UUID or by number; None = any that can draw."""
+    """Returns the requested EGL device, by UUID or by number; None = any that can draw."""
     return config.egl_uuid or (None if config.egl_device < 0 else config.egl_device)
 
 

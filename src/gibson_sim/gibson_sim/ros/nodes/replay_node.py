@@ -1,4 +1,4 @@
-"""The replay node: gives a simulation the inputs of a recorded run again, and says whether the same comes of it."""
+"""The replay node: sends the inputs of a recorded run to a simulation, and verifies that the run is the same."""
 
 from __future__ import annotations
 
@@ -20,40 +20,41 @@ from gibson_sim.client_config import ReplayConfig
 from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
-from gibson_sim.ros.nodes.awaited import Awaited
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.matching import reaches_all
+from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import message_class
 
 LAST_DIGESTS_S = 2.0, 20.0
-"""So long (wall time) after the last tick its digests may take: free, where images may be left out, and in lockstep."""
+"""Wall time that the digests of the last tick may take, s: free-running, where images may be missing, and in lockstep."""
 _TICKS_AHEAD = 2
-"""Ticks whose inputs are on their way in lockstep: the present one, and, should a reset cut it short, the one behind it."""
+"""Ticks by which inputs are sent ahead in lockstep: the present one, and the next one in case a reset ends the present one early."""
 _SECONDS_AHEAD = 1
-"""Simulation time by which inputs are early in a simulation that does not wait."""
+"""Simulation time by which inputs are sent ahead to a simulation that does not wait, s."""
 _MOST_AT_ONCE = 50
-"""Inputs between two looks whether they have arrived: the simulation keeps twice as many that it has not read."""
+"""Inputs after which it waits for their acknowledgement: half the queue of the simulation."""
 _ARRIVAL_S = 5.0
+"""Greatest wall time to wait for an acknowledgement, s."""
 _DEEP = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-_GLANCE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For images that are to be drawn, not looked at."""
-_LEFT_OUT, _DRIVER = ("system", "opengl"), ("renderer", "version")
-"""Surroundings that do not matter, or not as a whole; and what matters of OpenGL."""
+_DISCARD = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For images that must be drawn for their digests, and are discarded here."""
+_IGNORED, _DRIVER = ("system", "opengl"), ("renderer", "version")
+"""Keys of the environment that are not compared (the second one not as a whole); keys of ``opengl`` that are."""
 
 
 class ReplayNode(Node):
-    """Gives back what a bag says of a run; ends with exit code 0 when the recorded run's last tick is reached.
+    """Sends the inputs in a bag; ends with exit code 0 when the last tick of the recorded run is reached.
 
-    With the journal ``inputs`` in the bag, or in lockstep, every input is given to be obeyed at its step. Else commands are published on
-    their topics when simulation time reaches theirs.
+    If the bag has the journal ``inputs``, or in lockstep, every input is sent with the step at which it is to be applied. Otherwise commands
+    are published on their topics when simulation time reaches theirs.
 
-    Parameters: the fields of ``gibson_sim.config.ReplayConfig``.
+    Parameters: the fields of ``gibson_sim.client_config.ReplayConfig``.
 
     Subscribes:
-        scene_state (gibson_msgs/SceneState): where time is. With ``verify``: tick_digest (gibson_msgs/TickDigest), run_info
-        (gibson_msgs/RunInfo), and images of which the bag has digests.
+        scene_state (gibson_msgs/SceneState): the present tick. With ``verify``: tick_digest (gibson_msgs/TickDigest), run_info
+        (gibson_msgs/RunInfo), and the images that the bag has digests of.
 
     Publishes:
         inputs_at (gibson_msgs/Input), or the commands' own topics; tick_done (gibson_msgs/TickDone), in lockstep.
@@ -63,7 +64,7 @@ class ReplayNode(Node):
         """Reads the bag. ``kwargs`` go to ``rclpy.node.Node``.
 
         Raises:
-            RecordError: the bag cannot be read, or holds nothing to repeat or to compare with.
+            RecordError: the bag cannot be read, or it has no inputs, or no digests to compare with.
         """
         super().__init__("replay", **kwargs)
         self._config = config = config_from_parameters(self, ReplayConfig)
@@ -72,7 +73,7 @@ class ReplayNode(Node):
         self._run = run = read_run(config.bag, digests=config.verify)
         if run.begins_late:
             self.get_logger().warning(
-                "recording began in the middle of the run: what came before is unknown, so this will differ"
+                "recording began in the middle of the run: earlier inputs are unknown, so the replay will differ"
             )
         self._end = run.end(config.step_hz, config.publish_hz)
         self._comparison = DigestComparison(run.digests, images=config.images) if config.verify else None
@@ -82,24 +83,24 @@ class ReplayNode(Node):
             )
         self._ticks_ahead = _TICKS_AHEAD * config.step_hz // config.publish_hz
         self._lockstep: LockstepParticipant | None = None
-        self._giver = self._make_giver()
+        self._sender = self._make_sender()
         self._now: Tick = (0, 0)
         self._ended_s: float | None = None
-        self._given = 0
+        self._sent = 0
         self._other_surroundings: dict[str, dict[str, list[str]]] = {}
 
-    def _make_giver(self) -> _Inputs | _Commands:
-        """Returns what gives the simulation its inputs."""
+    def _make_sender(self) -> _InputSender | _CommandSender:
+        """Returns the sender of the inputs."""
         config, run = self._config, self._run
         if config.lockstep or run.journal is not None:
             ahead = self._ticks_ahead if config.lockstep else _SECONDS_AHEAD * config.step_hz
-            return _Inputs(self, run.inputs(config.step_hz), ahead)
-        return _Commands(self, run.commands)
+            return _InputSender(self, run.inputs(config.step_hz), ahead)
+        return _CommandSender(self, run.commands)
 
-    # Beginning
+    # Start
 
     def spin(self) -> int:
-        """Gives inputs until the last tick is reached or the context ends; returns the exit code."""
+        """Sends inputs until the last tick is reached or the context ends; returns the exit code."""
         executor = make_executor()
         executor.add_node(self)
         self._prepare(executor)
@@ -110,57 +111,57 @@ class ReplayNode(Node):
         return 0
 
     def _prepare(self, executor: Executor) -> None:
-        """Gives what comes before the first tick, then lets time begin: it waits for a reader of the state."""
-        simulation = Awaited.simulation(self, names.SCENE_STATE, self._config.timeout)
-        while is_running() and not simulation.look():
+        """Sends the inputs before the first tick, then subscribes to the state, so that time starts: it waits for a subscriber."""
+        simulation = WaitCondition.for_simulation(self, names.SCENE_STATE, self._config.timeout)
+        while is_running() and not simulation.is_met():
             executor.spin_once(timeout_sec=0.05)
-        self._wait(executor, self._giver.has_subscribers, "a simulation that takes the inputs")
+        self._wait(executor, self._sender.has_subscribers, "a simulation that subscribes to the inputs")
         if self._comparison is not None:
             self.create_subscription(TickDigest, names.TICK_DIGEST, self._on_digests, _DEEP)
             self.create_subscription(RunInfo, names.RUN_INFO, self._on_run_info, qos.RUN_INFO)
             topics = self._comparison.image_topics
             for topic in topics:
-                self.create_subscription(Image, topic, _look_away, _GLANCE, raw=True)
+                self.create_subscription(Image, topic, _discard, _DISCARD, raw=True)
             self._wait(executor, lambda: all(self.count_publishers(topic) for topic in topics), f"images on {', '.join(topics)}")
-        self._given += len(self._giver.give((0, 0), 0))
-        self._giver.wait_for_arrival()
+        self._sent += len(self._sender.send((0, 0), 0))
+        self._sender.wait_until_acknowledged()
         self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, _DEEP)
         if self._config.lockstep:
             self._lockstep = LockstepParticipant(self)
 
     def _wait(self, executor: Executor, condition: Callable[[], bool], what: str) -> None:
-        """Works until a condition holds; without, after a timeout, the replay goes on, and what is missing differs."""
-        awaited = Awaited(self, what, condition, timeout_s=self._config.timeout)
+        """Spins until a condition holds; after the timeout the replay goes on without it, with a warning."""
+        wait = WaitCondition(self, what, condition, timeout_s=self._config.timeout)
         try:
-            while is_running() and not awaited.look():
+            while is_running() and not wait.is_met():
                 executor.spin_once(timeout_sec=0.05)
         except GibsonSimError as error:
             self.get_logger().warning(f"{error}; the replay goes on without")
 
-    # Time
+    # Ticks
 
     def _on_state(self, msg: SceneState) -> None:
-        """Gives what is due now. The last tick is never done, so that time stands still behind it."""
+        """Sends the inputs that are due. It never reports the last tick as done, so that time stands still after it."""
         self._now = msg.epoch, msg.epoch_step
         if self._now >= self._end:
             self._ended_s = self._ended_s or time.monotonic()
             return
-        sent = self._giver.give(self._now, conversions.time_from_msg(msg.header.stamp))
-        self._given += len(sent)
+        sent = self._sender.send(self._now, conversions.time_from_msg(msg.header.stamp))
+        self._sent += len(sent)
         if self._lockstep is not None:
-            self._lockstep.done(msg.header.stamp, sent)
+            self._lockstep.tick_done(msg.header.stamp, sent)
 
     def _is_over(self) -> bool:
-        """Returns whether the last tick was reached and all was compared that may still come."""
+        """Returns whether the last tick was reached, and its digests were compared or have timed out."""
         if self._ended_s is None:
             return False
         comparison = self._comparison
-        lost = self._config.lockstep and self._now > self._end  # another run than the recorded one: nothing more will come
-        if comparison is None or lost or comparison.is_complete(min(self._end, comparison.last or self._end)):
+        passed = self._config.lockstep and self._now > self._end  # the run differs: no more digests will come
+        if comparison is None or passed or comparison.is_complete(min(self._end, comparison.last or self._end)):
             return True
         return time.monotonic() - self._ended_s > LAST_DIGESTS_S[self._config.lockstep]
 
-    # Comparing
+    # Verification
 
     def _on_digests(self, msg: TickDigest) -> None:
         assert self._comparison is not None
@@ -168,10 +169,10 @@ class ReplayNode(Node):
         self._comparison.add((msg.epoch, msg.step), TickDigests(stamp_ns, tuple(msg.topics), msg.digests))
 
     def _on_run_info(self, msg: RunInfo) -> None:
-        """Notes what of the machine and its software is not as it was."""
+        """Notes the differences between the recorded machine and software and the present ones."""
         now = {**mapping_in(msg.platform), "gibson_sim": msg.version}
         before = self._run.surroundings.get(msg.kind, {})
-        keys = [key for key in {**before, **now} if key not in _LEFT_OUT]
+        keys = [key for key in {**before, **now} if key not in _IGNORED]
         pairs = {key: [str(before.get(key)), str(now.get(key))] for key in keys}
         pairs["opengl"] = [" ".join(str(x.get("opengl", {}).get(key, "")) for key in _DRIVER) for x in (before, now)]
         other = {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
@@ -179,13 +180,13 @@ class ReplayNode(Node):
             self._other_surroundings[msg.kind] = other
 
     def summary(self) -> dict[str, Any]:
-        """Returns what was given, and what came of it."""
+        """Returns the number of inputs, the ticks reached, and the result of the verification."""
         comparison = self._comparison
         return {
             "bag": self._config.bag,
             "journal": self._run.journal is not None,
             "lockstep": self._config.lockstep,
-            "inputs": self._given,
+            "inputs": self._sent,
             "reached": list(self._now),
             "end": list(self._end),
             "finished": self._ended_s is not None,
@@ -198,44 +199,44 @@ class ReplayNode(Node):
         write_summary(self._config.summary_path, self.summary())
 
 
-class _Inputs:
-    """Gives inputs to be obeyed at exactly their steps."""
+class _InputSender:
+    """Sends inputs with the steps at which they are to be applied."""
 
     def __init__(self, node: Node, inputs: Sequence[RecordedInput], ahead: int) -> None:
-        """``ahead``: steps by which inputs are given before their own."""
+        """``ahead``: number of steps by which inputs are sent before their own step."""
         self._node, self._schedule, self._ahead = node, InputSchedule(inputs), ahead
         self._publisher = node.create_publisher(Input, names.INPUTS_AT, qos.INPUTS)
 
     def has_subscribers(self) -> bool:
-        """Returns whether the simulation listens."""
-        return _is_matched(self._node, self._publisher) and self._simulation() in _readers(self._node, self._publisher)
+        """Returns whether the simulation subscribes to the inputs."""
+        return _is_matched(self._node, self._publisher) and self._simulation() in _subscribers(self._node, self._publisher)
 
     def _simulation(self) -> str:
-        """Returns the name of the node that moves the scene; empty = it is not there."""
+        """Returns the name of the physics node; empty = it is not there."""
         found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(names.SCENE_STATE))
         return next((f"{info.node_namespace}/{info.node_name}" for info in found), "")
 
-    def give(self, tick: Tick, stamp_ns: int) -> Sequence[str]:
-        """Sends what is due at a tick; returns the topics of what it sent, once for each message."""
-        inputs = self._schedule.take(*tick, self._ahead)
+    def send(self, tick: Tick, stamp_ns: int) -> Sequence[str]:
+        """Sends the inputs due at a tick; returns their topics, once for each message."""
+        inputs = self._schedule.pop_due(*tick, self._ahead)
         for number, item in enumerate(inputs, 1):
             message = Input(epoch=item.epoch, step=item.step, name=item.name, type=item.type_name)
             message.data = item.data
             self._publisher.publish(message)
             if number % _MOST_AT_ONCE == 0:
-                self.wait_for_arrival()
+                self.wait_until_acknowledged()
         return (self._publisher.topic_name,) * len(inputs)
 
-    def wait_for_arrival(self) -> None:
-        """Waits until all that was sent has arrived."""
+    def wait_until_acknowledged(self) -> None:
+        """Blocks until all inputs are acknowledged."""
         self._publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
 
 
-class _Commands:
+class _CommandSender:
     """Publishes commands on their own topics when simulation time reaches theirs."""
 
     def __init__(self, node: Node, commands: Sequence[RecordedCommand]) -> None:
-        """Takes commands in the order of time."""
+        """``commands`` are in the order of time."""
         self._node, self._commands, self._next = node, commands, 0
         self._publishers: dict[str, Publisher] = {}
         for item in commands:
@@ -243,11 +244,11 @@ class _Commands:
                 self._publishers[item.name] = node.create_publisher(message_class(item.type_name), item.name, qos.COMMAND)
 
     def has_subscribers(self) -> bool:
-        """Returns whether somebody listens to every topic."""
+        """Returns whether every topic has subscribers."""
         return all(_is_matched(self._node, publisher) for publisher in self._publishers.values())
 
-    def give(self, tick: Tick, stamp_ns: int) -> Sequence[str]:
-        """Sends what is due at a stamp; returns the topics of what it sent, once for each message."""
+    def send(self, tick: Tick, stamp_ns: int) -> Sequence[str]:
+        """Sends the commands due at a stamp; returns their topics, once for each message."""
         first = self._next
         while self._next < len(self._commands) and self._commands[self._next].time_ns <= stamp_ns:
             item = self._commands[self._next]
@@ -255,23 +256,23 @@ class _Commands:
             self._next += 1
         return tuple(item.name for item in self._commands[first : self._next])
 
-    def wait_for_arrival(self) -> None:
-        """Does not wait: a command that is late is obeyed a little later."""
+    def wait_until_acknowledged(self) -> None:
+        """Does not wait: a late command is applied a little later."""
 
 
-def _readers(node: Node, publisher: Publisher) -> list[str]:
-    """Returns the full names of the nodes that listen to a publisher; one that records is among them."""
+def _subscribers(node: Node, publisher: Publisher) -> list[str]:
+    """Returns the full names of the nodes that subscribe to a publisher's topic, recorders among them."""
     found = node.get_subscriptions_info_by_topic(publisher.topic_name)
     return [f"{info.node_namespace}/{info.node_name}" for info in found]
 
 
 def _is_matched(node: Node, publisher: Publisher) -> bool:
-    """Returns whether somebody reads a topic, and all such that are known get what is published from now on."""
-    return publisher.get_subscription_count() > 0 and reaches_all(node, publisher)
+    """Returns whether a publisher has subscribers, and is matched with all known ones."""
+    return publisher.get_subscription_count() > 0 and is_fully_matched(node, publisher)
 
 
-def _look_away(data: bytes) -> None:
-    """Takes an image that is only wanted drawn."""
+def _discard(data: bytes) -> None:
+    """Discards an image."""
 
 
 def main(args: list[str] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The snapshot node: one PNG of each image of every camera of a running simulation."""
+"""The snapshot node: saves one image of every output of every camera of a running simulation."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from gibson_sim.client_config import SnapshotConfig
 from gibson_sim.errors import ConfigError, WriteError
 from gibson_sim.picture_files import write_array, write_picture
 from gibson_sim.ros import conversions
-from gibson_sim.ros.nodes.awaited import Awaited
 from gibson_sim.ros.nodes.node_main import run_node, spin_while
 from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 
 _ARRAYS = ("position", "flow")
-"""What no picture can hold."""
+"""Outputs that are saved as NumPy arrays, since PNG cannot hold them."""
 
 
 class SnapshotNode(Node):
-    """Waits for the scene, takes the next image of every camera, writes it and ends.
+    """Waits for the scene, saves the next image of every camera, and ends.
 
     ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118);
-    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, as /scene names them; ``_normal.png`` has x, y, z of -1 to 1
-    as red, green, blue of 0 to 255, and so has ``_normal_world.png``; ``_position.npy`` and ``_flow.npy`` are arrays for NumPy.
+    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, named in /scene; ``_normal.png`` and ``_normal_world.png``
+    map x, y, z from -1..1 to red, green, blue from 0..255; ``_position.npy`` and ``_flow.npy`` are NumPy arrays.
     Camera ``left/camera`` is ``left_camera`` in file names.
 
-    Parameters: the fields of ``gibson_sim.config.SnapshotConfig``.
+    Parameters: the fields of ``gibson_sim.client_config.SnapshotConfig``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -48,6 +48,7 @@ class SnapshotNode(Node):
                 f"folder {self._folder} cannot be used: {error.strerror}; choose one that can be written"
             ) from error
         self._missing: dict[str, str] = {}
+        """Topic -> file of each image that has not arrived."""
         self._scene_seen = False
         self._failed: WriteError | None = None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
@@ -74,22 +75,22 @@ class SnapshotNode(Node):
                 write_array(path, pixels)
             else:
                 write_picture(path, png_pixels(pixels))
-        except WriteError as error:  # rclpy would print the stack of whatever leaves a callback
+        except WriteError as error:  # rclpy would print a traceback of an exception in a callback
             self._failed = error
             return
         print(path)
 
     def spin(self) -> int:
-        """Works until every camera sent an image; returns the exit code.
+        """Spins until every image is saved; returns the exit code.
 
         Raises:
-            GibsonSimError: there is no simulation within ``timeout``, or then no image of a camera; or an image cannot be written.
+            GibsonSimError: there is no simulation within ``timeout``, or after that an image is missing; or an image cannot be written.
         """
         timeout_s = self._config.timeout
-        simulation = Awaited.simulation(self, names.SCENE, timeout_s)
-        spin_while(self, lambda: not (simulation.look() and self._scene_seen))
-        images = Awaited(self, self._missing_images, lambda: not self._is_waiting, timeout_s=timeout_s)
-        spin_while(self, lambda: self._failed is None and not images.look())
+        simulation = WaitCondition.for_simulation(self, names.SCENE, timeout_s)
+        spin_while(self, lambda: not (simulation.is_met() and self._scene_seen))
+        images = WaitCondition(self, self._missing_images, lambda: not self._is_waiting, timeout_s=timeout_s)
+        spin_while(self, lambda: self._failed is None and not images.is_met())
         if self._failed is not None:
             raise self._failed
         return 1 if self._is_waiting else 0
@@ -102,11 +103,11 @@ class SnapshotNode(Node):
         return bool(self._missing) or not self._scene_seen
 
     def close(self) -> None:
-        """Holds nothing."""
+        """Does nothing; ``run_node`` requires it."""
 
 
 def png_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Returns what to write as PNG: BGR uint8 of colours and of normals, uint16 of labels and of depth, in millimetres."""
+    """Returns the pixels of a PNG: BGR uint8 for colours and normals, uint16 for labels and for depth, in millimetres."""
     if pixels.dtype == np.uint16:
         return pixels
     if pixels.ndim == 3:

@@ -1,4 +1,4 @@
-"""Where the process of a node begins: Ctrl-C ends it silently while it loads what it needs.
+"""The entry points of the nodes' processes; Ctrl-C ends them silently while they import their modules.
 
 ``python -m gibson_sim.ros.nodes.start gibson_sim.ros.nodes.physics_node ...`` runs that module's ``main`` with the arguments that follow; the
 functions are the programs that ``ros2 run`` and ``ros2 launch`` start. Everything else is imported afterwards.
@@ -14,7 +14,7 @@ from gibson_sim import interrupts
 
 
 def run(module: str) -> None:
-    """Runs ``main`` of a module; it takes the command line from ``sys.argv``."""
+    """Runs ``main`` of a module, which reads the command line from ``sys.argv``."""
     interrupts.end_silently()
     from gibson_sim.standard.job_folder import leave_job
 
@@ -59,6 +59,11 @@ def replay_node() -> None:
 def task_node() -> None:
     """Runs the task node."""
     run("gibson_sim.ros.nodes.task_node")
+
+
+def web_node() -> None:
+    """Runs the web node."""
+    run("gibson_sim.ros.nodes.web_node")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""The task node: sets up episodes of a task in a running simulation, judges them, and drives where a baseline is asked for.
+"""The task node: sets up episodes of a task in a running simulation, judges them, and drives if a baseline is requested.
 
-It is a client as any other: it spawns and deletes by simulation_interfaces, drives by velocities, and knows what is published. With a
-baseline it takes part in lockstep, where there is one: time waits while it thinks.
+It uses only public interfaces: it spawns and deletes with simulation_interfaces, drives with cmd_vel, and reads published topics. With a
+baseline it takes part in lockstep: time waits while it computes.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
-from gibson_sim.ros.nodes.awaited import Awaited
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.tasks.controls import finger_joints
-from gibson_sim.tasks.episode import Action, Episode, Item, View, item_root, view_of
+from gibson_sim.tasks.episode import Action, Episode, Item, Observation, item_root, observation_of
 from gibson_sim.tasks.ground import ground_of
 from gibson_sim.tasks.metrics import Meter, Metrics, episode_line, episode_values, summary, summary_line, touched_by
 from gibson_sim.tasks.registry import check_baseline, task_of
@@ -37,21 +37,21 @@ from gibson_sim.tasks.task import Policy
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Contact, Pose, SceneState, Vec3
 from gibson_sim.writing import write_file
 
-"""Wall time after which a simulation that does not answer is given up."""
 GOAL, INFO, RESULT, RESET = "task/goal", "task/info", "task/result", "task/reset"
 _PERIOD_NS = NS_PER_S // CONTROL_HZ
+"""Period of a baseline's commands, ns of simulation time."""
 
 
 class TaskNode(Node):
-    """Runs episodes one after the other. With a baseline it ends after the last one; else it goes on, and each reset begins the next.
+    """Runs episodes one after the other. With a baseline it ends after the last one; without, each reset begins the next one.
 
-    Parameters: the fields of ``gibson_sim.config.TaskConfig``.
+    Parameters: the fields of ``gibson_sim.client_config.TaskConfig``.
 
     Subscribes:
-        scene, scene_state: where everything is. contacts: what the robot touches. joint_states, grasp_state: of a robot with an arm.
+        scene, scene_state: poses. contacts: what the robot touches. joint_states, grasp_state: of a robot with an arm.
 
     Publishes:
-        task/goal (geometry_msgs/PoseStamped, latched): where to go or what to do it with; not where the place must be found.
+        task/goal (geometry_msgs/PoseStamped, latched): where to go, or the object of the task; not in tasks that search for the place.
         task/info (std_msgs/String, latched): the episode as JSON: task, seed, text, target_class, start, time_limit, shortest.
         task/result (std_msgs/String, latched): how an episode ended, as JSON: seed, success, time, path_length, spl, ...
         cmd_vel, joint_command, grasp: only with a baseline.
@@ -74,15 +74,15 @@ class TaskNode(Node):
         self._scene_name = ""
         self._state: SceneState | None = None
         self._early: RosSceneState | None = None
-        """A state whose scene is still on its way."""
+        """A state that arrived before its scene."""
         self._joints: dict[str, float] = {}
         self._joints_ns = self._grasp_ns = -1
-        self._awaited_ns: int | None = None
-        """Stamp of the state that is answered with commands; None = of no state."""
-        self._unanswered: Any = None
+        self._control_ns: int | None = None
+        """Stamp of the tick that the baseline answers with commands; earlier ticks are done at once. None = all are."""
+        self._pending_stamp: Any = None
         """Stamp of the tick that waits for commands."""
         self._held, self._touched = "", frozenset[str]()
-        self._reset_asked = False
+        self._reset_requested = False
         self._next_seed = config.seed
         self._spawned: list[str] = []
         self._results: list[Metrics] = []
@@ -125,17 +125,17 @@ class TaskNode(Node):
             self._state, self._early = conversions.scene_state_from_msg(msg, links), None
         if self._lockstep is None:
             return
-        if self._awaited_ns is None or conversions.time_from_msg(msg.header.stamp) < self._awaited_ns:
-            self._lockstep.done(msg.header.stamp)
+        if self._control_ns is None or conversions.time_from_msg(msg.header.stamp) < self._control_ns:
+            self._lockstep.tick_done(msg.header.stamp)
         else:
-            self._unanswered = msg.header.stamp
+            self._pending_stamp = msg.header.stamp
 
-    def _answer(self, sent: Sequence[str], awaited_ns: int | None) -> None:
-        """Says in lockstep that the tick that waits is done, with commands on the topics ``sent``, and which one waits next."""
-        self._awaited_ns = awaited_ns
-        if self._lockstep is not None and self._unanswered is not None:
-            self._lockstep.done(self._unanswered, sent)
-        self._unanswered = None
+    def _finish_tick(self, sent: Sequence[str], control_ns: int | None) -> None:
+        """Reports the waiting tick as done in lockstep, with commands on the topics ``sent``, and sets the next tick to answer."""
+        self._control_ns = control_ns
+        if self._lockstep is not None and self._pending_stamp is not None:
+            self._lockstep.tick_done(self._pending_stamp, sent)
+        self._pending_stamp = None
 
     def _on_contacts(self, msg: Contacts) -> None:
         moving = {link.partition("/")[0] for link in (self._state.links if self._state else ())}
@@ -154,7 +154,7 @@ class TaskNode(Node):
         self._grasp_ns = conversions.time_from_msg(msg.header.stamp)
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        self._reset_asked = True
+        self._reset_requested = True
         response.success, response.message = True, f"the episode of seed {self._next_seed} begins"
         return response
 
@@ -162,10 +162,9 @@ class TaskNode(Node):
         """Runs the episodes; returns the exit code.
 
         Raises:
-            GibsonSimError: no simulation answers, or it is not the one that is needed.
+            GibsonSimError: no simulation answers, or it has another scene or robot than the task.
         """
-        simulation = Awaited.simulation(self, names.SCENE_STATE, self._config.timeout)
-        self._wait_for(simulation)
+        self._wait_for(WaitCondition.for_simulation(self, names.SCENE_STATE, self._config.timeout))
         self._wait(lambda: self._state is not None, "a message on scene_state")
         expected = self._ground.scene.name
         if self._scene_name != expected:
@@ -178,45 +177,47 @@ class TaskNode(Node):
             raise GibsonSimError(
                 f"the simulation has no robot with a link {robot!r}; start it with --robot {self._config.robot or self._task.robot}"
             )
-        waits = self._config.baseline == "none"
+        waits_for_reset = self._config.baseline == "none"
         number = 0
-        while is_running() and (waits or number < self._config.episodes):
+        while is_running() and (waits_for_reset or number < self._config.episodes):
             seed = self._config.seed + number
             self._results.append(self._episode(seed))
             print(episode_line(seed, self._results[-1]), flush=True)
             number += 1
-            while waits and is_running() and not self._reset_asked:
+            while waits_for_reset and is_running() and not self._reset_requested:
                 self._executor.spin_once(timeout_sec=0.1)
         if is_running():
             self._report()
         return 0
 
     def _episode(self, seed: int) -> Metrics:
-        """Sets an episode up, lets the baseline or somebody else do it, and returns how it went."""
+        """Sets an episode up, runs it with the baseline or another node, and returns its metrics."""
         self._next_seed = seed + 1
         episode = self._task.generate(seed, self._ground)
         begin_ns = self._set_up(episode)
-        view = self._view(begin_ns)
-        meter = Meter(episode, view)
+        observation = self._observe(begin_ns)
+        meter = Meter(episode, observation)
         policy = None if self._config.baseline == "none" else self._task.policy(self._config.baseline, episode, self._ground)
         self._announce(episode)
         success = False
-        while is_running() and not (success or self._reset_asked or view.time >= episode.time_limit):
-            awaited_ns = begin_ns + round(view.time * NS_PER_S) + _PERIOD_NS
-            self._answer(self._do(policy, view) if policy is not None else (), awaited_ns)
-            view = self._view(begin_ns, awaited_ns)
-            meter.note(view, self._touched)
-            success = self._task.succeeded(episode, view, self._ground)
+        while is_running() and not (success or self._reset_requested or observation.time >= episode.time_limit):
+            control_ns = begin_ns + round(observation.time * NS_PER_S) + _PERIOD_NS
+            self._finish_tick(self._act(policy, observation) if policy is not None else (), control_ns)
+            observation = self._observe(begin_ns, control_ns)
+            meter.update(observation, self._touched)
+            success = self._task.succeeded(episode, observation, self._ground)
         if policy is not None:
             self._velocity_pub.publish(Twist())
-            self._answer((self._velocity_pub.topic_name,), None)
-        metrics = meter.metrics(view, success=success, goal_distance=self._task.remaining(episode, view, self._ground))
+            self._finish_tick((self._velocity_pub.topic_name,), None)
+        metrics = meter.metrics(
+            observation, success=success, goal_distance=self._task.remaining(episode, observation, self._ground)
+        )
         self._result_pub.publish(String(data=json.dumps({"seed": seed, **episode_values(metrics)})))
         return metrics
 
-    def _do(self, policy: Policy, view: View) -> list[str]:
-        """Publishes what a baseline wants; returns the topics, one for each message."""
-        action: Action = policy.act(view)
+    def _act(self, policy: Policy, observation: Observation) -> list[str]:
+        """Publishes the commands of a baseline; returns the topics, one for each message."""
+        action: Action = policy.act(observation)
         twist = Twist()
         twist.linear.x, twist.angular.z = float(action.linear), float(action.angular)
         self._velocity_pub.publish(twist)
@@ -231,10 +232,10 @@ class TaskNode(Node):
         return sent
 
     def _set_up(self, episode: Episode) -> int:
-        """Makes the scene that of an episode; returns the stamp at which it begins."""
-        self._reset_asked = False
+        """Sets the scene of an episode up; returns the stamp at which the episode begins."""
+        self._reset_requested = False
         self._velocity_pub.publish(Twist())
-        self._tidy(episode)
+        self._clean_up(episode)
         self._put_robot(episode.start)
         for name in episode.removed:
             self._call(self._delete, srv.DeleteEntity.Request(entity=name))
@@ -243,22 +244,19 @@ class TaskNode(Node):
             self._spawned.append(item.name)
         roots = {item_root(item) for item in episode.items}
         assert self._state is not None
-        self._awaited_ns = begin_ns = self._state.stamp_ns + round(SETTLE_S * NS_PER_S)
+        self._control_ns = begin_ns = self._state.stamp_ns + round(SETTLE_S * NS_PER_S)
         self._wait(lambda: self._settled(roots, begin_ns), "state of the scene with all items in it")
         return self._state.stamp_ns
 
     def _settled(self, roots: set[str], begin_ns: int) -> bool:
-        return self._is_known(begin_ns) and self._state is not None and roots <= set(self._state.links)
+        return self._has_data_since(begin_ns) and self._state is not None and roots <= set(self._state.links)
 
-    def _tidy(self, episode: Episode) -> None:
-        """Takes away what the episode before has left.
-
-        All is reset where that is not enough: the arm lies anywhere, or a body of the scene is gone.
-        """
+    def _clean_up(self, episode: Episode) -> None:
+        """Deletes the items of the episode before. If that is not enough, since an arm has moved or a body is missing, resets everything."""
         there = self._bodies()
         new = {item.name for item in episode.items}
-        begun = bool(self._results) and bool(self._ground.robot.manipulators)
-        if begun or not there >= set(episode.removed) or (there & new) - {*episode.removed, *self._spawned}:
+        arm_moved = bool(self._results) and bool(self._ground.robot.manipulators)
+        if arm_moved or not there >= set(episode.removed) or (there & new) - {*episode.removed, *self._spawned}:
             request = srv.ResetSimulation.Request(scope=srv.ResetSimulation.Request.SCOPE_DEFAULT)
             gone, back = set(self._spawned), {body.name for body in self._ground.scene.bodies}
             self._call(self._reset, request)
@@ -270,7 +268,7 @@ class TaskNode(Node):
         self._spawned.clear()
 
     def _bodies(self) -> set[str]:
-        """Returns the names of all that moves."""
+        """Returns the names of all robots and bodies in the state."""
         return {link.partition("/")[0] for link in (self._state.links if self._state else ())}
 
     def _put_robot(self, pose: Pose) -> None:
@@ -289,6 +287,7 @@ class TaskNode(Node):
         self._call(self._spawn, request)
 
     def _announce(self, episode: Episode) -> None:
+        """Publishes info and goal of an episode."""
         goal = episode.goal
         values = {
             "task": episode.task, "seed": episode.seed, "text": goal.text, "target_class": goal.target_class,
@@ -301,24 +300,24 @@ class TaskNode(Node):
             message.pose = conversions.pose_to_msg(Pose(goal.position))
             self._goal_pub.publish(message)
 
-    def _view(self, begin_ns: int, wanted_ns: int = -1) -> View:
-        """Returns what is known at the next tick, from ``wanted_ns`` on."""
-        self._wait(lambda: self._is_known(wanted_ns), "scene_state: is the simulation paused?")
+    def _observe(self, begin_ns: int, from_ns: int = -1) -> Observation:
+        """Returns the observation at the first tick from ``from_ns`` on."""
+        self._wait(lambda: self._has_data_since(from_ns), "scene_state: is the simulation paused?")
         assert self._state is not None
         robot = self._ground.robot
-        return view_of(self._state, robot.name, robot.base_link, begin_ns, joints=dict(self._joints), held=self._held)
+        return observation_of(self._state, robot.name, robot.base_link, begin_ns, joints=dict(self._joints), held=self._held)
 
-    def _is_known(self, wanted_ns: int) -> bool:
-        """Returns whether all is known of a tick, from ``wanted_ns`` on."""
+    def _has_data_since(self, from_ns: int) -> bool:
+        """Returns whether all data of a tick from ``from_ns`` on have arrived."""
         stamps = [self._state.stamp_ns if self._state is not None else -1]
         stamps += [self._joints_ns, self._grasp_ns] if self._ground.robot.manipulators else []
-        return min(stamps) >= wanted_ns
+        return min(stamps) >= from_ns
 
     def _call(self, client: Any, request: Any) -> None:
         """Calls a service of the simulation.
 
         Raises:
-            GibsonSimError: it does not answer, or says no.
+            GibsonSimError: the service does not answer, or the request fails.
         """
         self._wait(client.service_is_ready, f"service {client.srv_name}")
         future = client.call_async(request)
@@ -328,10 +327,10 @@ class TaskNode(Node):
             raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        self._wait_for(Awaited(self, what, condition, timeout_s=self._config.timeout))
+        self._wait_for(WaitCondition(self, what, condition, timeout_s=self._config.timeout))
 
-    def _wait_for(self, awaited: Awaited) -> None:
-        while not awaited.look():
+    def _wait_for(self, condition: WaitCondition) -> None:
+        while not condition.is_met():
             if not is_running():
                 raise KeyboardInterrupt
             self._executor.spin_once(timeout_sec=0.1)
@@ -345,7 +344,7 @@ class TaskNode(Node):
             write_file(self._config.output, json.dumps(found, indent=1) + "\n")
 
     def close(self) -> None:
-        """Ends the executor; what was spawned stays for whoever looks at it."""
+        """Leaves lockstep and shuts the executor down; spawned items stay in the simulation."""
         if self._lockstep is not None:
             self._lockstep.leave()
         self._executor.shutdown(timeout_sec=5.0)

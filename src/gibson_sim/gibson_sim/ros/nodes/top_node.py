@@ -1,4 +1,4 @@
-"""The top node: what the nodes of a running simulation say of themselves, once a second, on the terminal."""
+"""The top node: shows the diagnostics of all nodes of a running simulation on the terminal, once a second."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from gibson_sim.bags.stamps import stamp_ns
-from gibson_sim.ros.nodes.awaited import how_to_find_a_simulation
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
-from gibson_sim.ros.nodes.top_view import Status, TopicRate, View, render
+from gibson_sim.ros.nodes.top_view import Overview, Status, TopicRate, render
+from gibson_sim.ros.nodes.wait_for_simulation import start_hint
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.types import NS_PER_S
 
 NO_SIMULATION = 3
-"""Exit code where no simulation runs."""
-_LISTEN = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches whatever is offered, and holds no publisher up."""
+"""Exit code if no simulation runs."""
+_ALL = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Matches every publisher, and blocks none."""
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @dataclass
 class _Count:
-    """What came on a topic since the last look."""
+    """Messages on a topic since the last overview."""
 
     kind: str
     subscription: Any = None
@@ -44,58 +44,59 @@ class _Count:
 
 
 @dataclass
-class _Mark:
-    """Where wall time and simulation time were."""
+class _Times:
+    """Wall time and simulation time of one moment."""
 
     wall_ns: int = field(default_factory=time.monotonic_ns)
     sim_ns: int | None = None
 
 
 class TopNode(Node):
-    """Collects what is shown.
+    """Collects diagnostics, simulation time and the rates of topics.
 
     Subscribes:
-        /diagnostics (diagnostic_msgs/DiagnosticArray): from all nodes, whatever their keys.
+        /diagnostics (diagnostic_msgs/DiagnosticArray): from all nodes, with any keys.
         /clock (rosgraph_msgs/Clock): as bytes.
-        all topics, as bytes, where their rates are asked for. It counts as a subscriber: what is made on demand is made for it.
+        all topics, as bytes, if their rates are requested. It counts as a subscriber: messages made on demand are made for it.
     """
 
-    def __init__(self, topics: bool, how: Mapping[str, Any] | None = None) -> None:
-        """Subscribes. ``topics`` asks for the rates of all topics; ``how``: arguments of ``watch``, for ``spin``."""
+    def __init__(self, topics: bool, options: Mapping[str, Any] | None = None) -> None:
+        """Subscribes. ``topics``: measure the rates of all topics; ``options``: arguments of ``watch``, for ``spin``."""
         super().__init__("top", start_parameter_services=False)
-        self._how = how or {}
+        self._options = options or {}
         self._executor: Executor | None = None
         self._statuses: dict[str, tuple[Status, int]] = {}
         self._sources: set[frozenset[str]] = set()
         self._stamp_ns: int | None = None
         self._counts: dict[str, _Count] | None = {} if topics else None
-        self._mark = _Mark()
-        self._first: _Mark | None = None
-        """At the first /clock, which may come within a period."""
-        self.create_subscription(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _LISTEN)
+        self._begin = _Times()
+        """Start of the period."""
+        self._first: _Times | None = None
+        """At the first /clock, which may arrive within a period."""
+        self.create_subscription(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _ALL)
         self.create_subscription(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
 
     def spin(self) -> int:
-        """Shows what there is; returns the exit code."""
+        """Shows the overviews; returns the exit code."""
         self._executor = make_executor()
         self._executor.add_node(self)
         try:
-            return watch(self, self._executor, **self._how)
+            return watch(self, self._executor, **self._options)
         except BrokenPipeError:  # `gibson-sim top | head`
             sys.stderr.close()
             return 0
 
     def close(self) -> None:
-        """Ends the executor."""
+        """Shuts the executor down."""
         if self._executor is not None:
             self._executor.shutdown()
 
     def simulation_runs(self) -> bool:
-        """Returns whether anybody publishes /clock in this domain."""
+        """Returns whether /clock has a publisher in this domain."""
         return bool(self.count_publishers(names.CLOCK))
 
-    def has_reports(self) -> bool:
-        """Returns whether as many nodes have reported as publish /diagnostics; each is known by the names of its statuses."""
+    def has_all_reports(self) -> bool:
+        """Returns whether all publishers of /diagnostics have reported; they are told apart by the names of their statuses."""
         return 0 < self.count_publishers(names.DIAGNOSTICS) <= len(self._sources)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
@@ -110,10 +111,10 @@ class TopNode(Node):
     def _on_clock(self, data: bytes) -> None:
         self._stamp_ns = stamp_ns(data)
         if self._first is None:
-            self._first = _Mark(sim_ns=self._stamp_ns)
+            self._first = _Times(sim_ns=self._stamp_ns)
 
-    def follow_topics(self) -> None:
-        """Subscribes to topics that are new, if their rates are asked for."""
+    def subscribe_to_new_topics(self) -> None:
+        """Subscribes to new topics, if their rates are requested."""
         if self._counts is None:
             return
         for name, kinds in self.get_topic_names_and_types():
@@ -124,16 +125,16 @@ class TopNode(Node):
                 kind = message_class(kinds[0])
             except UNKNOWN:
                 continue  # its package is not installed here: it is listed without a rate
-            count.subscription = self.create_subscription(kind, name, partial(_add, count), _LISTEN, raw=True)
+            count.subscription = self.create_subscription(kind, name, partial(_add, count), _ALL, raw=True)
 
-    def look(self) -> View:
-        """Returns what to show, and begins another period."""
+    def next_overview(self) -> Overview:
+        """Returns the overview of the period that ends now, and starts the next period."""
         now = time.monotonic_ns()
-        wall_s = (now - self._mark.wall_ns) / NS_PER_S
+        wall_s = (now - self._begin.wall_ns) / NS_PER_S
         sim_s = 0.0
-        begin = self._first if self._mark.sim_ns is None else self._mark
+        begin = self._first if self._begin.sim_ns is None else self._begin
         if self._stamp_ns is not None and begin is not None and begin.sim_ns is not None:
-            # Of the whole period, where time is known for a part of it alone.
+            # Extrapolated to the whole period if /clock arrived only in a part of it.
             sim_s = wall_s * max(0, self._stamp_ns - begin.sim_ns) / max(1, now - begin.wall_ns)
         statuses = tuple(Status(s.name, s.level, s.message, s.values, (now - at) / NS_PER_S) for s, at in self._statuses.values())
         topics = None
@@ -144,9 +145,9 @@ class TopNode(Node):
             )
             for count in self._counts.values():
                 count.messages = count.size = 0
-        self._mark = _Mark(now, self._stamp_ns)
+        self._begin = _Times(now, self._stamp_ns)
         nodes = len(self.get_node_names()) - 1
-        return View(self.context.get_domain_id(), self._stamp_ns, wall_s, sim_s, nodes, statuses, topics)
+        return Overview(self.context.get_domain_id(), self._stamp_ns, wall_s, sim_s, nodes, statuses, topics)
 
 
 def _add(count: _Count, data: bytes) -> None:
@@ -160,53 +161,53 @@ def watch(node: TopNode, executor: Executor, *, once: bool, patience_s: float, p
     while not node.simulation_runs():
         if time.monotonic() - seen > patience_s:
             return _no_simulation(node, patience_s)
-        _work(executor, 0.1)
+        _spin_for(executor, 0.1)
     deadline = time.monotonic() + patience_s
-    node.follow_topics()
-    node.look()
+    node.subscribe_to_new_topics()
+    node.next_overview()
     seen = time.monotonic()
     while is_running():
-        _work(executor, period_s)
-        while once and is_running() and not node.has_reports() and time.monotonic() < deadline:
-            _work(executor, 0.1)
+        _spin_for(executor, period_s)
+        while once and is_running() and not node.has_all_reports() and time.monotonic() < deadline:
+            _spin_for(executor, 0.1)
         if node.simulation_runs():
             seen = time.monotonic()
         elif time.monotonic() - seen > patience_s:
             return _no_simulation(node, patience_s)
-        _show(node.look(), live=not once)
+        _show(node.next_overview(), live=not once)
         if once:
             return 0
-        node.follow_topics()
+        node.subscribe_to_new_topics()
     return 0
 
 
 def _no_simulation(node: TopNode, patience_s: float) -> int:
     domain = node.context.get_domain_id()
     sys.stderr.write(
-        f"no simulation runs in ROS domain {domain}: nobody published {names.CLOCK} for {patience_s:g} s. "
-        f"Start one with {how_to_find_a_simulation()}\n"
+        f"no simulation runs in ROS domain {domain}: {names.CLOCK} had no publisher for {patience_s:g} s. "
+        f"Start one with {start_hint()}\n"
     )
     return NO_SIMULATION
 
 
-def _work(executor: Executor, seconds: float) -> None:
+def _spin_for(executor: Executor, seconds: float) -> None:
     deadline = time.monotonic() + seconds
     while (left := deadline - time.monotonic()) > 0 and is_running():
         executor.spin_once(timeout_sec=left)
 
 
-def _show(view: View, *, live: bool) -> None:
+def _show(overview: Overview, *, live: bool) -> None:
     terminal = sys.stdout.isatty()
     color = terminal and "NO_COLOR" not in os.environ
     width = shutil.get_terminal_size((100, 24)).columns
     before = "\x1b[H\x1b[J" if live and terminal else ""
     after = "\n" if terminal or not live else "\n\n"
-    sys.stdout.write(before + render(view, width=width, color=color) + after)
+    sys.stdout.write(before + render(overview, width=width, color=color) + after)
     sys.stdout.flush()
 
 
 def main() -> None:
-    """Shows what the JSON on the command line asks for: ``once``, ``topics``, ``patience_s``, ``period_s``."""
+    """Runs the top node with the options in the JSON on the command line: ``once``, ``topics``, ``patience_s``, ``period_s``."""
     options = json.loads(sys.argv[1])
     run_node(lambda: TopNode(options.pop("topics"), options), [])
 

@@ -1,4 +1,4 @@
-"""What ``gibson-sim top`` shows, as text. Pure: no ROS."""
+"""The output of ``gibson-sim top`` as text. Pure: no ROS."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from gibson_sim.types import NS_PER_S
 
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
-"""By their numbers in diagnostic_msgs/DiagnosticStatus."""
+"""Names of the levels of diagnostic_msgs/DiagnosticStatus, in the order of their numbers."""
 _COLORS = ("32", "33", "31", "35")
+"""ANSI colours of the levels."""
 STALE_AFTER_S = 3.5
-"""A status that was not repeated for so long is stale: nodes report once a second."""
+"""Wall time after which a status that was not repeated is stale, s: nodes report once a second."""
 _GAP = "   "
 
 
@@ -26,62 +27,60 @@ class Status:
     values: tuple[tuple[str, str], ...]
     """Key and value, as the node wrote them."""
     age_s: float
-    """Wall time since it came."""
+    """Wall time since it arrived, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicRate:
-    """What came on one topic in the last period."""
+    """The messages on one topic in the last period."""
 
     name: str
     kind: str
     messages: int
     size: int
-    """Bytes of all of them."""
+    """Bytes of all messages."""
     subscribers: int
-    """Others than us."""
+    """Without the top node itself."""
 
 
 @dataclass(frozen=True, slots=True)
-class View:
-    """All that is shown at once."""
+class Overview:
+    """The contents of one screen."""
 
     domain_id: int
     stamp_ns: int | None
     """Simulation time; None = no /clock yet."""
     wall_s: float
-    """Length of the period that the rates are about."""
+    """Period of the rates, s of wall time."""
     sim_s: float
-    """The same in simulation time."""
+    """The same period, s of simulation time."""
     nodes: int
     statuses: tuple[Status, ...] = ()
     topics: tuple[TopicRate, ...] | None = None
-    """None = not asked for."""
+    """None = not requested."""
     notes: tuple[str, ...] = field(default=())
 
 
-def render(view: View, *, width: int = 100, color: bool = False) -> str:
-    """Returns the text of a view, lines at most ``width`` wide where words allow, with ANSI colours if asked for."""
-    lines = [_bold(_head(view), color)]
-    for note in view.notes:
+def render(overview: Overview, *, width: int = 100, color: bool = False) -> str:
+    """Returns the text of an overview, with columns that fit ``width`` if possible, and with ANSI colours if requested."""
+    lines = [_bold(_head(overview), color)]
+    for note in overview.notes:
         lines.append(_colored(note, 1, color))
-    for status in sorted(view.statuses, key=lambda s: s.name):
+    for status in sorted(overview.statuses, key=lambda s: s.name):
         lines += ["", *_status_lines(status, width, color)]
-    if not view.statuses:
+    if not overview.statuses:
         lines += ["", "no node has reported on /diagnostics yet"]
-    if view.topics is not None:
-        lines += ["", *_topic_lines(view, color)]
+    if overview.topics is not None:
+        lines += ["", *_topic_lines(overview, color)]
     return "\n".join(lines)
 
 
-def _head(view: View) -> str:
-    if view.stamp_ns is None:
-        return (
-            f"ROS domain {view.domain_id}: /clock has a publisher, but nothing came on it: is the simulation loading or paused?"
-        )
-    factor = "-" if view.wall_s <= 0.0 else f"{view.sim_s / view.wall_s:.3f}"
-    nodes = f"{view.nodes} node{'' if view.nodes == 1 else 's'}"
-    return f"ROS domain {view.domain_id}: simulation time {view.stamp_ns / NS_PER_S:.2f} s, real-time factor {factor}, {nodes}"
+def _head(overview: Overview) -> str:
+    if overview.stamp_ns is None:
+        return f"ROS domain {overview.domain_id}: /clock has a publisher but no messages: is the simulation loading or paused?"
+    factor = "-" if overview.wall_s <= 0.0 else f"{overview.sim_s / overview.wall_s:.3f}"
+    nodes = f"{overview.nodes} node{'' if overview.nodes == 1 else 's'}"
+    return f"ROS domain {overview.domain_id}: simulation time {overview.stamp_ns / NS_PER_S:.2f} s, real-time factor {factor}, {nodes}"
 
 
 def _status_lines(status: Status, width: int, color: bool) -> list[str]:
@@ -94,7 +93,7 @@ def _status_lines(status: Status, width: int, color: bool) -> list[str]:
 
 
 def _columns(cells: Sequence[str], width: int) -> list[str]:
-    """Returns cells in as many equal columns as fit, filled by rows."""
+    """Returns the lines of a table of cells, in as many equal columns as fit, filled row by row."""
     if not cells:
         return []
     cell = max(map(len, cells)) + len(_GAP)
@@ -103,15 +102,15 @@ def _columns(cells: Sequence[str], width: int) -> list[str]:
     return ["  " + "".join(text.ljust(cell) for text in row).rstrip() for row in rows]
 
 
-def _topic_lines(view: View, color: bool) -> list[str]:
-    assert view.topics is not None
+def _topic_lines(overview: Overview, color: bool) -> list[str]:
+    assert overview.topics is not None
     head = ("topic", "per s", "per sim s", "kB/s", "subscribers", "type")
     rows = [
         (
-            *(topic.name, _rate(topic.messages, view.wall_s), _rate(topic.messages, view.sim_s)),
-            *(_rate(topic.size / 1000.0, view.wall_s), str(topic.subscribers), topic.kind),
+            *(topic.name, _rate(topic.messages, overview.wall_s), _rate(topic.messages, overview.sim_s)),
+            *(_rate(topic.size / 1000.0, overview.wall_s), str(topic.subscribers), topic.kind),
         )
-        for topic in sorted(view.topics, key=lambda t: t.name)
+        for topic in sorted(overview.topics, key=lambda t: t.name)
     ]
     widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     lines = [

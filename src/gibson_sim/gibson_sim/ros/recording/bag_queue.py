@@ -1,4 +1,4 @@
-"""Writes to a bag in a thread of its own: pictures become messages and bytes there, while the next ones are drawn."""
+"""Writes to a bag in a thread of its own, which also encodes the images, while the next ones are drawn."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.ros.wire.fast_publish import image_to_bytes
 from gibson_sim.types import Frame
 
 MOST_WAITING = 4
-"""So many calls of ``put`` wait: a few pictures and what was recorded between them."""
+"""Greatest number of calls of ``put`` in the queue: a few frames, and the messages recorded between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ class Raw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """What one camera saw, to become messages."""
+    """A frame of one camera, to be converted to messages."""
 
     messages: CameraMessages
     topics: dict[str, str]
@@ -45,10 +45,10 @@ Item = Raw | Picture
 
 
 class BagQueue:
-    """Items are written in the order in which they come. Use it as a context manager: its end waits until all are written.
+    """Writes items in the order of ``put``. It is a context manager, whose end waits until all are written.
 
     Args:
-        bag: topics are declared; nobody else writes until the end.
+        bag: with all topics declared; nothing else may write to it meanwhile.
     """
 
     def __init__(self, bag: BagWriter) -> None:
@@ -60,10 +60,10 @@ class BagQueue:
         self._thread.start()
 
     def put(self, items: Sequence[Item]) -> None:
-        """Takes items, which must stay as they are; waits while too many are not written yet.
+        """Appends items, which must not change afterwards; blocks while the queue is full.
 
         Raises:
-            RecordError: what came before could not be written.
+            RecordError: an earlier item could not be written.
         """
         self._items.put(items)
         if self._error is not None:
@@ -72,7 +72,7 @@ class BagQueue:
     def _run(self) -> None:
         while (items := self._items.get()) is not None:
             if self._error is not None:
-                continue  # whoever puts must not wait for ever
+                continue  # ``put`` must not block for ever
             try:
                 for item in items:
                     self._write(item)
@@ -83,14 +83,14 @@ class BagQueue:
         if isinstance(item, Raw):
             self._bag.write(item.topic, item.data, item.log_ns, item.log_ns)
             return
-        wanted, stamp_ns = frozenset(item.topics), item.frame.stamp_ns
-        for kind, message in item.messages.infos(stamp_ns, wanted, exact_bytes):
+        kinds, stamp_ns = frozenset(item.topics), item.frame.stamp_ns
+        for kind, message in item.messages.infos(stamp_ns, kinds, exact_bytes):
             self._bag.write(item.topics[kind], message, item.log_ns, item.log_ns)
-        for kind, message in item.messages.images(item.frame, wanted, item.T_target_camera, image_to_bytes):
+        for kind, message in item.messages.images(item.frame, kinds, item.T_target_camera, image_to_bytes):
             self._bag.write(item.topics[kind], message, item.log_ns, item.log_ns)
 
     def close(self) -> None:
-        """Waits until everything is written; a second call does nothing. Raises what went wrong."""
+        """Waits until everything is written, and raises the first error; a second call does nothing."""
         if not self._ended:
             self._ended = True
             self._items.put(None)

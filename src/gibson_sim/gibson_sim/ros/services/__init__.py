@@ -1,0 +1,1 @@
+"""The services and actions of ``simulation_interfaces``, and services with deferred responses."""

@@ -1,7 +1,7 @@
-"""Services whose answers may come later, while everything else goes on.
+"""Deferred responses: services that answer later without blocking the executor, and requests that take effect in order.
 
-A coroutine would do the same with rclpy's standard executor, at the price of being polled; the EventsExecutor does not know services
-that are coroutines. So the answer itself says that it is not there yet, and the service keeps the header that it must be sent with.
+With rclpy's standard executor a coroutine would do, at the price of being polled; the EventsExecutor does not support services that are
+coroutines. Here the handler returns a ``DeferredResponse``, and the service keeps the request header until the response is sent.
 """
 
 from __future__ import annotations
@@ -19,28 +19,8 @@ from rclpy.node import Node
 logger = logging.getLogger(__name__)
 
 
-class DeferredResponse:
-    """An answer that is not there yet. ``answer`` must be called once, in the thread of the executor."""
-
-    def __init__(self) -> None:
-        self._response: Any = None
-        self._send: Callable[[Any], None] | None = None
-
-    def answer(self, response: Any) -> None:
-        """Sends the answer."""
-        self._response = response
-        if self._send is not None:
-            self._send(response)
-
-    def send_with(self, send: Callable[[Any], None]) -> None:
-        """Says how to send it; does it where it is there already."""
-        self._send = send
-        if self._response is not None:
-            send(self._response)
-
-
 class DeferredService:
-    """A service whose handler returns the response, or a ``DeferredResponse``. A client that went away does not disturb it."""
+    """A service whose handler returns the response or a ``DeferredResponse``. A response whose client has gone is dropped."""
 
     def __init__(
         self, node: Node, kind: Any, name: str, handle: Callable[[Any, Any], Any], *, callback_group: CallbackGroup | None = None
@@ -52,21 +32,44 @@ class DeferredService:
         self._service.send_response = self._send
 
     def destroy(self) -> None:
-        """Takes the service back; what was not answered never will be."""
+        """Destroys the service; deferred responses are never sent."""
         self._node.destroy_service(self._service)
 
     def _send(self, response: Any, header: Any) -> None:
         if isinstance(response, DeferredResponse):
-            response.send_with(lambda final: self._send(final, header))
+            response.bind(lambda final: self._send(final, header))
             return
         try:
             self._send_now(response, header)
         except (RCLError, InvalidHandle) as error:
-            logger.info("an answer of %s could not be sent, its client may be gone: %s", self._service.srv_name, error)
+            logger.info("a response of %s could not be sent, its client may be gone: %s", self._service.srv_name, error)
 
 
-class InOrder:
-    """A queue of requests; not thread-safe but for the reading, which it does in a thread of its own."""
+class DeferredResponse:
+    """A response that is sent later. ``send`` must be called once, in the thread of the executor."""
+
+    def __init__(self) -> None:
+        self._response: Any = None
+        self._sender: Callable[[Any], None] | None = None
+
+    def send(self, response: Any) -> None:
+        """Sends the response, at once if ``bind`` was called, otherwise then."""
+        self._response = response
+        if self._sender is not None:
+            self._sender(response)
+
+    def bind(self, sender: Callable[[Any], None]) -> None:
+        """Sets the function that sends the response; it is called at once if the response is there already."""
+        self._sender = sender
+        if self._response is not None:
+            sender(self._response)
+
+
+class RequestQueue:
+    """Makes requests take effect in the order of their arrival, even if some of them need files.
+
+    Files are read in a thread; everything else runs in the thread of the executor.
+    """
 
     def __init__(self, run_soon: Callable[..., Any]) -> None:
         """``run_soon(function, *arguments)`` calls a function in the thread of the executor; it may drop it once that has ended."""
@@ -74,21 +77,24 @@ class InOrder:
         self._waiting: deque[tuple[Callable[[], Any] | None, Callable[[Any], Any], DeferredResponse]] = deque()
         self._reading = False
 
-    def take(self, act: Callable[[Any], Any], read: Callable[[], Any] | None = None) -> Any:
-        """Returns what ``act`` returns, at once where nothing is before it and nothing is to be read, else a ``DeferredResponse`` for it.
+    def submit(self, act: Callable[[Any], Any], read: Callable[[], Any] | None = None) -> Any:
+        """Runs ``act``, at once if no request waits and there is nothing to read, otherwise in its turn.
 
         Args:
-            act: does what is asked for and returns the response, or a ``DeferredResponse``; is given what ``read`` returned, else None.
+            act: fulfils the request and returns the response, or a ``DeferredResponse``; its argument is the result of ``read``, or None.
             read: reads files in a thread, and touches nothing else; None = there is nothing to read.
+
+        Returns:
+            What ``act`` returned, or a ``DeferredResponse`` for it.
         """
         if read is None and not self._waiting:
             return act(None)
-        later = DeferredResponse()
-        self._waiting.append((read, act, later))
-        self._go_on()
-        return later
+        deferred = DeferredResponse()
+        self._waiting.append((read, act, deferred))
+        self._continue()
+        return deferred
 
-    def _go_on(self) -> None:
+    def _continue(self) -> None:
         while self._waiting and not self._reading:
             read = self._waiting[0][0]
             if read is not None:
@@ -100,19 +106,19 @@ class InOrder:
     def _read(self, read: Callable[[], Any]) -> None:
         try:
             found = read()
-        except Exception:  # it comes again, and is answered, where nothing was read ahead
+        except Exception:  # ``act`` reads again, and reports it
             found = None
-        self._run_soon(self._ended, found)
+        self._run_soon(self._on_read, found)
 
-    def _ended(self, found: Any) -> None:
+    def _on_read(self, found: Any) -> None:
         self._reading = False
         self._act(found)
-        self._go_on()
+        self._continue()
 
     def _act(self, found: Any) -> None:
-        _, act, later = self._waiting.popleft()
+        _, act, deferred = self._waiting.popleft()
         outcome = act(found)
         if isinstance(outcome, DeferredResponse):
-            outcome.send_with(later.answer)
+            outcome.bind(deferred.send)
         else:
-            later.answer(outcome)
+            deferred.send(outcome)

@@ -1,4 +1,4 @@
-"""Values from and to the messages of ``simulation_interfaces``, 1.x and 2.x: what differs is seen by the fields that a message has."""
+"""Converts the messages of ``simulation_interfaces``, 1.x and 2.x; the fields of a message tell its version."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def load_request_from_msg(msg: Any) -> LoadRequest:
 
 
 def state_change_from_msg(msg: Any) -> StateChange:
-    """Returns a request of SetEntityState; before 2.x it always sets everything."""
+    """Returns a request of SetEntityState; in 1.x it always sets everything."""
     state = msg.state
     return StateChange(
         frame_id=state.header.frame_id,
@@ -80,7 +80,7 @@ def filters_from_msg(msg: Any) -> EntityFilters:
 
 
 def bounds_from_msg(msg: Any) -> Bounds:
-    """Returns the volume; of too many points just enough to be refused."""
+    """Returns the volume; if it has too many points, only as many as it takes to be refused."""
     return Bounds(msg.type, tuple(vector_from_msg(point) for point in msg.points[: MOST_POINTS + 1]))
 
 
@@ -100,7 +100,7 @@ def entity_info_to_msg(info: EntityInfo) -> RosEntityInfo:
 
 
 def entity_state_to_msg(state: EntityState, stamp_ns: int) -> RosEntityState:
-    """Returns where an entity is and how it moves, in the world frame; the acceleration is 0."""
+    """Returns pose and velocity of an entity, in the world frame; the acceleration is 0."""
     msg = RosEntityState(header=header_to_msg(stamp_ns, WORLD_FRAME), pose=pose_to_msg(state.pose))
     msg.twist.linear, msg.twist.angular = vector_to_msg(state.linear), vector_to_msg(state.angular)
     return msg
@@ -112,7 +112,7 @@ def named_pose_to_msg(pose: NamedPose) -> RosNamedPose:
 
 
 def spawnable_to_msg(spawnable: Spawnable) -> RosSpawnable:
-    """Returns something that can be spawned (1.x and 2.x)."""
+    """Returns a spawnable as a message (1.x and 2.x)."""
     msg = RosSpawnable(description=spawnable.description)
     if hasattr(msg, "uri"):
         msg.uri = spawnable.uri
@@ -130,7 +130,7 @@ def world_to_msg(world: WorldInfo) -> WorldResource:
 
 
 def _resource(msg: Any, field: str) -> tuple[str, str]:
-    """Returns uri and text: of the message itself, as in 1.x, or of its ``Resource``."""
+    """Returns uri and text, which are fields of the message itself in 1.x, and of its ``Resource`` in 2.x."""
     holder = getattr(msg, field, msg)
     return holder.uri, holder.resource_string
 

@@ -1,8 +1,8 @@
-"""The services and the action of ``simulation_interfaces`` around a ``Simulator``.
+"""The services and the action of ``simulation_interfaces`` for a ``Simulator``.
 
-The node's loop is in the docstring of ``gibson_sim.standard.simulator``. Whatever a client sends, it gets a result: an error of this
-package becomes its code, any other one RESULT_OPERATION_FAILED and a traceback in the log. Services that take long do not hold up the
-loop: steps are made in its turns, worlds are read in a thread, many entities are spawned a few at a time.
+The node's loop is in the docstring of ``gibson_sim.standard.simulator``. Every request gets a result: an error of this package becomes its
+code, any other one RESULT_OPERATION_FAILED and a traceback in the log. Long requests do not block the loop: steps are made in its turns,
+worlds are read in a thread, many entities are spawned a few at a time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gibson_sim import __version__
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.services import simulation_conversions as convert
-from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService, InOrder
+from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService, RequestQueue
 from gibson_sim.scenes.spawning import SPAWN_FORMATS
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.standard import catalogue
@@ -42,42 +42,6 @@ from gibson_sim.standard.stepping import StepRequest
 
 logger = logging.getLogger(__name__)
 
-
-def end_goal(goal: Any, error: SimulationError | None) -> None:
-    """Ends a goal: as cancelled where the client asked for that, else as aborted where there is an error."""
-
-    def finish(handle: Any) -> Any:
-        if handle.is_cancel_requested:
-            handle.canceled()
-        elif error is not None:
-            handle.abort()
-        else:
-            handle.succeed()
-        result = SimulateSteps.Result()
-        return succeeded(result) if error is None else failed(result, error)
-
-    goal.execute(finish)
-
-
-def succeeded(response: Any, remark: str = "") -> Any:
-    """Returns the response with RESULT_OK; GetSimulatorFeatures alone has no result."""
-    if hasattr(response, "result"):
-        response.result.result, response.result.error_message = int(Result.OK), remark
-    return response
-
-
-def failed(response: Any, error: Exception) -> Any:
-    """Returns the response with the code and the text of an error; one that nobody foresaw is logged in full."""
-    code: IntEnum = error.code if isinstance(error, SimulationError) else Result.OPERATION_FAILED
-    text = str(error)
-    if not isinstance(error, GibsonSimError):
-        logger.error("a request failed for a reason that is a mistake of ours", exc_info=error)
-        text = f"internal error: {type(error).__name__}; the log of the simulation says more"
-    if hasattr(response, "result"):
-        response.result.result, response.result.error_message = int(code), shortened(text)
-    return response
-
-
 _CHANGING = frozenset(
     {
         "set_simulation_state",
@@ -90,21 +54,21 @@ _CHANGING = frozenset(
         "unload_world",
     }
 )
-"""What changes the course of things, and not only when they happen."""
+"""Services that change the state of the simulation, not only its timing; the journal has their requests."""
 _CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
-"""To stop is to reset, and a world that was loaded has to be started; a pause changes nothing."""
+"""States whose request changes the simulation: stopping resets it, and playing starts a loaded world; pausing changes nothing."""
 _SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
-"""What names files; what was read of them is handed to the handler."""
+"""Services whose requests name files; their handlers get what was read ahead."""
 _Handler = Callable[..., DeferredResponse | str | None]
 _Found = list[ReadAhead | None] | None
 SPAWNS_AT_ONCE = 50
 """Entities of one request that are spawned before the loop goes on."""
 QUIT_GRACE_S = 0.3
-"""Wall time between the answer to STATE_QUITTING and the end: a writer that is gone cannot repeat what got lost."""
+"""Wall time between the response to STATE_QUITTING and the end, s: a writer that is gone cannot resend a lost response."""
 
 
 class SimulationServices:
-    """Offers the standard on behalf of a node.
+    """Offers the services and the action of the standard.
 
     Services (simulation_interfaces/srv, named in snake_case after ``prefix``): GetSimulatorFeatures, Get/SetSimulationState,
     ResetSimulation, StepSimulation, GetEntities, GetEntitiesStates, Get/SetEntityState, Get/SetEntityInfo, GetEntityBounds,
@@ -122,33 +86,33 @@ class SimulationServices:
         note: Callable[[str, Any], None] = lambda name, request: None,
         lockstep: bool = False,
     ) -> None:
-        """Starts to offer them. The node must be given to an executor.
+        """Creates the services. The node must be added to an executor.
 
         Args:
-            node: on whose behalf.
-            simulator: what they are about.
-            prefix: stands before their names; it may hold a namespace, such as ``sim/``.
+            node: of the services.
+            simulator: that they control.
+            prefix: of the names of the services; it may contain a namespace, such as ``sim/``.
             note: is called with name and request before a request changes the simulation.
-            lockstep: time waits for what is read of things that are spawned, since the step that obeys must not hang on how long that
-                takes. Otherwise time goes on meanwhile, and requests that come later wait for their turn.
+            lockstep: time waits while the files of spawned entities are read, so that the step at which they appear does not depend on the
+                reading time. Otherwise time goes on meanwhile, and later requests wait for their turn.
         """
         self._node, self._simulator, self._prefix, self._note = node, simulator, prefix, note
         self._closed, self._quit_s, self._read_ahead = False, -math.inf, not lockstep
-        self._in_order = InOrder(self._run_soon)
+        self._requests = RequestQueue(self._run_soon)
         self._goals: dict[bytes, StepRequest] = {}
         self._searches: deque[Callable[[], None]] = deque()
-        """Searches of folders that wait for the one under way."""
+        """File searches that wait for the one under way."""
         self._searching = False
         group = ReentrantCallbackGroup()
         self._services = [
-            DeferredService(node, kind, f"{prefix}{name}", partial(self._take, name, handler), callback_group=group)
+            DeferredService(node, kind, f"{prefix}{name}", partial(self._on_request, name, handler), callback_group=group)
             for kind, name, handler in self._table()
         ]
         self._action = ActionServer(
             node,
             SimulateSteps,
             f"{prefix}simulate_steps",
-            execute_callback=_never,
+            execute_callback=_unused,
             handle_accepted_callback=self._on_goal,
             cancel_callback=self._on_cancel,
             callback_group=group,
@@ -156,11 +120,11 @@ class SimulationServices:
 
     @property
     def quit_is_answered(self) -> bool:
-        """Whether a client asked for the end and has had time to hear that it will come."""
+        """Whether a client has requested STATE_QUITTING, and the response has had ``QUIT_GRACE_S`` to arrive."""
         return self._simulator.quitting and time.monotonic() - self._quit_s >= QUIT_GRACE_S
 
     def close(self) -> None:
-        """Ends the action; the services end with the node."""
+        """Destroys the action server; the services end with the node."""
         if not self._closed:
             self._closed = True
             self._action.destroy()
@@ -192,8 +156,8 @@ class SimulationServices:
             (srv.GetCurrentWorld, "get_current_world", self._get_current_world),
         ]
 
-    def repeat(self, name: str, request: Any) -> None:
-        """Does what a request asked for in a recorded run; nobody waits for the answer.
+    def replay(self, name: str, request: Any) -> None:
+        """Fulfils a request of a recorded run, without a response.
 
         Raises:
             ConfigError: there is no such service.
@@ -202,29 +166,27 @@ class SimulationServices:
             if self._node.resolve_service_name(f"{self._prefix}{known}") == name:
                 response = self._handle(known, handler, request, kind.Response())
                 if not isinstance(response, DeferredResponse) and response.result.result != Result.OK:
-                    logger.warning("%s, repeated from a record: %s", name, response.result.error_message)
+                    logger.warning("%s, replayed from a record: %s", name, response.result.error_message)
                 return
-        raise ConfigError(
-            f"there is no service {quoted(name)} that a record could repeat; was it made with another 'service_prefix'?"
-        )
+        raise ConfigError(f"there is no service {quoted(name)} to replay; was the run recorded with another 'service_prefix'?")
 
-    def _take(self, name: str, handler: _Handler, request: Any, response: Any) -> Any:
-        """Answers a request once its turn has come, and what it names was read."""
+    def _on_request(self, name: str, handler: _Handler, request: Any, response: Any) -> Any:
+        """Handles a request in its turn, after its files were read."""
         if not _changes(name, request):
             return self._handle(name, handler, request, response)
-        read = self._reading(name, request) if self._read_ahead and name in _SPAWNING else None
-        return self._in_order.take(lambda found: self._handle(name, handler, request, response, found), read)
+        read = self._file_reader(name, request) if self._read_ahead and name in _SPAWNING else None
+        return self._requests.submit(lambda found: self._handle(name, handler, request, response, found), read)
 
-    def _reading(self, name: str, request: Any) -> Callable[[], Any] | None:
-        """Returns what reads the files that a request names; None where it fails anyway."""
+    def _file_reader(self, name: str, request: Any) -> Callable[[], Any] | None:
+        """Returns a function that reads the files of a request; None if the request fails anyway."""
         items = list(request.spawn_requests) if name == "spawn_entities" else [request]
         try:
-            return self._simulator.population.reading([convert.spawn_request_from_msg(item) for item in items])
+            return self._simulator.population.file_reader([convert.spawn_request_from_msg(item) for item in items])
         except SimulationError:
             return None
 
     def _handle(self, name: str, handler: _Handler, request: Any, response: Any, found: Any = None) -> Any:
-        """Answers a request: a handler returns None or a remark where all is well, and a DeferredResponse where it takes longer."""
+        """Returns the response to a request, or a DeferredResponse. A handler returns None or a remark if it succeeds at once."""
         if _changes(name, request):
             self._note(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
         try:
@@ -254,17 +216,17 @@ class SimulationServices:
         self._simulator.reset(request.scope)
 
     def _step(self, request: Any, response: Any) -> DeferredResponse:
-        later = DeferredResponse()
+        deferred = DeferredResponse()
 
-        def ended(work: StepRequest) -> None:
+        def on_end(work: StepRequest) -> None:
             error = SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None
-            later.answer(succeeded(response) if error is None else failed(response, error))
+            deferred.send(succeeded(response) if error is None else failed(response, error))
 
-        self._simulator.request_steps(request.steps, on_end=ended)
-        return later
+        self._simulator.request_steps(request.steps, on_end=on_end)
+        return deferred
 
     def _get_entities(self, request: Any, response: Any) -> None:
-        found = self._simulator.population.matching(convert.filters_from_msg(request.filters))
+        found = self._simulator.population.select(convert.filters_from_msg(request.filters))
         response.entities = [entity.name for entity in found]
 
     def _get_entities_states(self, request: Any, response: Any) -> None:
@@ -296,28 +258,28 @@ class SimulationServices:
         )
 
     def _spawn_entities(self, request: Any, response: Any, found: _Found) -> DeferredResponse:
-        later = DeferredResponse()
+        deferred = DeferredResponse()
         waiting = list(zip(request.spawn_requests, found or [None] * len(request.spawn_requests), strict=True))
-        _ = self._simulator.population  # without a world it fails as a whole
+        _ = self._simulator.population  # without a world the request fails as a whole
 
-        def some() -> None:
+        def spawn_some() -> None:
             now, waiting[:] = waiting[:SPAWNS_AT_ONCE], waiting[SPAWNS_AT_ONCE:]
             for item in now:
-                response.results.append(self._spawned(*item))
+                response.results.append(self._spawn_result(*item))
             if waiting:
-                self._node.executor.create_task(some)
+                self._node.executor.create_task(spawn_some)
             else:
-                lost = sum(result.result.result != Result.OK for result in response.results)
-                text = f"{lost} of {len(response.results)} entities could not be spawned; results says why"
+                failures = sum(result.result.result != Result.OK for result in response.results)
+                text = f"{failures} of {len(response.results)} entities could not be spawned; results says why"
                 error = SimulationError(SpawnEntitiesCode.ENTITIES_SPAWN_FAILED, text)
-                later.answer(failed(response, error) if lost else succeeded(response))
+                deferred.send(failed(response, error) if failures else succeeded(response))
 
         response.results = []
-        some()
-        return later
+        spawn_some()
+        return deferred
 
-    def _spawned(self, item: Any, ahead: ReadAhead | None) -> SpawnResult:
-        """Spawns one of many and returns how it went."""
+    def _spawn_result(self, item: Any, ahead: ReadAhead | None) -> SpawnResult:
+        """Spawns one of several entities and returns its result."""
         result = SpawnResult()
         try:
             result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item), ahead)
@@ -328,14 +290,14 @@ class SimulationServices:
     def _delete_entity(self, request: Any, _: Any) -> None:
         self._simulator.population.delete(request.entity)
 
-    def _beside(self, work: Callable[[], str], response: Any) -> DeferredResponse:
-        """Does what touches nothing but files and the response in a thread, while time goes on; it returns a remark."""
-        later = DeferredResponse()
+    def _run_in_thread(self, work: Callable[[], str], response: Any) -> DeferredResponse:
+        """Runs a search of files in a thread, while time goes on; ``work`` touches only files and the response, and returns a remark."""
+        deferred = DeferredResponse()
 
-        def ended(outcome: str | Exception) -> None:
+        def on_end(outcome: str | Exception) -> None:
             self._searching = False
-            later.answer(failed(response, outcome) if isinstance(outcome, Exception) else succeeded(response, outcome))
-            self._search_on()
+            deferred.send(failed(response, outcome) if isinstance(outcome, Exception) else succeeded(response, outcome))
+            self._start_next_search()
 
         def run() -> None:
             outcome: str | Exception
@@ -343,14 +305,14 @@ class SimulationServices:
                 outcome = work()
             except Exception as error:
                 outcome = error
-            self._run_soon(ended, outcome)
+            self._run_soon(on_end, outcome)
 
         self._searches.append(run)
-        self._search_on()
-        return later
+        self._start_next_search()
+        return deferred
 
-    def _search_on(self) -> None:
-        """Begins the next search unless one is under way: a hundred at once would leave time no processor."""
+    def _start_next_search(self) -> None:
+        """Starts the next search unless one is under way: a hundred at once would leave the simulation no processor."""
         if self._searches and not self._searching:
             self._searching = True
             Thread(target=self._searches.popleft(), name="look-for-files", daemon=True).start()
@@ -363,7 +325,7 @@ class SimulationServices:
             response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in found]
             return remark
 
-        return self._beside(work, response)
+        return self._run_in_thread(work, response)
 
     def _get_named_poses(self, request: Any, response: Any) -> None:
         poses = self._simulator.named_poses(convert.tags_filter_from_msg(request.tags))
@@ -373,31 +335,31 @@ class SimulationServices:
         response.bounds = convert.bounds_to_msg(self._simulator.named_pose_bounds(request.name))
 
     def _load_world(self, request: Any, response: Any) -> DeferredResponse:
-        later, wanted = DeferredResponse(), convert.load_request_from_msg(request)
-        self._simulator.begin_load(wanted)
+        deferred, load = DeferredResponse(), convert.load_request_from_msg(request)
+        self._simulator.begin_load(load)
 
         def read() -> None:
             outcome: SceneSpec | Exception
             try:
-                outcome = self._simulator.read_world(wanted)
+                outcome = self._simulator.read_world(load)
             except Exception as error:
                 outcome = error
-            self._run_soon(self._world_read, wanted, outcome, response, later)
+            self._run_soon(self._finish_load, load, outcome, response, deferred)
 
         Thread(target=read, name="read-world", daemon=True).start()
-        return later
+        return deferred
 
-    def _world_read(self, wanted: LoadRequest, outcome: SceneSpec | Exception, response: Any, later: DeferredResponse) -> None:
+    def _finish_load(self, load: LoadRequest, outcome: SceneSpec | Exception, response: Any, deferred: DeferredResponse) -> None:
         """Makes the world that was read, in the thread that owns physics."""
         try:
             if isinstance(outcome, Exception):
                 raise outcome
-            response.world = convert.world_to_msg(self._simulator.finish_load(wanted, outcome))
+            response.world = convert.world_to_msg(self._simulator.finish_load(load, outcome))
         except Exception as error:
             self._simulator.abandon_load()
-            later.answer(failed(response, error))
+            deferred.send(failed(response, error))
         else:
-            later.answer(succeeded(response))
+            deferred.send(succeeded(response))
 
     def _unload_world(self, _: Any, __: Any) -> None:
         self._simulator.unload_world()
@@ -411,24 +373,24 @@ class SimulationServices:
             response.worlds = [convert.world_to_msg(world) for world in found]
             return ""
 
-        return self._beside(work, response)
+        return self._run_in_thread(work, response)
 
     def _get_current_world(self, _: Any, response: Any) -> None:
         response.world = convert.world_to_msg(self._simulator.current_world())
 
     def _on_goal(self, goal: Any) -> None:
-        """Asks for the steps of a goal that was accepted; it is executed, in rclpy's sense, once they are made."""
+        """Requests the steps of an accepted goal; for rclpy, the goal executes once they are made."""
         key = bytes(goal.goal_id.uuid)
 
-        def progress(work: StepRequest) -> None:
+        def on_progress(work: StepRequest) -> None:
             goal.publish_feedback(SimulateSteps.Feedback(completed_steps=work.completed, remaining_steps=work.remaining))
 
-        def ended(work: StepRequest) -> None:
+        def on_end(work: StepRequest) -> None:
             self._goals.pop(key, None)
             end_goal(goal, SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None)
 
         try:
-            work = self._simulator.request_steps(goal.request.steps, progress, ended)
+            work = self._simulator.request_steps(goal.request.steps, on_progress, on_end)
         except SimulationError as error:
             end_goal(goal, error)
             return
@@ -443,10 +405,45 @@ class SimulationServices:
         return CancelResponse.ACCEPT
 
 
+def succeeded(response: Any, remark: str = "") -> Any:
+    """Returns the response with RESULT_OK; GetSimulatorFeatures alone has no result."""
+    if hasattr(response, "result"):
+        response.result.result, response.result.error_message = int(Result.OK), remark
+    return response
+
+
+def failed(response: Any, error: Exception) -> Any:
+    """Returns the response with the code and the text of an error; an internal error is logged with its traceback."""
+    code: IntEnum = error.code if isinstance(error, SimulationError) else Result.OPERATION_FAILED
+    text = str(error)
+    if not isinstance(error, GibsonSimError):
+        logger.error("a request failed with an internal error", exc_info=error)
+        text = f"internal error: {type(error).__name__}; the log of the simulation says more"
+    if hasattr(response, "result"):
+        response.result.result, response.result.error_message = int(code), shortened(text)
+    return response
+
+
+def end_goal(goal: Any, error: SimulationError | None) -> None:
+    """Ends a goal: as cancelled if the client requested that, as aborted if there is an error, otherwise as succeeded."""
+
+    def finish(handle: Any) -> Any:
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif error is not None:
+            handle.abort()
+        else:
+            handle.succeed()
+        result = SimulateSteps.Result()
+        return succeeded(result) if error is None else failed(result, error)
+
+    goal.execute(finish)
+
+
 def _changes(name: str, request: Any) -> bool:
-    """Returns whether a request changes the course of things."""
+    """Returns whether a request changes the state of the simulation, not only its timing."""
     return name in _CHANGING and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES)
 
 
-def _never(_: Any) -> Any:
+def _unused(_: Any) -> Any:
     raise AssertionError("goals bring their own callback")

@@ -1,7 +1,7 @@
-"""The actions of control_msgs around an arm and a gripper. Where control_msgs is not installed there are none; the topics are there anyway.
+"""The actions of control_msgs for an arm and a gripper. They need the package control_msgs; the topics exist without it.
 
-A goal becomes a message on a topic, so that a recorded run holds it like any other command. Nothing here waits: what a goal has come to
-is looked at in every tick.
+A goal becomes a message on a topic, so that a recorded run holds it like any other command. Nothing here blocks: every tick updates the
+goals.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from gibson_sim.ros import conversions
 from gibson_sim.types import NS_PER_S
 
 FEEDBACK_NS = NS_PER_S // 20
-"""Between two messages of feedback, simulation time."""
-_REPLACED = "another command for these joints came"
+"""Period of feedback, ns of simulation time."""
+_PREEMPTED = "another command for these joints came"
 
-Answer = Callable[[PhysicsWorld | None, str], None]
-"""Is told when a command was obeyed, by which world, or why it was not."""
-Send = Callable[[str, Any, Answer], None]
-"""Takes a topic, a message, and whom to tell: the next step obeys it."""
-MakeServer = Callable[..., Any]
+OnApplied = Callable[[PhysicsWorld | None, str], None]
+"""Is called with the world once a command was applied, or with the reason why it was not."""
+SendCommand = Callable[[str, Any, OnApplied], None]
+"""Sends a message on a topic, to be applied at the next step."""
+ServerFactory = Callable[..., Any]
 
 
 def control_actions() -> Any | None:
@@ -40,34 +40,34 @@ def control_actions() -> Any | None:
         return None
 
 
-def without_control_msgs(actions: Sequence[str]) -> str:
-    """Returns what to say where the actions of these names cannot be offered."""
+def control_msgs_missing(actions: Sequence[str]) -> str:
+    """Returns the warning for actions that are not offered because control_msgs is not installed."""
     return (
         f"no package control_msgs here: {', '.join(actions)} {'is' if len(actions) == 1 else 'are'} not offered, the topics are; "
         "install ros-jazzy-control-msgs, or build and source ros_ws, which has control_msgs"
     )
 
 
-class _OneGoal:
-    """An action server that pursues one goal at a time; a new one takes the place of the old one."""
+class _SingleGoalServer:
+    """An action server that pursues one goal at a time; a new goal preempts the old one."""
 
-    def __init__(self, node: Node, kind: Any, name: str, joints: tuple[str, ...], make_server: MakeServer) -> None:
+    def __init__(self, node: Node, kind: Any, name: str, joints: tuple[str, ...], make_server: ServerFactory) -> None:
         self.joints = joints
         self._kind, self._log = kind, node.get_logger()
         self._goal: Any = None
-        self._fed_ns = 0
+        self._feedback_ns = 0
         self._server = make_server(
             node,
             kind,
             name,
-            execute_callback=_never,
+            execute_callback=_unused,
             goal_callback=self._on_request,
             handle_accepted_callback=self._on_goal,
             cancel_callback=self._on_cancel,
         )
 
     def close(self) -> None:
-        """Takes the action back."""
+        """Destroys the action server."""
         self._goal = None
         self._server.destroy()
 
@@ -80,25 +80,25 @@ class _OneGoal:
         return GoalResponse.ACCEPT
 
     def _on_goal(self, goal: Any) -> None:
-        self.give_way()
+        self.preempt()
         self._goal = goal
-        self._fed_ns = 0
-        self._begin(goal)
+        self._feedback_ns = 0
+        self._start(goal)
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
         if goal is not self._goal:
             return CancelResponse.REJECT
-        self._hold()
-        self._end_with(self._canceled_result(), "canceled")
+        self._stop_joints()
+        self._end_goal(self._canceled_result(), "canceled")
         return CancelResponse.ACCEPT
 
-    def give_way(self, reason: str = _REPLACED) -> None:
-        """Ends the goal, if there is one: something else decides now."""
+    def preempt(self, reason: str = _PREEMPTED) -> None:
+        """Aborts the goal, if there is one."""
         if self._goal is not None:
-            self._end_with(self._failed_result(reason), "abort")
+            self._end_goal(self._failed_result(reason), "abort")
 
-    def _end_with(self, result: Any, how: str) -> None:
-        """Ends the goal; in rclpy's sense it is executed only now."""
+    def _end_goal(self, result: Any, how: str) -> None:
+        """Ends the goal; for rclpy, it executes only now."""
         goal, self._goal = self._goal, None
 
         def finish(handle: Any) -> Any:
@@ -107,22 +107,22 @@ class _OneGoal:
 
         goal.execute(finish)
 
-    def _feed(self, now_ns: int, make: Callable[[], Any]) -> None:
-        if now_ns - self._fed_ns >= FEEDBACK_NS:
-            self._fed_ns = now_ns
+    def _publish_feedback(self, now_ns: int, make: Callable[[], Any]) -> None:
+        if now_ns - self._feedback_ns >= FEEDBACK_NS:
+            self._feedback_ns = now_ns
             self._goal.publish_feedback(make())
 
     def update(self, robot: str, world: PhysicsWorld) -> None:
-        """Looks what became of the goal; for every tick."""
+        """Ends the goal if it has succeeded or failed, or publishes feedback; is called at every tick."""
         raise NotImplementedError
 
     def _check(self, request: Any) -> None:
         raise NotImplementedError
 
-    def _begin(self, goal: Any) -> None:
+    def _start(self, goal: Any) -> None:
         raise NotImplementedError
 
-    def _hold(self) -> None:
+    def _stop_joints(self) -> None:
         raise NotImplementedError
 
     def _canceled_result(self) -> Any:
@@ -132,7 +132,7 @@ class _OneGoal:
         raise NotImplementedError
 
 
-class TrajectoryAction(_OneGoal):
+class TrajectoryAction(_SingleGoalServer):
     """``control_msgs/FollowJointTrajectory`` of one arm."""
 
     def __init__(
@@ -142,22 +142,22 @@ class TrajectoryAction(_OneGoal):
         name: str,
         topic: str,
         joints: tuple[str, ...],
-        send: Send,
+        send: SendCommand,
         now_ns: Callable[[], int],
         *,
-        make_server: MakeServer = ActionServer,
+        make_server: ServerFactory = ActionServer,
     ) -> None:
         """Offers the action.
 
         Args:
-            node: On whose behalf.
-            kind: The action's type.
-            name: The action's name.
-            topic: On which trajectories of these joints come.
-            joints: That a goal may move.
-            send: Lets the next step obey a message.
-            now_ns: Returns simulation time.
-            make_server: Makes the server.
+            node: of the action server.
+            kind: the action's type.
+            name: the action's name.
+            topic: of the trajectories of these joints.
+            joints: that a goal may move.
+            send: sends a message, to be applied at the next step.
+            now_ns: returns simulation time.
+            make_server: makes the server.
         """
         super().__init__(node, kind, name, joints, make_server)
         self._topic, self._send, self._now_ns = topic, send, now_ns
@@ -174,8 +174,8 @@ class TrajectoryAction(_OneGoal):
 
     @staticmethod
     def _read(request: Any, now_ns: int) -> TrajectoryGoal:
-        """Returns the rules of a goal that begins at ``now_ns``, unless its stamp says otherwise."""
-        conversions.joint_command_from_msg(request.trajectory)  # refuses what cannot be obeyed
+        """Returns the rules of a goal that begins at ``now_ns``, or at its stamp if that is not 0."""
+        conversions.joint_command_from_msg(request.trajectory)  # refuses what cannot be applied
         if not request.trajectory.points:
             raise CommandError("joint trajectory has no points; give at least one, or cancel the goal to stop")
         last = request.trajectory.points[-1]
@@ -190,25 +190,25 @@ class TrajectoryAction(_OneGoal):
             tuple(request.trajectory.joint_names), tuple(last.positions), start_ns + duration_ns, path, goal, goal_time
         )
 
-    def _begin(self, goal: Any) -> None:
+    def _start(self, goal: Any) -> None:
         self._rules = None
 
-        def answer(world: PhysicsWorld | None, error: str) -> None:
+        def on_applied(world: PhysicsWorld | None, error: str) -> None:
             if goal is not self._goal:
                 return
             if error or world is None:
-                self._end_with(self._result(Ended(TrajectoryCode.INVALID_GOAL, error)), "abort")
+                self._end_goal(self._result(Ended(TrajectoryCode.INVALID_GOAL, error)), "abort")
             else:
                 self._rules = self._read(goal.request, world.stamp_ns)
 
-        self._send(self._topic, goal.request.trajectory, answer)
+        self._send(self._topic, goal.request.trajectory, on_applied)
 
-    def _hold(self) -> None:
+    def _stop_joints(self) -> None:
         names = self._goal.request.trajectory.joint_names
-        self._send(self._topic, JointTrajectory(joint_names=names), _look_away)
+        self._send(self._topic, JointTrajectory(joint_names=names), _ignore_outcome)
 
     def update(self, robot: str, world: PhysicsWorld) -> None:
-        """Looks what became of the goal; for every tick."""
+        """Ends the goal if it has succeeded or failed, or publishes feedback; is called at every tick."""
         rules = self._rules
         if self._goal is None or rules is None:
             return
@@ -218,11 +218,11 @@ class TrajectoryAction(_OneGoal):
         desired = dict(zip(rules.names, rules.end, strict=True)) | world.joint_setpoints(robot)
         ended = rules.outcome(world.stamp_ns, desired, positions, velocities)
         if ended is None:
-            self._feed(world.stamp_ns, lambda: self._feedback(rules, world.stamp_ns, desired, positions, velocities))
+            self._publish_feedback(world.stamp_ns, lambda: self._feedback(rules, world.stamp_ns, desired, positions, velocities))
             return
         if ended.code is TrajectoryCode.PATH_TOLERANCE_VIOLATED:
-            self._hold()
-        self._end_with(self._result(ended), "abort" if ended.code else "succeed")
+            self._stop_joints()
+        self._end_goal(self._result(ended), "abort" if ended.code else "succeed")
 
     def _feedback(
         self,
@@ -250,7 +250,7 @@ class TrajectoryAction(_OneGoal):
         return self._result(Ended(TrajectoryCode.INVALID_GOAL, reason))
 
 
-class GripperAction(_OneGoal):
+class GripperAction(_SingleGoalServer):
     """``control_msgs/GripperCommand`` of one gripper: ``position`` is that of every finger."""
 
     def __init__(
@@ -260,11 +260,11 @@ class GripperAction(_OneGoal):
         name: str,
         topic: str,
         joints: tuple[str, ...],
-        send: Send,
+        send: SendCommand,
         *,
-        make_server: MakeServer = ActionServer,
+        make_server: ServerFactory = ActionServer,
     ) -> None:
-        """Offers the action; the arguments are those of ``TrajectoryAction``, and joint commands come on ``topic``."""
+        """Offers the action; the arguments are those of ``TrajectoryAction``, with joint commands on ``topic``."""
         super().__init__(node, kind, name, joints, make_server)
         self._topic, self._send = topic, send
         self._rules: GripperGoal | None = None
@@ -274,31 +274,31 @@ class GripperAction(_OneGoal):
         conversions.joint_command_from_msg(self._message(request))
 
     def _message(self, request: Any) -> JointState:
-        """Returns what a goal asks of the fingers; without an effort they press as hard as the robot's file says."""
+        """Returns the joint command of a goal; without an effort, the limits of the robot's file apply."""
         command, count = request.command, len(self.joints)
         return JointState(name=list(self.joints), position=[command.position] * count, effort=[command.max_effort] * count)
 
-    def _begin(self, goal: Any) -> None:
+    def _start(self, goal: Any) -> None:
         self._rules, self._last = None, {}
 
-        def answer(world: PhysicsWorld | None, error: str) -> None:
+        def on_applied(world: PhysicsWorld | None, error: str) -> None:
             if goal is not self._goal:
                 return
             if error or world is None:
                 self._log.warning(f"goal of the gripper refused: {error}")
-                self.give_way(error)
+                self.preempt(error)
             else:
                 self._rules = GripperGoal(self.joints, goal.request.command.position, world.stamp_ns)
 
-        self._send(self._topic, self._message(goal.request), answer)
+        self._send(self._topic, self._message(goal.request), on_applied)
 
-    def _hold(self) -> None:
+    def _stop_joints(self) -> None:
         if self._last:
             stay = JointState(name=list(self.joints), velocity=[0.0] * len(self.joints))
-            self._send(self._topic, stay, _look_away)
+            self._send(self._topic, stay, _ignore_outcome)
 
     def update(self, robot: str, world: PhysicsWorld) -> None:
-        """Looks what became of the goal; for every tick."""
+        """Ends the goal if it has succeeded or failed, or publishes feedback; is called at every tick."""
         if self._goal is None or self._rules is None:
             return
         states = world.joint_states(robot)
@@ -308,9 +308,9 @@ class GripperAction(_OneGoal):
         now = self._rules.outcome(world.stamp_ns, *rows)
         self._last = {"position": now.position, "effort": now.effort, "stalled": now.stalled, "reached_goal": now.reached_goal}
         if now.is_over:
-            self._end_with(self._kind.Result(**self._last), "succeed")
+            self._end_goal(self._kind.Result(**self._last), "succeed")
         else:
-            self._feed(world.stamp_ns, lambda: self._kind.Feedback(**self._last))
+            self._publish_feedback(world.stamp_ns, lambda: self._kind.Feedback(**self._last))
 
     def _canceled_result(self) -> Any:
         return self._kind.Result(**self._last)
@@ -319,9 +319,9 @@ class GripperAction(_OneGoal):
         return self._kind.Result(**self._last)
 
 
-def _look_away(world: PhysicsWorld | None, error: str) -> None:
-    """Stands where nobody wants to know what became of a command."""
+def _ignore_outcome(world: PhysicsWorld | None, error: str) -> None:
+    """Is the ``OnApplied`` of commands whose outcome does not matter."""
 
 
-def _never(_: Any) -> Any:
+def _unused(_: Any) -> Any:
     raise AssertionError("goals bring their own callback")

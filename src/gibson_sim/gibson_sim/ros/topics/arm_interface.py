@@ -1,4 +1,4 @@
-"""The topics, the service and the actions of a robot's arms, and what the robot ran into."""
+"""The topics, the service and the actions of a robot's arms, and the robot's collision counts."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
 from gibson_sim.ros.lockstep.journal import Journal
 from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.arm_actions import Answer, GripperAction, TrajectoryAction, control_actions, without_control_msgs
+from gibson_sim.ros.topics.arm_actions import GripperAction, OnApplied, TrajectoryAction, control_actions, control_msgs_missing
 
 _MOST_COMMANDS = 64
-"""Commands kept between two steps; older ones give way."""
+"""Length of the queue of received commands; beyond it the oldest is dropped."""
 
 _RESET = "the simulation was reset"
 
@@ -36,43 +36,42 @@ _RESET = "the simulation was reset"
 class _Command(NamedTuple):
     topic: str
     message: Any
-    answer: Answer | None
-    """Whom to tell what became of it."""
+    on_applied: OnApplied | None
 
 
 class _Route(NamedTuple):
     apply: Callable[[PhysicsWorld, Any], None]
     joints: tuple[str, ...]
-    """Those that its commands move."""
+    """That its commands move."""
 
 
 class ArmInterface:
-    """Publishes what the arms of a robot hold and hands them what they are told. All names are relative to its namespace.
+    """Applies the commands of a robot's arms, and publishes what the arms hold. All names are relative to the robot's namespace.
 
-    Of a robot with several arms, ``grasp`` and ``grasp_state`` are ``<arm>/grasp`` and ``<arm>/grasp_state``, and ``gripper_controller`` is
+    If a robot has several arms, ``grasp`` and ``grasp_state`` are ``<arm>/grasp`` and ``<arm>/grasp_state``, and ``gripper_controller`` is
     ``<arm>_gripper_controller``.
 
     Subscribes:
         <arm>_controller/joint_trajectory and gripper_controller/joint_trajectory (trajectory_msgs/JointTrajectory): as the robot's
             ``joint_trajectory``, for its joints alone; an empty one stops them.
-        gripper_controller/joint_command (sensor_msgs/JointState): positions of its joints, and, as efforts, how hard it presses at most.
+        gripper_controller/joint_command (sensor_msgs/JointState): positions of its joints, and, as efforts, its greatest forces.
         <arm>_servo/delta_twist_cmds (geometry_msgs/TwistStamped): velocity of the tool, in the axes of a link of the robot.
-        grasp (std_msgs/Bool): take hold, or let go.
+        grasp (std_msgs/Bool): grasp or release.
 
     Services:
-        grasp (std_srvs/SetBool): the same, with what came of it.
+        grasp (std_srvs/SetBool): the same, with the outcome.
 
     Actions, where control_msgs is installed:
         <arm>_controller/follow_joint_trajectory (control_msgs/FollowJointTrajectory).
         gripper_controller/gripper_cmd (control_msgs/GripperCommand).
 
-    Publishes, while somebody listens:
+    Publishes, while it has subscribers:
         grasp_state (gibson_msgs/GraspState), collisions (gibson_msgs/CollisionCount): at every tick.
     """
 
-    def __init__(self, node: Node, robot: RobotSpec, received: Callable[[str], None], now_ns: int) -> None:
-        """Makes the topics; ``received`` is called with the topic of each command, ``now_ns`` is simulation time."""
-        self._node, self._robot, self._on_received, self._now_ns = node, robot, received, now_ns
+    def __init__(self, node: Node, robot: RobotSpec, on_received: Callable[[str], None], now_ns: int) -> None:
+        """Makes the topics; ``on_received`` is called with the topic of each command, ``now_ns`` is simulation time."""
+        self._node, self._robot, self._on_received, self._now_ns = node, robot, on_received, now_ns
         self._received_commands: deque[_Command] = deque()
         self._due_commands: deque[_Command] = deque()
         self._routes: dict[str, _Route] = {}
@@ -82,23 +81,23 @@ class ArmInterface:
         self._trajectories: list[TrajectoryAction] = []
         self._grippers: list[GripperAction] = []
         self._collisions_pub = node.create_publisher(CollisionCount, self._topic(names.COLLISIONS), **qos.overridable(qos.STATE))
-        actions, lacking = control_actions(), []
+        actions, missing = control_actions(), []
         for arm in robot.manipulators:
-            lacking += self._add(arm, "" if len(robot.manipulators) == 1 else f"{arm.name}/", actions)
-        if lacking:
-            node.get_logger().warning(without_control_msgs(lacking))
+            missing += self._add_arm(arm, "" if len(robot.manipulators) == 1 else f"{arm.name}/", actions)
+        if missing:
+            node.get_logger().warning(control_msgs_missing(missing))
         self.command_topics = frozenset(self._routes)
-        """Resolved."""
+        """Resolved names of all topics of commands."""
 
     def _topic(self, name: str) -> str:
         return f"{self._robot.namespace}/{name}" if self._robot.namespace else name
 
-    def _add(self, arm: ManipulatorSpec, prefix: str, actions: Any | None) -> list[str]:
-        """Makes the topics of one arm, and its actions where they can be had. Returns the names of the actions that cannot."""
+    def _add_arm(self, arm: ManipulatorSpec, prefix: str, actions: Any | None) -> list[str]:
+        """Makes the topics and actions of one arm; returns the names of the actions that need the missing control_msgs."""
         follow = self._topic(names.controller(arm.name, "follow_joint_trajectory"))
         trajectory = names.controller(arm.name, names.JOINT_TRAJECTORY)
-        self._listen(JointTrajectory, trajectory, partial(self._follow, arm.joints), arm.joints)
-        self._listen(TwistStamped, names.servo(arm.name), partial(self._servo, arm.name), arm.joints)
+        self._subscribe(JointTrajectory, trajectory, partial(self._apply_trajectory, arm.joints), arm.joints)
+        self._subscribe(TwistStamped, names.servo(arm.name), partial(self._apply_servo, arm.name), arm.joints)
         if actions is not None:
             action = TrajectoryAction(
                 self._node,
@@ -114,9 +113,10 @@ class ArmInterface:
             return [] if actions is not None else [follow]
         gripper, joints = f"{prefix.replace('/', '_')}gripper", arm.gripper.joints
         command, grasp = names.controller(gripper, names.JOINT_COMMAND), f"{prefix}{names.GRASP}"
-        self._listen(JointTrajectory, names.controller(gripper, names.JOINT_TRAJECTORY), partial(self._follow, joints), joints)
-        self._listen(JointState, command, partial(self._apply_joints, joints), joints)
-        self._listen(Bool, grasp, partial(self._grasp, arm.name), ())
+        gripper_trajectory = names.controller(gripper, names.JOINT_TRAJECTORY)
+        self._subscribe(JointTrajectory, gripper_trajectory, partial(self._apply_trajectory, joints), joints)
+        self._subscribe(JointState, command, partial(self._apply_joints, joints), joints)
+        self._subscribe(Bool, grasp, partial(self._apply_grasp, arm.name), ())
         self._grasp_pubs[arm.name] = self._node.create_publisher(
             GraspState, self._topic(f"{prefix}{names.GRASP_STATE}"), **qos.overridable(qos.STATE)
         )
@@ -134,7 +134,7 @@ class ArmInterface:
     def _resolved(self, name: str) -> str:
         return self._node.resolve_topic_name(self._topic(name))
 
-    def _listen(self, kind: type[Any], name: str, apply: Callable[[PhysicsWorld, Any], None], joints: tuple[str, ...]) -> None:
+    def _subscribe(self, kind: type[Any], name: str, apply: Callable[[PhysicsWorld, Any], None], joints: tuple[str, ...]) -> None:
         topic = self._resolved(name)
         self._routes[topic] = _Route(apply, joints)
         self._subscriptions.append(
@@ -148,56 +148,56 @@ class ArmInterface:
         self._on_received(topic)
 
     def receive(self, topic: str, msg: Any) -> None:
-        """Puts a command into the queue of those that were received, as if it had arrived on ``topic``."""
-        self._put(_Command(topic, msg, None))
+        """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
+        self._enqueue(_Command(topic, msg, None))
 
-    def _send(self, topic: str, msg: Any, answer: Answer) -> None:
-        self._put(_Command(topic, msg, answer))
+    def _send(self, topic: str, msg: Any, on_applied: OnApplied) -> None:
+        self._enqueue(_Command(topic, msg, on_applied))
 
-    def _put(self, command: _Command) -> None:
+    def _enqueue(self, command: _Command) -> None:
         while len(self._received_commands) >= _MOST_COMMANDS:
             dropped = self._received_commands.popleft()
-            if dropped.answer is not None:
-                dropped.answer(None, "too many commands came before the next step; send fewer, or let time go on")
+            if dropped.on_applied is not None:
+                dropped.on_applied(None, "too many commands came before the next step; send fewer, or let time go on")
         self._received_commands.append(command)
 
     def latch_commands(self) -> None:
-        """Makes the commands that were received until now due at the next step; later ones are for the steps after it."""
+        """Makes all commands received so far due at the next step; later ones are for the steps after it."""
         self._due_commands.extend(self._received_commands)
         self._received_commands.clear()
 
     def apply_commands(self, world: PhysicsWorld, journal: Journal) -> tuple[int, int]:
-        """Applies the commands that are due to the world, in the order of their arrival, and notes them in the journal.
+        """Applies the due commands in the order of their arrival, and notes them in the journal.
 
         Returns:
-            How many there were, and how many were refused.
+            Number of commands, and how many of them were refused.
         """
         seen = refused = 0
         while self._due_commands:
             seen += 1
-            topic, message, answer = self._due_commands.popleft()
+            topic, message, on_applied = self._due_commands.popleft()
             journal.note(topic, message)
             problem = ""
             try:
                 route = self._routes[topic]
-                if answer is None:
-                    self._give_way(route.joints)
+                if on_applied is None:
+                    self._preempt_goals(route.joints)
                 route.apply(world, message)
             except (CommandError, PhysicsError) as error:
                 refused += 1
                 problem = str(error)
                 self._node.get_logger().warning(problem, throttle_duration_sec=1.0)
-            if answer is not None:
-                answer(world, problem)
+            if on_applied is not None:
+                on_applied(world, problem)
         return seen, refused
 
-    def _give_way(self, joints: tuple[str, ...]) -> None:
-        """Ends the goals of actions whose joints another command moves."""
+    def _preempt_goals(self, joints: tuple[str, ...]) -> None:
+        """Aborts the action goals whose joints another command moves."""
         for action in (*self._trajectories, *self._grippers):
             if set(joints) & set(action.joints):
-                action.give_way()
+                action.preempt()
 
-    def _follow(self, joints: tuple[str, ...], world: PhysicsWorld, msg: JointTrajectory) -> None:
+    def _apply_trajectory(self, joints: tuple[str, ...], world: PhysicsWorld, msg: JointTrajectory) -> None:
         _check_joints(msg.joint_names, joints)
         if not msg.points and not msg.joint_names:
             msg = JointTrajectory(joint_names=joints)
@@ -208,35 +208,35 @@ class ArmInterface:
         command = JointState(name=msg.name or joints, position=msg.position, velocity=msg.velocity, effort=msg.effort)
         world.command_joints(self._robot.name, conversions.joint_command_from_msg(command))
 
-    def _servo(self, arm: str, world: PhysicsWorld, msg: TwistStamped) -> None:
-        world.servo(self._robot.name, conversions.tool_twist_from_msg(msg, self._robot.frame_prefix), arm)
+    def _apply_servo(self, arm: str, world: PhysicsWorld, msg: TwistStamped) -> None:
+        world.arms.servo(self._robot.name, conversions.tool_twist_from_msg(msg, self._robot.frame_prefix), arm)
 
-    def _grasp(self, arm: str, world: PhysicsWorld, msg: Bool) -> None:
-        (world.grasp if msg.data else world.release)(self._robot.name, arm)
+    def _apply_grasp(self, arm: str, world: PhysicsWorld, msg: Bool) -> None:
+        (world.arms.grasp if msg.data else world.arms.release)(self._robot.name, arm)
 
     def _on_grasp(self, arm: str, topic: str, request: Any, response: Any) -> DeferredResponse:
-        """Grasps in the next step; the answer comes with it."""
-        later = DeferredResponse()
+        """Sends the grasp as a command; the service responds once it was applied."""
+        deferred = DeferredResponse()
 
-        def answer(world: PhysicsWorld | None, error: str) -> None:
+        def on_applied(world: PhysicsWorld | None, error: str) -> None:
             response.success, response.message = False, error
             if world is not None and not error:
-                state = world.grasp_state(self._robot.name, arm)
+                state = world.arms.grasp_state(self._robot.name, arm)
                 response.success = state.holding == request.data
                 response.message = f"holds {state.body}/{state.link}" if state.holding else state.reason
-            later.answer(response)
+            deferred.send(response)
 
-        self._send(topic, Bool(data=request.data), answer)
-        return later
+        self._send(topic, Bool(data=request.data), on_applied)
+        return deferred
 
-    # What is published
+    # States
 
     def publish(self, world: PhysicsWorld, digests: DigestPublisher | None = None) -> None:
-        """Publishes what the arms hold and what the robot ran into, and looks what became of the goals of actions."""
+        """Publishes grasp states and collision counts, and updates the goals of actions; is called at every tick."""
         self._now_ns, name = world.stamp_ns, self._robot.name
         for arm, publisher in self._grasp_pubs.items():
             if digests is not None or publisher.get_subscription_count():
-                state = world.grasp_state(name, arm)
+                state = world.arms.grasp_state(name, arm)
                 publisher.publish(conversions.grasp_state_to_msg(state, self._now_ns))
                 if digests is not None:
                     digests.add(publisher.topic_name, state)
@@ -252,13 +252,13 @@ class ArmInterface:
         self._due_commands.clear()
         self._now_ns = 0
         for action in (*self._trajectories, *self._grippers):
-            action.give_way(_RESET)
+            action.preempt(_RESET)
         for command in dropped:
-            if command.answer is not None:
-                command.answer(None, _RESET)
+            if command.on_applied is not None:
+                command.on_applied(None, _RESET)
 
     def close(self) -> None:
-        """Takes topics, services and actions back."""
+        """Destroys topics, services and actions."""
         for action in (*self._trajectories, *self._grippers):
             action.close()
         for service in self._services:
@@ -271,8 +271,8 @@ class ArmInterface:
         self._grasp_pubs = {}
 
 
-def _check_joints(wanted: Sequence[str], known: tuple[str, ...]) -> None:
-    for name in wanted:
+def _check_joints(requested: Sequence[str], known: tuple[str, ...]) -> None:
+    for name in requested:
         if name not in known:
             raise CommandError(
                 f"joint {quoted(name)} is none of this controller's: {', '.join(known)}; use the topic of another one"

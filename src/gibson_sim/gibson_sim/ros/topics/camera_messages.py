@@ -1,6 +1,6 @@
-"""All messages of one camera: their topics, what must be drawn for them, and how they are made. Nothing here publishes.
+"""All messages of one camera: their topics, the outputs that must be drawn for them, and their contents.
 
-The render node publishes them; ``render_bag`` writes them to a bag.
+Nothing here publishes: the render node does, and ``render_bag`` writes to a bag.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gibson_sim.types import CameraSpec, Frame, Output
 COMPRESSED, COMPRESSED_DEPTH, POINTS, REGISTERED, REGISTERED_INFO = (
     "compressed", "compressed_depth", "points", "registered", "registered_info",
 )  # fmt: skip
-"""Kinds of messages, beside those of ``names.camera_topics``."""
+"""Kinds of messages, in addition to those of ``names.camera_topics``."""
 _LABELS: tuple[Output, ...] = ("semantic", "instance")
 
 
@@ -54,7 +54,7 @@ class CameraMessages:
             split_for(camera, target)  # now, not at each image
 
     def topics(self) -> Iterator[tuple[str, Any, str]]:
-        """Yields kind, type and topic of all that comes at the camera's rate."""
+        """Yields kind, type and topic of all messages at the camera's rate."""
         camera, topics = self.camera, names.camera_topics(self.camera.name)
         for output in camera.outputs:
             yield output, Image, topics[output]
@@ -70,42 +70,42 @@ class CameraMessages:
                 yield REGISTERED_INFO, CameraInfo, info
 
     def label_topics(self) -> Iterator[tuple[Output, Any, str]]:
-        """Yields output, type and topic of what names the numbers in label images: latched."""
+        """Yields output, type and topic of the latched messages that name the classes and instances in label images."""
         for output in _LABELS:
             if output in self.camera.outputs:
                 yield output, conversions.label_info_type(), names.label_info_topic(self.camera.name, output)
 
-    def to_draw(self, wanted: frozenset[str]) -> CameraSpec | None:
-        """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture.
+    def to_draw(self, kinds: frozenset[str]) -> CameraSpec | None:
+        """Returns the camera with the outputs that these kinds of messages need; None if none of them needs an image.
 
-        It is the same object for the same messages: renderers work out once what they need of a camera.
+        It is the same object for the same kinds: renderers prepare each camera once.
         """
-        if wanted not in self._drawn:
-            self._drawn[wanted] = self._with_outputs_of(wanted)
-        return self._drawn[wanted]
+        if kinds not in self._drawn:
+            self._drawn[kinds] = self._with_outputs_of(kinds)
+        return self._drawn[kinds]
 
-    def _with_outputs_of(self, wanted: frozenset[str]) -> CameraSpec | None:
-        needed: set[str] = {kind for kind in wanted if kind in self.camera.outputs}
-        if COMPRESSED in wanted or POINTS in wanted:
+    def _with_outputs_of(self, kinds: frozenset[str]) -> CameraSpec | None:
+        needed: set[str] = {kind for kind in kinds if kind in self.camera.outputs}
+        if COMPRESSED in kinds or POINTS in kinds:
             needed.add("rgb")
-        if wanted & {COMPRESSED_DEPTH, POINTS, REGISTERED}:
+        if kinds & {COMPRESSED_DEPTH, POINTS, REGISTERED}:
             needed.add("depth")
         if "depth" in needed and self.camera.depth_noise.hole_angle_deg < 90.0:
-            needed.add("normal")  # holes follow the normals where the camera has them: depth must not depend on who listens
+            needed.add("normal")  # holes follow the normals where the camera has them: depth must not depend on subscribers
         outputs = tuple(output for output in self.camera.outputs if output in needed)
         return replace(self.camera, outputs=outputs) if outputs else None
 
     def infos(
-        self, stamp_ns: int, wanted: frozenset[str], serialize: Callable[[Any], bytes] = serialize_message
+        self, stamp_ns: int, kinds: frozenset[str], serialize: Callable[[Any], bytes] = serialize_message
     ) -> Iterator[tuple[str, bytes]]:
-        """Yields kind and bytes of the calibrations that are wanted: those of the first one of each kind, with another stamp.
+        """Yields kind and bytes of the requested camera_info messages; only the first of each kind is serialised, then restamped.
 
         Args:
             stamp_ns: of the image.
-            wanted: kinds of messages; others are passed over.
-            serialize: makes the bytes of that first one: ``serialize_message`` of rclpy, or ``exact_bytes``.
+            kinds: requested kinds of messages; those that are not camera_info are ignored.
+            serialize: ``serialize_message`` of rclpy, or ``exact_bytes``.
         """
-        for kind in sorted(wanted):
+        for kind in sorted(kinds):
             if not kind.endswith("_info"):
                 continue
             if kind not in self._infos:
@@ -116,41 +116,41 @@ class CameraMessages:
     def images(
         self,
         frame: Frame,
-        wanted: frozenset[str],
+        kinds: frozenset[str],
         T_target_camera: Mat4 | None,
         image: Callable[..., Any] = conversions.image_to_msg,
     ) -> Iterator[tuple[str, Any]]:
-        """Yields kind and message of the images that are wanted.
+        """Yields kind and message of the requested images.
 
         Args:
-            frame: with the outputs of ``to_draw``, without noise of depth.
-            wanted: kinds of messages.
-            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not wanted.
-            image: makes a sensor_msgs/Image: ``conversions.image_to_msg``, or ``fast_images.image_to_bytes``.
+            frame: with the outputs of ``to_draw``, without depth noise.
+            kinds: requested kinds of messages.
+            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not requested.
+            image: makes a sensor_msgs/Image: ``conversions.image_to_msg``, or ``fast_publish.image_to_bytes``.
         """
         frame = apply_depth_noise(frame, self.camera.depth_noise)
         config, stamp, frame_id = self._config, frame.stamp_ns, self.camera.optical_frame
-        yield from conversions.frame_to_image_msgs(frame, wanted & set(self.camera.outputs), image)
-        if COMPRESSED in wanted and frame.rgb is not None:
+        yield from conversions.frame_to_image_msgs(frame, kinds & set(self.camera.outputs), image)
+        if COMPRESSED in kinds and frame.rgb is not None:
             codec: ColorCodec = "png" if config.compressed_format == "png" else "jpeg"
             data = encode_color(frame.rgb, codec, jpeg_quality=config.jpeg_quality, png_level=config.png_level)
             yield COMPRESSED, conversions.compressed_to_msg(data.tobytes(), color_format(codec), stamp, frame_id)
         if frame.depth is None:
             return
-        if COMPRESSED_DEPTH in wanted:
+        if COMPRESSED_DEPTH in kinds:
             packed = encode_depth(
                 frame.depth, depth_max=config.compressed_depth_max, quantization=config.compressed_depth_quantization,
                 png_level=config.png_level,
             )  # fmt: skip
             yield COMPRESSED_DEPTH, conversions.compressed_to_msg(packed, COMPRESSED_DEPTH_FORMAT, stamp, frame_id)
-        if POINTS in wanted:
+        if POINTS in kinds:
             yield POINTS, conversions.cloud_to_msg(cloud_of_frame(frame), stamp, frame_id)
-        if REGISTERED in wanted and self.target is not None and T_target_camera is not None:
+        if REGISTERED in kinds and self.target is not None and T_target_camera is not None:
             pixels = self._registered(T_target_camera).image(frame.depth)
             yield REGISTERED, image(pixels, "32FC1", stamp, self.target.optical_frame)
 
     def _registered(self, T_target_camera: Mat4) -> DepthRegistration:
-        """Returns the way to the other camera, the same one as long as the two do not move against each other."""
+        """Returns the registration to the other camera; it is reused while the two do not move relative to each other."""
         assert self.target is not None
         key = (T_target_camera.round(9) + 0.0).tobytes()  # no -0.0, which is 0.0 in other bytes
         if self._registration is None or self._registration[0] != key:
@@ -158,7 +158,7 @@ class CameraMessages:
         return self._registration[1]
 
     def labels(self, scene: DrawnScene, stamp_ns: int) -> Iterator[tuple[Output, Any]]:
-        """Yields what the numbers of label images mean, where that has changed since the last call."""
+        """Yields output and message of the label names that have changed since the last call."""
         for output in _LABELS:
             if output not in self.camera.outputs:
                 continue

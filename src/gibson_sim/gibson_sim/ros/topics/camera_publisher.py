@@ -1,4 +1,4 @@
-"""All topics of one camera: which of them somebody listens to, and their messages on them."""
+"""Publishes the messages of one camera on the topics that have subscribers."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["REGISTERED", "CameraPublisher"]
 
 
 class CameraPublisher:
-    """Publishes what a camera sees.
+    """Publishes the images, camera_info and label names of a camera.
 
     Args:
-        node: whose publishers these are.
+        node: of the publishers.
         camera: as the scene has it.
         config: how images are compressed.
         target: the camera that its depth is registered to; None = none.
@@ -40,43 +40,43 @@ class CameraPublisher:
         for output, message_type, topic in self._messages.label_topics():
             self._label_publishers[output] = qos.make_publisher(node, message_type, topic, qos.LATCHED)
 
-    def wanted(self) -> frozenset[str]:
-        """Returns the kinds of messages that somebody listens to now. It takes some microseconds for each topic."""
+    def subscribed_kinds(self) -> frozenset[str]:
+        """Returns the kinds of messages that have subscribers now. It takes some microseconds for each topic."""
         return frozenset(kind for kind, publisher in self._publishers.items() if publisher.get_subscription_count())
 
-    def to_draw(self, wanted: frozenset[str]) -> CameraSpec | None:
-        """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture."""
-        return self._messages.to_draw(wanted)
+    def to_draw(self, kinds: frozenset[str]) -> CameraSpec | None:
+        """Returns the camera with the outputs that these kinds of messages need; None if none of them needs an image."""
+        return self._messages.to_draw(kinds)
 
-    def publish_info(self, stamp_ns: int, wanted: frozenset[str]) -> set[str]:
-        """Publishes the calibration on the topics of it that are wanted; returns which."""
+    def publish_info(self, stamp_ns: int, kinds: frozenset[str]) -> set[str]:
+        """Publishes camera_info of the requested kinds; returns the kinds that were published."""
         done = set()
-        for kind, message in self._messages.infos(stamp_ns, wanted):
+        for kind, message in self._messages.infos(stamp_ns, kinds):
             self._publishers[kind].publish(message)
             done.add(kind)
         return done
 
-    def publish(self, frame: Frame, wanted: frozenset[str], T_target_camera: Mat4 | None) -> set[str]:
-        """Publishes the images that are wanted; returns their kinds.
+    def publish(self, frame: Frame, kinds: frozenset[str], T_target_camera: Mat4 | None) -> set[str]:
+        """Publishes the requested images; returns the kinds that were published.
 
         Args:
-            frame: with the outputs of ``to_draw``, without noise of depth.
-            wanted: kinds of messages.
-            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not wanted.
+            frame: with the outputs of ``to_draw``, without depth noise.
+            kinds: requested kinds of messages.
+            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not requested.
         """
         done = set()
-        for kind, message in self._messages.images(frame, wanted, T_target_camera, image_to_bytes):
+        for kind, message in self._messages.images(frame, kinds, T_target_camera, image_to_bytes):
             self._publishers[kind].publish(message)
             done.add(kind)
         return done
 
     def publish_labels(self, scene: DrawnScene, stamp_ns: int) -> None:
-        """Publishes what the numbers of label images mean, where that has changed."""
+        """Publishes the names of classes and instances that have changed."""
         for output, message in self._messages.labels(scene, stamp_ns):
             self._label_publishers[output].publish(message)
 
     def close(self) -> None:
-        """Removes its topics; a second call does nothing."""
+        """Destroys the publishers; a second call does nothing."""
         publishers = [*self._publishers.values(), *self._label_publishers.values()]
         self._publishers, self._label_publishers = {}, {}
         for publisher in publishers:

@@ -1,4 +1,4 @@
-"""Transforms to the optical frames of cameras that a recorded run did not have: of fixed ones, and of views, which move."""
+"""Transforms to the optical frames of cameras that a recorded run did not have: static ones, and those of views, which move."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from gibson_sim.ros.wire.fast_publish import FastTf
 from gibson_sim.types import WORLD_FRAME, CameraSpec, Pose
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
-_A_FEW = 100
+_MESSAGES_READ = 100
+"""Messages of a topic that are read to find its frames."""
 
 
 class CameraTransforms:
-    """Adds transforms to the first message of the ``tf_static`` that has, or hangs on, the link of each camera.
+    """Adds the transform of each camera to the first message of the ``tf_static`` whose tree has the camera's link.
 
     Args:
         bag: the recorded one.
-        cameras: those that are new.
-        copied: topics that the new bag takes over.
+        cameras: the new ones.
+        copied: topics that are copied to the new bag.
     """
 
     def __init__(self, bag: BagReader, cameras: Sequence[CameraSpec], copied: Sequence[str]) -> None:
@@ -57,14 +58,14 @@ class CameraTransforms:
 
 
 class ViewTransforms:
-    """Makes the messages on ``/tf`` of views."""
+    """Makes the messages on ``/tf`` for views."""
 
     def __init__(self) -> None:
         self._frames: tuple[str, ...] = ()
         self._tf = FastTf(())
 
     def message(self, cameras: Sequence[CameraSpec], poses: Sequence[Pose], stamp_ns: int) -> bytes:
-        """Returns the message of T_world_optical of each camera, with a stamp."""
+        """Returns the message with T_world_optical of each camera."""
         frames = tuple(camera.optical_frame for camera in cameras)
         if frames != self._frames:
             self._frames, self._tf = frames, FastTf([(WORLD_FRAME, frame) for frame in frames])
@@ -72,7 +73,7 @@ class ViewTransforms:
 
 
 def _parent(camera: CameraSpec, topic: str, frames: set[str]) -> str:
-    """Returns the frame that a camera hangs on, on the topic of its robot; empty = not there."""
+    """Returns the parent frame of a camera on the topic of its robot; empty = not there."""
     if not camera.link:
         return WORLD_FRAME
     namespace = topic.strip("/").rpartition("/")[0]
@@ -82,9 +83,9 @@ def _parent(camera: CameraSpec, topic: str, frames: set[str]) -> str:
 
 
 def _frames(bag: BagReader, topic: str) -> set[str]:
-    """Returns the frames that the first messages of a topic name."""
+    """Returns the frames in the first messages of a topic."""
     found: set[str] = set()
-    for _, _, msg in islice(bag.messages([topic]), _A_FEW):
+    for _, _, msg in islice(bag.messages([topic]), _MESSAGES_READ):
         for transform in msg.transforms:
             found |= {transform.header.frame_id, transform.child_frame_id}
     return found

@@ -73,7 +73,7 @@ def camera_topics(camera: str) -> dict[str, str]:
 
 
 def image_topics(camera: str, outputs: Iterable[Output]) -> tuple[str, ...]:
-    """Returns all topics on which a camera with these outputs may publish what it sees, in whatever form."""
+    """Returns all topics on which a camera with these outputs may publish images, compressed ones and point clouds."""
     topics, outputs = camera_topics(camera), tuple(outputs)
     found = [topics[output] for output in outputs]
     if "rgb" in outputs:
@@ -84,12 +84,12 @@ def image_topics(camera: str, outputs: Iterable[Output]) -> tuple[str, ...]:
 
 
 def compressed_topic(topic: str) -> str:
-    """Returns where image_transport puts the JPEG or PNG of an image topic."""
+    """Returns the image_transport topic for the JPEG or PNG of an image topic."""
     return f"{topic}/compressed"
 
 
 def compressed_depth_topic(topic: str) -> str:
-    """Returns where image_transport puts the compressed form of a depth image topic."""
+    """Returns the image_transport topic for the compressed form of a depth image topic."""
     return f"{topic}/compressedDepth"
 
 
@@ -99,12 +99,12 @@ def points_topic(camera: str) -> str:
 
 
 def is_hidden(topic: str) -> bool:
-    """Returns whether ROS hides a topic from its users, as those of actions: a part of its name begins with ``_``."""
+    """Returns whether ROS tools hide a topic by default, such as those of actions: a part of its name begins with ``_``."""
     return "/_" in topic
 
 
 def is_derived(topic: str) -> bool:
-    """Returns whether a topic says again, in another form, what another topic of the same camera says."""
+    """Returns whether a topic has the same data as another topic of the same camera, in another form."""
     return topic.endswith(
         ("/compressed", "/compressedDepth", "/depth/points", "/depth_registered/image_raw", "/depth_registered/camera_info")
     )
@@ -116,6 +116,6 @@ def label_info_topic(camera: str, output: str) -> str:
 
 
 def registered_depth_topics(camera: str) -> tuple[str, str]:
-    """Returns the topics of a camera's depth as another camera sees it, and of that camera's camera_info."""
+    """Returns the topics of a camera's depth registered to another camera, and of that camera's camera_info."""
     folder = f"{camera}/depth_registered"
     return f"{folder}/image_raw", f"{folder}/camera_info"

@@ -30,23 +30,23 @@ def _profile(depth: int, *, latched: bool = False) -> QoSProfile:
 
 
 SENSOR = _profile(5)
-"""Images, scans: few in flight, since each is large and a late one is worth little."""
+"""Images, scans: a short queue, since each is large and a late one is worth little."""
 STATE = _profile(10)
 """Odometry, joint states, diagnostics, scene state."""
 TF = _profile(100)
 CLOCK = _profile(10)
 MOST_COMMANDS = 100
-"""Commands on one topic that may wait for the next step; older ones give way."""
+"""Length of the queue of commands on one topic; beyond it the oldest is dropped."""
 COMMAND = _profile(MOST_COMMANDS)
-"""All that come are obeyed, those of a step in their order: none is missing in what was obeyed, however late a step is."""
+"""Commands: all are applied, those of a step in the order of arrival, however late the step is."""
 TICK_DONE = _profile(100, latched=True)
-"""Latched: a participant may be there before the simulation is."""
+"""Reports of lockstep. Latched: a participant may start before the simulation."""
 INPUTS = _profile(100, latched=True)
-"""Inputs and digests of a run: none may be missing, the first ones least of all."""
+"""Inputs and digests of a run. Latched, so that a recorder that starts late gets the first ones, too."""
 INPUTS_AT = _profile(1000)
-"""Inputs that are to be obeyed at their steps: many may come at once."""
+"""Inputs with the steps at which they are to be applied: many may arrive at once."""
 RUN_INFO = _profile(16, latched=True)
-"""One message of each node."""
+"""One message per node."""
 LATCHED = _profile(1, latched=True)
 """Late joiners get the last message: scene, static transforms, robot description."""
 
@@ -55,7 +55,7 @@ def make_publisher(node: Node, message_type: Any, topic: str, profile: QoSProfil
     """Returns a publisher whose quality of service the user can change; see ``overridable``.
 
     Raises:
-        ConfigError: a parameter has a value that is no such quality.
+        ConfigError: a parameter has a value that is no quality of service.
     """
     try:
         return node.create_publisher(message_type, topic, **overridable(profile))
@@ -71,9 +71,9 @@ def make_publisher(node: Node, message_type: Any, topic: str, profile: QoSProfil
 def overridable(profile: QoSProfile) -> dict[str, Any]:
     """Returns arguments of ``create_publisher``: ``node.create_publisher(Image, topic, **overridable(SENSOR))``.
 
-    rclpy writes the overrides of one topic into the profile that it is given, so each publisher gets its own. It does not watch for
-    readers that ask for more than is offered, who say so themselves: its two watchers of a publisher cost 0.04 ms of each turn of
-    the executor (70 publishers: 2.9 instead of 0.4 ms).
+    rclpy writes the overrides of one topic into the profile that it is given, so each publisher gets its own. Event callbacks for incompatible
+    QoS are off: subscribers report that themselves, and the two callbacks of a publisher cost 0.04 ms of each turn of the executor
+    (70 publishers: 2.9 instead of 0.4 ms).
     """
     own = QoSProfile(
         history=profile.history, depth=profile.depth, reliability=profile.reliability, durability=profile.durability

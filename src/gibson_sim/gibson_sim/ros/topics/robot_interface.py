@@ -35,24 +35,24 @@ from gibson_sim.types import WORLD_FRAME, SceneState
 
 
 class RobotInterface:
-    """Publishes what a robot measures and hands it what it is told. All names are relative to its namespace.
+    """Applies the commands of a robot, and publishes its state and its measurements. All names are relative to its namespace.
 
     Subscribes:
-        cmd_vel (geometry_msgs/Twist, geometry_msgs/TwistStamped, or both, see ``cmd_vel_type``): wanted velocity, base frame, m/s
-            and rad/s. Older than ``cmd_vel_timeout`` it stops the robot. A NaN or an infinity is ignored with a warning.
+        cmd_vel (geometry_msgs/Twist, geometry_msgs/TwistStamped, or both, see ``cmd_vel_type``): velocity, base frame, m/s
+            and rad/s. The robot stops when it is older than ``cmd_vel_timeout``. A NaN or an infinity is ignored with a warning.
         joint_trajectory (trajectory_msgs/JointTrajectory): joints pass through its points; an empty one stops them.
-        joint_command (sensor_msgs/JointState): joints go to the positions, or turn at the velocities where it has no positions.
+        joint_command (sensor_msgs/JointState): joints go to the positions, or turn at the velocities if it has no positions.
 
     Publishes:
         tf and tf_static: odom -> base, moving links; sensors, latched. One robot alone uses /tf and /tf_static.
         odom (nav_msgs/Odometry): from the wheels. ground_truth/odom (nav_msgs/Odometry): the truth, in the map frame.
         joint_states (sensor_msgs/JointState), robot_description (std_msgs/String, latched).
-        cmd_vel_applied (geometry_msgs/TwistStamped): each velocity command that took effect, of whatever type it came, as it came,
-            with the stamp from which it holds.
-        What its file lists: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
+        cmd_vel_applied (geometry_msgs/TwistStamped): each applied velocity command, unchanged, of either type, with the stamp from
+            which it is in effect.
+        The sensors of its file: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
         (std_msgs/Bool) and bumper/wrench (geometry_msgs/WrenchStamped), battery_state (sensor_msgs/BatteryState).
 
-    And what ``ArmInterface`` lists.
+    For its arms see ``ArmInterface``.
     """
 
     def __init__(
@@ -62,17 +62,17 @@ class RobotInterface:
         robot: RobotSpec,
         world: PhysicsWorld,
         config: PhysicsConfig,
-        received: Callable[[str], None],
+        on_received: Callable[[str], None],
     ) -> None:
-        """Makes the publishers and publishes what never changes.
+        """Makes publishers and subscriptions, and publishes the latched messages.
 
         Args:
             node: of the topics.
-            stamped: receives cmd_vel as TwistStamped where the node receives it as Twist; None = there is one type alone.
-            robot: whose topics they are.
+            stamped: receives cmd_vel as TwistStamped while the node receives it as Twist; None = only one type is received.
+            robot: that the topics are for.
             world: that has the robot.
             config: settings of the node.
-            received: is called with the topic of each command.
+            on_received: is called with the topic of each command.
         """
         self.robot = robot
         self.refused_commands = self.commands_seen = 0
@@ -86,7 +86,7 @@ class RobotInterface:
         self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
         self._applied: list[TwistStamped] = []
         self._last_state: list[tuple[Publisher, bytes]] = []
-        self._on_received = received
+        self._on_received = on_received
         self._subscriptions = [
             node.create_subscription(kind, self._topic(name), partial(self._on_command, self._resolved(name)), qos.COMMAND)
             for kind, name in (
@@ -100,14 +100,15 @@ class RobotInterface:
         self._every_tick = {self._short_names[name] for name in every_tick}
         self.truth_topic = self._resolved(names.GROUND_TRUTH)
         own_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
-        self._arms = ArmInterface(node, robot, received, world.stamp_ns)
+        self._arms = ArmInterface(node, robot, on_received, world.stamp_ns)
         self.command_topics = own_topics | self._arms.command_topics
         self._stamped = stamped
         if stamped is not None:
             self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._received_commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
         self._imus: dict[str, FastImu] = {}
-        self._rows_of = -1
+        self._rows_revision = -1
+        """Revision of the scene that ``_relative`` is for."""
         self._lay_out_messages()
         self._publish_latched()
 
@@ -122,14 +123,14 @@ class RobotInterface:
         self._on_received(topic)
 
     def receive(self, topic: str, msg: Any) -> None:
-        """Puts a command into the queue of those that were received, as if it had arrived on ``topic``."""
+        """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
         if topic in self._arms.command_topics:
             self._arms.receive(topic, msg)
         else:
             self._received_commands.append((topic, msg))
 
     def topics_of_tick(self, measured: Measurements) -> set[str]:
-        """Returns what was published at a tick at which this was measured; without a leading slash."""
+        """Returns the topics that are published at a tick with these measurements; without a leading slash."""
         kinds = (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries)
         return self._every_tick | {self._short_names[reading.name] for readings in kinds for reading in readings}
 
@@ -161,7 +162,7 @@ class RobotInterface:
         for bumper in sensors.bumpers:
             name = names.bumper_wrench(bumper.name)
             self._sensor_pubs[name] = self._publisher(WrenchStamped, topic(name), qos.SENSOR)
-        # The last one: who has found it has found all others of this robot, see ``PhysicsConfig.wait_for``.
+        # The last one: a node that has discovered it has discovered all others of this robot, see ``PhysicsConfig.wait_for``.
         self._truth_pub = self._publisher(RosOdometry, topic(names.GROUND_TRUTH), qos.STATE)
 
     def _publish_latched(self) -> None:
@@ -179,19 +180,19 @@ class RobotInterface:
                 transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
         self._tf_static_pub.publish(TFMessage(transforms=transforms))
 
-    def is_commanded_by(self, count: int) -> bool:
-        """Returns whether the cmd_vel of so many publishers is received, of either type."""
+    def has_commanders(self, count: int) -> bool:
+        """Returns whether at least ``count`` publishers of cmd_vel, of either type, are matched."""
         received = [self._subscriptions[0]] if self._stamped is None else [self._subscriptions[0], self._stamped_subscription]
         return bool(sum(subscription.handle.get_publisher_count() for subscription in received) >= count)
 
     def latch_commands(self) -> None:
-        """Makes the commands that were received until now due at the next step; later ones are for the steps after it."""
+        """Makes all commands received so far due at the next step; later ones are for the steps after it."""
         for _ in range(len(self._received_commands)):
             self._due_commands.append(self._received_commands.popleft())
         self._arms.latch_commands()
 
     def apply_commands(self, world: PhysicsWorld, journal: Journal) -> None:
-        """Applies the commands that are due to the world, in the order of their arrival, and notes them in the journal."""
+        """Applies the due commands in the order of their arrival, and notes them in the journal."""
         while self._due_commands:
             self.commands_seen += 1
             topic, msg = self._due_commands.popleft()
@@ -215,17 +216,17 @@ class RobotInterface:
                 self._applied.append(TwistStamped(header=conversions.header_to_msg(now, self._base_frame), twist=twist))
 
     def pop_applied(self) -> list[TwistStamped]:
-        """Returns the velocity commands that took effect since the last call, for ``publish_applied``; none without subscribers."""
+        """Returns the velocity commands applied since the last call, for ``publish_applied``; none without subscribers."""
         applied, self._applied = self._applied, []
         return applied
 
     def publish_applied(self, commands: Sequence[TwistStamped]) -> None:
-        """Publishes velocity commands that took effect, each with the stamp of the state that it was given in."""
+        """Publishes applied velocity commands, each with the stamp of the state that it was applied in."""
         for command in commands:
             self._applied_pub.publish(command)
 
     def publish_odometry(self, world: PhysicsWorld) -> None:
-        """Publishes what the wheels say: it needs no state of the world."""
+        """Publishes the odometry of the wheels, which needs no state of the world."""
         self._last_state = []
         if not self._odom_pub.get_subscription_count():
             return
@@ -237,7 +238,7 @@ class RobotInterface:
         self._publish_state(self._odom_pub, message)
 
     def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
-        """Publishes where the robot is, but for ``publish_odometry``, with the stamp of the state; ``digests`` has all of it."""
+        """Publishes transforms, true pose, joints and arms, with the stamp of the state; all of it is added to ``digests``."""
         name, stamp = self.robot.name, state.stamp_ns
         if self._tf_pub.get_subscription_count():
             self._publish_state(self._tf_pub, self._tf.serialize(stamp, self._transforms(world, state)))
@@ -255,8 +256,8 @@ class RobotInterface:
         self._arms.publish(world, digests)
 
     def _transforms(self, world: PhysicsWorld, state: SceneState) -> list[Sequence[float]]:
-        """Returns what ``tf`` says: odom to base, the moving joints, map to odom."""
-        if state.revision != self._rows_of:
+        """Returns the poses for ``tf``: odom to base, the moving joints, map to odom."""
+        if state.revision != self._rows_revision:
             self._find_rows(state)
         odom_pose = conversions.odometry_pose(world.odometry(self.robot.name))
         poses: list[Sequence[float]] = [
@@ -279,7 +280,7 @@ class RobotInterface:
             publisher.publish(message)
 
     def _lay_out_messages(self) -> None:
-        """Prepares the messages whose shape never changes."""
+        """Lays out the messages of a fixed shape."""
         robot, prefix = self.robot, self.robot.frame_prefix
         frames = [(self._odom_frame, self._base_frame), *((prefix + p, prefix + c) for _, p, c in robot.moving_joints)]
         if self._config.publish_map_tf:
@@ -290,21 +291,21 @@ class RobotInterface:
         self._joints = FastJointStates([joint for joint, _, _ in robot.moving_joints])
 
     def _find_rows(self, state: SceneState) -> None:
-        """Looks up this robot's links, whose rows are those of one revision of the scene."""
+        """Finds the rows of this robot's links in states of this revision of the scene."""
         row, name = {link: i for i, link in enumerate(state.links)}, self.robot.name
         pairs = [(row[f"{name}/{parent}"], row[f"{name}/{child}"]) for _, parent, child in self.robot.moving_joints]
         self._relative = RelativePoses(pairs)
-        self._rows_of = state.revision
+        self._rows_revision = state.revision
 
-    def measure(self, world: PhysicsWorld, *, all_of_it: bool) -> Measurements:
-        """Returns what is due of the sensors at the step that was just made: all of it, or no lidar and IMU that nobody listens to."""
-        return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_of_it else self._has_subscribers)
+    def measure(self, world: PhysicsWorld, *, all_sensors: bool) -> Measurements:
+        """Returns the measurements due at the step that was just made; without ``all_sensors``, lidars and IMUs need subscribers."""
+        return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_sensors else self._has_subscribers)
 
     def _has_subscribers(self, sensor: str) -> bool:
         return bool(self._sensor_pubs[sensor].get_subscription_count())
 
     def publish_sensors(self, measured: Measurements, digests: DigestPublisher | None = None) -> None:
-        """Publishes what was measured at a step, each with the stamp of that step."""
+        """Publishes the measurements of a step, with its stamp."""
         if digests is not None:
             for readings in (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries):
                 for reading in readings:
@@ -325,7 +326,7 @@ class RobotInterface:
             self._sensor_pubs[battery.name].publish(conversions.battery_to_msg(battery))
 
     def _imu_message(self, reading: ImuReading) -> bytes:
-        """Returns a sample as bytes; the covariance of the orientation stays that of the first one."""
+        """Returns a sample as bytes; the covariance of the orientation is always that of the first one."""
         message = self._imus.get(reading.name)
         if message is None:
             orientation_covariance = conversions.imu_to_msg(reading, "").orientation_covariance
@@ -340,7 +341,7 @@ class RobotInterface:
         return self.robot.frame_prefix + names.link_name(link)
 
     def reset(self, step: int) -> None:
-        """Forgets commands and what the sensors remember, after ``step`` steps of the world."""
+        """Forgets commands and resets the sensors, after ``step`` steps of the world."""
         self._received_commands.clear()
         self._due_commands.clear()
         self._applied.clear()
@@ -348,7 +349,7 @@ class RobotInterface:
         self.sensors.reset(step)
 
     def close(self) -> None:
-        """Takes the topics back."""
+        """Destroys publishers and subscriptions."""
         self._arms.close()
         if self._stamped is not None:
             self._stamped.unsubscribe(self._stamped_subscription)

@@ -1,4 +1,4 @@
-"""What a node was started with, on a latched topic, so that a bag knows how to start the run again."""
+"""Publishes a node's settings and environment on a latched topic, so that a bag has all that is needed to start the run again."""
 
 from __future__ import annotations
 
@@ -18,22 +18,25 @@ from gibson_sim.ros.topics import names, qos
 
 _PACKAGES = ("numpy", "pybullet", "moderngl", "rclpy")
 _PATHS = ("scene", "robot")
-"""Settings that may be paths, which mean nothing in another folder."""
+"""Settings that may be relative paths; they are published as absolute ones."""
 
 
 def publish_run_info(node: Node, kind: str, config: Any, stamp_ns: int, **facts: Any) -> Any:
-    """Publishes settings and surroundings of a node; returns the publisher, to be kept.
+    """Publishes settings and environment of a node.
 
     Args:
-        node: whose they are.
+        node: of the settings.
         kind: physics or render.
         config: settings of the node, a dataclass.
         stamp_ns: simulation time.
-        facts: what else results may depend on.
+        facts: other facts that results may depend on.
+
+    Returns:
+        The publisher, which the caller must keep.
     """
     publisher = node.create_publisher(RunInfo, names.RUN_INFO, qos.RUN_INFO)
     settings = {f.name: _absolute(f.name, getattr(config, f.name)) for f in fields(config)}
-    surroundings = {
+    environment = {
         "machine": platform.machine(),
         "processor": _processor(),
         "system": platform.platform(),
@@ -48,14 +51,14 @@ def publish_run_info(node: Node, kind: str, config: Any, stamp_ns: int, **facts:
             node=node.get_fully_qualified_name(),
             version=__version__,
             settings=yaml.safe_dump(settings, sort_keys=False),
-            platform=yaml.safe_dump(surroundings, sort_keys=False),
+            platform=yaml.safe_dump(environment, sort_keys=False),
         )
     )
     return publisher
 
 
 def _absolute(name: str, value: Any) -> Any:
-    """Returns a setting; a path to something that is there as an absolute path."""
+    """Returns a setting; a path that exists becomes absolute."""
     if name in _PATHS and value and ("/" in value or Path(value).suffix) and Path(value).exists():
         return str(Path(value).resolve())
     return value

@@ -1,4 +1,4 @@
-"""A topic under a second type: cmd_vel as TwistStamped, beside cmd_vel as Twist."""
+"""Subscribes to a topic under a second type: cmd_vel as TwistStamped, in addition to cmd_vel as Twist."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from gibson_sim.ros.topics import qos
 
 
 class StampedCommands:
-    """Puts the messages of topics into queues.
+    """Queues the messages of topics that the owner's context has under another type.
 
-    One participant cannot hold a topic under two types, so this is a second context with a thread of its own. It only puts
-    messages into queues; the world is touched by the main thread alone.
+    A DDS participant cannot have one topic under two types, so this is a second context with a thread of its own. The thread only
+    queues messages; the main thread alone touches the world.
     """
 
     def __init__(self, node: Node) -> None:
         self._owner = node
         self._arrived: deque[str] = deque()
         self.types: dict[str, type[Any]] = {}
-        """Resolved topic -> type of its messages here, of what ``subscribe`` was called for."""
-        self.wake: Callable[[], Any] = lambda: None
-        """Is called in the thread of this class when something arrived."""
+        """Resolved topic -> type of its messages in this context, of all topics of ``subscribe``."""
+        self.on_arrival: Callable[[], Any] = lambda: None
+        """Is called in this class's thread after each message."""
         self._context = rclpy.Context()
         self._context.init(domain_id=node.context.get_domain_id())
         self._node = Node(
@@ -44,23 +44,23 @@ class StampedCommands:
         self._thread.start()
 
     def subscribe(self, kind: type[Any], topic: str, commands: deque[tuple[str, Any]]) -> Any:
-        """Returns a subscription that puts (topic, message) of what arrives on a topic of the owner into ``commands``."""
+        """Returns a subscription to a topic of the owner that appends (topic, message) to ``commands``."""
         topic = self._owner.resolve_topic_name(topic)
         self.types[topic] = kind
 
-        def take(msg: Any) -> None:
+        def receive(msg: Any) -> None:
             commands.append((topic, msg))
             self._arrived.append(topic)
-            self.wake()
+            self.on_arrival()
 
-        return self._node.create_subscription(kind, topic, take, qos.COMMAND)
+        return self._node.create_subscription(kind, topic, receive, qos.COMMAND)
 
-    def hear(self, kind: type[Any], topic: str, profile: QoSProfile, take: Callable[[Any], None]) -> Any:
-        """Returns a subscription whose messages go to ``take``, in the thread of this class."""
-        return self._node.create_subscription(kind, self._owner.resolve_topic_name(topic), take, profile)
+    def create_subscription(self, kind: type[Any], topic: str, profile: QoSProfile, callback: Callable[[Any], None]) -> Any:
+        """Returns a subscription to a topic of the owner whose callback runs in this class's thread."""
+        return self._node.create_subscription(kind, self._owner.resolve_topic_name(topic), callback, profile)
 
-    def arrived(self) -> list[str]:
-        """Returns the topics of what arrived since the last call, once for each message. For the main thread."""
+    def pop_arrived(self) -> list[str]:
+        """Returns the topics of the messages that arrived since the last call, once for each. For the main thread."""
         return [self._arrived.popleft() for _ in range(len(self._arrived))]
 
     def unsubscribe(self, subscription: Any) -> None:

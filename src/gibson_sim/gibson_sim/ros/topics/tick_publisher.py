@@ -1,4 +1,4 @@
-"""What every step and tick publishes: at once, or, in a pipeline, when the others have done the tick before."""
+"""Publishes what is due at every step and tick: at once, or, in a pipeline, when all participants have done the tick before."""
 
 from __future__ import annotations
 
@@ -28,47 +28,16 @@ from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import CameraSpec, SceneState
 
-
-class ContactsPublisher:
-    """Publishes all points of contact of the simulation.
-
-    Publishes, while somebody listens:
-        contacts (gibson_msgs/Contacts) at ``contacts_rate``.
-    """
-
-    def __init__(self, node: Node, config: PhysicsConfig) -> None:
-        self._config = config
-        self._publisher = node.create_publisher(Contacts, names.CONTACTS, **qos.overridable(qos.STATE))
-
-    def publish(self, world: PhysicsWorld, tick: int) -> None:
-        """Publishes what touched in the last step of a tick, if it is due; ``tick`` counts at ``publish_hz``."""
-        rate = min(self._config.contacts_rate, self._config.publish_hz)
-        if self._publisher.get_subscription_count() and is_due(tick, rate, self._config.publish_hz):
-            self._publisher.publish(conversions.contacts_to_msg(world.contacts(), world.stamp_ns))
-
-
 _Measured = Mapping[str, Measurements]
-"""By the names of the robots."""
-
-
-class _Step(NamedTuple):
-    """A step that was made."""
-
-    stamp_ns: int
-    tick: int | None
-    """Number of the tick that it is; None = it is none."""
-    has_clock: bool
-    """Whether /clock is published at it, whatever else is."""
-    applied: Mapping[str, Sequence[TwistStamped]]
-    """Velocity commands that took effect with it, by the names of the robots; only those that have any."""
+"""Robot -> its measurements."""
 
 
 class TickPublisher:
     """Publishes what is due at the steps of a world.
 
     Publishes:
-        /clock (rosgraph_msgs/Clock) at ``clock_hz``, and with whatever else is published.
-        And what ``WorldInterface``, ``ContactsPublisher`` and, for each robot, ``RobotInterface`` list.
+        /clock (rosgraph_msgs/Clock) at ``clock_hz``, and at every other step at which something is published.
+        The topics of ``WorldInterface``, ``ContactsPublisher`` and, for each robot, ``RobotInterface``.
     """
 
     def __init__(
@@ -80,11 +49,10 @@ class TickPublisher:
         world_topics: WorldInterface,
         digests: DigestPublisher | None,
     ) -> None:
-        """Makes the publisher of /clock; ``robots`` is looked into at every step."""
+        """Makes the publisher of /clock; ``robots`` is read at every step."""
         self.gate: LockstepGate | None = None
-        """Is told of every tick."""
+        """The gates to close at every tick."""
         self.images: ImageGate | None = None
-        """The same."""
         self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
         self._digests = digests
         self._contacts = ContactsPublisher(node, config)
@@ -96,45 +64,45 @@ class TickPublisher:
         self._last_measured: _Measured = {}
 
     def publish_clock(self, stamp_ns: int) -> None:
-        """Publishes what time it is."""
+        """Publishes /clock."""
         self._clock_ns = stamp_ns
         if self._clock_pub.get_subscription_count():
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
 
     def end_clock(self, stamp_ns: int) -> None:
-        """Publishes at what time the run ended, if none was published at that step."""
+        """Publishes /clock at the end of a run, unless it was published at that step."""
         if stamp_ns != self._clock_ns:
             self.publish_clock(stamp_ns)
 
     def publish(self, world: PhysicsWorld) -> None:
         """Publishes what is due at the step that was just made."""
         step = self._step(world)
-        # First of all what controllers and renderers work by while the rest is measured and written.
+        # First what controllers and renderers need, so that they work while the rest is measured and written.
         state = None if step.tick is None else self._begin_tick(world, step.tick)
-        self._publish_rest(step, self._measured(world), state)
+        self._publish_rest(step, self._measure(world), state)
 
     def hold(self, world: PhysicsWorld) -> None:
         """Measures what is due at the step that was just made, and keeps it for ``release``."""
-        self._held.append((self._step(world), self._measured(world)))
+        self._held.append((self._step(world), self._measure(world)))
 
     @property
     def holds_tick(self) -> bool:
-        """Whether a tick was made that is not published."""
+        """Whether a tick is held that is not published yet."""
         return bool(self._held) and self._held[-1][0].tick is not None
 
     def release(self, world: PhysicsWorld) -> None:
-        """Publishes what was held, in its order; the world is as it was at the last of it."""
+        """Publishes all held steps in their order; the world must be at the last one."""
         held, self._held = self._held, []
         for step, measured in held:
             self._publish_rest(step, measured, None if step.tick is None else self._begin_tick(world, step.tick))
 
     def forget(self) -> None:
-        """Drops what was held: the simulation was reset, or has another world."""
+        """Drops all held steps: the simulation was reset, or has another world."""
         self._held.clear()
 
-    def publish_again(self, all_of_it: bool) -> None:
-        """Publishes what renderers draw by once more, or all of the present tick."""
-        if all_of_it:
+    def publish_again(self, whole_tick: bool) -> None:
+        """Publishes the scene state once more, or the whole present tick."""
+        if whole_tick:
             for name, measured in self._last_measured.items():
                 if name in self._robots:
                     self._robots[name].publish_state_again()
@@ -144,23 +112,23 @@ class TickPublisher:
     def _step(self, world: PhysicsWorld) -> _Step:
         step, config = world.step_count, self._config
         tick, beside = divmod(step, config.step_hz // config.publish_hz)
-        asked_for = self._simulator.state is not SimulationState.PLAYING
-        has_clock = asked_for or is_due(step, config.clock_hz, config.step_hz)
+        requested = self._simulator.state is not SimulationState.PLAYING
+        has_clock = requested or is_due(step, config.clock_hz, config.step_hz)
         applied = {name: commands for name, robot in self._robots.items() if (commands := robot.pop_applied())}
         return _Step(world.stamp_ns, None if beside else tick, has_clock, applied)
 
-    def _measured(self, world: PhysicsWorld) -> _Measured:
-        return {name: robot.measure(world, all_of_it=self._digests is not None) for name, robot in self._robots.items()}
+    def _measure(self, world: PhysicsWorld) -> _Measured:
+        return {name: robot.measure(world, all_sensors=self._digests is not None) for name, robot in self._robots.items()}
 
     def _begin_tick(self, world: PhysicsWorld, tick: int) -> tuple[SceneState, tuple[CameraSpec, ...]]:
-        """Publishes what a tick begins with; returns the state, and the cameras that are due."""
+        """Publishes the clock, the state and the odometry of a tick; returns the state, and the cameras that are due."""
         simulator = self._simulator
         self.publish_clock(world.stamp_ns)
         due = self._world_topics.due(tick)
-        # First of all what takes others longest: pictures where there are any, else the answers of controllers.
+        # First what other processes need longest for: images if any are due, otherwise the answers of controllers.
         if not due:
             self._publish_odometry(world)
-        # The whole state now: sensors that are due at this step then need no other one.
+        # All links are read once, here; the sensors that are due at this step use the same state.
         state = world.state()
         self._world_topics.publish_state(state, due, simulator.epoch, simulator.epoch_step)
         if due:
@@ -169,7 +137,7 @@ class TickPublisher:
             robot.publish_state(world, state, self._digests)
         self._contacts.publish(world, tick)
         if self.images is not None:
-            self.images.publish_tick(world.stamp_ns, self._world_topics.cameras, due)
+            self.images.begin_tick(world.stamp_ns, self._world_topics.cameras, due)
         return state, tuple(self._world_topics.cameras[i] for i in due)
 
     def _publish_odometry(self, world: PhysicsWorld) -> None:
@@ -189,16 +157,16 @@ class TickPublisher:
             self._end_tick(*begun, measured)
 
     def _end_tick(self, state: SceneState, due: tuple[CameraSpec, ...], measured: _Measured) -> None:
-        """Publishes the digests. In lockstep, the others then have their turn."""
+        """Publishes the digests. In lockstep, time then waits for the participants."""
         if self._digests is not None:
             self._digests.add(names.SCENE_STATE, state.links, state.positions, state.quats_xyzw, state.twists)
             self._digests.publish(state.stamp_ns, self._simulator.epoch, self._simulator.epoch_step)
         self._last_measured = measured
         if self.gate is not None:
-            self.gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, due, measured))
+            self.gate.begin_tick(state.stamp_ns, partial(self._topics_of_tick, due, measured))
 
     def _topics_of_tick(self, due: tuple[CameraSpec, ...], measured: _Measured) -> set[str]:
-        """Returns what was, and will be, published at a tick; without leading slashes."""
+        """Returns the topics of all that is published at a tick, images included; without leading slashes."""
         topics = {names.SCENE_STATE, CAMERAS} if due else {names.SCENE_STATE}
         for camera in due:
             found = names.camera_topics(camera.name)
@@ -206,3 +174,33 @@ class TickPublisher:
         for name, measurements in measured.items():
             topics |= self._robots[name].topics_of_tick(measurements) if name in self._robots else set()
         return topics
+
+
+class _Step(NamedTuple):
+    """A step that was made."""
+
+    stamp_ns: int
+    tick: int | None
+    """Number of the tick at this step; None = no tick."""
+    has_clock: bool
+    """Whether /clock is published at it even if nothing else is."""
+    applied: Mapping[str, Sequence[TwistStamped]]
+    """Robot -> velocity commands applied at this step; only robots that have any."""
+
+
+class ContactsPublisher:
+    """Publishes all contact points of the simulation.
+
+    Publishes, while it has subscribers:
+        contacts (gibson_msgs/Contacts) at ``contacts_rate``.
+    """
+
+    def __init__(self, node: Node, config: PhysicsConfig) -> None:
+        self._config = config
+        self._publisher = node.create_publisher(Contacts, names.CONTACTS, **qos.overridable(qos.STATE))
+
+    def publish(self, world: PhysicsWorld, tick: int) -> None:
+        """Publishes the contacts in the last step of a tick, if they are due; ``tick`` counts at ``publish_hz``."""
+        rate = min(self._config.contacts_rate, self._config.publish_hz)
+        if self._publisher.get_subscription_count() and is_due(tick, rate, self._config.publish_hz):
+            self._publisher.publish(conversions.contacts_to_msg(world.contacts(), world.stamp_ns))

@@ -1,4 +1,4 @@
-"""The topics of the world as a whole: what there is, where it all is, the map, the epochs."""
+"""The topics of the world as a whole: the scene, its states, the map, the epochs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from gibson_sim.types import WORLD_FRAME, CameraSpec, SceneState as State
 
 logger = logging.getLogger(__name__)
 _MAP_HEIGHT = 0.5
-"""Metres above the floor up to which things count as obstacles, in a world without robots."""
+"""Height above the floor up to which things count as obstacles in a world without robots, m."""
 
 
 class WorldInterface:
@@ -39,10 +39,10 @@ class WorldInterface:
 
     Publishes:
         scene (gibson_msgs/Scene, latched), scene_state (gibson_msgs/SceneState).
-        map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, made from collision shapes; where there are more,
-            floor_0/map, floor_1/map and so on, from the lowest.
+        map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, made from collision shapes; in a scene with several floors
+            also floor_0/map, floor_1/map and so on, from the lowest.
         simulation_epoch (gibson_msgs/Epoch, latched): how often the simulation was reset.
-        /tf (tf2_msgs/TFMessage): where the views are, in the map frame, with the stamp of the state; only where there are views.
+        /tf (tf2_msgs/TFMessage): the poses of the views, if there are any, in the map frame, with the stamp of the state.
     """
 
     def __init__(self, node: Node, config: PhysicsConfig, rules: Rules | None) -> None:
@@ -51,46 +51,46 @@ class WorldInterface:
         self._state_pub = node.create_publisher(SceneState, names.SCENE_STATE, **qos.overridable(qos.STATE))
         self._epoch_pub = node.create_publisher(Epoch, names.EPOCH, **qos.overridable(qos.LATCHED))
         self._maps: dict[str, Publisher] = {}
-        self._withdrawn = False
-        self._fast_state: FastSceneState | None = None
-        self._laid_out = -1
+        self._map_withdrawn = False
+        self._state_layout: FastSceneState | None = None
+        self._layout_revision = -1
         self._last_state = b""
-        self._wanted_views = read_views(config.views, config.wanted_view_size(), config.view_rate)
+        self._requested_views = read_views(config.views, config.wanted_view_size(), config.view_rate)
         self._views: Views | None = None
         self._floor: tuple[str, FloorExtent] | None = None
-        """Of the scene with this digest: it is measured once."""
+        """Digest of a scene, and the extent of its floor, which is measured once."""
         self._tf_pub: Publisher | None = None
         self._transforms = ViewTransforms()
         self.cameras: tuple[CameraSpec, ...] = ()
-        """In the order that ``due_cameras`` counts."""
+        """All cameras; ``due_cameras`` has indices into them."""
 
     def publish_scene(self, world: PhysicsWorld) -> None:
-        """Publishes what there is; again after every change."""
+        """Publishes the scene; is called after every change."""
         drawn = drawn_scene(world.scene, world.links)
         drawn = replace(drawn, cameras=with_camera_settings(drawn.cameras, self._config))
-        if self._wanted_views:
+        if self._requested_views:
             robot = next((robot.name for robot in world.scene.robots), "")
-            drawn = self._take_views(Views(self._wanted_views, drawn, robot, lambda: self._floor_of(world.scene)))
+            drawn = self._set_views(Views(self._requested_views, drawn, robot, lambda: self._floor_of(world.scene)))
         if self._rules is not None:
             drawn = randomise(drawn, self._config.randomise_seed, self._rules)
         self.cameras = drawn.cameras
         self._scene_pub.publish(conversions.scene_to_msg(drawn, world.stamp_ns))
 
     def due(self, tick: int) -> tuple[int, ...]:
-        """Returns which of ``cameras`` are due at a tick, which counts at ``publish_hz``."""
+        """Returns the indices of the ``cameras`` that are due at a tick, which counts at ``publish_hz``."""
         return tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
 
     def publish_state(self, state: State, due: tuple[int, ...], epoch: int, epoch_step: int) -> None:
         """Publishes all poses, and which of ``cameras`` are due."""
         if self._views is not None:
             state = self._with_views(self._views, state)
-        if self._fast_state is None or self._laid_out != state.revision:
-            self._fast_state, self._laid_out = FastSceneState(WORLD_FRAME, len(state.links)), state.revision
-        self._last_state = self._fast_state.serialize(state, due, epoch, epoch_step)
+        if self._state_layout is None or self._layout_revision != state.revision:
+            self._state_layout, self._layout_revision = FastSceneState(WORLD_FRAME, len(state.links)), state.revision
+        self._last_state = self._state_layout.serialize(state, due, epoch, epoch_step)
         self._state_pub.publish(self._last_state)
 
-    def _take_views(self, views: Views) -> DrawnScene:
-        """Takes the views of a scene, and returns it with them."""
+    def _set_views(self, views: Views) -> DrawnScene:
+        """Sets the views of the scene; returns the scene with them."""
         if views.absent and self._views is None:
             raise ConfigError(next(iter(views.absent.values())))
         known = {} if self._views is None else self._views.absent
@@ -99,11 +99,11 @@ class WorldInterface:
         if self._tf_pub is None:
             self._tf_pub = self._node.create_publisher(TFMessage, names.TF, **qos.overridable(qos.TF))
         self._views = views
-        self._fast_state = None
+        self._state_layout = None
         return views.scene
 
     def _with_views(self, views: Views, state: State) -> State:
-        """Returns the state with the views in it, and publishes where they are."""
+        """Returns the state with the views in it, and publishes their transforms."""
         poses = views.poses(state)
         assert self._tf_pub is not None
         self._tf_pub.publish(self._transforms.message(views.cameras, poses, state.stamp_ns))
@@ -115,23 +115,23 @@ class WorldInterface:
         return self._floor[1]
 
     def publish_state_again(self) -> None:
-        """Publishes the last state once more, for a renderer that came too late for it."""
+        """Publishes the last state once more, for a renderer that joined too late to receive it."""
         if self._last_state:
             self._state_pub.publish(self._last_state)
 
     def publish_epoch(self, epoch: int, stamp_ns: int, scope: int, *, rewound: bool) -> None:
-        """Says that the simulation was reset."""
+        """Announces that the simulation was reset."""
         header = conversions.header_to_msg(stamp_ns, "")
         self._epoch_pub.publish(Epoch(header=header, epoch=epoch, scope=scope, time_rewound=rewound))
 
     def publish_map(self, world: PhysicsWorld) -> None:
-        """Publishes the maps of the world's floors; the one named ``map`` only while nobody else publishes one."""
-        self._take_back()
+        """Publishes the maps of the world's floors; the topic ``map`` only while it has no other publisher."""
+        self._destroy_maps()
         if self._config.map == "off":
             return
         scene = world.scene
         floors = {names.floor_map(i): z for i, z in enumerate(scene.floors)} if len(scene.floors) > 1 else {}
-        if not self._is_foreign(own=0):
+        if not self._has_other_publisher(own=0):
             floors[names.MAP] = scene.floor_z
         height = max((robot.height for robot in scene.robots), default=_MAP_HEIGHT)
         for topic, floor_z in floors.items():
@@ -144,24 +144,25 @@ class WorldInterface:
             self._maps[topic] = self._node.create_publisher(OccupancyGrid, topic, **qos.overridable(qos.LATCHED))
             self._maps[topic].publish(conversions.floor_map_to_msg(floor, floor_z, world.stamp_ns, WORLD_FRAME))
 
-    def give_way(self) -> None:
-        """Takes ``map`` back once another node publishes it: readers would get both, in any order."""
-        if names.MAP in self._maps and self._is_foreign(own=1):
+    def withdraw_map(self) -> None:
+        """Withdraws ``map`` once another node publishes it: subscribers would get both, in any order."""
+        if names.MAP in self._maps and self._has_other_publisher(own=1):
             self._node.destroy_publisher(self._maps.pop(names.MAP))
 
-    def _take_back(self) -> None:
+    def _destroy_maps(self) -> None:
         while self._maps:
             self._node.destroy_publisher(self._maps.popitem()[1])
 
-    def _is_foreign(self, own: int) -> bool:
-        if self._config.map == "auto" and not self._withdrawn and self._node.count_publishers(names.MAP) > own:
-            self._withdrawn = True
+    def _has_other_publisher(self, own: int) -> bool:
+        """Returns whether another node publishes ``map``, or did so before; ``own`` = publishers of it here."""
+        if self._config.map == "auto" and not self._map_withdrawn and self._node.count_publishers(names.MAP) > own:
+            self._map_withdrawn = True
             self._node.get_logger().info("another node publishes the map: ours is withdrawn (setting map = on keeps it)")
-        return self._withdrawn
+        return self._map_withdrawn
 
 
 def with_camera_settings(cameras: Sequence[CameraSpec], config: PhysicsConfig) -> tuple[CameraSpec, ...]:
-    """Returns the cameras with the rate and the outputs that the settings ask of every one."""
+    """Returns the cameras with the rate and the outputs that the settings give for all of them."""
     changes: dict[str, Any] = {}
     if config.camera_rate:
         changes["rate_hz"] = config.camera_rate

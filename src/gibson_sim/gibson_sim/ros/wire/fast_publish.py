@@ -1,7 +1,7 @@
-"""Messages of a fixed shape, written as the bytes that go over the wire (CDR): ``publisher.publish(bytes)`` sends them as they are.
+"""Serialises messages of a fixed layout (CDR), and images; ``publisher.publish(bytes)`` sends the bytes unchanged.
 
 A message object costs 10 to 100 microseconds of Python to fill and to convert; these bytes cost one to five, because only the numbers
-change from tick to tick: strings, lengths, covariances and padding are laid out once. Subscribers see no difference.
+change from tick to tick: strings, lengths, covariances and padding are laid out once. Subscribers receive the same bytes either way.
 
 Imports no ROS: the layout is that of XCDR 1, little-endian, which every RTPS implementation reads.
 """
@@ -18,10 +18,14 @@ from numpy.typing import NDArray
 from gibson_sim.types import NS_PER_S, JointStates, SceneState
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
+_STAMP = struct.Struct("<iI")
+_NO_COVARIANCE = (0.0,) * 36
+_COVARIANCE = struct.Struct("<36d")
+_ISOTROPIC = struct.Struct("<9d")
 
 
 def image_to_bytes(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> bytes:
-    """Returns what ``serialize_message(image_to_msg(...))`` returns, of C-contiguous ``pixels``, (H, W) or (H, W, C)."""
+    """Returns the bytes of ``serialize_message(image_to_msg(...))``; ``pixels`` are C-contiguous, (H, W) or (H, W, C)."""
     height, width = pixels.shape[:2]
     head = struct.pack("<iI", *divmod(stamp_ns, NS_PER_S)) + _string(frame_id)
     head += bytes(-len(head) % 4) + struct.pack("<II", height, width) + _string(encoding)
@@ -30,90 +34,22 @@ def image_to_bytes(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id:
     return b"".join((_ENCAPSULATION, head, pixels.data.cast("B")))
 
 
-def _string(text: str) -> bytes:
-    data = text.encode() + b"\x00"
-    return struct.pack("<I", len(data)) + data
-
-
-_STAMP = struct.Struct("<iI")
-_NO_COVARIANCE = (0.0,) * 36
-_COVARIANCE = struct.Struct("<36d")
-_ISOTROPIC = struct.Struct("<9d")
-
-
 def restamped(data: bytes, stamp_ns: int) -> bytes:
-    """Returns a message that begins with a Header, as bytes, with another stamp."""
+    """Returns a serialised message that begins with a Header, with another stamp."""
     begin = len(_ENCAPSULATION)
     return data[:begin] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + data[begin + _STAMP.size :]
-
-
-class _Layout:
-    """Lays out a message: constant bytes, and places for numbers between them."""
-
-    def __init__(self) -> None:
-        self._format = "<"
-        self._pending, self._size = bytearray(_ENCAPSULATION), 0
-        self._constants: list[bytes] = []
-
-    def number(self, kind: str, value: int) -> None:
-        """Adds a constant integer of a ``struct`` kind."""
-        self._align(struct.calcsize(f"<{kind}"))
-        self._pending += struct.pack(f"<{kind}", value)
-
-    def string(self, text: str) -> None:
-        """Adds a constant string."""
-        data = text.encode() + b"\0"
-        self.number("I", len(data))
-        self._pending += data
-
-    def doubles(self, values: Sequence[float]) -> None:
-        """Adds constant float64."""
-        self._align(8)
-        self._pending += struct.pack(f"<{len(values)}d", *values)
-
-    def places(self, kinds: str) -> None:
-        """Adds numbers that change: ``struct`` kinds of one size, such as ``iI`` or ``7d``."""
-        self._align(struct.calcsize(f"<{kinds[-1]}"))
-        self._take_constants()
-        self._format += kinds
-        self._size = struct.calcsize(self._format)
-
-    def block(self, count: int) -> None:
-        """Adds ``count`` float64 that change, written as one run of bytes."""
-        self._align(8)
-        self._take_constants()
-        self._format += f"{8 * count}s"
-        self._size = struct.calcsize(self._format)
-
-    def header(self, frame_id: str) -> None:
-        """Adds a std_msgs/Header whose stamp changes."""
-        self.places("iI")
-        self.string(frame_id)
-
-    def finish(self) -> tuple[Callable[..., bytes], list[bytes]]:
-        """Returns a function and the constants that it wants before, between and behind the numbers."""
-        self._take_constants()
-        return struct.Struct(self._format).pack, self._constants
-
-    def _align(self, size: int) -> None:
-        self._pending += bytes(-(self._size + len(self._pending) - len(_ENCAPSULATION)) % size)
-
-    def _take_constants(self) -> None:
-        self._constants.append(bytes(self._pending))
-        self._format += f"{len(self._pending)}s"
-        self._size, self._pending = struct.calcsize(self._format), bytearray()
 
 
 class FastClock:
     """rosgraph_msgs/Clock."""
 
     def serialize(self, stamp_ns: int) -> bytes:
-        """Returns the message of a simulation time, nanoseconds."""
+        """Returns the message for a simulation time in nanoseconds."""
         return _ENCAPSULATION + _STAMP.pack(*divmod(stamp_ns, NS_PER_S))
 
 
 class FastTf:
-    """tf2_msgs/TFMessage of the same frames every time.
+    """tf2_msgs/TFMessage with fixed frames.
 
     Args:
         frames: (parent, child) of each transform.
@@ -125,7 +61,7 @@ class FastTf:
         for parent, child in frames:
             layout.header(parent)
             layout.string(child)
-            layout.places("7d")
+            layout.variables("7d")
         self._pack, self._constants = layout.finish()
         self._count = len(frames)
 
@@ -134,10 +70,10 @@ class FastTf:
 
         Args:
             stamp_ns: of all transforms.
-            poses: T_parent_child in the order of ``frames``: x y z (m), qx qy qz qw each. A list of lists is quickest.
+            poses: T_parent_child in the order of ``frames``: x y z (m), qx qy qz qw each. A list of lists is fastest.
 
         Raises:
-            ValueError: there are more or fewer poses than frames.
+            ValueError: the number of poses is not that of the frames.
         """
         if len(poses) != self._count:
             raise ValueError(f"there are {len(poses)} poses, the message is laid out for {self._count} frames")
@@ -153,17 +89,17 @@ class FastOdometry:
     """nav_msgs/Odometry with fixed frames.
 
     Args:
-        parent: Frame of the pose.
-        child: Frame of the twist.
+        parent: frame of the pose.
+        child: frame of the twist.
     """
 
     def __init__(self, parent: str, child: str) -> None:
         layout = _Layout()
         layout.header(parent)
         layout.string(child)
-        layout.places("7d")
+        layout.variables("7d")
         layout.block(36)
-        layout.places("6d")
+        layout.variables("6d")
         layout.block(36)
         self._pack, self._constants = layout.finish()
 
@@ -177,16 +113,16 @@ class FastOdometry:
         pose_covariance: Sequence[float] = _NO_COVARIANCE,
         twist_covariance: Sequence[float] = _NO_COVARIANCE,
     ) -> bytes:
-        """Returns the message. Tuples are quickest.
+        """Returns the message. Tuples are fastest.
 
         Args:
-            stamp_ns: When.
-            position: Of T_parent_child, metres.
-            quat_xyzw: Of T_parent_child.
-            linear: Velocity in the child's frame, m/s.
-            angular: rad/s.
-            pose_covariance: 36 numbers by rows; left out = zeros.
-            twist_covariance: The same.
+            stamp_ns: of the message.
+            position: of T_parent_child, metres.
+            quat_xyzw: of T_parent_child.
+            linear: velocity in the child's frame, m/s.
+            angular: the same, rad/s.
+            pose_covariance: (6, 6) row by row; default = zeros.
+            twist_covariance: the same for the twist.
         """
         start, frames, *nothing = self._constants
         pose_part = *position, *quat_xyzw, nothing[0], _COVARIANCE.pack(*pose_covariance)
@@ -195,11 +131,11 @@ class FastOdometry:
 
 
 class FastJointStates:
-    """sensor_msgs/JointState of the same joints every time.
+    """sensor_msgs/JointState with fixed joints.
 
     Args:
-        names: Of the joints.
-        frame_id: Of the header.
+        names: of the joints.
+        frame_id: of the header.
     """
 
     def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
@@ -211,15 +147,15 @@ class FastJointStates:
         for _ in range(3):
             layout.number("I", count)
             if count:
-                layout.places(f"{count}d")
+                layout.variables(f"{count}d")
         self._pack, self._constants = layout.finish()
         self._count = count
 
     def serialize(self, stamp_ns: int, joints: JointStates) -> bytes:
-        """Returns the message of joints in the order of ``names``.
+        """Returns the message for joints in the order of ``names``.
 
         Raises:
-            ValueError: there are more or fewer of them.
+            ValueError: the number of joints is not that of ``names``.
         """
         stamp = divmod(stamp_ns, NS_PER_S)
         if len(joints.names) != self._count:
@@ -235,17 +171,17 @@ class FastImu:
     """sensor_msgs/Imu with fixed frame and covariance of the orientation.
 
     Args:
-        frame_id: Frame of the sensor.
-        orientation_covariance: Nine numbers by rows; the first is -1 where there is no orientation (REP 145).
+        frame_id: frame of the sensor.
+        orientation_covariance: (3, 3) row by row; the first is -1 if there is no orientation (REP 145).
     """
 
     def __init__(self, frame_id: str, orientation_covariance: Sequence[float] = _NO_COVARIANCE[:9]) -> None:
         layout = _Layout()
         layout.header(frame_id)
-        layout.places("4d")
+        layout.variables("4d")
         layout.doubles(orientation_covariance)
         for _ in range(2):
-            layout.places("3d")
+            layout.variables("3d")
             layout.block(9)
         self._pack, self._constants = layout.finish()
 
@@ -261,12 +197,12 @@ class FastImu:
         """Returns the message.
 
         Args:
-            stamp_ns: When.
-            quat_xyzw: Orientation of the sensor.
-            angular: Angular velocity in its frame, rad/s.
-            linear: Specific force in its frame, m/s^2.
-            angular_variance: Of each component, (rad/s)^2.
-            linear_variance: Of each component, (m/s^2)^2.
+            stamp_ns: of the message.
+            quat_xyzw: orientation of the sensor.
+            angular: angular velocity in its frame, rad/s.
+            linear: specific force in its frame, m/s^2.
+            angular_variance: of each component, (rad/s)^2.
+            linear_variance: of each component, (m/s^2)^2.
         """
         start, frame, after_quat, *nothing = self._constants
         a, b, no = angular_variance, linear_variance, 0.0
@@ -277,18 +213,18 @@ class FastImu:
 
 
 class FastSceneState:
-    """gibson_msgs/SceneState of the same number of links every time.
+    """gibson_msgs/SceneState with a fixed number of links.
 
     Args:
-        frame_id: The world frame.
-        links: How many there are.
+        frame_id: the world frame.
+        links: number of links.
     """
 
     def __init__(self, frame_id: str, links: int) -> None:
         layout = _Layout()
         layout.header(frame_id)
-        layout.places("QQQ")
-        layout.places("I")
+        layout.variables("QQQ")
+        layout.variables("I")
         layout.number("I", 7 * links)
         if links:
             layout.block(7 * links)
@@ -299,13 +235,13 @@ class FastSceneState:
         self._poses = np.empty((links, 7), "<f8")
 
     def serialize(self, state: SceneState, due_cameras: Sequence[int], epoch: int = 0, epoch_step: int = 0) -> bytes:
-        """Returns the message of a state, of the cameras that are due at it, and of when that is: see SceneState.msg.
+        """Returns the message for a state; the other arguments are fields of SceneState.msg.
 
         Raises:
             ValueError: the state has another number of links.
         """
         poses, count = self._poses, len(due_cameras)
-        # NumPy would spread a single row over all.
+        # NumPy would broadcast a single row.
         if len(state.links) != len(poses):
             raise ValueError(f"the state has {len(state.links)} links, the message is laid out for {len(poses)} links")
         poses[:, :3], poses[:, 3:] = state.positions, state.quats_xyzw
@@ -320,19 +256,19 @@ class FastSceneState:
 
 
 class FastTickDone:
-    """gibson_msgs/TickDone that says DONE.
+    """gibson_msgs/TickDone with the event DONE.
 
     Args:
         event: TickDone.DONE.
-        participant: Who says so.
-        sent: Topics on which commands were sent.
+        participant: its name.
+        sent: topics on which commands were sent.
     """
 
     def __init__(self, event: int, participant: str, sent: Sequence[str]) -> None:
         layout = _Layout()
         layout.number("B", event)
         layout.string(participant)
-        layout.places("iI")
+        layout.variables("iI")
         layout.string("")
         layout.number("I", len(sent))
         for topic in sent:
@@ -340,7 +276,7 @@ class FastTickDone:
         self._pack, self._constants = layout.finish()
 
     def serialize(self, sec: int, nanosec: int) -> bytes:
-        """Returns the message of a tick, which is named by its stamp."""
+        """Returns the message for the tick with a stamp."""
         before, after = self._constants
         return self._pack(before, sec, nanosec, after)
 
@@ -349,7 +285,7 @@ class RelativePoses:
     """Poses of links in the frames of other links.
 
     Args:
-        pairs: Rows of a state: (parent, child) of each pose.
+        pairs: (parent, child) of each pose, rows of a state.
     """
 
     def __init__(self, pairs: Sequence[tuple[int, int]]) -> None:
@@ -358,7 +294,7 @@ class RelativePoses:
     def of(self, positions: NDArray[np.float64], quats_xyzw: NDArray[np.float64]) -> list[tuple[float, ...]]:
         """Returns T_parent_child of each pair: x y z (m), qx qy qz qw with qw >= 0.
 
-        Plain numbers: for the few joints of a robot they take a tenth of the time that arrays take.
+        It computes with plain floats: for the few joints of a robot they take a tenth of the time of arrays.
 
         Args:
             positions: (L, 3), world frame.
@@ -388,3 +324,65 @@ def _relative(
         sign * (w * c - x * b + y * a - z * d),
         sign * qw,
     )
+
+
+class _Layout:
+    """Lays out a message: constant bytes, and variable numbers between them."""
+
+    def __init__(self) -> None:
+        self._format = "<"
+        self._pending, self._size = bytearray(_ENCAPSULATION), 0
+        self._constants: list[bytes] = []
+
+    def number(self, kind: str, value: int) -> None:
+        """Adds a constant integer of a ``struct`` kind."""
+        self._align(struct.calcsize(f"<{kind}"))
+        self._pending += struct.pack(f"<{kind}", value)
+
+    def string(self, text: str) -> None:
+        """Adds a constant string."""
+        data = text.encode() + b"\0"
+        self.number("I", len(data))
+        self._pending += data
+
+    def doubles(self, values: Sequence[float]) -> None:
+        """Adds constant float64."""
+        self._align(8)
+        self._pending += struct.pack(f"<{len(values)}d", *values)
+
+    def variables(self, kinds: str) -> None:
+        """Adds variable numbers: ``struct`` kinds of one size, such as ``iI`` or ``7d``."""
+        self._align(struct.calcsize(f"<{kinds[-1]}"))
+        self._flush_constants()
+        self._format += kinds
+        self._size = struct.calcsize(self._format)
+
+    def block(self, count: int) -> None:
+        """Adds ``count`` variable float64, passed as one bytes object."""
+        self._align(8)
+        self._flush_constants()
+        self._format += f"{8 * count}s"
+        self._size = struct.calcsize(self._format)
+
+    def header(self, frame_id: str) -> None:
+        """Adds a std_msgs/Header with a variable stamp."""
+        self.variables("iI")
+        self.string(frame_id)
+
+    def finish(self) -> tuple[Callable[..., bytes], list[bytes]]:
+        """Returns the pack function, and the constants to pass before, between and after the numbers."""
+        self._flush_constants()
+        return struct.Struct(self._format).pack, self._constants
+
+    def _align(self, size: int) -> None:
+        self._pending += bytes(-(self._size + len(self._pending) - len(_ENCAPSULATION)) % size)
+
+    def _flush_constants(self) -> None:
+        self._constants.append(bytes(self._pending))
+        self._format += f"{len(self._pending)}s"
+        self._size, self._pending = struct.calcsize(self._format), bytearray()
+
+
+def _string(text: str) -> bytes:
+    data = text.encode() + b"\x00"
+    return struct.pack("<I", len(data)) + data

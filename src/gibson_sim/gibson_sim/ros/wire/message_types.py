@@ -1,4 +1,4 @@
-"""Classes of messages and services from the names of their types, and back."""
+"""Finds the class of a message or service type by its name, and the name of a class."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from importlib import import_module
 from typing import Any
 
 UNKNOWN = (ImportError, AttributeError, ValueError)
-"""What ``message_class`` raises where a type is not installed here, or its name is none."""
+"""Exceptions of ``message_class`` if a type is not installed, or its name is invalid."""
 
 
 def message_class(type_name: str) -> Any:
-    """Returns the class of ``geometry_msgs/msg/Twist``, and the class of the request of ``simulation_interfaces/srv/SpawnEntity``.
+    """Returns the class of a message type such as ``geometry_msgs/msg/Twist``; for a service type, the class of its request.
 
     Raises:
         ImportError, AttributeError, ValueError: see ``UNKNOWN``.
@@ -21,6 +21,6 @@ def message_class(type_name: str) -> Any:
 
 
 def type_name_of(cls: Any) -> str:
-    """Returns ``sensor_msgs/msg/Image`` of a message class, ``simulation_interfaces/srv/SpawnEntity`` of that of a request."""
+    """Returns the type name of a message class, ``sensor_msgs/msg/Image``; for the class of a request, the name of the service type."""
     package, _, rest = cls.__module__.partition(".")
     return f"{package}/{rest.partition('.')[0]}/{cls.__name__.removesuffix('_Request')}"

@@ -1,1 +1,1 @@
-"""Collision geometry that is cheap and close to what is drawn: flat floors and fewer triangles for scans, convex parts for objects."""
+"""Cheap collision geometry close to the visuals: flat floors and fewer triangles for scans, and a cache for both these and convex parts."""

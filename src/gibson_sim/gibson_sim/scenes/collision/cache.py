@@ -1,6 +1,6 @@
-"""Keeps simplified collision geometry on disk, so that the next start does not make it again. One folder for each mesh.
+"""A cache of simplified collision geometry on disk, with one folder for each mesh.
 
-What decides the result is in the folder's name: the triangles, what was asked for, and the code that made it.
+The name of a folder is a digest of everything that decides its content: the triangles, the parameters and the code.
 """
 
 from __future__ import annotations
@@ -24,18 +24,24 @@ from gibson_sim.resources import cache_folder
 
 _log = logging.getLogger(__name__)
 LIMIT_BYTES = 2 * 2**30
-"""The cache is kept below this: what was unused for longest goes first."""
+"""Size of the cache, from which the least recently used folders are deleted first."""
 RECORD = "made.json"
-"""What every folder of the cache holds beside its meshes: a JSON object."""
+"""File in every folder of the cache with a JSON object about its meshes."""
 
 
 def default_folder() -> Path:
-    """Returns the folder of the user's own cache."""
+    """Returns the folder of the user's cache."""
     return cache_folder("collision")
 
 
 def digest_of(vertices: NDArray[np.float64], triangles: NDArray[np.int64], *what: object) -> str:
-    """Returns the name of the folder for a mesh (V, 3), (F, 3), and what is to be made of it."""
+    """Returns the name of a folder of the cache.
+
+    Args:
+        vertices: (V, 3), metres.
+        triangles: (F, 3), rows of ``vertices``.
+        what: parameters of the geometry; their ``repr`` counts.
+    """
     total = hashlib.sha256(repr((__version__, *what)).encode())
     package = Path(gibson_sim.__file__).parent
     for source in (*sorted((package / "scenes" / "collision").glob("*.py")), package / "geometry" / "triangle_meshes.py"):
@@ -47,11 +53,11 @@ def digest_of(vertices: NDArray[np.float64], triangles: NDArray[np.int64], *what
 
 
 def kept_or_made(folder: Path, digest: str, make: Callable[[Path], dict[str, object]]) -> tuple[Path, dict[str, object]]:
-    """Returns a folder of the cache and its record, which ``make`` has written into it, now or earlier.
+    """Returns a folder of the cache and its record; calls ``make`` if the cache does not have it.
 
     Args:
-        folder: of the cache; made when first needed.
-        digest: ``digest_of`` what is made.
+        folder: folder of the cache; created if necessary.
+        digest: ``digest_of`` the geometry.
         make: writes files into an empty folder and returns the record.
 
     Raises:
@@ -67,12 +73,12 @@ def kept_or_made(folder: Path, digest: str, make: Callable[[Path], dict[str, obj
         try:
             record = make(half)
             (half / RECORD).write_text(json.dumps(record), encoding="utf-8")
-            # Last, and at once: where this folder is, all of it is whole.
+            # Renaming is atomic, so that a folder of this name is always complete.
             if place.exists() and _read(place) is None:
                 shutil.rmtree(place)
             half.rename(place)
         except OSError:
-            if _read(place) is None:  # else another process was quicker
+            if _read(place) is None:  # else another process was faster
                 raise
         finally:
             shutil.rmtree(half, ignore_errors=True)
@@ -85,7 +91,7 @@ def kept_or_made(folder: Path, digest: str, make: Callable[[Path], dict[str, obj
 
 
 def _read(place: Path) -> dict[str, object] | None:
-    """Returns the record of a folder that can be used, which is now the one used last; else None."""
+    """Returns the record of a folder and marks the folder as used; None if it does not exist or cannot be used."""
     try:
         record = json.loads((place / RECORD).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -101,7 +107,7 @@ def _read(place: Path) -> dict[str, object] | None:
 
 
 def _trim(folder: Path, used: Path) -> None:
-    """Deletes what was unused for longest until the rest is below the limit."""
+    """Deletes the least recently used folders but ``used`` until the rest is below the limit."""
     total = 0
     for place in sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime, reverse=True):
         total += sum(file.stat().st_size for file in place.iterdir())

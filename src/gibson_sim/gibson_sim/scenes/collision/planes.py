@@ -1,4 +1,4 @@
-"""Finds the flat floors of a scan and lays boxes with level tops where its bumpy triangles are."""
+"""Finds the floors of a scan and replaces their bumpy triangles by boxes with level tops."""
 
 from __future__ import annotations
 
@@ -18,61 +18,67 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 SMALLEST_AREA = 1.5
-"""Square metres: a smaller level patch keeps its triangles. Treads of stairs are smaller."""
+"""Least area of a floor, square metres; a smaller level patch, such as the tread of a stair, keeps its triangles."""
 LARGEST_BAND = 0.025
-"""Triangles that lie no farther than this from the height of a floor may become part of it, metres."""
+"""Largest distance from the height of a floor at which triangles can become part of it, metres."""
 SMALLEST_BAND = 0.005
+"""Least such distance for a very smooth floor, metres."""
 THICKNESS = 0.1
-"""Of the boxes, metres, downwards."""
+"""Thickness of the boxes below their tops, metres."""
 _CELL = 0.025
+"""Edge of the cells of the boxes, metres."""
 _BIN = 0.005
+"""Width of the bins in which heights of triangles are counted, metres."""
 _UP = 0.7
-"""Least upward part of the normal of a floor's triangles: noise tilts small triangles."""
+"""Least z of the unit normal of a floor's triangles: noise tilts small triangles."""
 _SIGMAS = 3.0
-_BUMPIEST = 0.012
-"""Metres, standard deviation: what is rougher is a slope or a cushion."""
+"""Half width of the band of a floor, standard deviations of its heights."""
+_MAX_ROUGHNESS = 0.012
+"""Largest standard deviation of the heights of a floor, metres; a rougher patch is a slope or a cushion."""
 _SPECK, _LARGE_SPECK = 0.02, 0.1
-"""Square metres: what is smaller, lies about the floor and hangs together with nothing else is noise; if it is larger than the first,
-only if few of its corners are off the floor."""
+"""Areas below which a part of the mesh about a floor, connected to nothing else, is noise, square metres. Between the two, it is noise only
+if few of its corners are off the floor."""
 _FEW = 0.3
+"""Share of the corners that counts as few."""
 _SMALLEST_BOX = 9
-"""Cells along each edge of a box."""
+"""Least edge of the square from which a box grows, cells."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """A box with a level top, along the axes of the world, metres."""
+    """An axis-aligned box with a level top, ``THICKNESS`` high, world frame."""
 
     low: tuple[float, float]
-    """Smallest x, y."""
+    """Lowest x and y, metres."""
     high: tuple[float, float]
+    """Highest x and y, metres."""
     top: float
-    """Height of its upper face."""
+    """Height of its upper face, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flattened:
-    """A mesh whose floors are slabs."""
+    """A mesh with slabs for its floors."""
 
     slabs: tuple[Slab, ...]
     """The inner parts of all floors."""
     vertices: F64
-    """(V, 3), metres: as given, but for those of floors."""
+    """(V, 3), metres: the original ones, except those of floors."""
     triangles: I64
-    """(F, 3): without those that the slabs replace."""
+    """(F, 3): those that the slabs do not replace."""
     flat: Bools
-    """(V,): vertices that were moved to the height of a floor."""
+    """(V,): whether a vertex was moved to the height of a floor."""
 
 
 def flatten_floors(vertices: F64, triangles: I64) -> Flattened:
     """Returns the mesh with slabs in place of the inner parts of its floors.
 
-    Triangles at the rim of a floor stay, with their corners at its height, so that walls and floor hang together. Thresholds, steps
-    and stairs stay as they are.
+    Triangles at the rim of a floor stay, with their corners at its height, so that walls and floor remain connected. Thresholds, steps
+    and stairs do not change.
 
     Args:
-        vertices: (V, 3), welded, world frame, metres.
-        triangles: (F, 3), facing out of the solid: up, on floors.
+        vertices: (V, 3), welded, world metres.
+        triangles: (F, 3), facing out of the solid, which is up on floors.
     """
     vertices = vertices.copy()
     keep = np.ones(len(triangles), dtype=bool)
@@ -95,7 +101,7 @@ def flatten_floors(vertices: F64, triangles: I64) -> Flattened:
 
 
 def _levels(vertices: F64, triangles: I64) -> list[tuple[float, float, Bools]]:
-    """Returns height, half thickness (metres) and triangles (F,) that may belong to it of each level patch, the largest first."""
+    """Returns each level patch, the largest first: height, half width of its band, metres, and which triangles (F,) may belong to it."""
     corners = vertices[triangles]
     up = np.flatnonzero(unit_normals(corners)[:, 2] > _UP)
     parts = components(triangles[up], len(vertices))
@@ -106,7 +112,7 @@ def _levels(vertices: F64, triangles: I64) -> list[tuple[float, float, Bools]]:
         members = np.flatnonzero(parts == part)
         while areas[members].sum() >= SMALLEST_AREA:
             height, spread = _peak(z[members], areas[members])
-            if spread > _BUMPIEST:
+            if spread > _MAX_ROUGHNESS:
                 break
             band = float(np.clip(_SIGMAS * spread, SMALLEST_BAND, LARGEST_BAND))
             near = np.abs(z[members] - height) <= band
@@ -116,13 +122,13 @@ def _levels(vertices: F64, triangles: I64) -> list[tuple[float, float, Bools]]:
             region = np.zeros(len(triangles), dtype=bool)
             region[up[members[near]]] = True
             found.append((area, height, band, region))
-            # A second level of the same patch must be another one, and not the slope beside this one.
+            # A second level in the same patch must be far from this one, or it is the slope beside it.
             members = members[np.abs(z[members] - height) > 2 * LARGEST_BAND]
     return [(height, band, region) for _, height, band, region in sorted(found, key=lambda level: -level[0])]
 
 
 def _peak(z: F64, areas: F64) -> tuple[float, float]:
-    """Returns the height at which most area lies, and the standard deviation of heights about it, metres."""
+    """Returns the height with the most area, and the standard deviation of heights about it, metres; z and areas: (N,)."""
     bins = np.floor((z - z.min()) / _BIN).astype(np.int64)
     width = round(2 * LARGEST_BAND / _BIN)
     sums = np.convolve(np.bincount(bins, weights=areas), np.ones(width), mode="same")
@@ -133,12 +139,12 @@ def _peak(z: F64, areas: F64) -> tuple[float, float]:
     total = np.cumsum(weights[order])
     height = float(values[order][int(np.searchsorted(total, 0.5 * total[-1]))])
     away = np.sort(np.abs(values - height))
-    # The median of the distances is 0.6745 standard deviations, however far off a few of them are.
+    # The median distance is 0.6745 standard deviations of a normal distribution, and robust against outliers.
     return height, float(away[len(away) // 2]) / 0.6745
 
 
 def _specks(vertices: F64, triangles: I64, others: Bools, height: float, band: float) -> Bools:
-    """Returns (F,): small parts of ``others`` (F,) about a height that hang together with nothing else: bumps of a noisy floor."""
+    """Returns (F,): small parts of ``others`` (F,) about a height that are connected to nothing else: bumps of a noisy floor."""
     rows = np.flatnonzero(others)
     out = np.zeros(len(triangles), dtype=bool)
     if not len(rows):
@@ -160,27 +166,28 @@ def _specks(vertices: F64, triangles: I64, others: Bools, height: float, band: f
 
 
 def _rectangles(mask: Bools) -> tuple[list[tuple[int, int, int, int]], Bools]:
-    """Returns rectangles (first row, first column, last row + 1, last column + 1) in a mask, and the cells in them.
+    """Returns rectangles (first row, first column, last row + 1, last column + 1) in a mask (H, W), and the cells in them (H, W).
 
-    The largest square that is left grows to all sides as far as the mask goes. They do not overlap: what lies on two boxes costs twice.
+    The largest remaining square is extended on all sides as far as the mask allows. Rectangles do not overlap, since a contact with two
+    boxes costs twice the time.
     """
     left = mask.copy()
     boxes: list[tuple[int, int, int, int]] = []
     while left.any():
-        # To the nearest cell that is not left, along rows, columns or diagonals; the border is not left either.
+        # Chessboard distance to the nearest cell that does not remain; neither do the cells beyond the border.
         away = np.asarray(cv2.distanceTransform(np.pad(left.astype(np.uint8), 1), cv2.DIST_C, 3))[1:-1, 1:-1]
         row, column = np.unravel_index(int(away.argmax()), mask.shape)
         reach = int(away[row, column]) - 1
         if 2 * reach + 1 < _SMALLEST_BOX:
             break
-        box = _grown((int(row) - reach, int(column) - reach, int(row) + reach + 1, int(column) + reach + 1), left)
+        box = _extended((int(row) - reach, int(column) - reach, int(row) + reach + 1, int(column) + reach + 1), left)
         boxes.append(box)
         left[box[0] : box[2], box[1] : box[3]] = False
     return boxes, np.asarray(mask & ~left)
 
 
-def _grown(box: tuple[int, int, int, int], mask: Bools) -> tuple[int, int, int, int]:
-    """Returns a rectangle of cells that are all in the mask, grown side by side, each as far as that stays true."""
+def _extended(box: tuple[int, int, int, int], mask: Bools) -> tuple[int, int, int, int]:
+    """Returns a rectangle extended up, down, left and right in turn, each as far as all its cells are in the mask."""
     top, left, bottom, right = box
     above = np.asarray(mask[:top, left:right].all(axis=1))[::-1]
     top -= int(np.append(above, False).argmin())
@@ -194,6 +201,7 @@ def _grown(box: tuple[int, int, int, int], mask: Bools) -> tuple[int, int, int, 
 
 
 def _slab(grid: Grid, box: tuple[int, int, int, int], height: float) -> Slab:
+    """Returns the slab on a rectangle of cells."""
     top, left, bottom, right = box
     x, y = grid.origin
     step = grid.resolution
@@ -201,7 +209,7 @@ def _slab(grid: Grid, box: tuple[int, int, int, int], height: float) -> Slab:
 
 
 def _inside(corners: F64, covered: Bools, grid: Grid) -> Bools:
-    """Returns (F,): triangles (F, 3, 2) that lie in covered cells, seen from above."""
+    """Returns (F,): which triangles (F, 3, 2), world metres, lie in covered cells (H, W), seen from above."""
     low, high = (
         np.floor((f(corners, axis=1) - np.asarray(grid.origin)) / grid.resolution).astype(np.int64) for f in (np.min, np.max)
     )

@@ -1,4 +1,4 @@
-"""Makes the collision geometry of a scan: boxes with level tops for its floors, and as few triangles as its shape needs for the rest."""
+"""Simplifies the collision geometry of a scan: boxes with level tops for its floors, and few triangles for the rest."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MAX_ERROR = 0.03
-"""No sample point of the scan lies farther than this from what replaces it, nor the other way round, metres."""
+"""Largest distance of a sample point of the scan from the simplified geometry, and vice versa, metres."""
 _SAMPLES = 40_000
-_TRIES = 7
-_AROUND = 0.1
+"""Sample points on the scan, and on the simplified geometry."""
+_MAX_ATTEMPTS = 7
+_FIXED_RADIUS = 0.1
+"""Radius about a point with too large an error in which the next attempt changes nothing, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimplifiedScan:
-    """What stands for a scan in physics, world frame, metres."""
+    """The collision geometry of a scan, world frame."""
 
     slabs: tuple[Slab, ...]
-    """Boxes with level tops, ``planes.THICKNESS`` high: the floors."""
+    """The floors."""
     vertices: F64 = field(repr=False)
-    """(V, 3): of everything else."""
+    """(V, 3), vertices of everything else, metres."""
     triangles: I64 = field(repr=False)
-    """(F, 3)."""
+    """(F, 3), rows of ``vertices``."""
     error: float
-    """The greatest distance of sample points of either from the other, metres."""
+    """Greatest distance of a sample point of either geometry from the other, metres."""
     before: int
-    """Triangles of the scan."""
+    """Number of triangles of the scan."""
 
     def __str__(self) -> str:
         levels = sorted({round(slab.top, 3) for slab in self.slabs})
@@ -47,11 +49,11 @@ class SimplifiedScan:
 
 
 def simplify_scan(vertices: ArrayLike, triangles: ArrayLike, max_error: float = MAX_ERROR) -> SimplifiedScan:
-    """Returns boxes and triangles that lie within ``max_error`` (metres) of a scan, at sample points.
+    """Returns boxes and triangles whose distance from a scan, at sample points, is at most ``max_error``.
 
     Args:
-        vertices: (V, 3), world frame, metres, z up.
-        triangles: (F, 3).
+        vertices: (V, 3), world metres, z up.
+        triangles: (F, 3), rows of ``vertices``.
         max_error: metres.
 
     Raises:
@@ -65,34 +67,34 @@ def simplify_scan(vertices: ArrayLike, triangles: ArrayLike, max_error: float = 
         simplified = _simplified(points[corners], flattened, max_error)
         if simplified is not None:
             return simplified
-    _log.warning("no simpler mesh lies within %g m of the scan: its own mesh collides", max_error)
+    _log.warning("no simpler mesh lies within %g m of the scan: the scan itself is its collision shape", max_error)
     return SimplifiedScan((), points, corners, 0.0, len(corners))
 
 
 def _simplified(scan: F64, flattened: Flattened, max_error: float) -> SimplifiedScan | None:
-    """Returns what stands for a scan (F, 3, 3) with these floors; None if it cannot be made close enough."""
-    measure = _Measure(scan, _tops(flattened.slabs), max_error)
+    """Returns the simplified geometry of a scan (F, 3, 3) with these floors; None if its error stays too large."""
+    measure = _ErrorMeasure(scan, _tops(flattened.slabs), max_error)
     rest, flat = flattened.triangles, flattened.flat
     if measure.check(flattened.vertices, rest)[0] >= max_error:
         return None
     smoothed = smooth(flattened.vertices, rest, flat, max_error / 3)
     fixed = np.zeros(len(smoothed), dtype=bool)
-    for attempt in range(_TRIES):
+    for attempt in range(_MAX_ATTEMPTS):
         mesh = simplify(smoothed, rest, max_error / 2 ** (1 + attempt // 3), fixed)
         error, bad = measure.check(*mesh)
         if error < max_error:
             return SimplifiedScan(flattened.slabs, *mesh, error, len(scan))
-        # Where it came out wrong, and a little around, nothing may change in the next attempt.
-        fixed |= cKDTree(bad).query(smoothed, distance_upper_bound=_AROUND)[0] <= _AROUND
+        # The next attempt changes nothing near points with too large an error.
+        fixed |= cKDTree(bad).query(smoothed, distance_upper_bound=_FIXED_RADIUS)[0] <= _FIXED_RADIUS
     return None
 
 
-class _Measure:
-    """Measures how far meshes are from a scan.
+class _ErrorMeasure:
+    """Measures the distance between a scan and meshes.
 
     Args:
         scan: (F, 3, 3), triangles, metres.
-        tops: (N, 3, 3), triangles that belong to every mesh.
+        tops: (N, 3, 3), triangles that are part of every mesh, metres.
         max_error: metres.
     """
 
@@ -101,7 +103,7 @@ class _Measure:
         self._points = spread_over(scan, _SAMPLES, np.random.default_rng(0))[0]
 
     def check(self, vertices: F64, triangles: I64) -> tuple[float, F64]:
-        """Returns the greatest distance of sample points, both ways, and the points (N, 3) of which it is too large."""
+        """Returns the greatest distance of sample points in both directions, metres, and the points (N, 3) where it is too large."""
         rng = np.random.default_rng(1)
         mesh = np.concatenate([vertices[triangles], self._tops])
         points = np.concatenate([self._points, spread_over(mesh, _SAMPLES, rng)[0]])
@@ -111,7 +113,7 @@ class _Measure:
 
 
 def _tops(slabs: tuple[Slab, ...]) -> F64:
-    """Returns the upper faces of slabs as triangles (2 N, 3, 3)."""
+    """Returns the upper faces of N slabs as triangles (2 N, 3, 3), world metres."""
     out = []
     for slab in slabs:
         (x, y), (X, Y), z = slab.low, slab.high, slab.top

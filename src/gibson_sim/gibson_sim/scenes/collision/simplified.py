@@ -1,4 +1,4 @@
-"""From a scan to the shapes that stand for it in physics: what ``collision: simplified`` means."""
+"""Simplified collision shapes of a scan, from the cache if it has them, for ``collision: simplified`` in a scene."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ I64 = NDArray[np.int64]
 def scan_shapes(
     vertices: ArrayLike, triangles: ArrayLike, name: str, *, folder: Path | None = None, max_error: float = MAX_ERROR
 ) -> tuple[tuple[Shape, Pose], ...]:
-    """Returns the shapes, with T_world_shape, that stand for a scan in physics; made once and kept in the user's cache.
+    """Returns the simplified collision shapes of a scan, each with T_world_shape; computed once and kept in the user's cache.
 
     Args:
-        vertices: (V, 3), world frame, metres, z up.
-        triangles: (F, 3).
-        name: of the scan, for the log.
-        folder: of the cache; None = ``default_folder()``.
-        max_error: metres between the scan and what stands for it.
+        vertices: (V, 3), world metres, z up.
+        triangles: (F, 3), rows of ``vertices``.
+        name: name of the scan for the log.
+        folder: folder of the cache; None = ``default_folder()``.
+        max_error: largest distance between the scan and the shapes, metres.
 
     Raises:
         MeshError: there is nothing to simplify.
@@ -57,7 +57,7 @@ def scan_shapes(
 
 
 def write_meshes(place: Path, meshes: Sequence[tuple[F64, I64]]) -> None:
-    """Writes meshes, vertices (V, 3) and triangles (F, 3), as OBJ files into a folder of the cache."""
+    """Writes meshes, each with vertices (V, 3), metres, and triangles (F, 3), as OBJ files to a folder of the cache."""
     for number, (points, corners) in enumerate(meshes):
         with (place / f"part_{number}.obj").open("w", encoding="ascii") as file:
             np.savetxt(file, points, fmt="v %.6f %.6f %.6f")
@@ -65,7 +65,7 @@ def write_meshes(place: Path, meshes: Sequence[tuple[F64, I64]]) -> None:
 
 
 def mesh_files(place: Path, record: dict[str, object]) -> list[Path]:
-    """Returns the OBJ files in a folder of the cache, whose record says how many there are."""
+    """Returns the OBJ files in a folder of the cache; ``record`` has their number."""
     count = record["meshes"]
     assert isinstance(count, int)
     return [place / f"part_{number}.obj" for number in range(count)]

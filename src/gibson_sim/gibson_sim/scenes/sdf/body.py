@@ -1,6 +1,6 @@
-"""Turns an SDF model into the tree of links that physics moves: masses, joints, shapes; nested models become part of it.
+"""Turns an SDF model into the tree of links that physics moves: masses, joints, shapes and friction; nested models become part of it.
 
-What stands still in a world is read by ``sdf_model``, whose poses, frames and shapes are used here.
+``sdf.model`` reads models that stay where they are, and the poses, frames and shapes for both.
 """
 
 from __future__ import annotations
@@ -23,144 +23,37 @@ from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf.model import Element, SdfModels, name_of, numbers, unread_material, visual_color
 from gibson_sim.types import Pose, Vec3
 
-_KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
-_ENDLESS = 1e6
-"""Limits beyond this are none: files write 1e16 and more."""
-
-
-@dataclass(frozen=True, slots=True)
-class JointAxis:
-    """How a joint moves; kind and limits are those of ``UrdfJoint``."""
-
-    kind: str
-    xyz: Vec3 = (0.0, 0.0, 1.0)
-    """Unit vector, in the frame of the joint unless another one is named."""
-    expressed_in: str = ""
-    """Frame of the axis (SDF 1.7 and later)."""
-    parent_model_frame: bool | None = None
-    """What <use_parent_model_frame> says; None = nothing."""
-    lower: float = 0.0
-    upper: float = -1.0
-    effort: float = 0.0
-    velocity: float = 0.0
-    damping: float = 0.0
-    friction: float = 0.0
-
-    def in_model_frame(self, version: tuple[int, ...]) -> bool:
-        """Returns whether the axis is in the frame of the model: asked for, or written in SDF 1.4 or older."""
-        if self.parent_model_frame is not None:
-            return self.parent_model_frame
-        return bool(version) and version <= (1, 4)
-
-
-def joint_axis(element: Element, name: str, builder: SceneBuilder) -> JointAxis:
-    """Returns the axis of a <joint>; of a kind that is not simulated, a fixed one after a warning."""
-    kind = _KINDS.get(element.get("type", ""))
-    where = f"joint {name}"
-    if kind is None:
-        builder.warn(f"{where}: type {quoted(element.get('type', ''))} is not simulated; it does not move")
-        return JointAxis("fixed")
-    axis = element.find("axis")
-    if kind == "fixed" or axis is None:
-        if kind != "fixed":
-            builder.warn(f"{where}: has no <axis>; it turns about z of the joint")
-        return JointAxis("continuous" if kind == "revolute" else kind)
-    xyz = axis.find("xyz")
-    text = "0 0 1" if xyz is None else (xyz.text or "").strip()
-    values = numbers(text, (3,)) or [0.0, 0.0, 0.0]
-    length = math.sqrt(sum(c * c for c in values))
-    if length < 1e-9:
-        builder.warn(f"{where}: axis {quoted(text)} is no direction; z is used", OmissionKind.INVALID)
-        values, length = [0.0, 0.0, 1.0], 1.0
-    asked = (axis.findtext("use_parent_model_frame") or "").strip().lower()
-    lower = _number(axis, "limit/lower", -math.inf, where, builder)
-    upper = _number(axis, "limit/upper", math.inf, where, builder)
-    if lower > upper:
-        builder.warn(f"{where}: limits are {lower:g} to {upper:g}, must be lower to upper", OmissionKind.INVALID)
-    endless = lower < -_ENDLESS and upper > _ENDLESS
-    if endless or kind == "continuous":
-        kind = "continuous" if kind == "revolute" else kind
-        lower, upper = 0.0, -1.0
-    lower, upper = max(lower, -_ENDLESS), min(upper, _ENDLESS)
-    effort, velocity = (_number(axis, f"limit/{key}", 0.0, where, builder) for key in ("effort", "velocity"))
-    damping, friction = (_number(axis, f"dynamics/{key}", 0.0, where, builder) for key in ("damping", "friction"))
-    return JointAxis(
-        kind,
-        (values[0] / length, values[1] / length, values[2] / length),
-        "" if xyz is None else xyz.get("expressed_in", "").strip(),
-        asked in ("1", "true") if asked else None,
-        lower,
-        upper,
-        # A negative one, or infinity, means that there is none.
-        effort if 0.0 < effort < _ENDLESS else 0.0,
-        velocity if 0.0 < velocity < _ENDLESS else 0.0,
-        damping if math.isfinite(damping) else 0.0,
-        friction if math.isfinite(friction) else 0.0,
-    )
-
-
-def _number(axis: Element, path: str, default: float, where: str, builder: SceneBuilder) -> float:
-    """Returns a number, which may be infinite."""
-    text = (axis.findtext(path) or "").strip()
-    if not text:
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value):
-        builder.warn(f"{where}: <{path.rpartition('/')[2]}> is {quoted(text)}, must be a number", OmissionKind.INVALID)
-        return default
-    return value
-
-
 F64 = NDArray[np.float64]
 MAX_LINKS = 500
 WORLD = "world"
+"""Name of the world as an end of joints."""
 _SCOPE = "__"
-"""Between the names of a nested model and of its link; SDF has ``::``."""
+"""Separator between the names of a nested model and of its link, in place of SDF's ``::``."""
 _MODEL_FRAME = "model_frame"
+"""Name of the root link where no link lies at the model's frame."""
 _INERTIA = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
-"""What SDF takes where a file gives nothing, kg m^2."""
-
-
-@dataclass(slots=True)
-class _Scope:
-    """One <model>, the outermost or a nested one."""
-
-    model: Element
-    T_root_model: F64
-    """(4, 4), in the frame of the outermost model."""
-    prefix: str
-    base: Path
-    version: tuple[int, ...]
-
-
-@dataclass(slots=True)
-class _Flat:
-    """Everything of a model, nested ones included, under names of its own."""
-
-    links: dict[str, tuple[Element, _Scope]] = field(default_factory=dict)
-    T_root_link: dict[str, F64] = field(default_factory=dict)
-    frames: dict[str, str] = field(default_factory=dict)
-    """Name of a frame or nested model -> the link that it is fixed to."""
-    joints: list[tuple[Element, _Scope]] = field(default_factory=list)
+"""Default inertia of SDF, kg m^2."""
+_KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
+"""Type of an SDF joint -> kind of a ``UrdfJoint``."""
+_MAX_LIMIT = 1e6
+"""Limits of joints beyond this, radians or metres, mean no limit: files write 1e16 and more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SdfBody:
-    """A model as physics can load it."""
+    """A model that physics can load."""
 
     model: UrdfModel
-    """Its root is where the model's own frame is."""
+    """The links; the frame of the root is that of the model."""
     static: bool
+    """Whether the model is fixed to the world."""
 
 
 class SdfBodyReader:
     """Reads one model.
 
     Args:
-        models: of the file; takes the warnings.
+        models: reader of models, poses and shapes, which collects the warnings.
         path: the file, for messages.
     """
 
@@ -170,18 +63,18 @@ class SdfBodyReader:
         self.path = path
 
     def read(self, model: Element, base: Path, version: tuple[int, ...]) -> SdfBody:
-        """Returns the model in a frame of its own: its <pose> is for whoever places it.
+        """Returns the model in its own frame, without its <pose>, which the caller applies.
 
         Args:
             model: the <model>.
-            base: folder of relative names.
-            version: of SDF.
+            base: folder of relative file names.
+            version: version of SDF, such as (1, 7).
 
         Raises:
-            SceneError: it has no links, or too many, or two of the same name.
+            SceneError: the model has no links, or too many, or two of the same name.
         """
         name = model.get("name", "").strip() or self.path.stem
-        flat = _Flat()
+        flat = _FlatModel()
         self._collect(flat, _Scope(model, np.eye(4), "", base, version), (Path(os.path.realpath(self.path)),), 0)
         if not flat.links:
             raise SceneError(f"{self.path}: model {quoted(name)} has no <link>")
@@ -192,12 +85,12 @@ class SdfBodyReader:
         static = frozen or tree.fixed_to_world
         links = self._links(flat, tree, static)
         ordered = tuple(links[link] for link in tree.order())
-        # Nothing of a <static> model moves, not even its doors.
+        # No joint of a <static> model moves, not even a door's.
         joints = tuple(replace(joint, kind="fixed") if frozen else joint for joint in tree.joints)
         return SdfBody(UrdfModel(name, self.path, ordered, joints, tuple(self.builder.warnings)), static)
 
-    def _collect(self, flat: _Flat, scope: _Scope, files: tuple[Path, ...], depth: int) -> None:
-        """Adds the links and joints of a model and of those in it."""
+    def _collect(self, flat: _FlatModel, scope: _Scope, files: tuple[Path, ...], depth: int) -> None:
+        """Adds the links and joints of a model and its nested models."""
         where = f"model {scope.prefix.removesuffix(_SCOPE) or scope.model.get('name', '')}"
         self.models.check_nesting(where, depth)
         for child in scope.model:
@@ -216,7 +109,7 @@ class SdfBodyReader:
             elif child.tag == "model":
                 at = scope.T_root_model @ self.models.placed(scope.model, child, where)
                 inner = _Scope(child, at, f"{scope.prefix}{name_of(child)}{_SCOPE}", scope.base, scope.version)
-                self._nested(flat, inner, files, depth)
+                self._collect_nested(flat, inner, files, depth)
             elif child.tag == "include":
                 found = self.models.included(child, scope.base, scope.model, files)
                 if found is not None:
@@ -225,20 +118,20 @@ class SdfBodyReader:
                     merged = child.get("merge", "false").strip().lower() in ("1", "true")
                     prefix = scope.prefix if merged else f"{scope.prefix}{found.name}{_SCOPE}"
                     inner = _Scope(found.model, at, prefix, found.file.parent, self.models.version(found.file))
-                    self._nested(flat, inner, (*files, Path(os.path.realpath(found.file))), depth)
+                    self._collect_nested(flat, inner, (*files, Path(os.path.realpath(found.file))), depth)
         for child in scope.model.iterfind("frame"):
             attached = (child.get("attached_to") or "").strip().replace("::", _SCOPE)
             first = next((link for link in flat.links if link.startswith(scope.prefix)), "")
             flat.frames[scope.prefix + name_of(child)] = scope.prefix + attached if attached else first
 
-    def _nested(self, flat: _Flat, inner: _Scope, files: tuple[Path, ...], depth: int) -> None:
+    def _collect_nested(self, flat: _FlatModel, inner: _Scope, files: tuple[Path, ...], depth: int) -> None:
         before = len(flat.links)
         self._collect(flat, inner, files, depth + 1)
         if len(flat.links) > before:
             flat.frames.setdefault(inner.prefix.removesuffix(_SCOPE), list(flat.links)[before])
 
-    def _links(self, flat: _Flat, tree: _Tree, static: bool) -> dict[str, UrdfLink]:
-        """Returns every link by name; a model without collisions collides as it is drawn, as in worlds."""
+    def _links(self, flat: _FlatModel, tree: _Tree, static: bool) -> dict[str, UrdfLink]:
+        """Returns every link by name; the visuals of a model without collisions are its collision shapes, as in worlds."""
         has_collision = any(element.find("collision") is not None for element, _ in flat.links.values())
         links = {name: UrdfLink(name) for name in tree.extra_links}
         for name, (element, scope) in flat.links.items():
@@ -265,14 +158,14 @@ class SdfBodyReader:
             )
         return links
 
-    def _shapes(self, flat: _Flat, name: str, item: Element, scope: _Scope) -> list[tuple[Shape, Pose, bool]]:
-        """Returns the shapes of a <visual> or <collision>, T_link_shape, and whether it is a plane."""
+    def _shapes(self, flat: _FlatModel, name: str, item: Element, scope: _Scope) -> list[tuple[Shape, Pose, bool]]:
+        """Returns the shapes of a <visual> or <collision>, each with T_link_shape and whether it is a plane."""
         T_link_model = invert(flat.T_root_link[name]) @ scope.T_root_model
         found = self.models.shapes(scope.model, item, T_link_model, np.eye(4), f"{self.path.name}: link {name}", scope.base)
         return [(shape, pose_from_matrix(matrix), plane) for shape, matrix, plane in found]
 
     def _inertial(self, element: Element, name: str) -> Inertial | None:
-        """Returns the mass of a link, None if it has none; without <inertia> it is 1 kg m^2 about every axis, as SDF says."""
+        """Returns the mass and inertia of a link, None if it has no <inertial>; without <inertia>, SDF's default of 1 kg m^2 about each axis."""
         item = element.find("inertial")
         if item is None:
             return None
@@ -284,7 +177,7 @@ class SdfBodyReader:
         return Inertial(mass, pose_from_matrix(self.models.pose(item, where)), (ixx, ixy, ixz, iyy, iyz, izz))
 
     def _friction(self, element: Element, name: str) -> float | None:
-        """Returns the friction of a link's first shape that gives one."""
+        """Returns the friction coefficient of the link's first collision shape that has one, else None."""
         for path in ("surface/friction/ode", "surface/friction/bullet"):
             for item in element.iterfind(f"collision/{path}"):
                 for key in ("mu", "friction"):
@@ -303,10 +196,37 @@ class SdfBodyReader:
         return values[0]
 
 
-class _Tree:
-    """The joints of a flat model, made a tree."""
+@dataclass(slots=True)
+class _Scope:
+    """One <model>, the outermost or a nested one."""
 
-    def __init__(self, reader: SdfBodyReader, flat: _Flat, where: str) -> None:
+    model: Element
+    T_root_model: F64
+    """(4, 4), pose in the frame of the outermost model."""
+    prefix: str
+    """Prefix of the names of its links and joints."""
+    base: Path
+    """Folder of relative file names."""
+    version: tuple[int, ...]
+    """Version of SDF, such as (1, 7)."""
+
+
+@dataclass(slots=True)
+class _FlatModel:
+    """The links, frames and joints of a model and its nested models, under unique names."""
+
+    links: dict[str, tuple[Element, _Scope]] = field(default_factory=dict)
+    T_root_link: dict[str, F64] = field(default_factory=dict)
+    """(4, 4) of each link."""
+    frames: dict[str, str] = field(default_factory=dict)
+    """Name of a frame or nested model -> name of the link that it is fixed to."""
+    joints: list[tuple[Element, _Scope]] = field(default_factory=list)
+
+
+class _Tree:
+    """Joins the links of a flat model into a tree."""
+
+    def __init__(self, reader: SdfBodyReader, flat: _FlatModel, where: str) -> None:
         self.models, self.builder = reader.models, reader.builder
         self.flat = flat
         self.where = where
@@ -318,11 +238,11 @@ class _Tree:
         self._T_root: dict[str, F64] = dict(flat.T_root_link)
 
     def add_joints(self) -> None:
-        """Adds all joints; one that would close a loop is left out."""
+        """Adds all joints except those that would close a loop, which are left out with a warning."""
         for element, scope in self.flat.joints:
             name = scope.prefix + name_of(element)
             parent, child = (self._end(element, scope, tag) for tag in ("parent", "child"))
-            axis = joint_axis(element, name, self.builder)
+            axis = _joint_axis(element, name, self.builder)
             if not parent or not child:
                 text = f"{self.where}: joint {quoted(name)} names a <parent> or <child> that is not there; left out"
                 self.builder.warn(text, OmissionKind.INVALID)
@@ -339,12 +259,12 @@ class _Tree:
                 self._join(element, scope, name, parent, child, axis)
 
     def join_roots(self, frozen: bool) -> None:
-        """Fixes links that no joint holds to the first one, and puts the root where the model's frame is."""
+        """Fixes links without a joint to the first one, and makes the frame of the root that of the model."""
         roots = [name for name in [*self.extra_links, *self.flat.links] if name not in self._parents]
         if len(roots) > 1 and not frozen:
             rest = ", ".join(roots[1:])
             self.builder.warn(
-                f"{self.where}: no joint holds {rest}; fixed to {roots[0]}, spawn them one by one to move them alone"
+                f"{self.where}: no joint holds {rest}; fixed to {roots[0]}, spawn them one by one to move them independently"
             )
         root = roots[0]
         if not np.allclose(self._T_root[root], np.eye(4), atol=1e-9):
@@ -354,7 +274,7 @@ class _Tree:
                 self._fix(f"{name}_fixed", root, name)
 
     def order(self) -> list[str]:
-        """Returns the names of all links, parents first, else in the order of the file."""
+        """Returns the names of all links, parents first, otherwise in the order of the file."""
         names = [*self.extra_links, *self.flat.links]
         children: dict[str, list[str]] = {name: [] for name in names}
         for name in names:
@@ -366,8 +286,8 @@ class _Tree:
             stack.extend(reversed(children[ordered[-1]]))
         return ordered
 
-    def _join(self, element: Element, scope: _Scope, name: str, parent: str, child: str, axis: JointAxis) -> None:
-        """Adds a joint. URDF turns a link about its own origin: if the joint is elsewhere, a link without mass comes between."""
+    def _join(self, element: Element, scope: _Scope, name: str, parent: str, child: str, axis: _JointAxis) -> None:
+        """Adds a joint. In URDF the joint's frame is that of its child, so a massless link at the joint is added if they differ in SDF."""
         T_root_joint = self._T_root_joint(element, scope, child)
         T_child_joint = invert(self._T_root[child]) @ T_root_joint
         if axis.kind in ("revolute", "continuous") and np.abs(T_child_joint[:3, 3]).max() > 1e-9:
@@ -393,6 +313,7 @@ class _Tree:
         )  # fmt: skip
 
     def _T_root_joint(self, element: Element, scope: _Scope, child: str) -> F64:
+        """Returns the pose (4, 4) of a joint in the frame of the outermost model; without a reference it is relative to its child."""
         pose = element.find("pose")
         reference = "" if pose is None else pose.get("relative_to", "")
         if reference:
@@ -405,7 +326,7 @@ class _Tree:
         return parent @ self.models.pose(element, self.where)
 
     def _end(self, element: Element, scope: _Scope, tag: str) -> str:
-        """Returns the link that an end of a joint means, WORLD, or "" if there is none."""
+        """Returns the link at an end of a joint, WORLD, or "" if there is no such link."""
         named = (element.findtext(tag) or "").strip()
         if named == WORLD:
             return WORLD
@@ -417,6 +338,7 @@ class _Tree:
         return ""
 
     def _is_above(self, upper: str, name: str) -> bool:
+        """Returns whether link ``upper`` is an ancestor of link ``name``."""
         while name in self._parents:
             name = self._parents[name]
             if name == upper:
@@ -424,7 +346,7 @@ class _Tree:
         return False
 
     def _add_link(self, name: str) -> str:
-        """Adds a link without mass at the model's frame and returns its name."""
+        """Adds a massless link at the model's frame and returns its name."""
         unique = name
         while unique in self._T_root:
             unique += "_"
@@ -433,11 +355,99 @@ class _Tree:
         return unique
 
     def _fix(self, name: str, parent: str, child: str) -> None:
+        """Adds a fixed joint."""
         self._parents[child] = parent
-        taken = {joint.name for joint in self.joints}
-        while name in taken:
+        used = {joint.name for joint in self.joints}
+        while name in used:
             name += "_"
         self.joints.append(UrdfJoint(name, "fixed", parent, child, self._pose(parent, child), (1.0, 0.0, 0.0)))
 
     def _pose(self, parent: str, child: str) -> Pose:
+        """Returns T_parent_child."""
         return pose_from_matrix(invert(self._T_root[parent]) @ self._T_root[child])
+
+
+@dataclass(frozen=True, slots=True)
+class _JointAxis:
+    """Kind, axis, limits and dynamics of a joint, in the units of ``UrdfJoint``."""
+
+    kind: str
+    xyz: Vec3 = (0.0, 0.0, 1.0)
+    """Unit vector in the frame of the joint, or in another one: see the next two."""
+    expressed_in: str = ""
+    """Frame of the axis (SDF 1.7 and later); empty = not given."""
+    parent_model_frame: bool | None = None
+    """Value of <use_parent_model_frame>; None = not given."""
+    lower: float = 0.0
+    upper: float = -1.0
+    effort: float = 0.0
+    velocity: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+
+    def in_model_frame(self, version: tuple[int, ...]) -> bool:
+        """Returns whether the axis is in the frame of the model: by <use_parent_model_frame>, else in SDF 1.4 and older."""
+        if self.parent_model_frame is not None:
+            return self.parent_model_frame
+        return bool(version) and version <= (1, 4)
+
+
+def _joint_axis(element: Element, name: str, builder: SceneBuilder) -> _JointAxis:
+    """Returns the axis of a <joint>; a fixed one, after a warning, if its type is not simulated."""
+    kind = _KINDS.get(element.get("type", ""))
+    where = f"joint {name}"
+    if kind is None:
+        builder.warn(f"{where}: type {quoted(element.get('type', ''))} is not simulated; it does not move")
+        return _JointAxis("fixed")
+    axis = element.find("axis")
+    if kind == "fixed" or axis is None:
+        if kind != "fixed":
+            builder.warn(f"{where}: has no <axis>; it turns about z of the joint")
+        return _JointAxis("continuous" if kind == "revolute" else kind)
+    xyz = axis.find("xyz")
+    text = "0 0 1" if xyz is None else (xyz.text or "").strip()
+    values = numbers(text, (3,)) or [0.0, 0.0, 0.0]
+    length = math.sqrt(sum(c * c for c in values))
+    if length < 1e-9:
+        builder.warn(f"{where}: axis {quoted(text)} is no direction; z is used", OmissionKind.INVALID)
+        values, length = [0.0, 0.0, 1.0], 1.0
+    in_model_frame = (axis.findtext("use_parent_model_frame") or "").strip().lower()
+    lower = _limit(axis, "limit/lower", -math.inf, where, builder)
+    upper = _limit(axis, "limit/upper", math.inf, where, builder)
+    if lower > upper:
+        builder.warn(f"{where}: limits are {lower:g} to {upper:g}, must be lower to upper", OmissionKind.INVALID)
+    unlimited = lower < -_MAX_LIMIT and upper > _MAX_LIMIT
+    if unlimited or kind == "continuous":
+        kind = "continuous" if kind == "revolute" else kind
+        lower, upper = 0.0, -1.0
+    lower, upper = max(lower, -_MAX_LIMIT), min(upper, _MAX_LIMIT)
+    effort, velocity = (_limit(axis, f"limit/{key}", 0.0, where, builder) for key in ("effort", "velocity"))
+    damping, friction = (_limit(axis, f"dynamics/{key}", 0.0, where, builder) for key in ("damping", "friction"))
+    return _JointAxis(
+        kind,
+        (values[0] / length, values[1] / length, values[2] / length),
+        "" if xyz is None else xyz.get("expressed_in", "").strip(),
+        in_model_frame in ("1", "true") if in_model_frame else None,
+        lower,
+        upper,
+        # A negative or infinite limit means that there is none.
+        effort if 0.0 < effort < _MAX_LIMIT else 0.0,
+        velocity if 0.0 < velocity < _MAX_LIMIT else 0.0,
+        damping if math.isfinite(damping) else 0.0,
+        friction if math.isfinite(friction) else 0.0,
+    )
+
+
+def _limit(axis: Element, path: str, default: float, where: str, builder: SceneBuilder) -> float:
+    """Returns the number in an element, which may be infinite; the default if it has none."""
+    text = (axis.findtext(path) or "").strip()
+    if not text:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        builder.warn(f"{where}: <{path.rpartition('/')[2]}> is {quoted(text)}, must be a number", OmissionKind.INVALID)
+        return default
+    return value

@@ -1,6 +1,6 @@
-"""Reads SDF models (1.4 to 1.9): links, frames, nested models and includes, visuals and collisions.
+"""Reads SDF models (1.4 to 1.9): frames, nested models and includes, visuals, collision shapes and materials.
 
-Every model is placed where it starts and stays there: joints, masses and sensors are left out. ``sdf_body`` reads those.
+Models are placed in the scene as static shapes, without joints, masses and sensors; ``sdf.body`` reads models that physics moves.
 """
 
 from __future__ import annotations
@@ -28,134 +28,39 @@ from gibson_sim.types import Rgba, Vec3
 
 Element = ElementTree.Element
 F64 = NDArray[np.float64]
-PRIMITIVES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
-"""Shape -> the elements that say how large it is."""
-PLANE_THICKNESS = 0.01
-"""Metres; of the box that stands for a plane."""
+_PRIMITIVES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
+"""Shape -> the elements with its sizes."""
+_PLANE_THICKNESS = 0.01
+"""Thickness of the box that stands for a plane, metres."""
 _SCRIPT_COLORS: dict[str, Rgba] = {
     "White": (1.0, 1.0, 1.0, 1.0), "Grey": (0.7, 0.7, 0.7, 1.0), "DarkGrey": (0.18, 0.18, 0.18, 1.0),
     "Black": (0.0, 0.0, 0.0, 1.0), "Red": (1.0, 0.0, 0.0, 1.0), "Green": (0.0, 1.0, 0.0, 1.0), "Blue": (0.0, 0.0, 1.0, 1.0),
     "Yellow": (1.0, 1.0, 0.0, 1.0), "Orange": (1.0, 0.5, 0.0, 1.0), "Purple": (1.0, 0.0, 1.0, 1.0), "Wood": (0.6, 0.4, 0.2, 1.0),
     "FlatBlack": (0.1, 0.1, 0.1, 1.0),
 }  # fmt: skip
-
-
-def numbers(text: str | None, counts: tuple[int, ...]) -> list[float] | None:
-    """Returns the numbers in an element's text, or None if they are not finite or not as many as one of ``counts``."""
-    try:
-        values = [float(word) for word in (text or "").split()]
-    except ValueError:
-        return None
-    return values if len(values) in counts and all(map(math.isfinite, values)) else None
-
-
-def primitive(element: Element) -> Shape | None:
-    """Returns a box, sphere or cylinder, or None if the element is none or has no sizes above 0."""
-    tags = PRIMITIVES.get(element.tag)
-    if tags is None:
-        return None
-    values = numbers(" ".join(element.findtext(tag) or "" for tag in tags), (3,) if element.tag == "box" else (len(tags),))
-    if values is None or min(values) <= 0:
-        return None
-    padded = [*values, 0.0, 0.0][:3]
-    size: Vec3 = (padded[0], padded[1], padded[2])
-    kinds: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder"}
-    return Shape(kinds[element.tag], size)
-
-
-def plane_box(element: Element, matrix: F64) -> tuple[Shape, F64]:
-    """Returns a thin box whose upper face is the plane, and T_world_box."""
-    x, y = (numbers(element.findtext("size"), (2,)) or [1.0, 1.0])[:2]
-    normal = np.array(numbers(element.findtext("normal"), (3,)) or [0.0, 0.0, 1.0])
-    turned = matrix @ _turn_z_to(normal)
-    down = np.eye(4)
-    down[2, 3] = -PLANE_THICKNESS / 2
-    return Shape("box", (max(x, 1e-3), max(y, 1e-3), PLANE_THICKNESS)), turned @ down
-
-
-def _turn_z_to(normal: F64) -> F64:
-    """Returns a (4, 4) rotation that takes z to ``normal``."""
-    matrix = np.eye(4)
-    length = np.linalg.norm(normal)
-    if length == 0:
-        return matrix
-    z = normal / length
-    if z[2] < 1 - 1e-9:
-        x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], z)
-        x /= np.linalg.norm(x)
-        matrix[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    return matrix
-
-
-def visual_color(element: Element) -> tuple[Rgba | None, bool]:
-    """Returns the colour that a <visual> gives its shape, None = the mesh's own, and whether it can be seen at all."""
-    transparency = numbers(element.findtext("transparency"), (1,)) or [0.0]
-    alpha = 1.0 - min(max(transparency[0], 0.0), 1.0)
-    if alpha < 0.01:
-        return None, False
-    material = element.find("material")
-    if material is None:
-        return None, True
-    script = (material.findtext("script/name") or "").strip().removeprefix("Gazebo/")
-    base = _SCRIPT_COLORS.get(script)
-    values = numbers(material.findtext("diffuse"), (3, 4))
-    if values is not None and material.find("pbr") is None:
-        r, g, b, a = (min(max(v, 0.0), 1.0) for v in ([*values, 1.0][:4]))
-        base = (r, g, b, a or 1.0)
-    if base is None or (base[:3] == (1.0, 1.0, 1.0) and element.find("geometry/mesh") is not None and not script):
-        return None, True
-    return (*base[:3], base[3] * alpha), True
-
-
-def unread_material(element: Element, textured: bool) -> str:
-    """Returns what of the material of a <visual> is not drawn, in words; empty = nothing.
-
-    Args:
-        element: the <visual>.
-        textured: whether its mesh has textures of its own, as the images of a <pbr> mostly are.
-    """
-    material = element.find("material")
-    if material is None:
-        return ""
-    name = (material.findtext("script/name") or "").strip()
-    if name and name.removeprefix("Gazebo/") not in _SCRIPT_COLORS and material.find("diffuse") is None:
-        return f"material script {clipped(name, 80)} is not read: its texture and colours are not drawn"
-    image = (material.findtext(".//albedo_map") or "").strip()
-    return f"texture {clipped(image, 120)} of its <pbr> material is not drawn" if image and not textured else ""
-
-
+"""Colours of Gazebo's material scripts, sRGB and alpha, 0 to 1."""
+_PLAIN_GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
+"""Colour of collision shapes that are drawn in place of missing visuals."""
 _MAX_NESTING = 16
-_PLAIN: Rgba = (0.7, 0.7, 0.7, 1.0)
-"""Colour of what is drawn as its collision shapes."""
+"""Levels of nested models and frames."""
 _MAX_MODELS = 10_000
-
-
-def read_sdf(builder: SceneBuilder, path: Path) -> Element:
-    """Returns the root of an SDF file.
-
-    Raises:
-        SceneError: it is not there or no XML.
-    """
-    try:
-        return parse_xml(builder.read_bytes(path))
-    except TextError as e:
-        raise SceneError(f"{path}: {e}").telling(e.public) from e
+"""Models of a scene, nested and included ones too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Included:
-    """What an <include> names."""
+class IncludedModel:
+    """The model that an <include> names."""
 
     model: Element
     T_parent_model: F64
     """(4, 4)."""
     file: Path
     name: str
-    """What the <include> calls it, else its own name, else that of its folder."""
+    """The name in the <include>, else the model's own, else that of its folder."""
 
 
 class SdfModels:
-    """Places models of one scene."""
+    """Reads the models of one scene, and places them in its builder."""
 
     def __init__(self, builder: SceneBuilder, uris: UriResolver) -> None:
         self.builder = builder
@@ -167,14 +72,14 @@ class SdfModels:
     # Poses
 
     def pose(self, parent: Element, where: str) -> F64:
-        """Returns the (4, 4) pose that an element's <pose> says, whatever it is relative to; identity if it has none."""
+        """Returns the pose (4, 4) in an element's <pose>, in whichever frame that is relative to; the identity if it has none."""
         element = parent.find("pose")
         if element is None or not (element.text or "").strip():
             return np.eye(4)
         values = numbers(element.text, (3, 6, 7))
         if values is None:
             text = " ".join((element.text or "").split())
-            self.builder.warn(f"{where}: <pose> {quoted(text)} is no six numbers; taken as zero", OmissionKind.INVALID)
+            self.builder.warn(f"{where}: <pose> {quoted(text)} is not six numbers; zero is used", OmissionKind.INVALID)
             return np.eye(4)
         xyz: Vec3 = (values[0], values[1], values[2])
         if len(values) == 7:
@@ -194,7 +99,7 @@ class SdfModels:
             return np.eye(4)
         if depth > _MAX_NESTING:
             self.builder.warn(
-                f"{where}: frame {quoted(name)} is relative to itself; taken as the model's own", OmissionKind.INVALID
+                f"{where}: frame {quoted(name)} is relative to itself; the model's own is used", OmissionKind.INVALID
             )
             return np.eye(4)
         for child in model:
@@ -208,7 +113,7 @@ class SdfModels:
         return np.eye(4)
 
     def placed(self, model: Element, child: Element, where: str, depth: int = 0) -> F64:
-        """Returns T_model_child of a child element: its pose in the frame that it is relative to (SDF 1.7 and later)."""
+        """Returns T_model_child of a child element, whose pose may be relative to another frame of the model (SDF 1.7 and later)."""
         pose = child.find("pose")
         reference = "" if pose is None else pose.get("relative_to", "")
         if not reference and child.tag == "frame":
@@ -221,7 +126,7 @@ class SdfModels:
     # Models
 
     def document(self, path: Path) -> Element | None:
-        """Returns the <model> of an SDF file, or None after a warning; the file is parsed once."""
+        """Returns the <model> of an SDF file, or None after a warning; each file is parsed once."""
         if path not in self._documents:
             if not self.builder.admits(path):
                 self.builder.warn(f"{path}: lies outside the scene's folder; left out", OmissionKind.UNSUPPORTED_ASSET)
@@ -236,19 +141,19 @@ class SdfModels:
         return self._documents[path]
 
     def version(self, path: Path) -> tuple[int, ...]:
-        """Returns the version of SDF that a file was written in, which ``document`` has read."""
+        """Returns the SDF version of a file that ``document`` has read."""
         return self._versions[path]
 
     def included(
         self, element: Element, base: Path, parent: Element | None = None, files: tuple[Path, ...] = ()
-    ) -> Included | None:
+    ) -> IncludedModel | None:
         """Returns the model that an <include> names, or None after a warning.
 
         Args:
             element: the <include>.
-            base: folder of the file that it stands in.
-            parent: the <model> or <world> that it stands in; None = its pose is relative to nothing else.
-            files: the files, resolved, that it stands in, the outermost first.
+            base: folder of the file with the <include>.
+            parent: the <model> or <world> with the <include>; None = its pose is relative to no other frame.
+            files: resolved paths of the nested files down to the one with the <include>, the outermost first.
         """
         uri = (element.findtext("uri") or "").strip()
         try:
@@ -267,7 +172,7 @@ class SdfModels:
             own = self.pose(model, name)
         else:
             own = self.pose(element, name) if parent is None else self.placed(parent, element, name)
-        return Included(model, own, path, name)
+        return IncludedModel(model, own, path, name)
 
     def include(
         self,
@@ -288,7 +193,7 @@ class SdfModels:
             self.model(found.model, at, top or found.name, found.file.parent, depth + 1, kind, inner)
 
     def find_model(self, uri: str, base: Path) -> Path | None:
-        """Returns the SDF file of a model, or None after a warning."""
+        """Returns the SDF file of the model at a URI, or None after a warning; ``base``: folder of relative URIs."""
         found = self.uris.find(uri, base) if uri else None
         if found is None:
             reason = "is on the network: download it and name the copy" if uri.startswith("http") else "is not there"
@@ -316,12 +221,12 @@ class SdfModels:
 
         Args:
             model: the <model>.
-            T_world_model: (4, 4); the model's own <pose> is part of it already.
-            top: name of the outermost model, which names its shapes.
-            base: folder of the file that it stands in.
-            depth: how many models it is nested in.
-            kind: name that its semantic class is made of, empty = the model's own.
-            files: the files, resolved, that it stands in, the outermost first.
+            T_world_model: (4, 4), with the model's own <pose>.
+            top: name of the outermost model, which becomes that of its shapes.
+            base: folder of the file with the model.
+            depth: number of models that it is nested in.
+            kind: name from which its semantic class is derived, empty = the model's own.
+            files: resolved paths of the nested files down to the one with the model, the outermost first.
         """
         where = f"model {top}"
         self.check_nesting(where, depth)
@@ -344,7 +249,7 @@ class SdfModels:
                 for element in link.iterfind("visual")
             ]
             seen += sum(visuals)
-            # What was to be drawn is not there: what it bumps into stands for it, lest it be an invisible obstacle.
+            # Where all visuals are missing, the collision shapes are drawn, so that the link is no invisible obstacle.
             lost = bool(visuals) and not any(visuals)
             for element in link.iterfind("collision"):
                 for shape, matrix, plane in self.shapes(model, element, T_world_model, T_world_link, top, base):
@@ -355,12 +260,12 @@ class SdfModels:
                     self.builder.add_collision(top, shape, matrix)
                     if lost:
                         seen += 1
-                        self.builder.add_visual(top, shape, matrix, _PLAIN, class_from_model(kind))
+                        self.builder.add_visual(top, shape, matrix, _PLAIN_GREY, class_from_model(kind))
                         self.builder.warn(
-                            f"{where}: is drawn as its collision shapes, in plain grey: nothing else of it can be drawn"
+                            f"{where}: is drawn as its collision shapes, in plain grey: its visuals cannot be drawn"
                         )
         if solid and not seen:
-            self.builder.warn(f"{where}: is solid but invisible: it has collision shapes, and nothing to draw")
+            self.builder.warn(f"{where}: is solid but invisible: it has collision shapes, but no visual")
 
     def _visual(
         self,
@@ -373,7 +278,7 @@ class SdfModels:
         kind: str,
         solid: bool,
     ) -> bool:
-        """Places a <visual>; returns whether it is drawn, or meant not to be."""
+        """Places a <visual>; returns whether it is drawn, or is invisible on purpose."""
         color, visible = visual_color(element)
         geometry = element.find("geometry")
         used = not visible or geometry is None or geometry.find("empty") is not None
@@ -389,19 +294,20 @@ class SdfModels:
         return used
 
     def _ground(self, matrix: F64, where: str) -> None:
+        """Makes a level plane at T_world_box, (4, 4), the ground of the scene."""
         if matrix[2, 2] < 0.999:
             text = f"{where}: a plane that is not level cannot be a collision shape; left out"
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
             return
         # The origin of the box lies half its thickness below the plane.
-        height = float(matrix[2, 3]) + PLANE_THICKNESS / 2
+        height = float(matrix[2, 3]) + _PLANE_THICKNESS / 2
         self.builder.ground_z = height if self.builder.ground_z is None else max(height, self.builder.ground_z)
 
     def check_nesting(self, where: str, depth: int) -> None:
-        """Counts one more model.
+        """Counts one more model of the scene.
 
         Raises:
-            SceneError: it is nested too deep, or there are too many.
+            SceneError: it is nested too deeply, or there are too many.
         """
         self._placed += 1
         if depth > _MAX_NESTING:
@@ -412,7 +318,16 @@ class SdfModels:
     def shapes(
         self, model: Element, element: Element, T_world_model: F64, T_world_link: F64, top: str, base: Path
     ) -> Iterator[tuple[Shape, F64, bool]]:
-        """Yields the shape of a <visual> or <collision>, T_world_shape, and whether it is a plane; nothing after a warning."""
+        """Yields the shapes of a <visual> or <collision>, each with T_world_shape and whether it is a plane; none after a warning.
+
+        Args:
+            model: the <model>.
+            element: the <visual> or <collision>.
+            T_world_model: (4, 4).
+            T_world_link: (4, 4), pose of its link.
+            top: name of the outermost model, for warnings.
+            base: folder of relative file names.
+        """
         where = f"model {top}"
         geometry = element.find("geometry")
         if geometry is None:
@@ -422,15 +337,15 @@ class SdfModels:
         parent = T_world_model @ self.frame(model, reference, where) if reference else T_world_link
         matrix = parent @ self.pose(element, where)
         for kind in geometry:
-            size = primitive(kind)
+            size = _primitive(kind)
             if kind.tag == "mesh":
                 yield from ((shape, at, False) for shape, at in self._mesh(kind, matrix, where, base))
             elif kind.tag == "plane":
-                yield (*plane_box(kind, matrix), True)
+                yield (*_plane_box(kind, matrix), True)
             elif size is not None:
                 yield size, matrix, False
-            elif kind.tag in PRIMITIVES:
-                sizes = " ".join((kind.findtext(tag) or "").strip() or "nothing" for tag in PRIMITIVES[kind.tag])
+            elif kind.tag in _PRIMITIVES:
+                sizes = " ".join((kind.findtext(tag) or "").strip() or "nothing" for tag in _PRIMITIVES[kind.tag])
                 text = f"{where}: <{kind.tag}> has size {sizes}, must be finite numbers above 0; left out"
                 self.builder.warn(text, OmissionKind.INVALID)
             elif kind.tag != "empty":
@@ -454,15 +369,41 @@ class SdfModels:
             text = f"{where}: <submesh> of {path.name} is not supported; the whole mesh is used"
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
         try:
-            # Gazebo takes the axes of a DAE as they are, whatever its up_axis says, and worlds are built that way.
+            # Gazebo ignores the up_axis of a DAE, and worlds are built for that.
             up_axis: UpAxis | None = "z" if path.suffix.lower() == ".dae" else None
             yield self.builder.mesh_shape(path, matrix, (scale[0], scale[1], scale[2]), up_axis)
         except MeshError as e:
             self.builder.warn(f"{where}: {e}; left out", OmissionKind.UNSUPPORTED_ASSET)
 
     def weld(self, model: Element, T_world_child: F64, child: str, where: str) -> F64:
-        """Returns T_world_model such that the frame ``child`` of the model comes to lie at T_world_child."""
+        """Returns the T_world_model that puts the model's frame ``child`` at T_world_child (4, 4)."""
         return T_world_child @ invert(self.frame(model, child, where))
+
+
+def read_sdf(builder: SceneBuilder, path: Path) -> Element:
+    """Returns the root of an SDF file, which becomes part of the scene's digest.
+
+    Raises:
+        SceneError: the file cannot be read, or is no XML.
+    """
+    try:
+        return parse_xml(builder.read_bytes(path))
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
+
+
+def sdf_files(folder: Path) -> list[Path]:
+    """Returns the candidate SDF files of a model folder: those in its model.config, the newest version first, then model.sdf."""
+    named: list[tuple[tuple[float, ...], Path]] = []
+    config = folder / "model.config"
+    try:
+        for element in parse_xml(read_file(config)).iterfind("sdf") if is_file(config) else ():
+            version = tuple(float(v) for v in element.get("version", "0").split(".") if v.isdigit())
+            named.append((version, folder / (element.text or "").strip()))
+    except (OSError, TextError):
+        # Without a readable model.config only the default name is left.
+        named = []
+    return [path for _, path in sorted(named, reverse=True)] + [folder / "model.sdf"]
 
 
 def sdf_version(root: Element) -> tuple[int, ...]:
@@ -475,20 +416,91 @@ def name_of(element: Element) -> str:
     return element.get("name", "") or (element.findtext("name") or "").strip()
 
 
+def numbers(text: str | None, counts: tuple[int, ...]) -> list[float] | None:
+    """Returns the numbers in an element's text; None if one is not finite, or their count is none of ``counts``."""
+    try:
+        values = [float(word) for word in (text or "").split()]
+    except ValueError:
+        return None
+    return values if len(values) in counts and all(map(math.isfinite, values)) else None
+
+
+def visual_color(element: Element) -> tuple[Rgba | None, bool]:
+    """Returns the colour of a <visual>'s shape, None = the mesh's own, and whether it is visible at all."""
+    transparency = numbers(element.findtext("transparency"), (1,)) or [0.0]
+    alpha = 1.0 - min(max(transparency[0], 0.0), 1.0)
+    if alpha < 0.01:
+        return None, False
+    material = element.find("material")
+    if material is None:
+        return None, True
+    script = (material.findtext("script/name") or "").strip().removeprefix("Gazebo/")
+    base = _SCRIPT_COLORS.get(script)
+    values = numbers(material.findtext("diffuse"), (3, 4))
+    if values is not None and material.find("pbr") is None:
+        r, g, b, a = (min(max(v, 0.0), 1.0) for v in ([*values, 1.0][:4]))
+        base = (r, g, b, a or 1.0)
+    if base is None or (base[:3] == (1.0, 1.0, 1.0) and element.find("geometry/mesh") is not None and not script):
+        return None, True
+    return (*base[:3], base[3] * alpha), True
+
+
+def unread_material(element: Element, textured: bool) -> str:
+    """Returns a message about a part of a <visual>'s material that is not drawn; empty = all of it is.
+
+    Args:
+        element: the <visual>.
+        textured: whether its mesh has textures of its own, which mostly are those of the <pbr>.
+    """
+    material = element.find("material")
+    if material is None:
+        return ""
+    name = (material.findtext("script/name") or "").strip()
+    if name and name.removeprefix("Gazebo/") not in _SCRIPT_COLORS and material.find("diffuse") is None:
+        return f"material script {clipped(name, 80)} is not read: its texture and colours are not drawn"
+    image = (material.findtext(".//albedo_map") or "").strip()
+    return f"texture {clipped(image, 120)} of its <pbr> material is not drawn" if image and not textured else ""
+
+
 def _model_name(uri: str, model: Element) -> str:
+    """Returns the name of an included model from which its semantic class is derived: that of its folder, else its own."""
     parts = [p for p in uri.partition("://")[2].split("/") if p and p != "models"]
     return parts[0] if parts and uri.startswith(("model://", "file://")) else model.get("name", "")
 
 
-def sdf_files(folder: Path) -> list[Path]:
-    """Returns the SDF files that a model folder may mean, the newest version first (model.config), then model.sdf."""
-    named: list[tuple[tuple[float, ...], Path]] = []
-    config = folder / "model.config"
-    try:
-        for element in parse_xml(read_file(config)).iterfind("sdf") if is_file(config) else ():
-            version = tuple(float(v) for v in element.get("version", "0").split(".") if v.isdigit())
-            named.append((version, folder / (element.text or "").strip()))
-    except (OSError, TextError):
-        # Without a readable model.config the usual name is tried.
-        named = []
-    return [path for _, path in sorted(named, reverse=True)] + [folder / "model.sdf"]
+def _primitive(element: Element) -> Shape | None:
+    """Returns the shape of a <box>, <sphere> or <cylinder>; None for other elements, and without sizes above 0."""
+    tags = _PRIMITIVES.get(element.tag)
+    if tags is None:
+        return None
+    values = numbers(" ".join(element.findtext(tag) or "" for tag in tags), (3,) if element.tag == "box" else (len(tags),))
+    if values is None or min(values) <= 0:
+        return None
+    padded = [*values, 0.0, 0.0][:3]
+    size: Vec3 = (padded[0], padded[1], padded[2])
+    kinds: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder"}
+    return Shape(kinds[element.tag], size)
+
+
+def _plane_box(element: Element, matrix: F64) -> tuple[Shape, F64]:
+    """Returns a thin box whose upper face is the <plane>, and T_world_box; ``matrix``: T_world_plane, (4, 4)."""
+    x, y = (numbers(element.findtext("size"), (2,)) or [1.0, 1.0])[:2]
+    normal = np.array(numbers(element.findtext("normal"), (3,)) or [0.0, 0.0, 1.0])
+    turned = matrix @ _rotation_from_z(normal)
+    down = np.eye(4)
+    down[2, 3] = -_PLANE_THICKNESS / 2
+    return Shape("box", (max(x, 1e-3), max(y, 1e-3), _PLANE_THICKNESS)), turned @ down
+
+
+def _rotation_from_z(normal: F64) -> F64:
+    """Returns a rotation (4, 4) that takes the z axis to ``normal`` (3,)."""
+    matrix = np.eye(4)
+    length = np.linalg.norm(normal)
+    if length == 0:
+        return matrix
+    z = normal / length
+    if z[2] < 1 - 1e-9:
+        x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], z)
+        x /= np.linalg.norm(x)
+        matrix[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return matrix

@@ -1,11 +1,10 @@
-"""Reads SDF worlds as Gazebo writes them: models, includes, gravity and a rough idea of the light."""
+"""Reads SDF worlds of Gazebo: models, includes, gravity and an approximation of the light."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -14,19 +13,20 @@ from gibson_sim.errors import SceneError
 from gibson_sim.formats.uris import UriResolver
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf.model import SdfModels, numbers, read_sdf
+from gibson_sim.scenes.sdf.model import Element, SdfModels, numbers, read_sdf
 from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.types import Vec3
 
-Element = ElementTree.Element
 _SUN = 0.7
-"""Diffuse white of a directional light as strength of ours: Gazebo adds ambient and specular light on top."""
+"""Strength of a directional light with white diffuse colour: Gazebo adds ambient and specular light on top."""
 _LAMP = 0.25
-"""The same for lamps: without shadows each of them also lights the rooms beyond its own."""
+"""The same for lamps, each of which, without shadows, also lights the rooms next to its own."""
+_MIN_AMBIENT = 0.2
+"""Least ambient light: a scene without light would be black."""
 
 
 def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
-    """Puts everything of a world file into the builder.
+    """Adds the content of a world file to the builder.
 
     Raises:
         SceneError: the file is no SDF world.
@@ -35,15 +35,15 @@ def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
 
 
 def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
-    """Puts everything of a parsed world into the builder.
+    """Adds the content of a parsed world to the builder.
 
     Args:
-        builder: gets it.
+        builder: the builder.
         root: the outermost element.
         path: the file, for messages and relative names; need not exist.
 
     Raises:
-        SceneError: it is no SDF world.
+        SceneError: the document is no SDF world.
     """
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
@@ -68,7 +68,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
 
 
 def _include(builder: SceneBuilder, models: SdfModels, world: Element, element: Element, base: Path) -> None:
-    """Places an include of the world; Gazebo's own sun and ground plane need no files."""
+    """Places an <include> of the world; Gazebo's own sun and ground plane need no files."""
     uri = (element.findtext("uri") or "").strip().rstrip("/")
     known = uri.rpartition("/")[2].lower().replace("_", " ")
     if known == "sun" and models.uris.find(uri, base) is None:
@@ -90,10 +90,9 @@ def _light(world: Element, models: SdfModels, with_lamps: bool) -> LightSpec:
     if with_lamps:
         lamps = tuple(filter(None, (_lamp(models, world, light) for light in lights if light.get("type") in ("point", "spot"))))
     elif any(light.get("type") != "directional" for light in lights):
-        # Lamps throw no shadows here: each would light the whole house through its walls.
+        # Lamps cast no shadows: each would light the whole house through its walls.
         ambient = max(ambient, default.ambient)
-    # A scene lit by nothing would be a black image.
-    ambient = max(ambient, 0.2)
+    ambient = max(ambient, _MIN_AMBIENT)
     sun = next((light for light in lights if light.get("type") == "directional"), None)
     direction, strength, color = default.sun_direction, 0.0 if lamps else default.sun, default.sun_color
     if sun is not None:
@@ -129,7 +128,8 @@ def _lamp(models: SdfModels, world: Element, light: Element) -> PointLight | Non
     reach = numbers(light.findtext("attenuation/range"), (1,))
     spot: dict[str, Any] = {}
     if light.get("type") == "spot":
-        along = matrix[:3, :3] @ (numbers(light.findtext("direction"), (3,)) or [0.0, 0.0, -1.0])
+        given = numbers(light.findtext("direction"), (3,))
+        along = matrix[:3, :3] @ (given if given is not None and any(given) else [0.0, 0.0, -1.0])
         # Full angles of the two cones.
         inner, outer = (numbers(light.findtext(f"spot/{name}_angle"), (1,)) for name in ("inner", "outer"))
         half = min(max(outer[0] / 2.0, 0.01), math.pi) if outer else math.pi

@@ -1,4 +1,4 @@
-"""Find a thing of a class: be near it and have it in view."""
+"""Find an object of a class: be near it with it in view."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.maps.paths import PathPlanner
-from gibson_sim.tasks.episode import Action, Episode, Goal, Item, View, item_body, item_root
+from gibson_sim.tasks.episode import Action, Episode, Goal, Item, Observation, item_body, item_root
 from gibson_sim.tasks.ground import Ground
 from gibson_sim.tasks.placing import TRIES, free_place, no_room, on_floor
 from gibson_sim.tasks.scripts.driving import Driver, pose_xy, turn_towards
@@ -17,25 +17,25 @@ from gibson_sim.tasks.task import Policy, Task, generator
 from gibson_sim.types import Pose
 
 NEAR = 1.0
-"""Metres: the thing must be at least so near."""
+"""Distance to the object within which it counts as found, metres."""
 MODELS = (
     "ball", "basket", "bin_waste", "bottle_wine", "box_cardboard", "chair_wooden", "stool", "teapot", "toy_ball", "vase", "book_stack",
     "table_side",
 )  # fmt: skip
 DISTRACTORS = 5
-"""Things of other classes."""
+"""Number of objects of other classes."""
 HIDDEN = 2.0
-"""Metres of way from the start to the thing, at least."""
+"""Least length of the path from the start to the object, metres."""
 _SPACE = 0.35
-"""Metres from a thing's middle to walls and furniture."""
+"""Distance from the centre of an object to walls and furniture, metres."""
 
 
 class ObjectSearch(Task):
-    """Things of several classes lie about; one of them has the class that is asked for. Nobody says where it is."""
+    """Objects of several classes lie on the floor; one of them is of the target class, and its position is unknown."""
 
     name = "object-search"
     environment = "ObjectSearch"
-    about = "find a thing of a class: be within 1 m of it, with it in view"
+    about = "find an object of a class: be within 1 m of it, with it in view"
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``."""
@@ -58,26 +58,26 @@ class ObjectSearch(Task):
                 return Episode(self.name, seed, start, items, goal, way - NEAR, time_limit=180.0)
         raise no_room(self.name, ground, "nothing can be hidden in it")
 
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns the straight distance to the thing, metres."""
-        return view.distance_to(_target(episode, view))
+    def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
+        """Returns the straight-line distance to the object, metres."""
+        return obs.distance_to(_target(episode, obs))
 
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the thing is near and in view."""
-        return bool(ground.sees(view.base, [_target(episode, view)], NEAR)[0])
+    def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
+        """Returns whether the object is near and in view."""
+        return bool(ground.sees(obs.base, [_target(episode, obs)], NEAR)[0])
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who looks at the nearest floor that it has not seen, until it sees the thing, and goes there."""
-        return _Searcher(episode, ground)
+        """Returns a policy that explores the nearest unseen floor until it sees the object, then drives to it."""
+        return _SearchPolicy(episode, ground)
 
 
-def _target(episode: Episode, view: View) -> tuple[float, float]:
+def _target(episode: Episode, obs: Observation) -> tuple[float, float]:
     item = next(item for item in episode.items if item.name == episode.goal.target)
-    return pose_xy(view.links[item_root(item)])
+    return pose_xy(obs.links[item_root(item)])
 
 
 def _distinct_classes(rng: np.random.Generator) -> list[str]:
-    """Returns objects of different classes, in any order."""
+    """Returns objects of different classes, in random order."""
     chosen: dict[str, str] = {}
     for number in rng.permutation(len(MODELS)):
         model = MODELS[int(number)]
@@ -86,7 +86,7 @@ def _distinct_classes(rng: np.random.Generator) -> list[str]:
 
 
 def _spread(ground: Ground, rng: np.random.Generator, models: list[str], region: NDArray[np.bool_]) -> tuple[Item, ...]:
-    """Returns things on free floor from which one can go on, none beside another."""
+    """Returns items on free floor, apart from each other; fewer than ``models`` if there is no room."""
     cells = np.argwhere(region & (ground.floor.distance_to_obstacle >= max(_SPACE, ground.reach)))
     items: list[Item] = []
     for number in rng.permutation(len(cells))[: 20 * len(models)]:
@@ -100,13 +100,13 @@ def _spread(ground: Ground, rng: np.random.Generator, models: list[str], region:
     return tuple(items)
 
 
-class _Searcher:
-    """Goes where unseen floor is near, turns round there, and so on; knows where a thing is once it was in view."""
+class _SearchPolicy:
+    """Drives to the nearest unseen floor, turns once around, and repeats; remembers the position of the object once it was in view."""
 
     COARSE_M = 0.25
-    """Between the points of the floor that are ticked off."""
+    """Spacing of the floor points that are marked as seen, metres."""
     SPIN_S = 2.0 * math.pi / 1.0
-    """A whole turn, seconds, at 1 rad/s."""
+    """Duration of a full turn at 1 rad/s, seconds."""
 
     def __init__(self, episode: Episode, ground: Ground) -> None:
         self._episode, self._ground = episode, ground
@@ -120,38 +120,38 @@ class _Searcher:
         self._spin_until = self.SPIN_S
         self._found: tuple[float, float] | None = None
 
-    def act(self, view: View) -> Action:
-        """Returns what to do next."""
-        self._look(view)
+    def act(self, obs: Observation) -> Action:
+        """Returns the next action."""
+        self._update_seen(obs)
         if self._found is not None:
-            return self._approach(view, self._found)
-        if view.time < self._spin_until:
+            return self._approach(obs, self._found)
+        if obs.time < self._spin_until:
             return Action(angular=1.0)
         if self._driver is None:
-            self._driver = self._next(view)
+            self._driver = self._next(obs)
             if self._driver is None:
                 return Action(angular=1.0)
-        if self._driver.done(view) or self._driver.blocked:
-            self._driver, self._spin_until = None, view.time + self.SPIN_S
-        return self._driver.act(view) if self._driver else Action(angular=1.0)
+        if self._driver.done(obs) or self._driver.blocked:
+            self._driver, self._spin_until = None, obs.time + self.SPIN_S
+        return self._driver.act(obs) if self._driver else Action(angular=1.0)
 
-    def _look(self, view: View) -> None:
-        """Ticks off what is in view, and remembers where the thing is."""
-        target = _target(self._episode, view)
-        if self._ground.sees(view.base, [target])[0]:
+    def _update_seen(self, obs: Observation) -> None:
+        """Marks the floor points in view as seen, and remembers the position of the object."""
+        target = _target(self._episode, obs)
+        if self._ground.sees(obs.base, [target])[0]:
             if self._found is None:
                 self._driver = None
             self._found = target
         unseen = np.flatnonzero(self._unseen)
-        self._unseen[unseen[self._ground.sees(view.base, self._points[unseen])]] = False
+        self._unseen[unseen[self._ground.sees(obs.base, self._points[unseen])]] = False
 
-    def _next(self, view: View) -> Driver | None:
-        """Returns the way to the nearest place with much unseen floor about it; None = all is seen."""
+    def _next(self, obs: Observation) -> Driver | None:
+        """Returns a driver to the nearest unseen floor point; None = all is seen."""
         if not self._unseen.any():
             self._unseen[:] = True
         planner: PathPlanner = self._ground.planner
         try:
-            distances = planner.distances(view.xy)
+            distances = planner.distances(obs.xy)
         except SceneError:
             return None
         cells = self._ground.floor.cells(self._points[self._unseen])
@@ -163,14 +163,14 @@ class _Searcher:
         x, y = self._points[self._unseen][int(away.argmin())].tolist()
         return Driver(self._ground, (x, y), self._episode.items, near=0.3)
 
-    def _approach(self, view: View, target: tuple[float, float]) -> Action:
-        """Drives to the thing, and turns to it where it is near."""
-        if view.distance_to(target) < NEAR - 0.1:
-            x, y = view.xy
-            return Action(angular=turn_towards(view, math.atan2(target[1] - y, target[0] - x)))
+    def _approach(self, obs: Observation, target: tuple[float, float]) -> Action:
+        """Drives to the object, then turns to face it."""
+        if obs.distance_to(target) < NEAR - 0.1:
+            x, y = obs.xy
+            return Action(angular=turn_towards(obs, math.atan2(target[1] - y, target[0] - x)))
         if self._driver is None:
             self._driver = Driver(self._ground, target, self._others(), near=NEAR - 0.15)
-        return self._driver.act(view)
+        return self._driver.act(obs)
 
     def _others(self) -> tuple[Item, ...]:
         return tuple(item for item in self._episode.items if item.name != self._episode.goal.target)

@@ -1,4 +1,4 @@
-"""Open a drawer or a cabinet door by its handle, and fetch the thing that is inside."""
+"""Open a drawer or a cabinet door by its handle, and fetch the object inside."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose, transform_points
-from gibson_sim.tasks.episode import Action, Episode, Goal, Item, View, item_body
+from gibson_sim.tasks.episode import Action, Episode, Goal, Item, Observation, item_body
 from gibson_sim.tasks.furnishing import Furniture, against_a_wall, extent, height, lying, middle, standing, start_before
 from gibson_sim.tasks.ground import Ground
-from gibson_sim.tasks.kinds.arm_task import ArmTask, hand
+from gibson_sim.tasks.kinds.arm_task import ArmTask, tool_position
 from gibson_sim.tasks.placing import TRIES, no_room
 from gibson_sim.tasks.scripts.arm import Arm, Script, Steps, creep, face, pointing, wait
 from gibson_sim.tasks.scripts.handling import CLOSES_S, come_near, downwards, go_before, grip, ready, take_from_above
@@ -23,99 +23,101 @@ from gibson_sim.types import Vec3
 CABINET, THING = "cabinet", "thing"
 IN_DRAWERS = ("can_soda", "can_food", "cup", "mug", "glass_tumbler", "candle")
 ON_SHELVES = ("can_soda", "can_food", "bottle_water", "glass_tumbler", "candle")
-"""What fits between the fingers; what stands on a shelf is taken from the front, so it has no handle."""
+"""Objects that fit between the fingers; on a shelf they are grasped from the front, so they have no handle."""
 OPEN_M, OPEN_RAD = 0.20, math.radians(60.0)
-"""A drawer, and a door, that is open farther counts as open."""
+"""Openings from which on a drawer, metres, and a door, radians, count as open."""
 CLEAR = 0.10
-"""Metres from the middle of the thing to the cabinet and its drawer: so far away it is out."""
+"""Distance from the centre of the object to the cabinet and its drawer from which on it counts as taken out, metres."""
 _BOARD = 0.177
-"""Metres from the middle of a cabinet to the back of its fronts; the numbers are those of docs/objects.md."""
+"""Distance from the centre of a cabinet to the back of its fronts, metres; the dimensions are those of docs/objects.md."""
 _HANDLE_OUT = 0.042
-"""Metres from there to the middle of the bars of handles."""
+"""Distance from there to the axis of a handle's bar, metres."""
 _DRAWERS_Z = (0.075, 0.285, 0.495)
 _DRAWER_FLOOR, _DRAWER_DEEP, _DRAWER_HIGH = 0.024, 0.37, 0.204
 _DRAWER_HANDLE_Z, _DOOR_HANDLE_Z = 0.131, 0.46
 _SHELF_Z, _HINGE_Y, _DOOR_HANDLE_Y = 0.418, 0.40, 0.034
 _BEHIND = 0.55
-"""Metres that are free behind the place before the cabinet: a robot backs up there."""
+"""Free distance behind the robot's place before the cabinet, metres: it backs up there."""
 _FINGERS = 0.03
-"""Metres from the middle of a handle to each finger before they close: the handles of both doors are near to each other."""
+"""Opening of each finger before the handle is grasped, metres; not more, since the handles of both doors are close together."""
 _BEFORE = {True: 0.75, False: 0.98}
-"""Metres from the base to the handle where the hand takes it, of drawers and of doors."""
+"""Distance from the base to the handle when it is grasped, of drawers (True) and of doors, metres."""
 _SHORT = {True: 0.014, False: 0.045}
-"""Metres from the middle of a bar to the tool: the finger tips are 3 cm ahead of it, a drawer's front 2.4 cm behind the bar. A door turns
-against the hand, so that its bar must not be between the fingers.
+"""Distance from the axis of the bar to the tool, metres: the finger tips are 3 cm ahead of the tool, a drawer's front 2.4 cm behind the bar.
+A door turns relative to the gripper, so its bar must not be deep between the fingers.
 """
 _PULLED = {True: 0.29, False: math.radians(87.0)}
-"""How far a script opens."""
+"""Opening to which the script pulls, metres and radians."""
 _PULL = 0.10
-"""Speed of the handle, m/s."""
+"""Speed at which the handle is pulled, m/s."""
 _LEAD = 0.07
-"""Radians that the hand may be ahead of a door."""
+"""Greatest lead of the gripper's target over the door, radians."""
 _ASIDE = 0.06
-"""Metres that the hand goes away from a door while it lets go."""
+"""Distance that the gripper retreats from a door as it opens, metres."""
 _FETCH = 0.72
-"""Metres from the base to a thing on a shelf where the hand takes it."""
+"""Distance from the base to an object on a shelf when it is grasped, metres."""
 _TRIES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class CabinetFront:
     """A drawer or a door of the cabinet."""
 
     link: str
     slides: bool
     low: float
-    """Drawers: lower edge at the front, metres above the floor."""
+    """Drawers: height of the lower edge above the floor, metres."""
     side: float
-    """Doors: 1 = the left one, seen from inside, whose hinge is at +y; -1 = the other."""
+    """Doors: 1 = the one whose hinge is at +y, left as seen from inside; -1 = the other."""
 
     @property
     def enough(self) -> float:
-        """Metres or radians from which on it counts as open."""
+        """Opening from which on it counts as open, metres or radians."""
         return OPEN_M if self.slides else OPEN_RAD
 
     @property
     def handle(self) -> Vec3:
-        """Middle of the bar, in the frame of its link."""
+        """Centre of the bar, link frame, metres."""
         return (
             (_HANDLE_OUT, 0.0, _DRAWER_HANDLE_Z)
             if self.slides
             else (_HANDLE_OUT, self.side * (_DOOR_HANDLE_Y - _HINGE_Y), _DOOR_HANDLE_Z)
         )
 
-    def opening(self, view: View) -> float:
-        """Returns how far it is open, metres or radians."""
-        T_body_part = invert(matrix_from_pose(view.links[f"{CABINET}/body"])) @ self.pose(view)
-        return float(T_body_part[0, 3] - _BOARD) if self.slides else math.atan2(self.side * T_body_part[1, 0], T_body_part[0, 0])
+    def opening(self, obs: Observation) -> float:
+        """Returns the opening, metres or radians."""
+        T_body_front = invert(matrix_from_pose(obs.links[f"{CABINET}/body"])) @ self.pose(obs)
+        return (
+            float(T_body_front[0, 3] - _BOARD) if self.slides else math.atan2(self.side * T_body_front[1, 0], T_body_front[0, 0])
+        )
 
-    def pose(self, view: View) -> Mat4:
-        """Returns T_world_part."""
-        return matrix_from_pose(view.links[f"{CABINET}/{self.link}"])
+    def pose(self, obs: Observation) -> Mat4:
+        """Returns T_world_front."""
+        return matrix_from_pose(obs.links[f"{CABINET}/{self.link}"])
 
-    def clearance(self, view: View, thing: Item) -> float:
-        """Returns how far the middle of a thing is from the box about the closed cabinet and, of a drawer, from that of the drawer, metres."""
-        point = middle(thing, view)
-        away = _to_box(invert(matrix_from_pose(view.links[f"{CABINET}/body"])), point, *extent(_MODELS[self.slides]))
+    def clearance(self, obs: Observation, thing: Item) -> float:
+        """Returns the distance from the centre of an item to the box of the closed cabinet and, for a drawer, to that of the drawer, metres."""
+        point = middle(thing, obs)
+        away = _to_box(invert(matrix_from_pose(obs.links[f"{CABINET}/body"])), point, *extent(_MODELS[self.slides]))
         if not self.slides:
             return away
         box = (-_DRAWER_DEEP, -0.3, 0.0), (_HANDLE_OUT + 0.006, 0.3, _DRAWER_HIGH)
-        return min(away, _to_box(invert(self.pose(view)), point, *box))
+        return min(away, _to_box(invert(self.pose(obs)), point, *box))
 
 
 _MODELS = {True: "cabinet_drawers", False: "cabinet_doors"}
-_PARTS = (
-    *(Part(f"drawer_{number}", True, low, 0.0) for number, low in enumerate(_DRAWERS_Z, 1)),
-    Part("door_left", False, 0.0, 1.0), Part("door_right", False, 0.0, -1.0),
+_FRONTS = (
+    *(CabinetFront(f"drawer_{number}", True, low, 0.0) for number, low in enumerate(_DRAWERS_Z, 1)),
+    CabinetFront("door_left", False, 0.0, 1.0), CabinetFront("door_right", False, 0.0, -1.0),
 )  # fmt: skip
 
 
 class OpenCabinet(ArmTask):
-    """One of three drawers, or one of two doors; all are closed, and behind or in one of them is the thing."""
+    """Three drawers or two doors, all closed; the object is in one of the drawers or behind one of the doors."""
 
     name = "open-cabinet-and-fetch"
     environment = "OpenCabinet"
-    about = "open a drawer or a cabinet door by its handle, and fetch the thing that is inside"
+    about = "open a drawer or a cabinet door by its handle, and fetch the object inside"
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``. Even seeds are drawers, odd ones doors."""
@@ -127,158 +129,159 @@ class OpenCabinet(ArmTask):
             start = start_before(ground, rng, (cabinet,)) if cabinet else None
             if cabinet is None or start is None:
                 continue
-            parts = [part for part in _PARTS if part.slides == drawer]
-            part = parts[int(rng.integers(len(parts)))]
-            thing = _inside(rng, cabinet, part)
+            fronts = [front for front in _FRONTS if front.slides == drawer]
+            front = fronts[int(rng.integers(len(fronts)))]
+            thing = _inside(rng, cabinet, front)
             kind = item_body(thing).semantic_class
-            text = f"Open {part.link.replace('_', ' ')} of the cabinet and fetch the {kind}."
+            text = f"Open {front.link.replace('_', ' ')} of the cabinet and fetch the {kind}."
             goal = Goal(text, thing.pose.position, CLEAR, THING, kind)
             return Episode(self.name, seed, start, (cabinet.item, thing), goal, math.nan, time_limit=180.0)
         raise no_room(self.name, ground, "no wall has a cabinet before it with free floor for a robot that backs up")
 
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns how far the drawer or door is from being open, metres or radians, how far the thing is from being out, and how far the
-        hand is from a thing that it does not hold, metres, added up.
+    def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
+        """Returns the sum of: what the front lacks to be open, metres or radians; what the object lacks to be taken out, metres; the
+        distance from the gripper to the object while it is not held, metres.
         """
-        part = part_of(episode)
-        reach = 0.0 if view.held == THING else math.dist(hand(ground, view), middle(episode.items[1], view))
-        return max(0.0, part.enough - part.opening(view)) + max(0.0, CLEAR - part.clearance(view, episode.items[1])) + reach
+        front = front_of(episode)
+        reach = 0.0 if obs.held == THING else math.dist(tool_position(ground, obs), middle(episode.items[1], obs))
+        return max(0.0, front.enough - front.opening(obs)) + max(0.0, CLEAR - front.clearance(obs, episode.items[1])) + reach
 
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the hand holds the thing outside of the cabinet, and the drawer or door is open."""
-        part = part_of(episode)
-        return view.held == THING and part.opening(view) >= part.enough and part.clearance(view, episode.items[1]) >= CLEAR
+    def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
+        """Returns whether the gripper holds the object outside the cabinet and the drawer or door is open."""
+        front = front_of(episode)
+        return obs.held == THING and front.opening(obs) >= front.enough and front.clearance(obs, episode.items[1]) >= CLEAR
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who takes the handle, pulls, lets go, and takes the thing from above or from the front."""
-        return Script(_Fetcher(episode, ground).steps)
+        """Returns a script that grasps the handle, pulls, releases, and grasps the object from above or from the front."""
+        return Script(_FetchScript(episode, ground).steps)
 
 
-def part_of(episode: Episode) -> Part:
-    """Returns the drawer or door that the thing is behind."""
+def front_of(episode: Episode) -> CabinetFront:
+    """Returns the drawer that holds the object, or the door in front of it."""
     cabinet, thing = episode.items
     _, y, z, _ = (invert(matrix_from_pose(cabinet.pose)) @ (*thing.pose.position, 1.0)).tolist()
     slides = cabinet.model == _MODELS[True]
     return min(
-        (part for part in _PARTS if part.slides == slides), key=lambda part: (abs(z - _DRAWER_FLOOR - part.low), -part.side * y)
+        (front for front in _FRONTS if front.slides == slides),
+        key=lambda front: (abs(z - _DRAWER_FLOOR - front.low), -front.side * y),
     )
 
 
-def _inside(rng: np.random.Generator, cabinet: Furniture, part: Part) -> Item:
-    """Returns a thing at a random place in a closed drawer, or on the shelf behind a closed door."""
-    names = IN_DRAWERS if part.slides else ON_SHELVES
+def _inside(rng: np.random.Generator, cabinet: Furniture, front: CabinetFront) -> Item:
+    """Returns an item at a random place in a closed drawer, or on the shelf behind a closed door."""
+    names = IN_DRAWERS if front.slides else ON_SHELVES
     model, yaw = names[int(rng.integers(len(names)))], float(rng.uniform(-math.pi, math.pi))
-    if part.slides:
-        x, y, z = _BOARD - float(rng.uniform(0.08, 0.20)), float(rng.uniform(-0.15, 0.15)), part.low + _DRAWER_FLOOR
+    if front.slides:
+        x, y, z = _BOARD - float(rng.uniform(0.08, 0.20)), float(rng.uniform(-0.15, 0.15)), front.low + _DRAWER_FLOOR
     else:
-        x, y, z = float(rng.uniform(-0.02, 0.10)), part.side * float(rng.uniform(0.12, 0.26)), _SHELF_Z
+        x, y, z = float(rng.uniform(-0.02, 0.10)), front.side * float(rng.uniform(0.12, 0.26)), _SHELF_Z
     return lying(THING, model, cabinet.point(x, y, z), yaw)
 
 
 def _to_box(T_box_world: Mat4, point: Vec3, low: Vec3, high: Vec3) -> float:
-    """Returns how far a world point is from a box, metres; 0 inside."""
+    """Returns the distance from a world point to a box, metres; 0 inside."""
     local = transform_points(T_box_world, np.array([point]))[0]
     return float(np.linalg.norm(local - np.clip(local, low, high)))
 
 
-class _Fetcher:
-    """Opens, lets go, goes back, and fetches; and again where the handle slipped away."""
+class _FetchScript:
+    """Opens the front, backs up, and fetches the object; tries again if the handle slipped away."""
 
     def __init__(self, episode: Episode, ground: Ground) -> None:
         self._ground, self._arm = ground, Arm(ground.robot)
-        self._cabinet, self._thing, self._part = standing(episode.items[0]), episode.items[1], part_of(episode)
+        self._cabinet, self._thing, self._front = standing(episode.items[0]), episode.items[1], front_of(episode)
         c, s = math.cos(self._cabinet.yaw), math.sin(self._cabinet.yaw)
         self._ahead, self._left = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
         self._level = pointing(self._ahead, self._left)
 
-    def steps(self, view: View) -> Steps:
-        """Opens it, and takes the thing."""
+    def steps(self, obs: Observation) -> Steps:
+        """Yields the actions of the whole script."""
         for _ in range(_TRIES):
-            view = yield from go_before(view, self._ground, self._cabinet, (self._cabinet,))
-            if self._part.opening(view) < self._part.enough:
-                view = yield from self._take_handle(view)
-                view = yield from (self._draw(view) if self._part.slides else self._swing(view))
-                view = yield from (wait(view, 1.0, Action(grasp=False)) if self._part.slides else self._leave_door(view))
-                view = yield from creep(view, -0.25, grasp=False)
-            if self._part.opening(view) >= self._part.enough:
-                # The arm turned the base a little as it pulled; beside an open door there is not much room.
-                view = yield from face(view, self._cabinet.yaw, 0.01)
-                view = yield from (self._from_drawer(view) if self._part.slides else self._from_shelf(view))
-                if view.held == THING:
+            obs = yield from go_before(obs, self._ground, self._cabinet, (self._cabinet,))
+            if self._front.opening(obs) < self._front.enough:
+                obs = yield from self._take_handle(obs)
+                obs = yield from (self._draw(obs) if self._front.slides else self._swing(obs))
+                obs = yield from (wait(obs, 1.0, Action(grasp=False)) if self._front.slides else self._leave_door(obs))
+                obs = yield from creep(obs, -0.25, grasp=False)
+            if self._front.opening(obs) >= self._front.enough:
+                # Pulling turned the base a little, and there is little room beside an open door.
+                obs = yield from face(obs, self._cabinet.yaw, 0.01)
+                obs = yield from (self._from_drawer(obs) if self._front.slides else self._from_shelf(obs))
+                if obs.held == THING:
                     break
-            view = yield from creep(view, -0.25, grasp=False)
-            view = yield from ready(view, self._arm, self._handle(view)[2], self._level, False)
-        return view
+            obs = yield from creep(obs, -0.25, grasp=False)
+            obs = yield from ready(obs, self._arm, self._handle(obs)[2], self._level, False)
+        return obs
 
-    def _handle(self, view: View) -> NDArray[np.float64]:
-        return np.asarray(transform_points(self._part.pose(view), np.array([self._part.handle]))[0])
+    def _handle(self, obs: Observation) -> NDArray[np.float64]:
+        return np.asarray(transform_points(self._front.pose(obs), np.array([self._front.handle]))[0])
 
-    def _take_handle(self, view: View) -> Steps:
-        """Brings the hand to the bar and closes it: its fingers above and below that of a drawer, beside that of a door."""
-        slides = self._part.slides
+    def _take_handle(self, obs: Observation) -> Steps:
+        """Moves the gripper to the bar and closes it: fingers above and below a drawer's bar, beside a door's."""
+        slides = self._front.slides
         rotation = pointing(self._ahead, (0.0, 0.0, 1.0) if slides else self._left)
-        handle = self._handle(view)
+        handle = self._handle(obs)
         ready_to_hold = {name: _FINGERS for name in self._arm.fingers}
-        view = yield from ready(view, self._arm, float(handle[2]), rotation, low=float(handle[2]))
-        view = yield from self._arm.move(view, ready_to_hold, tolerance=0.003)
-        ahead, _ = view.in_base(tuple(handle[:2].tolist()))
-        view = yield from creep(view, ahead - _BEFORE[slides])
+        obs = yield from ready(obs, self._arm, float(handle[2]), rotation, low=float(handle[2]))
+        obs = yield from self._arm.move(obs, ready_to_hold, tolerance=0.003)
+        ahead, _ = obs.in_base(tuple(handle[:2].tolist()))
+        obs = yield from creep(obs, ahead - _BEFORE[slides])
         for back in (0.10, _SHORT[slides]):
-            x, y, z = (self._handle(view) - back * self._ahead).tolist()
-            view = yield from self._arm.straight(view, (x, y, z), rotation, speed=0.1)
-        return (yield from wait(view, CLOSES_S, Action(grasp=True)))
+            x, y, z = (self._handle(obs) - back * self._ahead).tolist()
+            obs = yield from self._arm.straight(obs, (x, y, z), rotation, speed=0.1)
+        return (yield from wait(obs, CLOSES_S, Action(grasp=True)))
 
-    def _draw(self, view: View) -> Steps:
-        """Backs up, the arm being stiff."""
-        until = view.time + 8.0
-        while view.held and self._part.opening(view) < _PULLED[True] and view.time < until:
-            view = yield Action(linear=-_PULL, grasp=True)
-        return view
+    def _draw(self, obs: Observation) -> Steps:
+        """Backs up with a stiff arm."""
+        until = obs.time + 8.0
+        while obs.held and self._front.opening(obs) < _PULLED[True] and obs.time < until:
+            obs = yield Action(linear=-_PULL, grasp=True)
+        return obs
 
-    def _swing(self, view: View) -> Steps:
-        """Leads the handle about the hinge; the hand points to the cabinet all the time."""
-        body = matrix_from_pose(view.links[f"{CABINET}/body"])
-        hinge = transform_points(body, np.array([(_BOARD, self._part.side * _HINGE_Y, 0.0)]))[0]
-        begin = np.array(self._arm.tool(view).position) - hinge
-        radius, z = float(np.hypot(*begin[:2])), self._arm.tool(view).position[2]
-        angle, until = 0.0, view.time + 20.0
-        told: Mapping[str, float] = {name: view.joints[name] for name in self._arm.joints}
-        while view.held and self._part.opening(view) < _PULLED[False] and view.time < until:
-            angle = min(angle + 0.1 * _PULL / radius, self._part.opening(view) + _LEAD)
-            c, s = math.cos(self._part.side * angle), math.sin(self._part.side * angle)
+    def _swing(self, obs: Observation) -> Steps:
+        """Moves the handle about the hinge; the gripper keeps pointing at the cabinet."""
+        body = matrix_from_pose(obs.links[f"{CABINET}/body"])
+        hinge = transform_points(body, np.array([(_BOARD, self._front.side * _HINGE_Y, 0.0)]))[0]
+        begin = np.array(self._arm.tool(obs).position) - hinge
+        radius, z = float(np.hypot(*begin[:2])), self._arm.tool(obs).position[2]
+        angle, until = 0.0, obs.time + 20.0
+        targets: Mapping[str, float] = {name: obs.joints[name] for name in self._arm.joints}
+        while obs.held and self._front.opening(obs) < _PULLED[False] and obs.time < until:
+            angle = min(angle + 0.1 * _PULL / radius, self._front.opening(obs) + _LEAD)
+            c, s = math.cos(self._front.side * angle), math.sin(self._front.side * angle)
             x, y = hinge[0] + c * begin[0] - s * begin[1], hinge[1] + s * begin[0] + c * begin[1]
-            told = self._arm.nearer(view, told, np.array([x, y, z]), self._level)
-            view = yield Action(joints=told, grasp=True)
-        return view
+            targets = self._arm.towards_pose(obs, targets, np.array([x, y, z]), self._level)
+            obs = yield Action(joints=targets, grasp=True)
+        return obs
 
-    def _leave_door(self, view: View) -> Steps:
-        """Lets go and draws the hand aside from the open door: its fingers, as they open, would push the door back."""
-        outwards = self._part.pose(view)[:3, 0]
-        x, y, z = (np.array(self._arm.tool(view).position) + _ASIDE * outwards).tolist()
-        view = yield from self._arm.straight(view, (x, y, z), self._level, False, speed=0.1)
-        return (yield from wait(view, 0.5, Action(grasp=False)))
+    def _leave_door(self, obs: Observation) -> Steps:
+        """Opens the gripper while it retreats from the open door: opening fingers would otherwise push the door back."""
+        outwards = self._front.pose(obs)[:3, 0]
+        x, y, z = (np.array(self._arm.tool(obs).position) + _ASIDE * outwards).tolist()
+        obs = yield from self._arm.straight(obs, (x, y, z), self._level, False, speed=0.1)
+        return (yield from wait(obs, 0.5, Action(grasp=False)))
 
-    def _from_drawer(self, view: View) -> Steps:
-        """Takes the thing from above, lifts it out, and backs up."""
-        up = self._part.low + _DRAWER_HIGH
-        view = yield from ready(view, self._arm, up + 0.12, downwards(view), False, low=grip(self._thing, view)[2])
-        view = yield from come_near(view, self._cabinet, 0.33, False, beyond=self._part.opening(view))
-        view = yield from take_from_above(view, self._arm, self._thing, up + CLEAR + 0.03 - middle(self._thing, view)[2])
-        return (yield from creep(view, -0.25, grasp=view.held == THING))
+    def _from_drawer(self, obs: Observation) -> Steps:
+        """Grasps the object from above, lifts it out, and backs up."""
+        up = self._front.low + _DRAWER_HIGH
+        obs = yield from ready(obs, self._arm, up + 0.12, downwards(obs), False, low=grip(self._thing, obs)[2])
+        obs = yield from come_near(obs, self._cabinet, 0.33, False, beyond=self._front.opening(obs))
+        obs = yield from take_from_above(obs, self._arm, self._thing, up + CLEAR + 0.03 - middle(self._thing, obs)[2])
+        return (yield from creep(obs, -0.25, grasp=obs.held == THING))
 
-    def _from_shelf(self, view: View) -> Steps:
-        """Takes the thing from the front, and backs up."""
-        x, y, z = middle(self._thing, view)
+    def _from_shelf(self, obs: Observation) -> Steps:
+        """Grasps the object from the front, and backs up."""
+        x, y, z = middle(self._thing, obs)
         half = height(self._thing.model) / 2.0
         z += min(max(half, 0.05), 0.08) - half
-        _, left = view.in_base((x, y))
-        view = yield from ready(view, self._arm, z, self._level, False, low=z, left=left)
-        ahead, _ = view.in_base((x, y))
-        view = yield from creep(view, ahead - _FETCH, grasp=False)
+        _, left = obs.in_base((x, y))
+        obs = yield from ready(obs, self._arm, z, self._level, False, low=z, left=left)
+        ahead, _ = obs.in_base((x, y))
+        obs = yield from creep(obs, ahead - _FETCH, grasp=False)
         for back in (0.15, 0.0):
             px, py, _ = (np.array([x, y, z]) - back * self._ahead).tolist()
-            view = yield from self._arm.straight(view, (px, py, z), self._level, False, speed=0.1)
-        view = yield from wait(view, CLOSES_S, Action(grasp=True))
-        x, y, z = self._arm.tool(view).position
-        view = yield from self._arm.straight(view, (x, y, z + 0.03), self._level, True, speed=0.08)
-        return (yield from creep(view, -0.45, grasp=True))
+            obs = yield from self._arm.straight(obs, (px, py, z), self._level, False, speed=0.1)
+        obs = yield from wait(obs, CLOSES_S, Action(grasp=True))
+        x, y, z = self._arm.tool(obs).position
+        obs = yield from self._arm.straight(obs, (x, y, z + 0.03), self._level, True, speed=0.08)
+        return (yield from creep(obs, -0.45, grasp=True))

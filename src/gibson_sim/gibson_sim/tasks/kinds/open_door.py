@@ -1,4 +1,4 @@
-"""Open a door by its handle, and go through the doorway."""
+"""Open a door by its handle, and drive through the doorway."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.tasks.episode import Action, Episode, Goal, Item, View, item_body
+from gibson_sim.tasks.episode import Action, Episode, Goal, Item, Observation, item_body
 from gibson_sim.tasks.ground import Ground
 from gibson_sim.tasks.placing import free_place, no_room, on_floor
 from gibson_sim.tasks.scripts.arm import Arm, Script, Steps, creep, drive, face, pointing, wait
@@ -20,7 +20,7 @@ from gibson_sim.tasks.scripts.doors import (
     DoorChange,
     Doorway,
     HingedDoor,
-    backing_way,
+    backing_path,
     changed_door,
     doorway,
     hinged_door,
@@ -33,41 +33,41 @@ from gibson_sim.types import Pose, Vec3
 
 DOOR = "door"
 WALL_X, JAMBS = 4.26, (1.75, 2.65)
-"""The doorway of scene ``arena``, in which no door hangs: x of the middle of its wall, y of its two sides, metres."""
+"""The doorway of scene ``arena``, which has no door: x of the centre of its wall, y of its two jambs, metres."""
 HINGE_INSIDE = 0.022
-"""Metres from a jamb to the hinge, see docs/objects.md."""
+"""Distance from a jamb to the hinge, metres, see docs/objects.md."""
 OPEN = math.radians(60.0)
-"""A door that is open wider counts as open."""
+"""Opening from which on a door counts as open, radians."""
 RADIUS = 0.40
-"""Metres: so near to the goal is there."""
+"""Distance to the goal within which it is reached, metres."""
 HANDLE_HEIGHTS = (0.92, 1.10)
-"""Metres above the floor."""
+"""Lowest and highest handle above the floor, metres."""
 DAMPINGS = (1.0, 5.0)
-"""Of hinges, N m s/rad."""
+"""Lowest and highest damping of the hinge, N m s/rad."""
 FRICTIONS = (0.2, 2.0)
-"""Of hinges, N m."""
+"""Lowest and highest dry friction of the hinge, N m."""
 HANDLE_FRICTIONS = (0.3, 0.6)
-"""Coefficients of handles."""
+"""Lowest and highest friction coefficient of the handle."""
 _LEAD = 0.07
-"""Radians that the hand may be ahead of the door: the arm is stiff, and more tears the hand off."""
+"""Greatest lead of the gripper's target over the door, radians: the arm is stiff, and with more the gripper slips off the handle."""
 _FARTHER = 0.3
-"""Metres behind the place where it takes the handle, at which it unfolds its arm."""
+"""Distance behind the place where the handle is grasped, at which the arm is unfolded, metres."""
 _PATIENCE_S = 2.5
-"""So long the arm may take for a small movement."""
+"""Longest duration of a small arm movement, seconds."""
 _RELAXES_S = 0.5
-"""Seconds that it holds still before it lets go."""
+"""Time that the arm holds still before the gripper opens, seconds."""
 _FOLDED = (0.42, 0.95)
-"""Metres before the base and above the floor, where the hand is on its way to be tucked in."""
+"""Intermediate position of the gripper before the arm is tucked in: ahead of the base, and above the floor, metres."""
 _TRIES = 3
-"""Times that it takes the handle anew where it lost it."""
+"""Attempts to grasp the handle."""
 
 
 class OpenDoor(Task):
-    """The door is closed and opens towards the robot, its hinge left or right."""
+    """The door is closed and opens towards the robot; its hinge is left or right."""
 
     name = "open-door"
     environment = "OpenDoor"
-    about = "open a door by its handle and go through; it opens towards the robot"
+    about = "open a door by its handle and drive through; it opens towards the robot"
     scene = "arena"
     robot = "arm_bot"
 
@@ -89,9 +89,9 @@ class OpenDoor(Task):
         return Episode(self.name, seed, start, (item,), aim, math.nan, time_limit=120.0, removed=removed)
 
     def _hung(self, ground: Ground, rng: np.random.Generator) -> tuple[str, str, Pose]:
-        """Returns which body of the scene is replaced (empty = none), the model of a door, and where it hangs."""
+        """Returns the name of the scene body that is replaced (empty = none), the model of the door, and its pose."""
         if ground.scene.name == "arena":
-            # The robot is before the wall (side -1) or behind it, the hinge to its left or to its right.
+            # The robot is at lower x than the wall (side -1) or beyond it, the hinge to its left or right.
             side, left = (-1.0, 1.0)[int(rng.integers(2))], bool(rng.integers(2))
             hinge_high = left == (side < 0)
             y = JAMBS[1] - HINGE_INSIDE if hinge_high else JAMBS[0] + HINGE_INSIDE
@@ -107,137 +107,137 @@ class OpenDoor(Task):
         body = next(body for body in ground.scene.bodies if body.name == name)
         return name, str(body.model.path), body.start
 
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns the straight distance to the goal, metres, and how far the door is from being open, radians, added up."""
-        return super().remaining(episode, view, ground) + max(0.0, OPEN - opening(episode, view))
+    def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
+        """Returns the straight-line distance to the goal, metres, plus what the door lacks to be open, radians."""
+        return super().remaining(episode, obs, ground) + max(0.0, OPEN - opening(episode, obs))
 
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the base is at the goal, and the door open."""
-        return super().succeeded(episode, view, ground) and opening(episode, view) > OPEN
+    def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
+        """Returns whether the base is at the goal and the door is open."""
+        return super().succeeded(episode, obs, ground) and opening(episode, obs) > OPEN
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who takes the handle, pulls the door open by backing up, and drives through."""
+        """Returns a script that grasps the handle, pulls the door open by backing up, and drives through."""
         there = doorway(ground, episode_door(episode), episode.removed)
         assert there is not None, episode
-        return Script(_Opener(episode, there).steps)
+        return Script(_OpenDoorScript(episode, there).steps)
 
 
 @lru_cache(maxsize=64)
 def item_door(item: Item) -> HingedDoor:
-    """Returns the door that an item is."""
+    """Returns the hinged door of an item."""
     door = hinged_door(item_body(item))
     assert door is not None, item.model
     return door
 
 
 def episode_door(episode: Episode) -> HingedDoor:
-    """Returns the door that an episode is about."""
+    """Returns the door of an episode."""
     return item_door(episode.items[0])
 
 
-def opening(episode: Episode, view: View) -> float:
-    """Returns how far the door is open, radians."""
-    return episode_door(episode).opening(view)
+def opening(episode: Episode, obs: Observation) -> float:
+    """Returns the opening of the door, radians."""
+    return episode_door(episode).opening(obs)
 
 
 def _rotation(yaw: float) -> NDArray[np.float64]:
-    """Returns the axes of a hand that points in a direction and closes from above and below, as for a lever."""
+    """Returns the axes of a gripper that points to ``yaw``, with its fingers above and below a lever."""
     return pointing((math.cos(yaw), math.sin(yaw), 0.0), (0.0, 0.0, 1.0))
 
 
-class _Opener:
+class _OpenDoorScript:
     def __init__(self, episode: Episode, there: Doorway) -> None:
         self._episode, self._there, self._door = episode, there, there.door
         self._arm = Arm(there.ground.robot)
 
-    def steps(self, view: View) -> Steps:
-        """Goes before the handle, takes it, pulls, lets go, goes through."""
+    def steps(self, obs: Observation) -> Steps:
+        """Yields the actions of the whole script."""
         for _ in range(_TRIES):
-            view = yield from self._before_handle(view)
-            view = yield from self._take(view)
-            view = yield from self._pull(view)
-            view = yield from self._let_go(view)
-            if self._door.opening(view) > OPEN:
-                view = yield from self._through(view)
-        return view
+            obs = yield from self._before_handle(obs)
+            obs = yield from self._take(obs)
+            obs = yield from self._pull(obs)
+            obs = yield from self._let_go(obs)
+            if self._door.opening(obs) > OPEN:
+                obs = yield from self._through(obs)
+        return obs
 
-    def _before_handle(self, view: View) -> Steps:
-        """Stands before the handle, the arm ready."""
-        door, opening, slant = self._door, self._door.opening(view), self._slant(view)
+    def _before_handle(self, obs: Observation) -> Steps:
+        """Drives to the place before the handle, and readies the arm."""
+        door, opening, slant = self._door, self._door.opening(obs), self._slant(obs)
         place = door.stance(opening, slant, REACH + _FARTHER)
-        if view.distance_to(place) > 0.1:
-            view = yield from drive(view, self._driver(view, place))
+        if obs.distance_to(place) > 0.1:
+            obs = yield from drive(obs, self._driver(obs, place))
         hand = door.grip(opening, slant)
-        view = yield from face(view, math.atan2(hand[1] - view.xy[1], hand[0] - view.xy[0]))
-        ready = self._arm.reaching(view, self._ahead(view, REACH, self._height(view)), _rotation(view.yaw))
-        view = yield from self._arm.move(view, ready or self._arm.named("ready"), grasp=False)
-        return (yield from creep(view, view.distance_to(hand) - REACH))
+        obs = yield from face(obs, math.atan2(hand[1] - obs.xy[1], hand[0] - obs.xy[0]))
+        ready = self._arm.reaching(obs, self._ahead(obs, REACH, self._height(obs)), _rotation(obs.yaw))
+        obs = yield from self._arm.move(obs, ready or self._arm.named("ready"), grasp=False)
+        return (yield from creep(obs, obs.distance_to(hand) - REACH))
 
-    def _height(self, view: View) -> float:
-        """Returns that of the handle, world."""
-        return view.links[self._door.handle].position[2]
+    def _height(self, obs: Observation) -> float:
+        """Returns the height of the handle, world frame, metres."""
+        return obs.links[self._door.handle].position[2]
 
     @staticmethod
-    def _ahead(view: View, metres: float, z: float) -> Vec3:
-        """Returns a point straight ahead of the base, at a height of the world."""
-        return view.xy[0] + metres * math.cos(view.yaw), view.xy[1] + metres * math.sin(view.yaw), z
+    def _ahead(obs: Observation, metres: float, z: float) -> Vec3:
+        """Returns a point straight ahead of the base at height ``z``, world frame, metres."""
+        return obs.xy[0] + metres * math.cos(obs.yaw), obs.xy[1] + metres * math.sin(obs.yaw), z
 
-    def _slant(self, view: View) -> float:
-        """Returns the slant under which the handle is taken: of a door that is open already, what is left of the whole swing."""
-        return max(0.0, self._there.slant - self._door.opening(view) / 2.0)
+    def _slant(self, obs: Observation) -> float:
+        """Returns the slant at which the handle is grasped; less for a door that is already partly open."""
+        return max(0.0, self._there.slant - self._door.opening(obs) / 2.0)
 
-    def _driver(self, view: View, place: XY, near: float = 0.0) -> Driver:
-        """Returns who drives to a place, the leaf of the door being in the way as it stands now."""
-        leaf = leaf_outline(self._door, self._door.opening(view))
+    def _driver(self, obs: Observation, place: XY, near: float = 0.0) -> Driver:
+        """Returns a driver to a place that avoids the leaf of the door where it is now."""
+        leaf = leaf_outline(self._door, self._door.opening(obs))
         return Driver(self._there.ground, place, obstacles=[leaf], near=near)
 
-    def _take(self, view: View) -> Steps:
-        """Brings the hand to the handle and closes it."""
-        door, opening = self._door, self._door.opening(view)
-        slant = door.slant(opening, door.grip(opening, self._slant(view)), view.xy)
-        point, rotation = (*door.grip(opening, slant), self._height(view)), _rotation(door.towards(opening, slant) + math.pi)
-        joints = self._arm.reaching(view, point, rotation) or self._arm.reaching(view, point)
+    def _take(self, obs: Observation) -> Steps:
+        """Moves the gripper to the handle and closes it."""
+        door, opening = self._door, self._door.opening(obs)
+        slant = door.slant(opening, door.grip(opening, self._slant(obs)), obs.xy)
+        point, rotation = (*door.grip(opening, slant), self._height(obs)), _rotation(door.towards(opening, slant) + math.pi)
+        joints = self._arm.reaching(obs, point, rotation) or self._arm.reaching(obs, point)
         if joints is not None:
-            view = yield from self._arm.move(view, joints, grasp=False, patience=_PATIENCE_S)
+            obs = yield from self._arm.move(obs, joints, grasp=False, patience=_PATIENCE_S)
         for _ in range(20):
-            view = yield Action(grasp=True)
-            if view.held:
+            obs = yield Action(grasp=True)
+            if obs.held:
                 break
-        return view
+        return obs
 
-    def _pull(self, view: View) -> Steps:
-        """Backs up while the hand follows the handle's way about the hinge."""
-        x, y, z = self._arm.tool(view).position
-        door, begin = self._door, self._door.opening(view)
+    def _pull(self, obs: Observation) -> Steps:
+        """Backs up while the gripper follows the handle's arc about the hinge."""
+        x, y, z = self._arm.tool(obs).position
+        door, begin = self._door, self._door.opening(obs)
         radius = math.dist((x, y), door.hinge)
         ahead_of_leaf = math.atan2(y - door.hinge[1], x - door.hinge[0]) - door.bearing - door.sense * begin
-        angle, rest = begin, dict(view.joints)
-        way = backing_way(door, door.slant(begin, door.grip(begin, self._slant(view)), view.xy), self._there.wide, begin)
-        told, until = rest, view.time + 30.0
-        while door.opening(view) < self._there.wide and view.held and view.time < until:
-            # The hand may not run away from the door.
-            angle = min(angle + 0.1 * PULL_SPEED / radius, door.opening(view) + _LEAD)
+        angle, rest = begin, dict(obs.joints)
+        way = backing_path(door, door.slant(begin, door.grip(begin, self._slant(obs)), obs.xy), self._there.wide, begin)
+        targets, until = rest, obs.time + 30.0
+        while door.opening(obs) < self._there.wide and obs.held and obs.time < until:
+            # The target may not run ahead of the door.
+            angle = min(angle + 0.1 * PULL_SPEED / radius, door.opening(obs) + _LEAD)
             at = door.bearing + ahead_of_leaf + door.sense * angle
             hand = door.hinge[0] + radius * math.cos(at), door.hinge[1] + radius * math.sin(at)
-            told = self._arm.leaning(view, told, (*hand, z), rest)
-            linear, angular = way.speeds((*view.xy, view.yaw), angle)
-            view = yield Action(linear, angular, joints=told, grasp=True)
-        return view
+            targets = self._arm.towards_point(obs, targets, (*hand, z), rest)
+            linear, angular = way.speeds((*obs.xy, obs.yaw), angle)
+            obs = yield Action(linear, angular, joints=targets, grasp=True)
+        return obs
 
-    def _let_go(self, view: View) -> Steps:
-        """Lets the arm relax, opens the hand, backs away, and folds the arm: first straight back, so that it knocks at nothing."""
-        if view.held:
-            # A hand that lets go while it pulls springs back against the handle, and the door swings shut.
-            view = yield from wait(view, _RELAXES_S, Action(joints=self._arm.still(view), grasp=True))
-        view = yield from wait(view, 0.6, Action(grasp=False))
-        view = yield from creep(view, -LEAVE)
-        folded = self._arm.reaching(view, self._ahead(view, _FOLDED[0], view.base.position[2] + _FOLDED[1]))
+    def _let_go(self, obs: Observation) -> Steps:
+        """Relaxes the arm, opens the gripper, backs up, and folds the arm, first straight back to avoid collisions."""
+        if obs.held:
+            # A gripper that opens while it pulls springs back against the handle, and the door swings shut.
+            obs = yield from wait(obs, _RELAXES_S, Action(joints=self._arm.still(obs), grasp=True))
+        obs = yield from wait(obs, 0.6, Action(grasp=False))
+        obs = yield from creep(obs, -LEAVE)
+        folded = self._arm.reaching(obs, self._ahead(obs, _FOLDED[0], obs.base.position[2] + _FOLDED[1]))
         if folded is not None:
-            view = yield from self._arm.move(view, folded, patience=_PATIENCE_S)
-        return (yield from self._arm.move(view, self._arm.named("tucked")))
+            obs = yield from self._arm.move(obs, folded, patience=_PATIENCE_S)
+        return (yield from self._arm.move(obs, self._arm.named("tucked")))
 
-    def _through(self, view: View) -> Steps:
-        """Drives to the goal; a door that is not open wide enough for it has to be opened anew."""
+    def _through(self, obs: Observation) -> Steps:
+        """Drives to the goal; gives up where the door is not open wide enough, so that it is opened again."""
         goal = self._episode.goal.position
         assert goal is not None
-        return (yield from drive(view, self._driver(view, goal[:2], RADIUS - 0.05), longest=90.0, waits=False))
+        return (yield from drive(obs, self._driver(obs, goal[:2], RADIUS - 0.05), longest=90.0, waits=False))

@@ -1,4 +1,4 @@
-"""Take a thing and put it where it is wanted."""
+"""Pick an object and place it at a goal position."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gibson_sim.tasks.episode import Action, Episode, Goal, View, item_body, item_root
+from gibson_sim.tasks.episode import Action, Episode, Goal, Observation, item_body, item_root
 from gibson_sim.tasks.furnishing import (
     REACHING,
     STAND,
@@ -21,7 +21,7 @@ from gibson_sim.tasks.furnishing import (
     start_before,
 )
 from gibson_sim.tasks.ground import Ground
-from gibson_sim.tasks.kinds.arm_task import ArmTask, hand
+from gibson_sim.tasks.kinds.arm_task import ArmTask, tool_position
 from gibson_sim.tasks.placing import TRIES, no_room
 from gibson_sim.tasks.scripts.arm import Arm, Script, Steps, creep, wait
 from gibson_sim.tasks.scripts.handling import ABOVE, FINGERS, come_near, downwards, go_before, ready, take_from_above
@@ -30,37 +30,37 @@ from gibson_sim.types import Vec3
 
 THING = "thing"
 THINGS = ("can_soda", "can_food", "cup", "mug", "glass_tumbler", "candle", "fruit_apple", "fruit_orange", "remote_control")
-"""What fits between the fingers, and is no taller than a hand holds upright from above."""
+"""Objects that fit between the fingers and are low enough to be held upright from above."""
 SURFACES = ("table_side", "cabinet_drawers", "cabinet_doors")
-"""What things are put on: 0.50, 0.72 and 0.76 m high."""
+"""Furniture with surfaces at 0.50, 0.72 and 0.76 m."""
 NEAR = 0.03
-"""Metres between the middle of the thing and where it shall be: so near is there."""
+"""Distance from the centre of the object to its goal within which it is placed, metres."""
 AT_REST = 0.02
-"""m/s: what is slower rests."""
+"""Speed below which the object is at rest, m/s."""
 HAND_AWAY = 0.10
-"""Metres from the tool to the middle of the thing: nearer, it may still lean on the hand."""
+"""Distance from the tool to the centre of the object below which the object may still lean on the gripper, metres."""
 SAME = 1.0 / 3.0
-"""Part of the episodes in which both places are on the same surface."""
+"""Fraction of episodes in which both places are on the same surface."""
 FROM_EDGE = (0.10, 0.22)
-"""Metres from the front edge of a surface to a place on it."""
+"""Least and greatest distance from the front edge of a surface to a place on it, metres."""
 TO_SIDE = 0.20
-"""Metres from the middle of a surface to a place on it, to either side, at most; and ``FROM_EDGE`` from its sides at least."""
+"""Greatest sideways distance from the centre of a surface to a place on it, metres; ``FROM_EDGE`` from its sides is kept."""
 APART = 0.15
-"""Metres between both places, at least."""
+"""Least distance between both places, metres."""
 _OVER = 0.08
-"""Metres from the top of a thing that stands there to a hand that comes."""
+"""Clearance of the approaching gripper above the object, metres."""
 _NEAREST = 0.46
-"""Metres from the base to a place: nearer, an arm that points down does not reach it."""
+"""Distance from the base to a place below which an arm that points down does not reach it, metres."""
 _TRIES = 3
-"""Times that a script begins anew."""
+"""Attempts of the script."""
 
 
 class PickAndPlace(ArmTask):
-    """The thing stands on a surface, and its place is on another one or on the same."""
+    """The object stands on a surface, and its goal is on another one or on the same."""
 
     name = "pick-and-place"
     environment = "PickAndPlace"
-    about = "take a thing and put it where it is wanted, to within 3 cm"
+    about = "pick an object and place it at a goal position, to within 3 cm"
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``."""
@@ -83,25 +83,25 @@ class PickAndPlace(ArmTask):
             return Episode(self.name, seed, start, items, Goal(text, goal, NEAR, THING, kind), math.nan, time_limit=180.0)
         raise no_room(self.name, ground, "no wall has a table before it with free floor for a robot")
 
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns how far the thing is from its place, metres, and, while it is not there, how far the hand is from the thing, added up."""
-        away = _away(episode, view)
-        return away if away <= NEAR else away + math.dist(hand(ground, view), middle(episode.items[-1], view))
+    def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
+        """Returns the distance from the object to its goal plus, until it is placed, from the gripper to the object, metres."""
+        away = _away(episode, obs)
+        return away if away <= NEAR else away + math.dist(tool_position(ground, obs), middle(episode.items[-1], obs))
 
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the thing rests at its place, and the hand has let go of it."""
+    def succeeded(self, episode: Episode, obs: Observation, ground: Ground) -> bool:
+        """Returns whether the object rests at its goal and the gripper has released it."""
         thing = episode.items[-1]
-        rests = view.speeds.get(item_root(thing), 0.0) < AT_REST
-        away = math.dist(hand(ground, view), middle(thing, view)) > HAND_AWAY
-        return not view.held and rests and away and _away(episode, view) <= NEAR
+        rests = obs.speeds.get(item_root(thing), 0.0) < AT_REST
+        away = math.dist(tool_position(ground, obs), middle(thing, obs)) > HAND_AWAY
+        return not obs.held and rests and away and _away(episode, obs) <= NEAR
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who takes the thing from above, carries it, and puts it down."""
-        return Script(_Porter(episode, ground).steps)
+        """Returns a script that grasps the object from above, carries it, and puts it down."""
+        return Script(_PickAndPlaceScript(episode, ground).steps)
 
 
 def _furniture(ground: Ground, rng: np.random.Generator) -> tuple[Furniture, ...]:
-    """Returns one or two surfaces: where the thing is, and where it shall be; none where there is no room."""
+    """Returns one or two pieces of furniture, the first with the object and the last with the goal; none if there is no room."""
     count = 1 if rng.random() < SAME else 2
     found: list[Furniture] = []
     for number in range(count):
@@ -114,10 +114,10 @@ def _furniture(ground: Ground, rng: np.random.Generator) -> tuple[Furniture, ...
 
 
 def _places(rng: np.random.Generator, furniture: Sequence[Furniture]) -> tuple[Vec3, Vec3] | None:
-    """Returns where the thing stands and where it shall stand, world metres; None where both found no room."""
+    """Returns where the object stands and its goal, world frame, metres; None if there is no room for both."""
     for _ in range(TRIES):
         first = _place(rng, furniture[0])
-        # From the middle of a small surface nothing on it is far enough away.
+        # On a small surface nothing is far enough from its centre.
         for _ in range(TRIES):
             second = _place(rng, furniture[-1])
             if math.dist(first, second) >= APART:
@@ -131,15 +131,15 @@ def _place(rng: np.random.Generator, one: Furniture) -> Vec3:
     return one.point(high[0] - float(rng.uniform(*FROM_EDGE)), float(rng.uniform(-side, side)), high[2])
 
 
-def _away(episode: Episode, view: View) -> float:
-    """Returns how far the middle of the thing is from where it shall be, metres."""
+def _away(episode: Episode, obs: Observation) -> float:
+    """Returns the distance from the centre of the object to its goal, metres."""
     goal, thing = episode.goal.position, episode.items[-1]
     assert goal is not None
-    return math.dist(middle(thing, view), (goal[0], goal[1], goal[2] + height(thing.model) / 2.0))
+    return math.dist(middle(thing, obs), (goal[0], goal[1], goal[2] + height(thing.model) / 2.0))
 
 
-class _Porter:
-    """Takes the thing and puts it down, and again where that went wrong."""
+class _PickAndPlaceScript:
+    """Picks the object and places it; tries again if that failed."""
 
     def __init__(self, episode: Episode, ground: Ground) -> None:
         assert episode.goal.position is not None
@@ -147,46 +147,44 @@ class _Porter:
         self._thing, self._goal = episode.items[-1], episode.goal.position
         self._every = tuple(standing(item) for item in episode.items[:-1])
 
-    def steps(self, view: View) -> Steps:
-        """Takes, carries, puts."""
+    def steps(self, obs: Observation) -> Steps:
+        """Yields the actions of the whole script."""
         for _ in range(_TRIES):
-            source = min(self._every, key=lambda one: math.dist(one.item.pose.position, middle(self._thing, view)))
-            view = yield from self._before(view, source, False)
-            view = yield from take_from_above(view, self._arm, self._thing, ABOVE + 0.05)
-            if view.held == THING:
+            source = min(self._every, key=lambda one: math.dist(one.item.pose.position, middle(self._thing, obs)))
+            obs = yield from self._before(obs, source, False)
+            obs = yield from take_from_above(obs, self._arm, self._thing, ABOVE + 0.05)
+            if obs.held == THING:
                 if source is not self._every[-1]:
-                    view = yield from creep(view, -REACHING, grasp=True)
-                    view = yield from self._before(view, self._every[-1], True)
-                view = yield from self._put(view)
-            view = yield from creep(view, -REACHING, grasp=False)
-            if _away(self._episode, view) <= NEAR:
+                    obs = yield from creep(obs, -REACHING, grasp=True)
+                    obs = yield from self._before(obs, self._every[-1], True)
+                obs = yield from self._put(obs)
+            obs = yield from creep(obs, -REACHING, grasp=False)
+            if _away(self._episode, obs) <= NEAR:
                 break
-        return view
+        return obs
 
-    def _before(self, view: View, one: Furniture, grasp: bool) -> Steps:
-        """Goes before a surface, the hand above it."""
-        view = yield from go_before(view, self._ground, one, self._every, grasp)
+    def _before(self, obs: Observation, one: Furniture, grasp: bool) -> Steps:
+        """Drives before a surface, and holds the gripper above it."""
+        obs = yield from go_before(obs, self._ground, one, self._every, grasp)
         top = one.point(*extent(one.item.model)[1])[2]
-        view = yield from ready(
-            view, self._arm, top + height(self._thing.model) + _OVER, downwards(view), grasp, low=top + FINGERS
-        )
-        return (yield from come_near(view, one, STAND - REACHING, grasp))
+        obs = yield from ready(obs, self._arm, top + height(self._thing.model) + _OVER, downwards(obs), grasp, low=top + FINGERS)
+        return (yield from come_near(obs, one, STAND - REACHING, grasp))
 
-    def _put(self, view: View) -> Steps:
-        """Lowers the thing to its place, and lets go."""
-        ahead, _ = view.in_base(self._goal[:2])
+    def _put(self, obs: Observation) -> Steps:
+        """Lowers the object to its goal, and opens the gripper."""
+        ahead, _ = obs.in_base(self._goal[:2])
         if ahead < _NEAREST:
-            view = yield from creep(view, ahead - _NEAREST, grasp=True)
-        rotation = downwards(view)
-        # Twice above it: on the way the thing may turn a little in the hand.
+            obs = yield from creep(obs, ahead - _NEAREST, grasp=True)
+        rotation = downwards(obs)
+        # Twice above it: the object may have turned a little in the gripper.
         for up, speed in ((0.05, 0.15), (0.05, 0.15), (0.003, 0.06)):
-            view = yield from self._arm.straight(view, self._over(view, up), rotation, True, speed)
-        view = yield from wait(view, 1.0, Action(grasp=False))
-        x, y, z = self._arm.tool(view).position
-        return (yield from self._arm.straight(view, (x, y, z + ABOVE + height(self._thing.model)), rotation, False, speed=0.08))
+            obs = yield from self._arm.straight(obs, self._over(obs, up), rotation, True, speed)
+        obs = yield from wait(obs, 1.0, Action(grasp=False))
+        x, y, z = self._arm.tool(obs).position
+        return (yield from self._arm.straight(obs, (x, y, z + ABOVE + height(self._thing.model)), rotation, False, speed=0.08))
 
-    def _over(self, view: View, up: float) -> Vec3:
-        """Returns where the tool must be for the thing to be so far above its place, metres."""
-        tool, thing = self._arm.tool(view).position, middle(self._thing, view)
+    def _over(self, obs: Observation, up: float) -> Vec3:
+        """Returns the tool position that puts the object ``up`` metres above its goal, world frame, metres."""
+        tool, thing = self._arm.tool(obs).position, middle(self._thing, obs)
         x, y, z = ((g + t - m) for g, t, m in zip(self._goal, tool, thing, strict=True))
         return x, y, z + height(self._thing.model) / 2.0 + up

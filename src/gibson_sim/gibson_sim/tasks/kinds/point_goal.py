@@ -1,4 +1,4 @@
-"""Go to a place while things lie in the way that can be pushed."""
+"""Drive to a position while movable objects lie in the way."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from gibson_sim.tasks.scripts.driving import Driver, pose_xy
 from gibson_sim.tasks.task import Policy, Task, generator
 
 MODELS = ("box_small", "box_cardboard", "basket", "bin_waste", "ball", "toy_ball", "book_stack", "stool")
-"""What lies about."""
+"""Objects that lie in the way."""
 THINGS = 8
+"""Number of objects."""
 DISTANCE = (2.5, 10.0)
-"""Metres from start to goal, along the way."""
+"""Least and greatest length of the path from start to goal, metres."""
 RADIUS = 0.30
-"""Metres: so near to the goal is there."""
+"""Distance to the goal within which it is reached, metres."""
 
 
 class PointGoal(Task):
-    """The way is planned without the things that lie on it; shortest is the way without them."""
+    """Start and goal are drawn without regard to the objects; the shortest path is that without them."""
 
     name = "point-goal"
     environment = "PointGoal"
-    about = "go to a place; loose things lie in the way"
+    about = "drive to a position; movable objects lie in the way"
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``."""
@@ -48,6 +49,6 @@ class PointGoal(Task):
         )
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who goes round things where there is a way, and else through them."""
+        """Returns a driver that goes around the objects where there is a path, and pushes through them otherwise."""
         assert episode.goal.position is not None
         return Driver(ground, episode.goal.position[:2], episode.items, near=RADIUS)

@@ -1,4 +1,4 @@
-"""Get through a doorway that boxes block: there is no way round them."""
+"""Get through a doorway that boxes block; no path leads around them."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from gibson_sim.tasks.task import BASELINES, Policy, Task, generator
 from gibson_sim.types import Pose
 
 RADIUS = 0.30
-"""Metres: so near to the goal is there."""
+"""Distance to the goal within which it is reached, metres."""
 MODELS = ("box_cardboard", "basket", "bin_waste", "box_small")
-"""What stands in doorways."""
+"""Objects that block a doorway."""
 AWAY = (1.0, 3.0)
-"""Metres of start and goal from the doorway."""
+"""Least and greatest length of the path from the doorway to start and goal, metres."""
 _BEYOND = 0.6
-"""Metres from the wall's middle to start and goal, at least."""
+"""Least distance from the plane of the wall to start and goal, metres."""
 _GAP = 0.015
-"""Metres between boxes, and beside them."""
+"""Gap between boxes, and beside them, metres."""
 _TIGHT = 0.06
-"""Metres that are missing for the robot to pass."""
+"""What the widest gap lacks for the robot to pass, metres."""
 _UNEVEN, _CROOKED = 0.04, 0.05
-"""Metres along the way, and radians, by which boxes stand out of line."""
+"""Greatest offset along the passage, metres, and rotation, radians, of a box out of line."""
 
 
 class PushThrough(Task):
-    """Start and goal lie on both sides of a doorway, and while the boxes stand there no way leads from one to the other."""
+    """Start and goal are on opposite sides of a doorway; the boxes in it block every path between them."""
 
     name = "push-through"
     environment = "PushThrough"
@@ -64,12 +64,12 @@ class PushThrough(Task):
         raise no_room(self.name, ground, "no doorway of it can be blocked so that there is no way round")
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
-        """Returns who drives as if the boxes were not there, and backs off where that does not work."""
+        """Returns a driver that ignores the boxes, and backs off where it gets stuck."""
         assert episode.goal.position is not None
         return Driver(ground, episode.goal.position[:2], episode.items, around=False, near=RADIUS)
 
     def policy(self, baseline: str, episode: Episode, ground: Ground) -> Policy:
-        """Returns who does an episode; ``careful`` goes round things and never pushes, which shows that the task is one."""
+        """Returns a baseline for an episode; ``careful`` avoids boxes and never pushes, which shows that pushing is necessary."""
         if baseline == "careful":
             assert episode.goal.position is not None
             return Driver(ground, episode.goal.position[:2], episode.items, pushes=False, near=RADIUS)
@@ -89,7 +89,7 @@ def _both_sides(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[P
 
 
 def _blockade(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Item, ...]:
-    """Returns a row of boxes in a doorway, from one side to the other; none where no boxes fit."""
+    """Returns a row of boxes that fills a doorway from side to side; none if no boxes fit."""
     along = np.array([math.cos(_squared(door.yaw)), math.sin(_squared(door.yaw))])
     across = np.array([-along[1], along[0]])
     row: list[tuple[str, float, float]] = []
@@ -111,17 +111,17 @@ def _blockade(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Ite
 
 
 def _open(ground: Ground, start: Pose, goal: Pose, items: tuple[Item, ...]) -> bool:
-    """Returns whether a way leads round the boxes."""
+    """Returns whether a path leads around the boxes."""
     return not items or ground.connected(pose_xy(start), pose_xy(goal), [footprint(item.model, item.pose) for item in items])
 
 
 def _squared(yaw: float) -> float:
-    """Returns the nearest quarter turn: walls stand along the axes, and a door's way is only roughly known."""
+    """Returns the nearest multiple of 90 degrees: walls are axis-aligned, and the yaw of a doorway is only approximate."""
     return round(yaw / (math.pi / 2.0)) * math.pi / 2.0
 
 
 @lru_cache(maxsize=1)
 def _widths() -> tuple[tuple[str, float, float], ...]:
-    """Returns objects, how they are turned (radians) and how wide they then are across the way, metres."""
+    """Returns (object, yaw in radians, its width across the passage in metres) for each object and orientation."""
     sizes = {model: np.ptp(footprint(model, Pose()), axis=0).tolist() for model in MODELS}
     return tuple((model, turn, sizes[model][axis]) for model in MODELS for turn, axis in ((0.0, 1), (math.pi / 2.0, 0)))

@@ -1,0 +1,1 @@
+"""Building blocks of the scripted baselines: driving, moving an arm, handling objects, opening doors."""

@@ -1,4 +1,4 @@
-"""Tells what will go wrong with a scene."""
+"""Checks a scene for problems."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.importing.carried import is_begun, missing, out_of_date
-from gibson_sim_tools.importing.checks.facts import Geometry, SceneFacts, former_up, is_told, scene_facts, scene_geometry
+from gibson_sim_tools.importing.checks.facts import DrawnGeometry, SceneFacts, former_up, is_told, scene_facts, scene_geometry
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
 from gibson_sim_tools.importing.checks.islands import islands
@@ -28,71 +28,71 @@ from gibson_sim_tools.importing.scans import SCAN_FROM, SCAN_SHARE
 
 Level = Literal["error", "warning", "note"]
 MAX_SIDE = 8192
-"""Of a texture, pixels; many graphics cards and most viewers take no more."""
+"""Longest side of a texture that all graphics cards and viewers support, pixels."""
 MAX_MEMORY_MB = 2048.0
-"""Of all textures."""
+"""Memory limit of all textures, MB."""
 HOLE_FROM = 0.3
-"""Rim of a hole that is told of, metres."""
+"""Least boundary length of a reported hole, metres."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
-"""Metres, of the robot that start poses must have room for."""
+"""Size of the robot that must fit at start poses, metres."""
 NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date"}
-"""Findings that say nothing of a scene that is not upright or not in metres."""
+"""Findings that are meaningful only in a scene that is upright and in metres."""
 _FLOOR_AREA = 1.0
 _INVERTED = 0.001
 _DEGENERATE, _MANY = 0.01, 100
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that is wrong, or worth knowing."""
+class SceneFinding:
+    """One problem or note."""
 
     what: str
     """Short name: ``not-level``."""
     level: Level
-    """An error keeps the scene from loading; a warning will go wrong; a note is no fault by itself."""
+    """An error keeps the scene from loading; a warning is a fault; a note is not."""
     text: str
     remedy: str = ""
     fixable: bool = False
-    """``--fix`` mends it."""
+    """``--fix`` repairs it."""
 
     def line(self) -> str:
-        """Returns it for people."""
+        """Returns the finding as text."""
         return f"{self.level:>7}  {self.what}: {self.text}" + (f"\n         -> {self.remedy}" if self.remedy else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Report:
-    """Everything that was found in a scene."""
+class SceneReport:
+    """Findings and facts of a scene."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[SceneFinding, ...]
     facts: SceneFacts | None = None
-    """None where it cannot be read."""
+    """None if the scene cannot be read."""
     scene: SceneSpec | None = None
-    geometry: Geometry | None = None
+    geometry: DrawnGeometry | None = None
 
     @property
     def clean(self) -> bool:
-        """Whether there are no errors and no warnings."""
+        """Whether the scene has no errors and no warnings."""
         return all(finding.level == "note" for finding in self.findings)
 
     def json(self) -> dict[str, Any]:
-        """Returns it as plain values."""
+        """Returns the report as plain values for JSON."""
         found = [
             {"what": f.what, "level": f.level, "text": f.text, "remedy": f.remedy, "fixable": f.fixable} for f in self.findings
         ]
         return {"clean": self.clean, "findings": found, "scene": None if self.facts is None else self.facts.json()}
 
 
-def check_path(path: str | Path) -> Report:
-    """Returns what is wrong with a scene; one that cannot be loaded is a report with one error."""
+def check_path(path: str | Path) -> SceneReport:
+    """Loads and checks a scene; a scene that cannot be loaded gives a report with one error."""
     try:
         return check_scene(load_scene(path))
     except GibsonSimError as e:
-        return Report((Finding("unreadable", "error", str(e)),))
+        return SceneReport((SceneFinding("unreadable", "error", str(e)),))
 
 
-def check_scene(scene: SceneSpec) -> Report:
-    """Returns what is wrong with a scene.
+def check_scene(scene: SceneSpec) -> SceneReport:
+    """Checks a loaded scene.
 
     Raises:
         MeshError: a mesh cannot be read.
@@ -105,38 +105,38 @@ def check_scene(scene: SceneSpec) -> Report:
         *_omissions(scene, geometry, guess), *_carried(scene),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
-    return Report(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry)
+    return SceneReport(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry)
 
 
-def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[Finding]:
+def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[SceneFinding]:
     if not guess.sure:
         listed = "; ".join(direction_text(up) for up in guess.others)
         text = f"which way is up is not clear: it may be {listed}"
         remedy = f"look at it, then: --fix --up={direction_text(guess.others[0])} turns it so that this way is up; --up=z keeps it as it is"
-        yield Finding("up-unclear", "warning", text, remedy)
+        yield SceneFinding("up-unclear", "warning", text, remedy)
     elif facts.tilt_deg > ON_ITS_SIDE_DEG:
         text = f"up is {direction_text(guess.up)}, {facts.tilt_deg:.1f} degrees off z: the scene lies on its side or is turned"
-        yield Finding("not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True)
+        yield SceneFinding("not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True)
     elif facts.tilt_deg > ALIGNED_DEG:
         text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: things roll, and maps have ghosts"
-        yield Finding("not-level", "warning", text, "--fix turns it", True)
+        yield SceneFinding("not-level", "warning", text, "--fix turns it", True)
 
 
-def _unit(facts: SceneFacts) -> Iterator[Finding]:
+def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
     if facts.unit == "m":
         return
     size = " x ".join(f"{s:.4g}" for s in facts.size)
     guess = (
         f"in {facts.unit} it would be a room or a building" if facts.unit else f"it would be no room in any of {', '.join(UNITS)}"
     )
-    yield Finding(
+    yield SceneFinding(
         "not-metres", "warning", f"it is {size} m; {guess}", f"--fix --unit {facts.unit or 'UNIT'} scales it; or give unit_m in scene.yaml",
         bool(facts.unit),
     )  # fmt: skip
 
 
-def _meshes(geometry: Geometry) -> Iterator[Finding]:
-    """Looks at every mesh once, however often it stands in the scene."""
+def _meshes(geometry: DrawnGeometry) -> Iterator[SceneFinding]:
+    """Checks every mesh once, however many instances it has."""
     done: set[int] = set()
     for visual, mesh in geometry.meshes:
         if id(mesh) in done or visual.shape.kind != "mesh":
@@ -146,42 +146,44 @@ def _meshes(geometry: Geometry) -> Iterator[Finding]:
         yield from _mesh(visual.name, find_faults(vertices, triangles), len(triangles))
 
 
-def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[Finding]:
+def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
     flat, inverted = int(faults.degenerate.sum()), int(faults.inverted.sum())
     if flat:
         level: Level = "warning" if flat > _DEGENERATE * count and flat >= _MANY else "note"
-        yield Finding("degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix leaves them out", True)
+        yield SceneFinding(
+            "degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix leaves them out", True
+        )
     if inverted:
         level = "warning" if inverted > _INVERTED * count else "note"
         text = f"{name}: {inverted} of {count} triangles are turned the other way round than their neighbours, or inside out"
-        yield Finding("inverted", level, text, "--fix turns them", True)
-    # Holes of a scan are holes in walls.
+        yield SceneFinding("inverted", level, text, "--fix turns them", True)
+    # Holes in a scan are holes in walls.
     scan = count >= SCAN_FROM and faults.largest_piece > SCAN_SHARE
     if faults.crowded_edges:
         level = "warning" if scan and faults.crowded_edges > 0.01 * count else "note"
         text = f"{name}: {faults.crowded_edges} edges belong to more than two triangles (non-manifold)"
-        yield Finding("non-manifold", level, text, "harmless for driving; mend it before making convex parts of it")
+        yield SceneFinding("non-manifold", level, text, "harmless for driving; mend it before making convex parts of it")
     holes = [rim for rim in faults.holes if rim >= HOLE_FROM]
     if holes:
         text = (
             f"{name}: {len(holes)} open rims of {HOLE_FROM} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
         )
         remedy = "lidars and cameras see through holes in walls; close them in a mesh editor, or scan again" if scan else ""
-        yield Finding("holes", "warning" if scan else "note", text, remedy)
+        yield SceneFinding("holes", "warning" if scan else "note", text, remedy)
 
 
-def _textures(facts: SceneFacts) -> Iterator[Finding]:
+def _textures(facts: SceneFacts) -> Iterator[SceneFinding]:
     for t in facts.textures:
         if max(t.width, t.height) > MAX_SIDE or t.width * t.height > MAX_PIXELS:
             text = f"{t.name}: has {t.width} x {t.height} pixels, {t.memory_mb:.0f} MB in memory; at most {MAX_SIDE} a side are read everywhere"
-            yield Finding("huge-texture", "warning", text, f"--fix scales it down to {MAX_SIDE}", True)
+            yield SceneFinding("huge-texture", "warning", text, f"--fix scales it down to {MAX_SIDE}", True)
     total = sum(t.memory_mb for t in facts.textures)
     if total > MAX_MEMORY_MB:
         text = f"all textures take {total:.0f} MB in memory, more than {MAX_MEMORY_MB:.0f}"
-        yield Finding("textures-memory", "warning", text, "--fix --max-texture 2048 makes them smaller", True)
+        yield SceneFinding("textures-memory", "warning", text, "--fix --max-texture 2048 makes them smaller", True)
 
 
-def _floor(scene: SceneSpec, geometry: Geometry, facts: SceneFacts) -> Iterator[Finding]:
+def _floor(scene: SceneSpec, geometry: DrawnGeometry, facts: SceneFacts) -> Iterator[SceneFinding]:
     if not (facts.upright and (len(geometry.triangles) or scene.ground_z is not None)):
         return
     corners = geometry.vertices[geometry.triangles]
@@ -193,7 +195,7 @@ def _floor(scene: SceneSpec, geometry: Geometry, facts: SceneFacts) -> Iterator[
         up, down = float(areas[near & (normals[:, 2] > 0)].sum()), float(areas[near & (normals[:, 2] < 0)].sum())
         if up + down < _FLOOR_AREA:
             text = f"no floor at z = {z:.2f} m: {up + down:.2f} m^2 of level surface there"
-            yield Finding(
+            yield SceneFinding(
                 "no-floor",
                 "warning",
                 text,
@@ -201,23 +203,23 @@ def _floor(scene: SceneSpec, geometry: Geometry, facts: SceneFacts) -> Iterator[
             )
         elif up < 0.2 * down:
             text = f"the floor at z = {z:.2f} m faces down: {down:.1f} m^2 of it, against {up:.1f} m^2 that faces up"
-            yield Finding(
+            yield SceneFinding(
                 "floor-faces-down", "warning", text, "the mesh may be inside out or upside down: give up_axis, or turn its faces"
             )
 
 
-def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[Finding]:
+def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[SceneFinding]:
     if not facts.upright or facts.unit != "m":
-        return  # a map of it would say nothing
+        return  # a map of it would be meaningless
     for floor_z in scene.floors:
         starts = [s for s in scene.starts if abs(s.pose.position[2] - floor_z) < 0.5]
         try:
             floor = scene_floor_map(replace(scene, floor_z=floor_z), robot_height=ROBOT_HEIGHT)
         except SceneError as e:
-            yield Finding("no-floor", "warning", str(e), "give floor_z in scene.yaml")
+            yield SceneFinding("no-floor", "warning", str(e), "give floor_z in scene.yaml")
             continue
         if not floor.inflate(ROBOT_RADIUS).any():
-            yield Finding("no-room", "warning", f"on the floor at z = {floor_z:.2f} m no place is free for a robot of radius {ROBOT_RADIUS} m",
+            yield SceneFinding("no-room", "warning", f"on the floor at z = {floor_z:.2f} m no place is free for a robot of radius {ROBOT_RADIUS} m",
                           "is floor_z right, and the unit?")  # fmt: skip
         pieces = islands(floor, ROBOT_RADIUS)
         if pieces:
@@ -225,7 +227,7 @@ def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[Finding]:
                 f"the free floor at z = {round(floor_z, 2) + 0.0:.2f} m is in {len(pieces)} pieces with unscanned floor between them: "
                 f"{', '.join(f'{area:.1f}' for area in pieces[:6])}{', ...' if len(pieces) > 6 else ''} m^2"
             )
-            yield Finding(
+            yield SceneFinding(
                 "islands",
                 "warning",
                 text,
@@ -236,15 +238,15 @@ def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[Finding]:
             if float(floor.clearance(np.array([x, y]))) < ROBOT_RADIUS:
                 free = floor.nearest_free((x, y), ROBOT_RADIUS)
                 there = f"; the nearest free place is {free[0]:.2f}, {free[1]:.2f}" if free else ""
-                yield Finding("start-blocked", "warning", f"start {quoted(start.name)} at {x:.2f}, {y:.2f} is not free for a robot of radius "
+                yield SceneFinding("start-blocked", "warning", f"start {quoted(start.name)} at {x:.2f}, {y:.2f} is not free for a robot of radius "
                               f"{ROBOT_RADIUS} m{there}", "move it in scene.yaml")  # fmt: skip
 
 
-def _omissions(scene: SceneSpec, geometry: Geometry, guess: UpGuess) -> Iterator[Finding]:
+def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Iterator[SceneFinding]:
     for line in left_out(scene, geometry):
         if kind_of(line) is OmissionKind.UP_UNCLEAR:
             if guess.sure and guess.tilt_deg <= ON_ITS_SIDE_DEG:
-                yield Finding(
+                yield SceneFinding(
                     "up-unclear",
                     "warning",
                     line,
@@ -253,29 +255,29 @@ def _omissions(scene: SceneSpec, geometry: Geometry, guess: UpGuess) -> Iterator
             continue
         missing = kind_of(line) in (OmissionKind.MISSING_ASSET, OmissionKind.UNSUPPORTED_ASSET)
         texture = "texture" in line and missing
-        yield Finding(
+        yield SceneFinding(
             "missing-texture" if texture else "missing" if missing else "left-out", "warning" if missing else "note", line
         )
 
 
-def left_out(scene: SceneSpec, geometry: Geometry) -> list[str]:
-    """Returns what could not be used: of the scene as it is, and of what it was imported from, which it may not name any more.
+def left_out(scene: SceneSpec, geometry: DrawnGeometry) -> list[str]:
+    """Returns what could not be used of the scene, and of the source that it was imported from.
 
     Raises:
-        SceneError: what the import noted cannot be read.
+        SceneError: the list that the import wrote cannot be read.
     """
     lines: dict[str, Omission] = {}
     for line in (*scene.warnings, *(w for _, mesh in geometry.meshes for w in mesh.warnings), *read_left_out(scene.root)):
         short = line.replace(f"{scene.root}/", "")
-        # The copy of a file is said of once, as what it was copied from.
+        # A copied file is reported once, by its name in the source.
         lines.setdefault(short.replace(f"{ASSETS}/", ""), Omission(short, kind_of(line)))
     return list(lines.values())
 
 
-def _carried(scene: SceneSpec) -> Iterator[Finding]:
+def _carried(scene: SceneSpec) -> Iterator[SceneFinding]:
     for text in out_of_date(scene, ROBOT_RADIUS, ROBOT_HEIGHT):
-        yield Finding("out-of-date", "warning", text, "gibson-sim scene map SCENE --write makes it anew")
+        yield SceneFinding("out-of-date", "warning", text, "gibson-sim scene map SCENE --write updates it")
     lacking = missing(scene)
     if lacking and is_begun(scene):
         remedy = "`gibson-sim scene map SCENE --write` makes maps and free poses; docs/scenes.md says what rooms are"
-        yield Finding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)
+        yield SceneFinding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)

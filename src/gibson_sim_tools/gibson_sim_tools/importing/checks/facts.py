@@ -1,4 +1,4 @@
-"""What is in a scene: sizes, triangles, materials, textures, floors, classes."""
+"""Facts about a scene: sizes, triangles, materials, textures, floors, classes."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, UpGuess, 
 F64 = NDArray[np.float64]
 _MOST_LISTED = 12
 UNTOLD_SUFFIXES = (".ply", ".obj", ".stl")
-"""Of files whose format does not say which axis is up."""
+"""Suffixes of formats that do not define the up axis."""
 _SAME_TURN = 1e-6
-"""Entries of rotation matrices that differ by more are of two turns."""
+"""Largest difference between the entries of equal rotation matrices."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextureFacts:
-    """One image."""
+    """Facts about one image."""
 
     name: str
     width: int
     height: int
     memory_mb: float
-    """Decoded, without smaller levels."""
+    """Decoded size without mip levels, MB."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneFacts:
-    """Plain numbers; metres."""
+    """Facts about a scene; lengths in metres."""
 
     name: str
     low: tuple[float, float, float]
@@ -55,37 +55,37 @@ class SceneFacts:
     textures: tuple[TextureFacts, ...]
     """The largest first."""
     up_axis: str
-    """Of the scene, the one nearest to up: z, unless it lies on its side; "" = not clear."""
+    """Axis nearest to up: z, unless the scene lies on its side; "" = not clear."""
     up: tuple[float, float, float]
-    """Unit vector across its floors; z where up is not clear."""
+    """Unit normal of the floors; z if up is not clear."""
     tilt_deg: float
-    """Of its floor against level; 0 where up is not clear."""
+    """Tilt of the floor against level; 0 if up is not clear."""
     unit: str
-    """In which it has the size of a room or a building; "" = none."""
+    """Unit in which the scene has the size of a room or a building; "" = none."""
     floors: tuple[float, ...]
     classes: dict[str, int]
-    """Objects of each class."""
+    """Number of objects of each class."""
     bodies: int
     starts: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
     def upright(self) -> bool:
-        """Whether z is up, nearly: a map can be made of it."""
+        """Whether z is roughly up, so that the scene can be mapped."""
         return self.up_axis == "z" and self.up[2] > 0.0
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """Along x, y, z."""
+        """Extent along x, y, z."""
         x, y, z = (h - low for h, low in zip(self.high, self.low, strict=True))
         return x, y, z
 
     def json(self) -> dict[str, Any]:
-        """Returns everything as plain values."""
+        """Returns the facts as plain values for JSON."""
         return {**asdict(self), "size": list(self.size)}
 
     def text(self) -> str:
-        """Returns a table for people."""
+        """Returns the facts as a text table."""
         memory = sum(t.memory_mb for t in self.textures)
         lines = [
             ("scene", self.name),
@@ -115,8 +115,8 @@ def _classes(classes: dict[str, int]) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
-    """Everything of a scene that is drawn, in the world frame; its images are black, of the right size."""
+class DrawnGeometry:
+    """The visual meshes of a scene in the world frame; textures have their size, and black pixels."""
 
     meshes: tuple[tuple[VisualSpec, Mesh], ...]
     """World frame."""
@@ -124,8 +124,8 @@ class Geometry:
     triangles: NDArray[np.int32]
 
 
-def scene_geometry(scene: SceneSpec) -> Geometry:
-    """Returns what is drawn of a scene.
+def scene_geometry(scene: SceneSpec) -> DrawnGeometry:
+    """Loads the visual meshes of a scene.
 
     Raises:
         MeshError: a mesh cannot be read.
@@ -134,16 +134,16 @@ def scene_geometry(scene: SceneSpec) -> Geometry:
     meshes = tuple((v, loader.shape(v.shape)) for v in scene.visuals)
     placed = [(transform_points(matrix_from_pose(v.pose), m.merged()[0]), m.merged()[1]) for v, m in meshes]
     vertices, triangles = merge(placed)
-    return Geometry(meshes, vertices, triangles)
+    return DrawnGeometry(meshes, vertices, triangles)
 
 
-def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess | None = None) -> SceneFacts:
-    """Returns what is in a scene.
+def scene_facts(scene: SceneSpec, geometry: DrawnGeometry | None = None, up: UpGuess | None = None) -> SceneFacts:
+    """Returns the facts about a scene.
 
     Args:
         scene: as it was loaded.
-        geometry: of ``scene_geometry``; None = read now.
-        up: of ``guess_up``; None = guessed now.
+        geometry: result of ``scene_geometry``; None = load it.
+        up: result of ``guess_up``; None = estimate it.
 
     Raises:
         MeshError: a mesh cannot be read.
@@ -170,13 +170,13 @@ def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess 
 
 
 def is_told(scene: SceneSpec) -> bool:
-    """Returns whether somebody, or the format of its files, says that z is up in a scene: all but a single mesh as scanners write them."""
+    """Returns whether the scene description or a file format defines that z is up; a single scan mesh defines nothing."""
     suffixes = [Path(visual.shape.mesh).suffix.lower() for visual in scene.visuals]
     return is_file(scene.root / DESCRIPTION) or len(suffixes) != 1 or suffixes[0] not in UNTOLD_SUFFIXES
 
 
 def former_up(scene: SceneSpec) -> Vec3 | None:
-    """Returns where z of the meshes points, unit vector, if one turn lays all of them over, as levelling does; else None."""
+    """Returns the direction of the meshes' z axis, unit vector, if one rotation lays all of them over, as levelling does; else None."""
     turns = np.array([matrix_from_pose(visual.pose)[:3, :3] for visual in scene.visuals])
     if not len(turns) or np.abs(turns - turns[0]).max() > _SAME_TURN:
         return None
@@ -185,7 +185,7 @@ def former_up(scene: SceneSpec) -> Vec3 | None:
 
 
 def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
-    """Returns every image once."""
+    """Returns each texture once."""
     found: dict[int, TextureSource] = {}
     for mesh in meshes:
         for part in mesh.parts:
@@ -197,7 +197,7 @@ def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
 
 
 def texture_facts(meshes: Sequence[Mesh]) -> tuple[TextureFacts, ...]:
-    """Returns the images of meshes, the largest first."""
+    """Returns the facts about the textures of meshes, the largest first."""
     facts = [
         TextureFacts(t.name, t.pixels.shape[1], t.pixels.shape[0], round(t.pixels.size / 2**20, 2)) for t in textures_of(meshes)
     ]

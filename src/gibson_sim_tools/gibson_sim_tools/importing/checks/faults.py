@@ -1,4 +1,4 @@
-"""What is wrong with the triangles of one mesh: open, inverted, non-manifold, degenerate. numpy throughout: a million take seconds."""
+"""Finds what is wrong with the triangles of one mesh: open, inverted, non-manifold, degenerate. A million triangles take seconds."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
+from trimesh.geometry import faces_to_edges
+from trimesh.graph import connected_component_labels
+from trimesh.grouping import group_rows, unique_rows
 
 from gibson_sim.geometry.triangles import areas_of
 
@@ -15,47 +16,44 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 _WELD = 1e-5
-"""Vertices nearer than this part of the whole are one."""
+"""Vertices closer than this fraction of the mesh's longest side are one vertex."""
 _THIN = 1e-12
-"""Area of a triangle against the square of its longest edge: less is none."""
-_INSIDE = 0.7
-"""A closed surface larger than this part of the whole is a room, which is seen from inside."""
+"""Area of a triangle over the square of its longest edge, at and below which it is degenerate."""
+_ROOM = 0.7
+"""A closed surface larger than this fraction of the mesh is a room, which is seen from inside."""
 _CLOSED_FACES = 4
+"""Least number of faces of a closed surface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFaults:
-    """Findings of one mesh; faces are rows of its triangles."""
+    """Faults of one mesh; faces are rows of its triangles."""
 
     degenerate: Bools
     """(F,): without area."""
     open_edges: int
-    """Edges of one face."""
+    """Boundary edges, which belong to one face."""
     open_length: float
     """Metres."""
     holes: tuple[float, ...]
-    """Length of each connected rim, metres, the longest first."""
+    """Length of each connected boundary, metres, the longest first."""
     crowded_edges: int
-    """Edges of more than two faces."""
+    """Non-manifold edges, which belong to more than two faces."""
     wrong_edges: int
-    """Edges whose two faces go round in different ways."""
+    """Edges whose two faces have opposite winding."""
     inverted: Bools
-    """(F,): faces that go round otherwise than most of what they hang together with, and closed surfaces that are inside out."""
+    """(F,): faces whose winding is opposite to most of their connected component, and closed surfaces that are inside out."""
     largest_piece: float
-    """Part of the faces, 0 to 1, that hang together in the largest piece: most of a scan does, and little of what was modelled."""
+    """Fraction of the faces in the largest connected component: most of a scan, and little of a modelled scene."""
 
 
 def weld(vertices: F64) -> I64:
-    """Returns a number for each vertex, (V,): the same for all at one place."""
-    size = max(float(np.ptp(vertices, axis=0).max()), 1e-9) if len(vertices) else 1.0
-    cells = (
-        np.rint((vertices - vertices.min(axis=0)) / (size * _WELD)).astype(np.int64)
-        if len(vertices)
-        else np.zeros((0, 3), np.int64)
-    )
-    span = round(1.0 / _WELD) + 2
-    key = (cells[:, 0] * span + cells[:, 1]) * span + cells[:, 2]
-    numbers: I64 = np.unique(key, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    """Returns a number for each vertex, (V,): the same number for all vertices at one place."""
+    if not len(vertices):
+        return np.zeros(0, dtype=np.int64)
+    size = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    cells = np.rint((vertices - vertices.min(axis=0)) / (size * _WELD)).astype(np.int64)
+    numbers: I64 = unique_rows(cells)[1].reshape(-1)
     return numbers
 
 
@@ -66,27 +64,30 @@ def find_faults(vertices: F64, triangles: NDArray[np.integer]) -> MeshFaults:
         vertices: (V, 3), metres.
         triangles: (F, 3).
     """
-    place = weld(vertices)
-    corners = place[triangles.astype(np.int64)]
+    numbers = weld(vertices)
+    corners = numbers[triangles.astype(np.int64)]
     degenerate = _degenerate(vertices, triangles, corners)
     faces = np.flatnonzero(~degenerate)
-    edges, owner, forward = _edges(corners[faces])
-    codes, inverse, counts = np.unique(edges, return_inverse=True, return_counts=True)
-    inverse = inverse.reshape(-1)
-    positions = np.zeros((int(place.max(initial=-1)) + 1, 3))
-    positions[place] = vertices
-    ends = np.stack([codes // _base(corners), codes % _base(corners)], axis=1) if len(codes) else np.zeros((0, 2), np.int64)
+    sides, owner = faces_to_edges(corners[faces], return_index=True)
+    edges = np.sort(sides, axis=1)
+    first, inverse = unique_rows(edges)
+    counts, ends = np.bincount(inverse.reshape(-1)), edges[first]
+    positions = np.zeros((int(numbers.max(initial=-1)) + 1, 3))
+    positions[numbers] = vertices
     lengths = np.linalg.norm(positions[ends[:, 0]] - positions[ends[:, 1]], axis=1)
     open_ = counts == 1
-    pairs, alike = _pairs(inverse, counts, owner, forward)
-    pieces = _pieces(len(faces), pairs)
+    shared = group_rows(edges, require_count=2)
+    pairs = owner[shared]
+    # Two faces of equal winding go along their common edge in opposite directions.
+    alike = sides[shared[:, 0], 0] == sides[shared[:, 1], 0]
+    pieces = connected_component_labels(pairs, len(faces))
     inverted = np.zeros(len(triangles), dtype=bool)
-    inverted[faces] = _inverted(positions, corners[faces], pairs, alike, pieces)
+    inverted[faces] = _inverted(positions[corners[faces]], pairs, alike, pieces)
     return MeshFaults(
         degenerate=degenerate,
         open_edges=int(open_.sum()),
         open_length=float(lengths[open_].sum()),
-        holes=_rims(ends[open_], lengths[open_]),
+        holes=_boundaries(ends[open_], lengths[open_]),
         crowded_edges=int((counts > 2).sum()),
         wrong_edges=int(alike.sum()),
         inverted=inverted,
@@ -101,63 +102,38 @@ def _degenerate(vertices: F64, triangles: NDArray[np.integer], corners: I64) -> 
     return np.asarray(same | (areas_of(points) <= _THIN * longest**2))
 
 
-def _base(corners: I64) -> int:
-    return int(corners.max(initial=0)) + 1
-
-
-def _edges(corners: I64) -> tuple[I64, I64, Bools]:
-    """Returns code, face and direction of every side of every face, (3 F,)."""
-    a, b = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    return low * _base(corners) + high, np.repeat(np.arange(len(corners)), 3), a < b
-
-
-def _pairs(inverse: I64, counts: I64, owner: I64, forward: Bools) -> tuple[I64, Bools]:
-    """Returns the faces (P, 2) that share an edge of just two, and whether both go along it in the same way, which is wrong."""
-    double = counts[inverse] == 2
-    rows = np.flatnonzero(double)
-    sides = rows[np.argsort(inverse[rows], kind="stable")].reshape(-1, 2)
-    return owner[sides], np.asarray(forward[sides[:, 0]] == forward[sides[:, 1]])
-
-
-def _rims(ends: I64, lengths: F64) -> tuple[float, ...]:
+def _boundaries(ends: I64, lengths: F64) -> tuple[float, ...]:
     """Returns the total length of each connected set of edges (E, 2), the longest first."""
     if not len(ends):
         return ()
-    used, numbers = np.unique(ends, return_inverse=True)
-    numbers = numbers.reshape(-1, 2)
-    graph = sparse.coo_matrix((np.ones(len(numbers)), (numbers[:, 0], numbers[:, 1])), shape=(len(used), len(used)))
-    _, label = csgraph.connected_components(graph, directed=False)
-    sums = np.bincount(label[numbers[:, 0]], weights=lengths)
-    return tuple(sorted((float(s) for s in sums), reverse=True))
+    label = connected_component_labels(ends)[ends[:, 0]]
+    sums = np.bincount(np.unique(label, return_inverse=True)[1], weights=lengths)
+    return tuple(sorted(sums.tolist(), reverse=True))
 
 
-def _pieces(count: int, pairs: I64) -> I64:
-    """Returns for each face, (F,), the number of what it hangs together with over edges of two faces."""
-    ones = np.ones(len(pairs), dtype=np.int8)
-    graph = sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    pieces: I64 = csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
-    return pieces
+def _inverted(points: F64, pairs: I64, alike: Bools, pieces: I64) -> Bools:
+    """Returns the faces (F,) to be turned round, so that neighbours have equal winding and closed surfaces face outward.
 
-
-def _inverted(positions: F64, corners: I64, pairs: I64, alike: Bools, pieces: I64) -> Bools:
-    """Returns (F,): faces to be turned round so that neighbours agree, and closed things are seen from outside."""
-    count = len(corners)
+    Args:
+        points: (F, 3, 3), metres.
+        pairs: (P, 2), faces that share an edge.
+        alike: (P,): both go along it in the same direction.
+        pieces: (F,), connected component of each face.
+    """
+    count = len(points)
     if not count:
         return np.zeros(0, dtype=bool)
-    # Each face as it is and turned round: what must agree is joined, so that each piece falls into two consistent halves.
+    # A graph of 2 F nodes: each face as it is, and turned round. Edges join what agrees, so each component splits into two consistent halves.
     a, b = pairs[:, 0], pairs[:, 1]
     one = np.concatenate([a, a + count])
     other = np.concatenate([np.where(alike, b + count, b), np.where(alike, b, b + count)])
-    graph = sparse.coo_matrix((np.ones(len(one), dtype=np.int8), (one, other)), shape=(2 * count, 2 * count))
-    _, label = csgraph.connected_components(graph, directed=False)
-    points = positions[corners]
+    label = connected_component_labels(np.stack([one, other], axis=1), 2 * count)
     areas = areas_of(points)
-    # A face belongs to the half that its piece's first face is in, or to the other one.
+    # A face belongs to the half of its component's first face, or to the other one.
     lead = np.full(int(pieces.max()) + 1, count)
     np.minimum.at(lead, pieces, np.arange(count))
     off = label[:count] != label[lead][pieces]
-    # One-sided surfaces have no two halves: whatever is chosen is wrong somewhere, so they stay.
+    # One-sided surfaces (Moebius strips) have no two halves: any winding is wrong somewhere, so they stay.
     one_sided = label[:count] == label[count:]
     off &= ~one_sided
     wrong, total = (np.bincount(pieces, weights=w) for w in (areas * off, areas))
@@ -166,7 +142,7 @@ def _inverted(positions: F64, corners: I64, pairs: I64, alike: Bools, pieces: I6
 
 
 def _inside_out(points: F64, flip: Bools, pieces: I64, pairs: I64) -> Bools:
-    """Returns (F,): whether the closed piece that a face belongs to has a negative volume; rooms may."""
+    """Returns (F,): whether a face belongs to a closed component of negative volume that is no room."""
     number = int(pieces.max()) + 1
     sizes = np.bincount(pieces, minlength=number)
     closed = (np.bincount(pieces[pairs[:, 0]], minlength=number) * 2 == 3 * sizes) & (sizes >= _CLOSED_FACES)
@@ -178,5 +154,5 @@ def _inside_out(points: F64, flip: Bools, pieces: I64, pairs: I64) -> Bools:
     np.minimum.at(low, pieces, points.min(axis=1))
     np.maximum.at(high, pieces, points.max(axis=1))
     whole = max(float(np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0))), 1e-9)
-    small = np.linalg.norm(high - low, axis=1) < _INSIDE * whole
+    small = np.linalg.norm(high - low, axis=1) < _ROOM * whole
     return np.asarray((closed & small & (volume < 0.0))[pieces])

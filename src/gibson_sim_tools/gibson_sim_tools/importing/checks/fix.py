@@ -1,4 +1,4 @@
-"""Writes a copy of a scene with what can be mended mended: level, in metres, faces the right way round, textures of a size that fits."""
+"""Writes a repaired copy of a scene: level, in metres, with consistent winding and textures within the size limit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, Vec3
-from gibson_sim_tools.importing.checks.check import MAX_SIDE, NEED_UPRIGHT, Report, check_path, left_out
+from gibson_sim_tools.importing.checks.check import MAX_SIDE, NEED_UPRIGHT, SceneReport, check_path, left_out
 from gibson_sim_tools.importing.checks.facts import former_up, is_told
 from gibson_sim_tools.importing.checks.faults import find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
@@ -34,42 +34,42 @@ from gibson_sim_tools.importing.labels import some_triangles
 
 F64 = NDArray[np.float64]
 TOLD_DEG = 2.0
-"""A map of a scene that is more out of level tells nothing."""
+"""Tilt above which a map of the scene is meaningless, degrees."""
 _LEVEL = 0.95
-"""Of a normal's z, from which a triangle is level."""
+"""Least z component of a level triangle's unit normal."""
 _SNAP = 0.3
-"""A floor is looked for this near to where turning takes it, metres."""
+"""Search range around the rotated height of a floor, metres."""
 MOST_PIXELS = 16384 * 16384
-"""An image with more is not even opened to make it smaller."""
+"""Size limit of an image that can be scaled down."""
 
 
 @dataclass(frozen=True, slots=True)
-class Fix:
-    """What to mend."""
+class FixOptions:
+    """Options of a repair."""
 
     unit_m: float | None = None
-    """The scene's lengths are to be multiplied by this; None = they are metres."""
+    """Metres per unit of the scene; None = it is in metres."""
     max_texture: int = MAX_SIDE
     """Longest side, pixels."""
     level: bool = True
-    """Turn the scene so that its floor is level."""
+    """Rotate the scene so that its floor is level."""
     up: Vec3 | None = None
-    """Which way is about up in the scene, unit vector; what is level near it decides the rest. None = as its surfaces say, if that is sure."""
+    """Approximate up direction, unit vector, refined by the level surfaces near it; None = estimated from the surfaces, if that is sure."""
 
 
-def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
-    """Writes a mended copy of a scene and checks it; one that checks worse than the scene is not kept.
+def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path, SceneReport]:
+    """Writes a repaired copy of a scene and checks it; a copy that is worse than the scene is removed.
 
     Args:
         report: of the scene.
         output: new folder.
-        fix: what to mend.
+        fix: options.
 
     Returns:
         The scene.yaml, and the report on it.
 
     Raises:
-        SceneError: the scene cannot be read, the folder not be written, or the copy would be worse.
+        SceneError: the scene cannot be read, the folder cannot be written, or the copy would be worse.
     """
     if report.scene is None or report.geometry is None:
         raise SceneError(f"the scene cannot be read, so nothing can be mended: {report.findings[0].text}")
@@ -90,12 +90,12 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
     out = ImportedScene(scene.name, "mended scene", scene.root)
     moved = not np.allclose(matrix, np.eye(4), atol=1e-6)
     if matrix[2, 2] >= np.cos(np.radians(ON_ITS_SIDE_DEG)) * (fix.unit_m or 1.0):
-        # What lay on its side had no heights, and no rooms seen from above.
+        # Floor heights and rooms of a scene on its side are meaningless.
         out.floors, out.ground_z, out.rooms = (
             (scene.floors, scene.ground_z, scene.rooms) if not moved else _turned_floors(report, matrix)
         )
         if moved and scene.floor_estimated:
-            # An estimate in a scene that slopes is none: it is made anew in the mended one.
+            # An estimate in a tilted scene is wrong; loading the repaired scene estimates anew.
             out.floors = ()
     out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
     out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts]
@@ -116,11 +116,11 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
     return file, mended
 
 
-def made_worse(before: Report, after: Report) -> list[str]:
-    """Returns what is wrong with a mended copy and was not wrong with the scene; what could not be told of the scene does not count."""
+def made_worse(before: SceneReport, after: SceneReport) -> list[str]:
+    """Returns the problems of a repaired copy that the scene did not have; findings that the scene could not have do not count."""
     known = {f.what for f in before.findings if f.level != "note"}
     told = before.facts is not None and before.facts.upright and before.facts.unit == "m" and before.facts.tilt_deg <= TOLD_DEG
-    # A map of a floor that slopes does not show islands.
+    # A map of a sloping floor shows no islands.
     hidden = {"islands"} if "not-level" in known else set()
     fresh = [
         f for f in after.findings if f.level != "note" and f.what not in known | hidden and (told or f.what not in NEED_UPRIGHT)
@@ -137,8 +137,8 @@ def made_worse(before: Report, after: Report) -> list[str]:
     return out
 
 
-def _turned_floors(report: Report, matrix: F64) -> tuple[tuple[float, ...], float | None, tuple[RoomSpec, ...]]:
-    """Returns the heights of floors, the ground and the rooms of a scene in the mended world."""
+def _turned_floors(report: SceneReport, matrix: F64) -> tuple[tuple[float, ...], float | None, tuple[RoomSpec, ...]]:
+    """Returns the floor heights, the ground and the rooms in the repaired scene."""
     scene, g = report.scene, report.geometry
     if scene is None or g is None:
         return (), None, ()
@@ -163,13 +163,13 @@ def _turned_floors(report: Report, matrix: F64) -> tuple[tuple[float, ...], floa
         rooms.append(replace(room, polygon=polygon))
     ground = None if scene.ground_z is None else height(scene.ground_z, [])
     if ground is not None:
-        # Ground that lies at a floor stays there.
+        # Ground at the height of a floor stays at that floor.
         ground = next((new for new, old in zip(floors, scene.floors, strict=True) if abs(old - scene.ground_z) < 1e-6), ground)  # type: ignore[operator]
     return tuple(sorted(floors)), ground, tuple(rooms)
 
 
 def _level_height(about: float, heights: F64, areas: F64) -> float:
-    """Returns the middle, by area, of level surfaces about a height; that height where there are none."""
+    """Returns the area-weighted median height of the level surfaces near a height; that height if there are none."""
     near = np.abs(heights - about) <= _SNAP
     if not near.any():
         return about
@@ -195,7 +195,7 @@ def _objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Sequence[Imp
         if len(own) == 1 and own[0].shape == visual.shape and own[0].pose == visual.pose:
             item = replace(item, collision="same")
         elif len(own) > 1 and len({c.name for c in own}) == 1:
-            # Only what stands for a scan has one name together: it is made anew of the mended one.
+            # Several shapes of one name stand for a scan; they are made anew from the repaired mesh.
             item = replace(item, collision=SIMPLIFIED)
         elif own:
             meshes = [_mended(loader, c.shape, matrix @ matrix_from_pose(c.pose), None) for c in own]
@@ -210,7 +210,7 @@ def _objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Sequence[Imp
 
 
 def _mended(loader: MeshLoader, shape: Shape, matrix: F64, textures: _Textures | None) -> Mesh:
-    """Returns a shape in the mended world, without the faults of its faces."""
+    """Returns a shape in the repaired scene, without degenerate or inverted triangles."""
     mesh = loader.shape(shape)
     vertices, triangles = mesh.merged()
     faults = find_faults(vertices, triangles)
@@ -227,7 +227,7 @@ def _mended(loader: MeshLoader, shape: Shape, matrix: F64, textures: _Textures |
 
 
 def _turned(part: MeshPart, inverted: NDArray[np.bool_]) -> MeshPart:
-    """Returns a part with some of its triangles turned round, and the normals of their corners with them."""
+    """Returns a part with the winding and the normals of some triangles inverted."""
     if not inverted.any():
         return part
     keep, turn = some_triangles(part, ~inverted), some_triangles(part, inverted)
@@ -244,7 +244,7 @@ def _turned(part: MeshPart, inverted: NDArray[np.bool_]) -> MeshPart:
 
 
 class _Textures:
-    """Reads the images of materials at last, one by one, and makes them small enough."""
+    """Decodes the textures of materials one by one and scales them down to a limit."""
 
     def __init__(self, longest: int) -> None:
         self._longest = longest

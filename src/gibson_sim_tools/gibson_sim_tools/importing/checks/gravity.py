@@ -1,4 +1,4 @@
-"""Where up is in a scene, how sure that is, and whether it is in metres."""
+"""Estimates the up direction and the unit of a scene, and how sure the estimate is."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.formats.mesh import UpAxis
 from gibson_sim.geometry.level import level_direction
 from gibson_sim.geometry.patches import Patches, flat_patches
-from gibson_sim.geometry.upright import CUES, Candidate, find_candidates
+from gibson_sim.geometry.upright import CUES, UpCandidate, find_candidates
 from gibson_sim.quoting import quoted
 from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 ALIGNED_DEG = 0.5
-"""A floor that is less out of level than this counts as level, degrees."""
+"""Tilt below which a floor counts as level, degrees."""
 ON_ITS_SIDE_DEG = 15.0
-"""What is more out of level lies on its side or is turned, degrees."""
+"""Tilt above which a scene lies on its side, degrees."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "km": 1000.0}
 """Metres per unit, by name."""
 _SURE = 0.9
-"""Chance from which a direction is taken for up."""
+"""Probability from which a direction counts as up."""
 _AGREE = 2
-"""Cues that must say which end is up."""
+"""Least number of cues that must agree on the sign of up."""
 _NOISE = {"facing": 0.1, "clutter": 0.02, "bounds": 0.05, "outside": 0.1}
-"""Of these cues: less says nothing."""
+"""Noise of each cue: smaller values count as zero."""
 _UPRIGHT_DEG = 2.0
-"""What is this near to the scene's z is up unless another direction surely is."""
+"""Angle to z within which a direction is up unless another one surely is, degrees."""
 _LIKELY, _LIKELY_TOLD = 0.25, 0.003
-"""So much as likely as the likeliest direction z must be to pass for up; where the format says that it is, the lesser one."""
+"""Least probability of z, relative to the likeliest direction, for z to count as up: in general, and if the format says that z is up."""
 _TILTED = ((5.0, 30.0), (ON_ITS_SIDE_DEG, 4.5))
-"""Angle to z, degrees, and odds for a direction within it: scans are held nearly upright more often than not."""
+"""(angle to z in degrees, prior odds of a direction within it): most scans are nearly upright."""
 _TURNED_ODDS = 30.0
-"""Odds for z of a mesh that a pose turned, and for its z before."""
+"""Prior odds for the z axis of a rotated mesh, and for its z axis before the rotation."""
 _ALONG_DEG, _ALONG_ODDS = 2.0, 2.5
-"""The same for directions along x or y: files differ in which axis is up."""
+"""Tolerance, degrees, and prior odds of directions along x or y: files differ in their up axis."""
 _ALONE, _ROOMY = 0.65, 0.2
-"""Of the whole surface, of its columns: where more lies one way and fewer end at a floor and a ceiling, a wall is as likely as a floor."""
+"""Fraction of the surface with one orientation, and of the columns between a floor and a ceiling: beyond both, the surface may be a wall."""
 _NEAR_GIVEN_DEG = 10.0
-"""What is level this near to a direction that somebody gave decides the rest."""
+"""Search range around a given up direction, degrees."""
 _SHOWN = 3
 _LOW, _HIGH = 1.2, 25.0
 _STOREY = 2.8
@@ -56,14 +56,14 @@ _AXES: dict[str, Vec3] = {
 
 @dataclass(frozen=True, slots=True)
 class UpGuess:
-    """Which way is up in a mesh whose z is meant to be."""
+    """Estimate of the up direction in the frame of a mesh, whose z should be up."""
 
     up: Vec3
-    """Unit vector, frame of the mesh: across its floors. z where that is not clear."""
+    """Unit normal of the floors, frame of the mesh; z if that is not clear."""
     sure: bool
-    """Whether ``up`` may be relied on; if not, a person must choose among ``others``."""
+    """Whether ``up`` is reliable; if not, the user must choose among ``others``."""
     others: tuple[Vec3, ...] = ()
-    """Directions that may be up as well, the likeliest first; where ``up`` is not sure."""
+    """Candidates for up, the likeliest first; empty if ``up`` is sure."""
 
     @property
     def tilt_deg(self) -> float:
@@ -72,24 +72,23 @@ class UpGuess:
 
     @property
     def axis(self) -> UpAxis:
-        """The axis of the mesh nearest to ``up`` or to its opposite."""
+        """The axis of the mesh nearest to ``up`` or its opposite."""
         names: tuple[UpAxis, ...] = ("x", "y", "z")
         return names[int(np.abs(self.up).argmax())]
 
 
 def guess_up(vertices: F64, triangles: NDArray[np.integer], former: Vec3 | None = None, told: bool = False) -> UpGuess:
-    """Returns which way is up, and whether that is sure.
+    """Estimates the up direction of a mesh.
 
-    All directions are looked at. A mesh that is upright already stays so unless another direction is much likelier; one that is a little
-    tilted needs less evidence than one that lies on its side or is turned anyhow. Where evidence is weak, as in an empty room, nothing is
-    said to be sure.
+    All directions are candidates. A mesh that is upright stays so unless another direction is much likelier; a small tilt needs less
+    evidence than a mesh on its side or in an arbitrary orientation. With weak evidence, as in an empty room, the estimate is not sure.
 
     Args:
         vertices: (V, 3).
         triangles: (F, 3).
-        former: where z of the mesh pointed before a pose turned it, unit vector; None = it was not turned. Whoever turned it may have
-            taken a wall for the floor, and so its z is good evidence, but no more than that.
-        told: whether somebody, or the format of the file, says that z is up; formats of scans do not.
+        former: direction of the mesh's z before a pose rotated it, unit vector; None = not rotated. The rotation may have mistaken
+            a wall for the floor, so the new z is evidence and no proof.
+        told: the user, or the file format, says that z is up; formats of scans do not.
     """
     patches = _patches(vertices, triangles)
     found = [] if patches is None else find_candidates(patches)
@@ -99,7 +98,7 @@ def guess_up(vertices: F64, triangles: NDArray[np.integer], former: Vec3 | None 
     return guess if former is None or (guess.sure and guess.tilt_deg > _UPRIGHT_DEG) else _guess_turned(found, former)
 
 
-def _guess(found: Sequence[Candidate], told: bool) -> UpGuess:
+def _guess(found: Sequence[UpCandidate], told: bool) -> UpGuess:
     best = found[0]
     upright = max(found, key=lambda c: c.up[2])
     tilt = _degrees(upright.up[2])
@@ -117,8 +116,8 @@ def _guess(found: Sequence[Candidate], told: bool) -> UpGuess:
     return UpGuess(upright.up, True) if stays else _unclear(found)
 
 
-def _guess_turned(found: Sequence[Candidate], former: Vec3) -> UpGuess:
-    """Returns which way is up in a mesh that a pose turned: z, the former z, or what surely is."""
+def _guess_turned(found: Sequence[UpCandidate], former: Vec3) -> UpGuess:
+    """Returns the up direction of a mesh that a pose rotated: z, the former z, or a direction that surely is."""
     oblique = max(abs(c) for c in former) < math.cos(math.radians(_ALONG_DEG))
     weights = []
     for candidate in found:
@@ -130,7 +129,7 @@ def _guess_turned(found: Sequence[Candidate], former: Vec3) -> UpGuess:
     return UpGuess(found[k].up, True) if weights[k] >= _SURE * sum(weights) and (likely or _agree(found[k])) else _unclear(found)
 
 
-def _unclear(found: Sequence[Candidate]) -> UpGuess:
+def _unclear(found: Sequence[UpCandidate]) -> UpGuess:
     return UpGuess((0.0, 0.0, 1.0), False, tuple(c.up for c in found[:_SHOWN]))
 
 
@@ -138,30 +137,30 @@ def _degrees(cosine: float) -> float:
     return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
 
-def _chance(candidate: Candidate, odds: float) -> float:
-    """Returns the chance of a direction, ``odds`` being what speaks for it beforehand."""
+def _chance(candidate: UpCandidate, odds: float) -> float:
+    """Returns the posterior probability of a direction with prior ``odds``."""
     return candidate.chance * odds / (candidate.chance * odds + 1.0 - candidate.chance)
 
 
-def _agree(candidate: Candidate) -> bool:
-    """Returns whether several cues say that this end is up, and none that the other one is."""
+def _agree(candidate: UpCandidate) -> bool:
+    """Returns whether several cues say that this end is up, and none says the opposite."""
     says = dict(zip(CUES, candidate.cues, strict=True))
     loud = [says[name] > 0 for name, noise in _NOISE.items() if abs(says[name]) > noise]
     return all(loud) and len(loud) >= _AGREE
 
 
-def _one_sided(candidate: Candidate) -> bool:
-    """Returns whether there is little but one surface and what is on it: a floor without walls, or a wall with shelves and pictures."""
+def _one_sided(candidate: UpCandidate) -> bool:
+    """Returns whether the mesh is little more than one surface: a floor without walls, or a wall with shelves and pictures."""
     return candidate.area > _ALONE and candidate.cues[CUES.index("gaps")] < _ROOMY
 
 
 def level_near(vertices: F64, triangles: NDArray[np.integer], up: Sequence[float]) -> Vec3:
-    """Returns the direction, unit length, across what is level near a direction that is known to be about up; that one where nothing is.
+    """Returns the normal, unit length, of the level surfaces near an approximate up direction; that direction if there are none.
 
     Args:
         vertices: (V, 3).
         triangles: (F, 3).
-        up: not zero; frame of the mesh.
+        up: approximate up direction, not zero, frame of the mesh.
     """
     given = np.asarray(up, dtype=np.float64)
     given = given / np.linalg.norm(given)
@@ -198,7 +197,7 @@ def direction(text: str, option: str = "--up") -> Vec3:
 
 
 def direction_text(up: Sequence[float]) -> str:
-    """Returns a direction as ``direction`` reads it."""
+    """Returns a direction in the form that ``direction`` reads."""
     for name, axis in _AXES.items():
         if math.dist(axis, up) < 1e-3:
             return name
@@ -218,9 +217,9 @@ def rotation_to_z(up: Sequence[float]) -> F64:
 
 
 def guess_unit(size: Sequence[float]) -> str:
-    """Returns the unit, a key of ``UNITS``, in which something of this size (x, y, z) is a room or a building; "" = none fits.
+    """Returns the unit, a key of ``UNITS``, in which a scene of this size (x, y, z) is a room or a building; "" = none.
 
-    Metres are given the benefit of the doubt; of others the one in which it is nearest to a storey high.
+    Metres have priority; among other units, the one in which the height is nearest to a storey.
     """
     width, depth, height = (float(c) for c in size)
 

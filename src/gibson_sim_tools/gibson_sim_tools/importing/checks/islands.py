@@ -1,4 +1,4 @@
-"""Pieces of free floor that only a gap in the scan keeps apart."""
+"""Finds pieces of free floor that only a gap in the scan separates."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from gibson_sim.maps.floor_map import FloorMap
 Bools = NDArray[np.bool_]
 
 REACH = 1.0
-"""Unscanned floor this near to scanned floor may be floor, metres."""
+"""Distance to scanned floor within which unscanned cells may be floor, metres."""
 _LEAST = 0.3
-"""Square metres: of smaller pieces nobody needs to know."""
+"""Least area of a reported piece, square metres."""
 
 
 def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
-    """Returns the areas, m^2, of the pieces of free floor that would hang together if what was not scanned between them were floor.
+    """Returns the areas, m^2, of the pieces of free floor that would be connected if the unscanned cells between them were floor.
 
     Args:
         floor: map of the floor.
-        radius: of the robot that stands and drives there, metres.
+        radius: of the robot, metres.
 
     Returns:
-        The largest piece first, then those that gaps cut off from it; empty where nothing is cut off so.
+        The largest piece first, then the pieces that gaps separate from it; empty if there are none.
     """
     places = floor.inflate(radius)
     labels, count = ndimage.label(places)

@@ -1,4 +1,4 @@
-"""Unpacks archives that strangers made: bounded in size, number and depth, and never outside the folder."""
+"""Unpacks untrusted archives: bounded in size, number of files and depth, and never outside the folder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PACKED: dict[bytes, Callable[[IO[bytes]], Any]] = {
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ\0": lzma.LZMAFile,
 }
-"""First bytes of a compressed file, and what unpacks it."""
+"""First bytes of a compressed file -> its decompressor."""
 _ERRORS = (
     zipfile.BadZipFile,
     tarfile.TarError,
@@ -41,13 +41,13 @@ _ERRORS = (
 
 @dataclass(frozen=True, slots=True)
 class ArchiveLimits:
-    """What may come out of an archive."""
+    """Limits on the content of an archive."""
 
     bytes: int = 20 * 2**30
-    """Of all files together."""
+    """Total size of all files."""
     files: int = 100_000
     ratio: int = 200
-    """Times its packed size, once more than ``free`` bytes have come out."""
+    """Largest ratio of unpacked to packed size, once more than ``free`` bytes are unpacked."""
     free: int = 64 * 2**20
 
 
@@ -55,9 +55,9 @@ class ArchiveLimits:
 class _Entry:
     name: str
     size: int
-    """As the archive says."""
+    """Size according to the archive."""
     special: str
-    """What it is, if it is neither file nor folder."""
+    """Kind of an entry that is neither file nor folder."""
     is_folder: bool
 
 
@@ -66,11 +66,11 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
 
     Args:
         archive: the file.
-        folder: where its content goes; what was written stays there when it fails.
-        limits: None = the usual ones.
+        folder: destination; it keeps what was written before a failure.
+        limits: None = the defaults.
 
     Raises:
-        SceneError: it is broken, too large, or holds names that leave the folder, links or devices; nothing of these is written.
+        SceneError: it is broken, too large, or holds links, devices, or names that leave the folder; none of these is written.
     """
     bounds = limits or ArchiveLimits()
     try:
@@ -88,7 +88,7 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
                 with _content(source, entry.name) as content, target.open("xb") as out:
                     while block := content.read(_BLOCK):
                         total += len(block)
-                        # What the archive says of its sizes may be a lie.
+                        # The sizes in the archive may be false.
                         _check_total(archive, total, packed, bounds)
                         out.write(block)
     except SceneError:
@@ -100,9 +100,9 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
 
 
 class _Bounded:
-    """A stream of which nothing is read that is much larger than a header of a TAR may be, and no longer than a TAR may be.
+    """A stream that refuses reads larger than a TAR header may be, and ends where a TAR must end.
 
-    tarfile reads a header of names and comments whole, and what lies between two files as well, before it says that there is one.
+    tarfile reads a header of names and comments as a whole, and all data between two files, before it yields an entry.
     """
 
     def __init__(self, archive: Path, stream: IO[bytes], packed: int, limits: ArchiveLimits) -> None:
@@ -156,7 +156,7 @@ def _checked(archive: Path, entries: Iterable[_Entry], packed: int, limits: Arch
     names: set[str] = set()
     total = 0
     for entry in entries:
-        # Of a compressed TAR the next header lies behind this content, which so is never read where it is too long.
+        # In a compressed TAR the next header follows this content, so content that is too long is never read.
         total += entry.size
         _check_total(archive, total, packed, limits)
         path = PurePosixPath(entry.name)
@@ -200,13 +200,13 @@ def _content(source: zipfile.ZipFile | tarfile.TarFile, name: str) -> IO[bytes]:
 
 
 def only_folder(folder: Path) -> Path:
-    """Returns the folder itself, or the one that alone lies in it."""
+    """Returns the only folder in a folder that holds nothing else; otherwise the folder itself."""
     entries = [entry for entry in folder.iterdir() if not entry.name.startswith((".", "__MACOSX"))]
     return only_folder(entries[0]) if len(entries) == 1 and entries[0].is_dir() else folder
 
 
 def needs_space(folder: Path, bytes_: int) -> None:
-    """Checks that a disk has room.
+    """Checks that a disk has enough space.
 
     Raises:
         SceneError: it has not.

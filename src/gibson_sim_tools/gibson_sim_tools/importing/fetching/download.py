@@ -1,4 +1,4 @@
-"""Downloads files whose size and checksum are known, goes on where it was cut off, and keeps nothing that is not right."""
+"""Downloads files of known size and checksum, resumes interrupted downloads, and keeps no file that fails its check."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from gibson_sim import __version__
 from gibson_sim.errors import SceneError
 
 Progress = Callable[[int], None]
-"""Told how many bytes have come."""
+"""Receives the number of bytes downloaded so far."""
 _BLOCK = 1 << 18
 _TIMEOUT_S = 30.0
 _PARTIAL = 206
 
 
 def download(url: str, path: Path, sha256: str, size: int, progress: Progress) -> None:
-    """Downloads a file, unless it is there already.
+    """Downloads a file, unless it exists.
 
-    What came of it before the connection broke is kept beside it as ``.part``; the next call goes on from there.
+    An interrupted download is kept beside it as ``.part``; the next call resumes it.
 
     Args:
-        url: where it is.
-        path: where it goes; its folder is made.
-        sha256: of its content.
-        size: bytes; more are not taken.
-        progress: told as they come, those that were there already too.
+        url: source.
+        path: destination; its folder is made.
+        sha256: checksum of the content.
+        size: bytes; more are refused.
+        progress: called with the bytes so far, including resumed ones.
 
     Raises:
-        SceneError: it cannot be had, or is another file than it should be.
+        SceneError: the download fails, or the file is not the expected one.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_file() and digest(path) == sha256:

@@ -1,4 +1,4 @@
-"""Gets a public scene from its origin, as a recipe says, and imports it."""
+"""Downloads a public scene from its origin according to a recipe, and imports it."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from gibson_sim.writing import write_file
 from gibson_sim_tools.importing.fetching.archives import needs_space, only_folder, unpack
 from gibson_sim_tools.importing.fetching.download import download
 from gibson_sim_tools.importing.fetching.recipes import Recipe
-from gibson_sim_tools.importing.run import Choices, Imported, import_scene
+from gibson_sim_tools.importing.run import ImportOptions, ImportResult, import_scene
 
 _SPACE = 3
-"""Times the size of the download: itself, unpacked, and imported."""
+"""Disk space needed over the size of the download: packed, unpacked and imported."""
 
 
 def download_folder(name: str) -> Path:
-    """Returns where the files of a scene are kept while it is not imported yet."""
+    """Returns the cache folder for the downloaded files of a scene."""
     return cache_folder("downloads") / name
 
 
-def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None]) -> Imported:
+def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None]) -> ImportResult:
     """Downloads, checks, unpacks and imports a scene.
 
-    Downloads are kept in the cache until the scene is imported, so that a second call goes on where the first one stopped.
+    Downloads are kept in the cache until the scene is imported, so that a second call resumes the first.
 
     Args:
         recipe: of the scene, whose licence the user has accepted.
         output: new folder.
-        progress: told how much of the download is done, 0 to 1.
+        progress: called with the fraction of the download that is done, 0 to 1.
 
     Raises:
-        SceneError: a file cannot be had, is not the right one, or the scene cannot be imported.
+        SceneError: a download fails, a file is not the expected one, or the scene cannot be imported.
     """
     if output.exists() and any(output.iterdir()):
         raise SceneError(f"{output}: is there already and not empty; give another folder with --output, or delete it first")
@@ -42,19 +42,19 @@ def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None])
     needs_space(cache, _SPACE * recipe.bytes)
     done = 0
 
-    def told(count: int) -> None:
+    def report(count: int) -> None:
         nonlocal done
         done += count
         progress(min(done / max(recipe.bytes, 1), 1.0))
 
     for file in recipe.files:
-        download(file.url, cache / "files" / file.path, file.sha256, file.bytes, told)
+        download(file.url, cache / "files" / file.path, file.sha256, file.bytes, report)
     source = cache / "files"
     if recipe.unpack:
         shutil.rmtree(cache / "unpacked", ignore_errors=True)
         unpack(source / recipe.files[0].path, cache / "unpacked")
         source = only_folder(cache / "unpacked")
-    imported = import_scene(source / recipe.scene if recipe.scene else source, output, Choices(name=recipe.name))
+    imported = import_scene(source / recipe.scene if recipe.scene else source, output, ImportOptions(name=recipe.name))
     write_file(output / "ORIGIN.txt", recipe.text() + "\n")
     shutil.rmtree(cache, ignore_errors=True)
     return imported

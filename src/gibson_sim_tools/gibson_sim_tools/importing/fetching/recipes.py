@@ -1,4 +1,4 @@
-"""Recipes of public scenes: where they come from, what is allowed, and the checksum of every file."""
+"""Recipes of public scenes: origin, licence, and the checksum of every file."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RecipeFile:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How to get a scene."""
+    """Origin, licence and files of a public scene."""
 
     name: str
     title: str
@@ -56,31 +56,31 @@ class Recipe:
     licence: str
     licence_url: str
     credit: str
-    """What its licence wants to be said; empty = nothing."""
+    """Attribution that the licence requires; empty = none."""
     files: tuple[RecipeFile, ...]
     unpack: bool
-    """The one file is an archive."""
+    """The only file is an archive."""
     scene: str
-    """What to import: a path below the folder; empty = the folder."""
+    """Path of the scene below the folder; empty = the folder."""
     note: str
 
     @property
     def bytes(self) -> int:
-        """Of all files."""
+        """Total size of all files."""
         return sum(file.bytes for file in self.files)
 
     def text(self) -> str:
-        """Returns what the user must know before."""
+        """Returns what the user must know before the download."""
         lines = [
             ("scene", f"{self.name}: {self.title}"), ("made by", self.made_by), ("from", self.homepage),
-            ("licence", f"{self.licence} ({self.licence_url})"), ("credit", self.credit or "none is asked for"),
+            ("licence", f"{self.licence} ({self.licence_url})"), ("credit", self.credit or "none required"),
             ("size", f"{self.bytes / 1e6:.1f} MB in {len(self.files)} files"), *([("note", self.note)] if self.note else []),
         ]  # fmt: skip
         return "\n".join(f"{name:>8}  {value}" for name, value in lines)
 
 
 def known_recipes() -> dict[str, Path]:
-    """Returns the file of every recipe, by name."""
+    """Returns the recipe files by name."""
     found: dict[str, Path] = {}
     for share in share_folders():
         for path in sorted((share / "config" / FOLDER).glob("*.yaml")):

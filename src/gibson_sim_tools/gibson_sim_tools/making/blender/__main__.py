@@ -24,11 +24,11 @@ from gibson_sim_tools.making.building_file import Quality, read_plan
 from gibson_sim_tools.making.pixels import hidden, mirrored
 
 _COLOR_COST = 4.0
-"""Samples of light that take as long as the colours."""
+"""Cost of the colour pass, in samples of light."""
 
 
 def main() -> None:
-    """Does what is not done yet."""
+    """Builds and bakes what is unfinished."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("plan", type=Path)
     parser.add_argument("work", type=Path)
@@ -60,7 +60,7 @@ def _make(plan: Path, work: Path) -> None:
 
 
 def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], work: Path) -> None:
-    # The last atlas has the smallest charts, in which the denoiser has least to go by.
+    # The last atlas has the smallest charts, where the denoiser has the fewest pixels.
     factors = np.linspace(1.0, 2.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
     costs = [_COLOR_COST if what == "color" else quality.samples * factors[k] for k, what in wanted]
     done = 0.0
@@ -70,7 +70,7 @@ def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], wor
         image = stage.color(atlas, size_px) if what == "color" else stage.light(atlas, size_px // 2, float(factors[atlas]))
         covered = image[..., 3] > 0.5
         if what == "light":
-            # What lies within something else is dark, which must not bleed onto what is seen beside it.
+            # Texels inside other geometry are dark and must not bleed onto visible ones.
             covered &= ~hidden(stage.openness(atlas, size_px // 2), covered)
             image[..., :3] = denoised(mirrored(image[..., :3], covered))
         part = work / f"{what}_{atlas}.part.npy"
@@ -80,7 +80,7 @@ def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], wor
 
 
 def _mirrors(assembly: Assembly, quality: Quality, path: Path) -> None:
-    """Writes what every mirror shows, beside its atlas and the place of its corners there."""
+    """Writes the reflection of every mirror, its atlas and its corners there."""
     _tell("mirrors", 0.98)
     rows: dict[str, Any] = {}
     for number, mirror in enumerate(mirrors_of(assembly)):

@@ -1,4 +1,4 @@
-"""Puts a building together: one table of triangles with their looks and places in the atlases. NumPy only."""
+"""Assembles a building: one table of triangles with materials and atlas coordinates. NumPy only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim_tools.making.blender.charts import chart_extents, place_charts, 
 from gibson_sim_tools.making.blender.furniture.catalogue import build_piece
 from gibson_sim_tools.making.blender.looks import UNTEXTURED
 from gibson_sim_tools.making.blender.shapes import F64, I64, placed
-from gibson_sim_tools.making.blender.shell import Thing, build_shell
+from gibson_sim_tools.making.blender.shell import ShellObject, build_shell
 from gibson_sim_tools.making.building import Building
 from gibson_sim_tools.making.catalogue import CATALOGUE
 
@@ -27,21 +27,21 @@ class Assembly:
     names: list[str]
     classes: list[str]
     exported: list[bool]
-    """Of each object."""
+    """Whether each object is in the scene."""
     patterns: list[str]
-    """Names of patterns, by number."""
+    """Pattern names."""
     corners: F64
     """(F, 3, 3): positions of the corners, world, metres."""
     owner: I64
-    """(F,): number of the object."""
+    """(F,): index of the object."""
     pattern: I64
-    """(F,): number of the pattern."""
+    """(F,): index of the pattern."""
     tint: F64
     """(F, 3): sRGB."""
     place: F64
-    """(F, 3, 3): coordinates for the pattern."""
+    """(F, 3, 3): pattern coordinates."""
     atlas: I64
-    """(F,): number of the atlas, or ``NO_ATLAS``."""
+    """(F,): index of the atlas, or ``NO_ATLAS``."""
     uv: F64
     """(F, 3, 2): 0 to 1, from the lower left of the atlas."""
     boxes: F64
@@ -49,12 +49,12 @@ class Assembly:
     box_owner: I64
     """(B,)."""
     charts: F64
-    """(C, 5): number of the atlas, low corner and size of each chart, pixels."""
+    """(C, 5): index of the atlas, low corner and size of each chart, pixels."""
     density: float
     """Pixels per metre."""
 
     def save(self, path: Path) -> None:
-        """Writes everything but the coordinates for patterns, for whoever has no Blender."""
+        """Writes everything but the pattern coordinates, for a process without Blender."""
         np.savez_compressed(
             path, names=self.names, classes=self.classes, exported=self.exported, corners=self.corners.astype(np.float32),
             owner=self.owner, tint=self.tint.astype(np.float32), atlas=self.atlas, uv=self.uv.astype(np.float32),
@@ -62,24 +62,24 @@ class Assembly:
         )  # fmt: skip
 
 
-def things_of(building: Building) -> list[Thing]:
-    """Returns shell and furniture, in world coordinates."""
+def things_of(building: Building) -> list[ShellObject]:
+    """Returns the objects of shell and furniture, in world coordinates."""
     things = build_shell(building)
     for piece in building.pieces:
         solid = build_piece(piece.kind, piece.size, piece.seed, building.seed)
         matrix = placed(piece.position, piece.yaw)
         solid.turned(0, matrix)
         solid.boxes = [_turned_box(matrix, low, high) for low, high in solid.boxes]
-        things.append(Thing(piece.name, CATALOGUE[piece.kind].semantic_class, solid))
+        things.append(ShellObject(piece.name, CATALOGUE[piece.kind].semantic_class, solid))
     for body in building.bodies:
         shadow = caster(body)
         if shadow is not None:
-            things.append(Thing(f"shadow_{body.name}", "", shadow, exported=False))
+            things.append(ShellObject(f"shadow_{body.name}", "", shadow, exported=False))
     return things
 
 
 def _turned_box(matrix: F64, low: F64, high: F64) -> tuple[F64, F64]:
-    """Returns the box along the axes around a turned one."""
+    """Returns the axis-aligned bounding box of a rotated box."""
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     moved = corners @ matrix[:3, :3].T + matrix[:3, 3]
     return moved.min(axis=0), moved.max(axis=0)

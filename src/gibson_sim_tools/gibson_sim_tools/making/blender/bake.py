@@ -1,4 +1,4 @@
-"""Bakes a building with Cycles: of each atlas the colours, and the light at half the density."""
+"""Bakes the atlases of a building with Cycles: colours, and light at half the density."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from gibson_sim_tools.making.building import Building, Lamp, Opening, Room, Stor
 F32 = NDArray[np.float32]
 _COLOR_SAMPLES, _OPENNESS_SAMPLES = 3, 4
 _NEAR_M = 0.02
-"""Something nearer than this hides a surface."""
+"""Distance within which geometry hides a surface, metres."""
 _SKY = (0.80, 0.90, 1.0)
 _SKY_WATTS = 2.6
-"""Power of the sky for each square metre of floor, where its strength is 1: rooms are lit alike, as eyes and cameras see them."""
+"""Power of the sky per square metre of floor at strength 1, so that rooms are equally bright, as eyes and cameras see them."""
 _SUN, _LAMPS = 3.4, 0.3
-"""Factors of the strengths in the plan."""
+"""Factors of sun and lamps, relative to the plan."""
 _FILL_WATTS = 0.35
-"""Power of the light from everywhere under the ceiling of a room, for each square metre."""
+"""Power of the fill light under the ceiling of a room, per square metre."""
 _NO_WINDOWS = 4.5
-"""Factor on it in rooms without windows."""
+"""Factor of the fill light in rooms without windows."""
 _SMOOTH = np.radians(42.0)
 
 
 class Stage:
-    """A building as a scene of Blender. There can be one at a time, since Blender is one."""
+    """A building as a Blender scene. Blender is a global state, so there is one at a time."""
 
     def __init__(self, building: Building, assembly: Assembly, samples: int) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -49,7 +49,7 @@ class Stage:
         self._lights(building)
 
     def color(self, atlas: int, size_px: int) -> F32:
-        """Returns (H, W, 4): linear colours, row 0 at the bottom; the last channel is 1 where there is a surface."""
+        """Returns (H, W, 4): linear colours, row 0 at the bottom; the last channel is 1 on surfaces."""
         return self._bake(atlas, size_px, {"COLOR"}, _COLOR_SAMPLES)
 
     def light(self, atlas: int, size_px: int, factor: float = 1.0) -> F32:
@@ -57,7 +57,7 @@ class Stage:
         return self._bake(atlas, size_px, {"DIRECT", "INDIRECT"}, round(self._samples * factor))
 
     def openness(self, atlas: int, size_px: int) -> F32:
-        """Returns (H, W): the part of the directions in which there is nothing near; row 0 at the bottom."""
+        """Returns (H, W): fraction of directions without near geometry (ambient occlusion); row 0 at the bottom."""
         self._scene.world.light_settings.distance = _NEAR_M
         return self._bake(atlas, size_px, None, _OPENNESS_SAMPLES)[..., 0]
 
@@ -89,13 +89,13 @@ class Stage:
             if len(chosen):
                 self._objects[atlas] = self._object(assembly, chosen, "rest" if atlas == NO_ATLAS else f"atlas_{atlas}")
         if glow.any():
-            # What shines is a picture of a lamp: its light comes from the lamp itself, which it must not hide.
+            # Glowing surfaces only depict lamps: the light comes from light sources, which they must not occlude.
             shining = self._object(assembly, np.flatnonzero(glow), "glow")
             shining.visible_shadow = shining.visible_diffuse = False
 
     def _object(self, assembly: Assembly, chosen: I64, name: str) -> Any:
         corners = assembly.corners[chosen].reshape(-1, 3)
-        # Corners that lie together and belong to one object are one point, so that surfaces are shaded smoothly.
+        # Coincident corners of one object are merged, so that surfaces are shaded smoothly.
         keys = np.column_stack([np.round(corners, 5), np.repeat(assembly.owner[chosen], 3)])
         _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         triangles = np.asarray(index).reshape(-1, 3)
@@ -145,7 +145,7 @@ class Stage:
         return made
 
     def _room(self, room: Room, storey: Storey, sky: float) -> None:
-        """Puts a light of the sky into every window of a room, and a weak one under its ceiling."""
+        """Adds a sky light in every window of a room, and a fill light under its ceiling."""
         corners = np.asarray(room.corners, dtype=float)
         x, y = corners.T
         area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
@@ -159,7 +159,7 @@ class Stage:
         light.location = (*((low + high) / 2), storey.floor_z + storey.height - 0.15)
 
     def _window(self, wall: Wall, opening: Opening, floor_z: float, watts: float) -> None:
-        """Puts a light at the outer face of the wall."""
+        """Adds a light at the outer face of a window."""
         u = np.subtract(wall.end, wall.start) / np.linalg.norm(np.subtract(wall.end, wall.start))
         inward = np.array([-u[1], u[0]]) * (1.0 if wall.left else -1.0)
         light = self._light("AREA", watts, _SKY)
@@ -183,6 +183,6 @@ class Stage:
 
 
 def _of_temperature(kelvin: float) -> tuple[float, float, float]:
-    """Returns the colour of a lamp to eyes, and cameras, that are half used to it."""
+    """Returns the colour of a lamp for eyes and cameras that are half adapted to it."""
     warm = np.clip((6500.0 - kelvin) / 4000.0, -0.5, 1.0)
     return (1.0, float(1.0 - 0.24 * warm), float(1.0 - 0.55 * warm))

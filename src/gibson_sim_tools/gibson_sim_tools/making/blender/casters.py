@@ -1,10 +1,10 @@
-"""What moves but mostly stays where it is: it throws its shadow in the bake, as boxes, and is not part of it. NumPy only."""
+"""Boxes that cast the shadows of large movable bodies in the bake, without being part of it. NumPy only."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.shapes import Solid, Surface, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, placed
 from gibson_sim_tools.making.building import Body
 
 _Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -21,15 +21,15 @@ _CASTERS: dict[str, tuple[_Box, ...]] = {
     "bin_waste": (((-0.1, -0.1, 0.0), (0.1, 0.1, 0.32)),),
     "ball": (((-0.06, -0.06, 0.02), (0.06, 0.06, 0.2)),),
 }
-"""Of models of ``scenes/objects``: low and high corners, metres."""
+"""Boxes of models of ``scenes/objects``: low and high corners, metres."""
 
 
-def caster(body: Body) -> Solid | None:
-    """Returns what a body throws its shadow with, in the world, or None for small ones."""
+def caster(body: Body) -> ObjectBuilder | None:
+    """Returns the shadow caster of a body, world frame; None for small bodies."""
     boxes = _CASTERS.get(body.model)
     if boxes is None:
         return None
-    solid = Solid(np.random.default_rng(0))
+    solid = ObjectBuilder(np.random.default_rng(0))
     for low, high in boxes:
         solid.box(low, high, Surface("outside", (0.5, 0.5, 0.5)), 0)
     solid.turned(0, placed(body.position, body.yaw))

@@ -1,4 +1,4 @@
-"""Places charts in atlases: which rectangle of which image each gets. NumPy only.
+"""Packs charts into atlases: a rectangle in an image for each. NumPy only.
 
 Sizes are whole pixels. The light is baked at half the density, so rectangles begin at even pixels and keep a border of one pixel of the light.
 """
@@ -14,21 +14,21 @@ from gibson_sim_tools.making.blender.shapes import F64, I64
 
 BORDER_PX = 2
 _SMALLEST_PX = 2.5
-"""Sides of charts are drawn out to this, so that every chart holds the middle of a pixel of the light."""
+"""Least side of a chart, pixels, so that every chart contains the centre of a light pixel."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where charts lie."""
+    """Positions of charts in the atlases."""
 
     atlas: I64
     """(C,)."""
     low_px: F64
     """(C, 2): lower left corner of the chart itself, pixels."""
     size_px: F64
-    """(C, 2): of the chart as it lies, pixels."""
+    """(C, 2): size of the chart in the atlas, pixels."""
     turned: I64
-    """(C,): 1 = lies on its side."""
+    """(C,): 1 = rotated by 90 degrees."""
     density: float
     """Pixels per metre of a chart of importance 1."""
 
@@ -39,12 +39,12 @@ def place_charts(sizes_m: F64, importance: F64, atlases: int, size_px: int, limi
     Args:
         sizes_m: (C, 2), width and height of each chart, metres.
         importance: (C,): factor of the density of each.
-        atlases: how many images there are.
+        atlases: number of images.
         size_px: edge of each.
-        limit: density that is enough, pixels per metre.
+        limit: greatest density, pixels per metre.
 
     Raises:
-        SceneError: they do not fit, however small.
+        SceneError: they do not fit at any density.
     """
     scaled = sizes_m * importance[:, None]
     turned = (scaled[:, 1] > scaled[:, 0]).astype(np.int64)
@@ -73,7 +73,7 @@ def _shelves(sizes: F64, atlases: int, size_px: int) -> tuple[I64, F64] | None:
     cells = 2 * np.ceil(sizes / 2).astype(np.int64) + 2 * BORDER_PX
     order = np.lexsort((-cells[:, 0], -cells[:, 1]))
     atlas, corner = np.zeros(len(sizes), dtype=np.int64), np.zeros((len(sizes), 2))
-    shelves: list[list[int]] = []  # atlas, y, height, x that is free
+    shelves: list[list[int]] = []  # atlas, y, height, free x
     top = [0] * atlases
     open_from = 0
     for k in order:
@@ -94,7 +94,7 @@ def _shelves(sizes: F64, atlases: int, size_px: int) -> tuple[I64, F64] | None:
 
 
 def place_corners(uv_m: F64, chart: I64, low_m: F64, sizes_m: F64, placement: Placement, size_px: int) -> F64:
-    """Returns (F, 3, 2) texture coordinates, 0 to 1 from the lower left, of corners given in metres within their charts."""
+    """Returns texture coordinates, (F, 3, 2), 0 to 1 from the lower left, of corners in metres within their charts."""
     local = (uv_m - low_m[chart][:, None]) / np.maximum(sizes_m[chart][:, None], 1e-9)
     flip = placement.turned[chart] == 1
     local[flip] = np.stack([local[flip][..., 1], 1.0 - local[flip][..., 0]], axis=-1)

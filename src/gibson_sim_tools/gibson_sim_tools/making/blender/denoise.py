@@ -1,4 +1,4 @@
-"""Takes the noise out of baked light with Open Image Denoise, whose library comes with Blender."""
+"""Denoises baked light with Open Image Denoise, whose library comes with Blender."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NAMES = ("libOpenImageDenoise.so*", "libOpenImageDenoise*.dylib", "OpenImageDen
 
 
 def denoised(image: F32) -> F32:
-    """Returns an image (H, W, 3) of linear light without noise; as it is where the library is missing.
+    """Returns a denoised image (H, W, 3) of linear light; unchanged if the library is missing.
 
     The functions are those of https://www.openimagedenoise.org/documentation.html (C99 API).
     """

@@ -1,4 +1,4 @@
-"""What the names of materials mean: a pattern and a colour. NumPy only; ``materials`` makes the patterns."""
+"""Maps material names to a pattern and a colour. NumPy only; ``materials`` makes the patterns."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ LOOKS: dict[str, tuple[str, Tint]] = {
     "soil": ("concrete", (0.16, 0.11, 0.08)),
     "screen": ("screen", (0.05, 0.052, 0.058)),
     "cardboard": ("cardboard", (0.70, 0.55, 0.38)),
-    # Of pieces alone
+    # Furniture only
     "rug": ("rug", (0.70, 0.62, 0.52)),
     "art": ("art", (0.80, 0.72, 0.60)),
     "linen": ("fabric", (0.90, 0.89, 0.86)),
@@ -70,17 +70,17 @@ LOOKS: dict[str, tuple[str, Tint]] = {
 }
 _PRINTED_HUES = (0.0, 0.02, 0.05, 0.08, 0.11, 0.13, 0.3, 0.42, 0.52, 0.57, 0.6, 0.62)
 UNTEXTURED = ("glass", "glow")
-"""Patterns that are drawn in one colour, without a place in an atlas."""
+"""Patterns of one colour, without a place in an atlas."""
 
 
 def look(name: str, tint: Tint | None = None, importance: float = 1.0) -> Surface:
-    """Returns the surface of a named material, in its own colour or in another, sRGB."""
+    """Returns the surface of a named material, in its own colour or in ``tint``, sRGB."""
     pattern, color = LOOKS[name]
     return Surface(pattern, tint or color, importance)
 
 
 def varied(color: Tint, rng: np.random.Generator, amount: float = 0.06) -> Tint:
-    """Returns a colour like this one."""
+    """Returns a random variation of a colour."""
     hue, saturation, value = colorsys.rgb_to_hsv(*color)
     shifts = rng.uniform(-amount, amount, 3)
     return colorsys.hsv_to_rgb((hue + 0.3 * shifts[0]) % 1.0, _limited(saturation + shifts[1]), _limited(value + shifts[2]))
@@ -89,7 +89,7 @@ def varied(color: Tint, rng: np.random.Generator, amount: float = 0.06) -> Tint:
 def vivid(
     rng: np.random.Generator, saturation: tuple[float, float] = (0.25, 0.7), value: tuple[float, float] = (0.25, 0.85)
 ) -> Tint:
-    """Returns one of the colours that printed things have, within limits."""
+    """Returns a random saturated colour of printed products, within limits."""
     hue = _PRINTED_HUES[int(rng.integers(len(_PRINTED_HUES)))] + rng.uniform(-0.02, 0.02)
     return colorsys.hsv_to_rgb(hue % 1.0, rng.uniform(*saturation), rng.uniform(*value))
 

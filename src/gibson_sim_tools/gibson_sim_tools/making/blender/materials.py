@@ -1,4 +1,4 @@
-"""Patterns as materials of Cycles: each takes the colour ``tint`` and the coordinates ``place``, metres, x along the grain or the wall, y up it."""
+"""Patterns as Cycles materials. Each reads the attributes ``tint`` (colour) and ``place`` (metres; x along the grain or the wall, y up it)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _GLOW = 6.0
 
 
 def make_material(pattern: str) -> tuple[Any, Any]:
-    """Returns the material of a pattern and its node that names the image to bake into."""
+    """Returns the material of a pattern and its image node, the target of the bake."""
     material = bpy.data.materials.new(pattern)
     material.use_nodes = True
     graph = Graph(material)
@@ -24,7 +24,7 @@ def make_material(pattern: str) -> tuple[Any, Any]:
 
 
 def _speckled(g: Graph, color: Socket, scale: float, amount: float, detail: float = 2.0) -> Socket:
-    """Makes a colour uneven."""
+    """Adds speckles to a colour."""
     return g.times(color, g.between(g.noise(g.place, scale, detail), 0.25, 0.75, 1 - amount, 1 + amount))
 
 
@@ -33,7 +33,7 @@ def _plain(g: Graph) -> Socket:
 
 
 def _screen(g: Graph) -> Socket:
-    """Black glass, with a trace of the room in it."""
+    """Black glass with a faint reflection of the room."""
     x, y, _ = g.parts(g.place)
     sheen = g.noise(g.vector(g.math("MULTIPLY", g.math("ADD", x, y), 0.7), 0.0, 0.0), 1.0, 1.0)
     return g.mix(g.between(sheen, 0.35, 0.7), g.tint, (0.012, 0.013, 0.015))
@@ -72,7 +72,7 @@ def _checker(g: Graph) -> Socket:
 
 
 def _grain(g: Graph, vector: Socket, color: Socket, strength: float = 1.0) -> Socket:
-    """Returns a colour with the grain of wood along x."""
+    """Returns a colour with wood grain along x."""
     rings = g.noise(g.scaled(vector, (0.9, 14.0, 14.0)), 1.0, 3.0, 1.2)
     fibres = g.noise(g.scaled(vector, (6.0, 170.0, 170.0)), 1.0, 2.0)
     first = g.times(color, g.between(rings, 0.3, 0.7, 1 - 0.26 * strength, 1 + 0.16 * strength))

@@ -1,4 +1,4 @@
-"""What mirrors show: the room as it is seen from one place in front of each, where people mostly stand."""
+"""Renders the reflections of mirrors, from one viewpoint in front of each."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from gibson_sim_tools.making.blender.denoise import F32, denoised
 from gibson_sim_tools.making.blender.shapes import F64
 
 _DISTANCE = 1.5
-"""Of the eye from the mirror, metres."""
+"""Distance of the viewpoint from the mirror, metres."""
 _LONG_PX = 384
 _OUTSIDE = 3.0
-"""Radiance of the sky that is seen through windows."""
+"""Radiance of the sky behind windows."""
 
 
 @dataclass(frozen=True)
 class Mirror:
-    """A rectangle that mirrors."""
+    """A rectangular mirror."""
 
     corners: F64
     """(4, 3): lower left, lower right, upper right, upper left, seen from its front; world."""
     uv: F64
-    """(4, 2): of the corners, in its atlas."""
+    """(4, 2): atlas coordinates of the corners."""
     atlas: int
 
 
 def mirrors_of(assembly: Assembly) -> list[Mirror]:
-    """Returns the mirrors of a building, each made of two triangles that begin at the lower left."""
+    """Returns the mirrors of a building, each of two triangles that begin at the lower left."""
     if "mirror" not in assembly.patterns:
         return []
     rows = np.flatnonzero(assembly.pattern == assembly.patterns.index("mirror"))
@@ -47,7 +47,7 @@ def mirrors_of(assembly: Assembly) -> list[Mirror]:
 
 
 def reflection(mirror: Mirror, samples: int) -> F32:
-    """Returns what a mirror shows, (H, W, 3) linear, row 0 at the bottom. The scene is that of the ``Stage``."""
+    """Returns the reflection in a mirror, (H, W, 3) linear, row 0 at the bottom. The scene is that of the ``Stage``."""
     right, up = mirror.corners[1] - mirror.corners[0], mirror.corners[3] - mirror.corners[0]
     width, height = float(np.linalg.norm(right)), float(np.linalg.norm(up))
     normal = np.cross(right, up) / (width * height)
@@ -65,7 +65,7 @@ def reflection(mirror: Mirror, samples: int) -> F32:
     scene.camera = camera
     scene.cycles.samples = samples
     _bright_sky(scene.world)
-    # From behind, left and right are exchanged.
+    # Rendered from behind, so left and right are exchanged.
     return denoised(np.ascontiguousarray(_rendered(scene)[:, ::-1]))
 
 
@@ -84,7 +84,7 @@ def _rendered(scene: Any) -> F32:
 
 
 def _bright_sky(world: Any) -> None:
-    """Lets cameras, and nothing else, see a bright sky."""
+    """Makes the sky bright for camera rays only."""
     tree = world.node_tree
     path, strength = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMath")
     strength.operation = "MULTIPLY"

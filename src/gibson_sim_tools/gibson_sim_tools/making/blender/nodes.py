@@ -1,4 +1,4 @@
-"""Short names for the shader nodes of Blender that the patterns are made of."""
+"""Short names for Blender's shader nodes, the elements of patterns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Value = Any
 
 
 class Graph:
-    """The nodes of one material, in the making."""
+    """Builds the node graph of one material."""
 
     def __init__(self, material: Any) -> None:
         self.tree = material.node_tree
@@ -35,7 +35,7 @@ class Graph:
             socket.default_value = value
 
     def math(self, operation: str, a: Value, b: Value = 0.0, c: Value = 0.0) -> Socket:
-        """Returns a number."""
+        """Returns the result of a math node."""
         node = self._node("ShaderNodeMath", operation=operation)
         for socket, value in zip(node.inputs, (a, b, c), strict=False):
             self._put(socket, value)
@@ -70,14 +70,14 @@ class Graph:
         return node.outputs[0]
 
     def cells(self, vector: Value, scale: float) -> tuple[Socket, Socket]:
-        """Returns the distance from the middle of a cell, and the cell's colour."""
+        """Returns the distance from the centre of a Voronoi cell, and the cell's random colour."""
         node = self._node("ShaderNodeTexVoronoi")
         self._put(node.inputs["Vector"], vector)
         node.inputs["Scale"].default_value = scale
         return node.outputs["Distance"], node.outputs["Color"]
 
     def bricks(self, vector: Value, width: float, height: float, gap: float, offset: float = 0.5) -> tuple[Socket, Socket]:
-        """Returns a number for each brick, 0 to 1, and 1 in the joints."""
+        """Returns a random number per brick, 0 to 1, and a mask that is 1 in the joints."""
         node = self._node("ShaderNodeTexBrick", offset=offset, offset_frequency=2)
         self._put(node.inputs["Vector"], vector)
         for name, value in (
@@ -88,7 +88,7 @@ class Graph:
         return node.outputs["Color"], node.outputs["Fac"]
 
     def between(self, value: Value, low: float, high: float, to_low: float = 0.0, to_high: float = 1.0) -> Socket:
-        """Returns the value, taken from one range to another, within it."""
+        """Returns the value, mapped from one range to another and clamped."""
         node = self._node("ShaderNodeMapRange", clamp=True)
         for name, number in (("From Min", low), ("From Max", high), ("To Min", to_low), ("To Max", to_high)):
             node.inputs[name].default_value = number
@@ -96,14 +96,14 @@ class Graph:
         return node.outputs[0]
 
     def times(self, color: Value, factor: Value) -> Socket:
-        """Returns a colour made lighter or darker."""
+        """Returns a colour times a factor."""
         node = self._node("ShaderNodeVectorMath", operation="SCALE")
         self._put(node.inputs[0], color)
         self._put(node.inputs["Scale"], factor)
         return node.outputs[0]
 
     def mix(self, factor: Value, a: Value, b: Value) -> Socket:
-        """Returns a colour from ``a`` (0) to ``b`` (1)."""
+        """Returns the mix of two colours, from ``a`` (0) to ``b`` (1)."""
         node = self._node("ShaderNodeMix", data_type="RGBA")
         self._put(node.inputs[0], factor)
         self._put(node.inputs[6], a)
@@ -111,7 +111,7 @@ class Graph:
         return node.outputs[2]
 
     def ramp(self, value: Value, colors: Sequence[tuple[float, float, float]]) -> Socket:
-        """Returns a colour out of even steps."""
+        """Returns a colour from a ramp of equal steps."""
         node = self._node("ShaderNodeValToRGB")
         node.color_ramp.interpolation = "CONSTANT"
         elements = node.color_ramp.elements
@@ -124,7 +124,7 @@ class Graph:
         return node.outputs[0]
 
     def finish(self, color: Value, emission: float = 0.0) -> Any:
-        """Ends the material in a matt surface, or in one that shines; returns the node that names the image to bake into."""
+        """Completes the material with a diffuse or emissive surface; returns the image node, the target of the bake."""
         shader = self._node("ShaderNodeEmission") if emission else self._node("ShaderNodeBsdfDiffuse")
         self._put(shader.inputs["Color"], color)
         if emission:

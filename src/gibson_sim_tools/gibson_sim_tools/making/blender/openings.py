@@ -1,11 +1,11 @@
-"""What sits in the openings of walls: frames of windows and doors. NumPy only."""
+"""Models the frames of windows and doors. NumPy only."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gibson_sim_tools.making.blender.looks import look
-from gibson_sim_tools.making.blender.shapes import F64, Solid, Surface
+from gibson_sim_tools.making.blender.shapes import F64, ObjectBuilder, Surface
 from gibson_sim_tools.making.building import Opening, Wall
 
 _FRAME = 0.055
@@ -14,7 +14,7 @@ _TRIM = (0.06, 0.014)
 
 
 class _Place:
-    """Coordinates of an opening: metres along from its middle, out of the wall's middle to the left, up from its lower edge."""
+    """Coordinates of an opening, metres: along the wall from its centre, out of the wall's centre plane to the left, up from its lower edge."""
 
     def __init__(self, wall: Wall, opening: Opening, floor_z: float) -> None:
         u = np.subtract(wall.end, wall.start)
@@ -27,8 +27,8 @@ class _Place:
         return np.array([*(self.middle + self.u * along + self.n * out), self.z + up])
 
 
-def _reveal(s: Solid, place: _Place, wall: Wall, opening: Opening, surface: Surface, below: bool) -> None:
-    """Adds the inner sides of an opening."""
+def _reveal(s: ObjectBuilder, place: _Place, wall: Wall, opening: Opening, surface: Surface, below: bool) -> None:
+    """Adds the reveals of an opening."""
     a, t, h = opening.width / 2, wall.thickness / 2, opening.height
     s.quad([place.at(-a, t, 0), place.at(-a, -t, 0), place.at(-a, -t, h), place.at(-a, t, h)][::-1], surface)
     s.quad([place.at(a, -t, 0), place.at(a, t, 0), place.at(a, t, h), place.at(a, -t, h)][::-1], surface)
@@ -37,7 +37,7 @@ def _reveal(s: Solid, place: _Place, wall: Wall, opening: Opening, surface: Surf
         s.quad([place.at(-a, -t, 0), place.at(a, -t, 0), place.at(a, t, 0), place.at(-a, t, 0)], surface)
 
 
-def window(s: Solid, wall: Wall, opening: Opening, floor_z: float) -> None:
+def window(s: ObjectBuilder, wall: Wall, opening: Opening, floor_z: float) -> None:
     """Adds frame, panes and inner sill of a window; the frame stands towards the outside."""
     place, a, h = _Place(wall, opening, floor_z), opening.width / 2, opening.height
     inside = 1.0 if wall.left else -1.0
@@ -77,8 +77,8 @@ def window(s: Solid, wall: Wall, opening: Opening, floor_z: float) -> None:
     s.collide(low, high)
 
 
-def door_frame(s: Solid, wall: Wall, opening: Opening, floor_z: float) -> None:
-    """Adds the lining of a door or passage and the boards around it; the clear opening stays as wide as planned."""
+def door_frame(s: ObjectBuilder, wall: Wall, opening: Opening, floor_z: float) -> None:
+    """Adds the lining and the trim of a door or passage; the clear opening keeps its planned width."""
     place, a, h = _Place(wall, opening, floor_z), opening.width / 2, opening.height
     if opening.kind == "passage":
         _reveal(s, place, wall, opening, look("plaster_white"), below=False)

@@ -1,4 +1,4 @@
-"""Solids in the making: triangles with a material, a tint, coordinates for the pattern and a chart of the atlas. NumPy only.
+"""Builds objects from triangles with a material, a tint, pattern coordinates and an atlas chart. NumPy only.
 
 Metres, z up, triangles counter-clockwise seen from outside.
 """
@@ -19,10 +19,10 @@ WHITE: Tint = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Surface:
-    """How a part looks."""
+    """Material, tint and texel density of a part."""
 
     material: str
-    """A name of ``materials.RECIPES``."""
+    """Key of ``looks.LOOKS``."""
     tint: Tint = WHITE
     """Colour, sRGB."""
     importance: float = 1.0
@@ -30,8 +30,8 @@ class Surface:
 
 
 @dataclass
-class Part:
-    """Connected triangles of one look."""
+class SurfacePart:
+    """Triangles of one surface."""
 
     vertices: F64
     """(V, 3)."""
@@ -39,22 +39,22 @@ class Part:
     """(F, 3)."""
     surface: Surface
     uv: F64
-    """(F, 3, 2): place of each corner in its chart, metres."""
+    """(F, 3, 2): position of each corner in its chart, metres."""
     chart: I64
-    """(F,): number of the chart, from 0."""
+    """(F,): index of the chart, from 0."""
     pattern: F64
-    """(F, 3, 3): coordinates for the pattern, metres; x along the grain."""
+    """(F, 3, 3): pattern coordinates, metres; x along the grain."""
     importance: F64
     """(F,): factor of the density of texels."""
 
 
-class Solid:
-    """An object in the making."""
+class ObjectBuilder:
+    """Builds the mesh and the collision boxes of one object."""
 
     def __init__(self, rng: np.random.Generator, style: int = 0) -> None:
         self.style = style
-        """Decides what all pieces of a building have in common."""
-        self.parts: list[Part] = []
+        """Seed of the properties that all pieces of a building share."""
+        self.parts: list[SurfacePart] = []
         self.boxes: list[tuple[F64, F64]] = []
         """Low and high corners of the collision shapes."""
         self.rng = rng
@@ -66,36 +66,36 @@ class Solid:
 
     def add(
         self, vertices: ArrayLike, triangles: ArrayLike, surface: Surface, uv: F64 | None = None, chart: ArrayLike | None = None
-    ) -> Part:
-        """Adds triangles; without ``uv`` each is seen along the axis that it faces most."""
+    ) -> SurfacePart:
+        """Adds triangles; without ``uv`` each is projected along the axis that it faces most."""
         v, t = np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64)
         corners = v[t]
         sides = facing(corners)
         if uv is None:
             uv = projected(corners, sides)
         numbers = sides if chart is None else np.asarray(chart, dtype=np.int64)
-        part = Part(v, t, surface, uv, numbers, self._pattern(corners), np.full(len(t), surface.importance))
+        part = SurfacePart(v, t, surface, uv, numbers, self._pattern(corners), np.full(len(t), surface.importance))
         self.parts.append(part)
         return part
 
     def _pattern(self, corners: F64) -> F64:
-        """Returns coordinates whose x runs along the longest side, from a place of its own."""
+        """Returns pattern coordinates with x along the longest side and a random offset."""
         flat = corners.reshape(-1, 3)
         longest = int(np.argmax(np.ptp(flat, axis=0)))
         return np.asarray(np.roll(corners, -longest, axis=2) + self.rng.uniform(0, 50, 3))
 
     def box(
         self, low: ArrayLike, high: ArrayLike, surface: Surface, bevel: float = 0.004, open_sides: str = "", solid: bool = False
-    ) -> Part:
+    ) -> SurfacePart:
         """Adds a box with chamfered edges.
 
         Args:
             low: corner.
             high: the opposite corner.
-            surface: its look.
+            surface: its surface.
             bevel: width of the chamfer; 0 = sharp.
-            open_sides: sides that nobody sees and that get few texels: of ``-x +x -y +y -z +z``, separated by blanks.
-            solid: it also collides.
+            open_sides: hidden sides, which get few texels: of ``-x +x -y +y -z +z``, separated by blanks.
+            solid: also adds it to the collision shapes.
         """
         a, b = np.minimum(low, high).astype(float), np.maximum(low, high).astype(float)
         if solid:
@@ -117,8 +117,8 @@ class Solid:
         steps: int = 6,
         sag: float = 0.0,
         noise: float = 0.0,
-    ) -> Part:
-        """Adds something soft: a rounded box, the rounder the smaller ``power``; ``sag`` and ``noise`` are metres."""
+    ) -> SurfacePart:
+        """Adds a soft superellipsoid box, rounder for a smaller ``power``; ``sag`` and ``noise`` are metres."""
         a, b = np.minimum(low, high).astype(float), np.maximum(low, high).astype(float)
         grid, triangles = _cube_grid(steps)
         sphere = grid / (np.abs(grid) ** power).sum(axis=1, keepdims=True) ** (1.0 / power)
@@ -134,13 +134,13 @@ class Solid:
         points = np.clip(points, -half, half)
         return self.add(points + middle, triangles, surface)
 
-    def lathe(self, middle: ArrayLike, profile: Sequence[tuple[float, float]], surface: Surface, sides: int = 14) -> Part:
+    def lathe(self, middle: ArrayLike, profile: Sequence[tuple[float, float]], surface: Surface, sides: int = 14) -> SurfacePart:
         """Adds a body of revolution about the upright line through ``middle``.
 
         Args:
-            middle: (3,) of the line and the height 0.
+            middle: (3,), point of the axis at height 0.
             profile: radius and height, upwards on the outside; a radius of 0 closes it.
-            surface: its look.
+            surface: its surface.
             sides: number of facets.
         """
         rows = np.asarray(profile, dtype=float)
@@ -151,7 +151,7 @@ class Solid:
         )
         return self._rings(points, len(rows), sides, surface, rows)
 
-    def tube(self, path: ArrayLike, radius: ArrayLike, surface: Surface, sides: int = 8) -> Part:
+    def tube(self, path: ArrayLike, radius: ArrayLike, surface: Surface, sides: int = 8) -> SurfacePart:
         """Adds a bent round bar along ``path`` (N, 3), closed at its ends."""
         p = np.asarray(path, dtype=float)
         radii = np.broadcast_to(np.asarray(radius, dtype=float), (len(p),))
@@ -169,11 +169,11 @@ class Solid:
         rows = np.column_stack([np.concatenate([[0.0], radii, [0.0]]), np.concatenate([[length[0]], length, [length[-1]]])])
         return self._rings(points, len(rows), sides, surface, rows)
 
-    def _rings(self, points: F64, count: int, sides: int, surface: Surface, rows: F64) -> Part:
-        """Joins rings of points; steep bands are unrolled, flat ones seen from above."""
+    def _rings(self, points: F64, count: int, sides: int, surface: Surface, rows: F64) -> SurfacePart:
+        """Joins rings of points; the charts of steep bands are unrolled, those of flat ones projected from above."""
         steps = np.diff(rows, axis=0)
         flat = np.abs(steps[:, 1]) < 0.35 * np.abs(steps[:, 0])
-        number = np.cumsum(np.concatenate([[0], flat[1:] != flat[:-1]]))  # neighbouring bands of one sort share a chart
+        number = np.cumsum(np.concatenate([[0], flat[1:] != flat[:-1]]))  # adjacent bands of one kind share a chart
         pairs = np.maximum(rows[:-1, 0], rows[1:, 0])
         widest = np.array([pairs[number == n].max() for n in number])
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
@@ -191,8 +191,8 @@ class Solid:
         solid = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) >= 1e-12
         return self.add(points, triangles[solid], surface, uv[solid], chart[solid])
 
-    def sheet(self, grid: ArrayLike, surface: Surface) -> Part:
-        """Adds a cloth or a leaf: a grid of points (A, B, 3), its front to the side from which A right, B up is seen."""
+    def sheet(self, grid: ArrayLike, surface: Surface) -> SurfacePart:
+        """Adds a cloth or a leaf: a grid of points (A, B, 3); from its front, A runs to the right and B upwards."""
         g = np.asarray(grid, dtype=float)
         a, b = g.shape[:2]
         u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(g, axis=0), axis=2).mean(axis=1))])
@@ -203,8 +203,8 @@ class Solid:
         part.pattern = np.concatenate([place, np.zeros((len(place), 1))], axis=1)[triangles]
         return part
 
-    def quad(self, corners: ArrayLike, surface: Surface, pattern: ArrayLike | None = None) -> Part:
-        """Adds a flat quad (4, 3), counter-clockwise from outside; ``pattern`` (4, 3) are its coordinates for the pattern."""
+    def quad(self, corners: ArrayLike, surface: Surface, pattern: ArrayLike | None = None) -> SurfacePart:
+        """Adds a flat quad (4, 3), counter-clockwise from outside; ``pattern``: (4, 3) pattern coordinates."""
         c = np.asarray(corners, dtype=float)
         triangles = np.array([[0, 1, 2], [0, 2, 3]])
         first = (c[1] - c[0]) / np.linalg.norm(c[1] - c[0])
@@ -217,14 +217,14 @@ class Solid:
         return part
 
     def turned(self, since: int, T_new_old: ArrayLike) -> None:
-        """Moves the parts from number ``since`` on by a (4, 4) transform."""
+        """Transforms the parts from index ``since`` on, (4, 4)."""
         matrix = np.asarray(T_new_old, dtype=float)
         for part in self.parts[since:]:
             part.vertices = part.vertices @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def placed(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> F64:
-    """Returns the (4, 4) transform: roll about x, pitch about y, yaw about z, radians, then the move."""
+    """Returns the (4, 4) transform: roll about x, pitch about y, yaw about z, radians, then translation."""
     (cy, sy), (cp, sp), (cr, sr) = ((np.cos(a), np.sin(a)) for a in (yaw, pitch, roll))
     turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     matrix = np.eye(4)
@@ -234,14 +234,14 @@ def placed(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, roll
 
 
 def facing(corners: F64) -> I64:
-    """Returns for triangles (F, 3, 3) the side that each faces most: 0 = +x, 1 = -x, 2 = +y, 3 = -y, 4 = +z, 5 = -z."""
+    """Returns the side that each triangle (F, 3, 3) faces most: 0 = +x, 1 = -x, 2 = +y, 3 = -y, 4 = +z, 5 = -z."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     axis = np.argmax(np.abs(normal) + np.array([0, 1e-9, 2e-9]), axis=1)
     return np.asarray(axis * 2 + (normal[np.arange(len(normal)), axis] < 0), dtype=np.int64)
 
 
 def projected(corners: F64, sides: I64) -> F64:
-    """Returns (F, 3, 2): the corners as seen from their sides."""
+    """Returns the corners, projected along their sides, (F, 3, 2)."""
     axis = sides // 2
     others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
     return np.take_along_axis(corners, others[:, None, :], axis=2)
@@ -258,7 +258,7 @@ def _sharp(a: F64, b: F64) -> tuple[F64, I64]:
 
 
 def _chamfered(a: F64, b: F64, bevel: float) -> tuple[F64, I64]:
-    """Returns a box whose every corner is three points, one in each of its sides."""
+    """Returns a box with three points at every corner, one in each adjacent side."""
     corner, inward = np.where(_CORNERS, b, a), np.where(_CORNERS, -bevel, bevel)
     points = corner[:, None, :] + inward[:, None, :] * (1 - np.eye(3))[None]  # corner * 3 + axis of its side
     return points.reshape(-1, 3), _CHAMFERED
@@ -295,7 +295,7 @@ def _signs(axis: int, end: int, p: int, sp: int, q: int, sq: int) -> list[int]:
 def _cube_grid(steps: int) -> tuple[F64, I64]:
     """Returns the surface of the cube from -1 to 1 as a grid of shared points."""
     line = np.linspace(-1, 1, steps + 1)
-    line = np.sin(line * np.pi / 2) * 0.6 + line * 0.4  # more of them towards the edges
+    line = np.sin(line * np.pi / 2) * 0.6 + line * 0.4  # denser towards the edges
     blocks: list[F64] = []
     triangles: list[I64] = []
     for axis in range(3):

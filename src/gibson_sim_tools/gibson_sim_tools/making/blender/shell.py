@@ -1,6 +1,6 @@
-"""What a building itself consists of: walls with their openings, floors, ceilings, windows, frames of doors, stairs. NumPy only.
+"""Models the shell of a building: walls with openings, floors, ceilings, windows, door frames, stairs. NumPy only.
 
-Walls run along x or y. Inner faces end exactly where they meet, at the corners of the rooms drawn in by half the thickness of their walls.
+Walls run along x or y. Inner faces end exactly where they meet, at the room corners inset by half the thickness of the walls.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ import numpy as np
 from gibson_sim.errors import SceneError
 from gibson_sim_tools.making.blender.looks import LOOKS, look
 from gibson_sim_tools.making.blender.openings import door_frame, window
-from gibson_sim_tools.making.blender.shapes import F64, Solid, Surface
+from gibson_sim_tools.making.blender.shapes import F64, ObjectBuilder, Surface
 from gibson_sim_tools.making.blender.stairs import slab_edges, stair
 from gibson_sim_tools.making.building import Building, Point, Room, Storey, Wall
 
 _SKIRTING = (0.012, 0.07)
 _MAX_CHART = 6.0
-"""Longest side of a chart, metres: longer floors and walls are cut."""
+"""Longest side of a chart, metres; longer floors and walls are split."""
 _BELOW_GROUND = 0.002
 _WET = ("tile", "metro", "checker")
 
 
 @dataclass
-class Thing:
+class ShellObject:
     """An object of the scene."""
 
     name: str
     semantic_class: str
-    solid: Solid
+    solid: ObjectBuilder
     exported: bool = True
-    """False = it only keeps light out."""
+    """False = it only blocks light in the bake."""
 
 
-def build_shell(building: Building) -> list[Thing]:
+def build_shell(building: Building) -> list[ShellObject]:
     """Returns walls, floors, ceilings, windows, frames and stairs of a building."""
-    things: list[Thing] = []
+    things: list[ShellObject] = []
     for level, storey in enumerate(building.storeys):
         tag = "" if len(building.storeys) == 1 else f"_{level}"
         insets = {room.name: inset(room, storey) for room in storey.rooms}
@@ -45,35 +45,35 @@ def build_shell(building: Building) -> list[Thing]:
         below = [s.hole for s in building.stairs if s.storey == level]
         through = [s.hole for s in building.stairs if s.storey == level - 1]
         for room in storey.rooms:
-            solid = Solid(rng)
+            solid = ObjectBuilder(rng)
             _level(solid, insets[room.name], through, storey.floor_z, look(room.floor, importance=1.25), up=True)
             _thresholds(solid, room, storey)
-            # On the ground floor robots stand on the ground plane; the floor just below it tells maps where the rooms are.
+            # On the ground floor robots stand on the ground plane; the floor just below it marks the rooms in maps.
             _slab_boxes(solid, insets[room.name], through, storey.floor_z - (0.0 if level else _BELOW_GROUND))
-            things.append(Thing(f"floor_{room.name}", "floor", solid))
-            solid = Solid(rng)
+            things.append(ShellObject(f"floor_{room.name}", "floor", solid))
+            solid = ObjectBuilder(rng)
             _level(solid, insets[room.name], below, storey.floor_z + storey.height, look(room.ceiling, importance=0.5), up=False)
-            things.append(Thing(f"ceiling_{room.name}", "ceiling", solid))
+            things.append(ShellObject(f"ceiling_{room.name}", "ceiling", solid))
         rooms = {room.name: room for room in storey.rooms}
         for number, wall in enumerate(storey.walls):
-            solid = Solid(rng)
+            solid = ObjectBuilder(rng)
             _wall(solid, wall, storey, rooms, insets)
-            things.append(Thing(f"wall{tag}_{number}", "wall", solid))
+            things.append(ShellObject(f"wall{tag}_{number}", "wall", solid))
             for k, opening in enumerate(wall.openings):
-                solid = Solid(rng)
+                solid = ObjectBuilder(rng)
                 build = window if opening.kind == "window" else door_frame
                 build(solid, wall, opening, storey.floor_z)
                 if solid.parts:
                     name = "window" if opening.kind == "window" else "door_frame"
-                    things.append(Thing(f"{name}{tag}_{number}_{k}", name, solid))
+                    things.append(ShellObject(f"{name}{tag}_{number}_{k}", name, solid))
         things += _shut(storey, rng, level)
     things += _lids(building)
     for number, flight in enumerate(building.stairs):
-        solid = Solid(np.random.default_rng((building.seed, 12, number)))
+        solid = ObjectBuilder(np.random.default_rng((building.seed, 12, number)))
         low, high = building.storeys[flight.storey], building.storeys[flight.storey + 1]
         stair(solid, flight, low.floor_z, high.floor_z)
         slab_edges(solid, flight, low.floor_z + low.height, high.floor_z)
-        things.append(Thing(f"stair_{number}", "stairs", solid))
+        things.append(ShellObject(f"stair_{number}", "stairs", solid))
     return things
 
 
@@ -81,7 +81,7 @@ def wall_axes(wall: Wall) -> tuple[F64, F64, float]:
     """Returns the direction of a wall, the direction to its left, and its length.
 
     Raises:
-        SceneError: it runs neither along x nor along y.
+        SceneError: the wall runs neither along x nor along y.
     """
     along = np.subtract(wall.end, wall.start)
     length = float(np.linalg.norm(along))
@@ -124,7 +124,7 @@ def _half_thickness(room: Room, storey: Storey, a: F64, b: F64) -> float:
 
 
 def _cells(polygon: F64, holes: list[tuple[Point, ...]]) -> list[tuple[float, float, float, float]]:
-    """Returns rectangles (x0, y0, x1, y1) that fill a polygon with sides along x and y, but for its holes."""
+    """Returns rectangles (x0, y0, x1, y1) that tile an axis-aligned polygon minus its holes."""
     points = [polygon, *(np.asarray(hole) for hole in holes)]
     lines = []
     for axis in (0, 1):
@@ -148,7 +148,7 @@ def _inside(polygon: F64, point: F64) -> bool:
     return bool(np.count_nonzero(crosses & (point[0] < x)) % 2)
 
 
-def _level(solid: Solid, polygon: F64, holes: list[tuple[Point, ...]], z: float, surface: Surface, up: bool) -> None:
+def _level(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float, surface: Surface, up: bool) -> None:
     """Adds a floor or a ceiling, in charts of limited size."""
     size = np.ptp(polygon, axis=0)
     cuts = [np.linspace(polygon[:, k].min(), polygon[:, k].max(), int(np.ceil(size[k] / _MAX_CHART)) + 1) for k in (0, 1)]
@@ -172,8 +172,8 @@ def _pieces(low: float, high: float, cuts: F64) -> list[tuple[float, float]]:
     return list(itertools.pairwise(edges))
 
 
-def _join(solid: Solid) -> None:
-    """Makes one part of all parts, which look alike."""
+def _join(solid: ObjectBuilder) -> None:
+    """Merges all parts, which have one surface, into one."""
     first = solid.parts[0]
     shift = np.cumsum([0] + [len(p.vertices) for p in solid.parts])
     first.triangles = np.concatenate([p.triangles + s for p, s in zip(solid.parts, shift[:-1], strict=True)])
@@ -182,8 +182,8 @@ def _join(solid: Solid) -> None:
     solid.parts = [first]
 
 
-def _thresholds(solid: Solid, room: Room, storey: Storey) -> None:
-    """Adds the floor within doors and passages; that of the room on the left of the wall."""
+def _thresholds(solid: ObjectBuilder, room: Room, storey: Storey) -> None:
+    """Adds the floor in doors and passages, in the material of the room left of the wall."""
     for wall in storey.walls:
         if (wall.left or wall.right) != room.name:
             continue
@@ -198,13 +198,13 @@ def _thresholds(solid: Solid, room: Room, storey: Storey) -> None:
             solid.quad(quad, look(room.floor), quad)
 
 
-def _slab_boxes(solid: Solid, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
+def _slab_boxes(solid: ObjectBuilder, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
     for x0, y0, x1, y1 in _cells(widened(polygon, 0.06), holes):
         solid.collide((x0, y0, z - 0.2), (x1, y1, z))
 
 
 def widened(polygon: F64, by: float) -> F64:
-    """Returns a counter-clockwise polygon (N, 2) whose sides have moved outwards, metres."""
+    """Returns a counter-clockwise polygon (N, 2) with its sides moved outwards, metres."""
     sides = np.roll(polygon, -1, axis=0) - polygon
     outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1, keepdims=True)
     before = np.roll(outward, 1, axis=0)
@@ -212,7 +212,7 @@ def widened(polygon: F64, by: float) -> F64:
     return np.asarray(polygon + by * np.where(straight, outward, before + outward))
 
 
-def _wall(solid: Solid, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:
+def _wall(solid: ObjectBuilder, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:
     u, n, length = wall_axes(wall)
     start = np.asarray(wall.start)
     for sign, name in ((1.0, wall.left), (-1.0, wall.right)):
@@ -230,7 +230,7 @@ def _wall(solid: Solid, wall: Wall, storey: Storey, rooms: dict[str, Room], inse
 
 
 def _span(wall: Wall, room: Room, inner: F64) -> tuple[float, float]:
-    """Returns from where to where a room sees a wall, metres along it."""
+    """Returns the interval of a wall that faces a room, metres along it."""
     u, _, length = wall_axes(wall)
     span = [0.0, length]
     for k, corner in enumerate(np.asarray(room.corners, dtype=float)):
@@ -253,8 +253,8 @@ def _panels(wall: Wall, span: tuple[float, float]) -> list[tuple[float, float, f
     return [p for p in panels if p[1] - p[0] > 1e-4 and p[3] - p[2] > 1e-4]
 
 
-def _face(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], storey: Storey, surface: Surface) -> None:
-    """Adds one side of a wall; its pattern and its charts run through."""
+def _face(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, float], storey: Storey, surface: Surface) -> None:
+    """Adds one side of a wall with continuous pattern and charts."""
     u, n, _ = wall_axes(wall)
     origin = np.asarray(wall.start) + n * sign * wall.thickness / 2
     cuts = np.linspace(*span, int(np.ceil((span[1] - span[0]) / _MAX_CHART)) + 1)
@@ -275,7 +275,7 @@ def _face(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], stor
         solid.parts = rest + solid.parts
 
 
-def _skirting(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], z: float) -> None:
+def _skirting(solid: ObjectBuilder, wall: Wall, sign: float, span: tuple[float, float], z: float) -> None:
     u, n, _ = wall_axes(wall)
     inner = n * sign * wall.thickness / 2
     at = span[0]
@@ -293,32 +293,32 @@ def _skirting(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], 
         at = b
 
 
-def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[Thing]:
-    """Returns what keeps the sun out of doors to the outside: their leaves are bodies, and closed."""
+def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[ShellObject]:
+    """Returns blockers that keep the sun out of outside doors, whose leaves are movable bodies and closed."""
     things = []
     for number, wall in enumerate(storey.walls):
         u, n, _ = wall_axes(wall)
         for opening in wall.openings:
             if opening.kind == "door" and not (wall.left and wall.right):
-                solid, middle = Solid(rng), np.asarray(wall.start) + u * opening.middle
+                solid, middle = ObjectBuilder(rng), np.asarray(wall.start) + u * opening.middle
                 low, high = middle - u * opening.width / 2 - n * 0.01, middle + u * opening.width / 2 + n * 0.01
                 solid.box(
                     (*low, storey.floor_z), (*high, storey.floor_z + opening.height), Surface("outside", (0.5, 0.5, 0.5)), 0
                 )
-                things.append(Thing(f"shut_{level}_{number}", "", solid, exported=False))
+                things.append(ShellObject(f"shut_{level}_{number}", "", solid, exported=False))
     return things
 
 
-def _lids(building: Building) -> list[Thing]:
-    """Returns what keeps light out from above the highest and from below the lowest storey."""
+def _lids(building: Building) -> list[ShellObject]:
+    """Returns blockers that keep light out above the highest and below the lowest storey."""
     surface = Surface("outside", (0.5, 0.5, 0.5))
     ends = [(building.storeys[-1], building.storeys[-1].height + 0.3), (building.storeys[0], -0.1)]
     things = []
     for number, (storey, height) in enumerate(ends):
-        solid = Solid(np.random.default_rng((building.seed, 13, number)))
+        solid = ObjectBuilder(np.random.default_rng((building.seed, 13, number)))
         points = np.array([p for wall in storey.walls for p in (wall.start, wall.end)])
         (x0, y0), (x1, y1) = points.min(axis=0) - 0.3, points.max(axis=0) + 0.3
         z = storey.floor_z + height
         solid.box((x0, y0, z), (x1, y1, z + 0.05), surface, 0)
-        things.append(Thing(f"lid_{number}", "", solid, exported=False))
+        things.append(ShellObject(f"lid_{number}", "", solid, exported=False))
     return things

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gibson_sim_tools.making.blender.looks import look
-from gibson_sim_tools.making.blender.shapes import Solid, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, placed
 from gibson_sim_tools.making.building import Stair
 
 
-def stair(s: Solid, flight: Stair, low: float, high: float) -> None:
+def stair(s: ObjectBuilder, flight: Stair, low: float, high: float) -> None:
     """Adds a closed flight of steps with a handrail."""
     rise, half = (high - low) / flight.steps, flight.width / 2
     wood, white = look("wood_oak"), look("wood_white")
@@ -34,7 +34,7 @@ def stair(s: Solid, flight: Stair, low: float, high: float) -> None:
         s.boxes[k] = (np.minimum(*corners), np.maximum(*corners))
 
 
-def slab_edges(s: Solid, flight: Stair, low: float, high: float) -> None:
+def slab_edges(s: ObjectBuilder, flight: Stair, low: float, high: float) -> None:
     """Adds the sides of the hole, from the ceiling below to the floor above."""
     points = np.asarray(flight.hole, dtype=float)
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):

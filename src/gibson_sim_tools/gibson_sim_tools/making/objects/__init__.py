@@ -1,4 +1,4 @@
-"""Our own objects, ``scenes/objects``: what they weigh, how they move, their pictures and their URDF.
+"""Our objects, ``scenes/objects``: masses, joints, textures and URDF.
 
 Blender makes their meshes: ``gibson_sim_tools.making.blender.objects``.
 """

@@ -7,4 +7,4 @@ from gibson_sim_tools.making.objects.loose import LOOSE
 from gibson_sim_tools.making.objects.model import ObjectModel
 
 OBJECTS: dict[str, ObjectModel] = {one.name: one for one in (*LOOSE, *JOINED)}
-"""In the order of their folders' table in docs/objects.md."""
+"""In the order of the table in docs/objects.md."""

@@ -1,4 +1,4 @@
-"""The objects with joints: doors, a window, cabinets, a fridge, an oven.
+"""Objects with joints: doors, a window, cabinets, a fridge, an oven.
 
 Doors and windows are fixed to the world; their origin is in the hinge, on the floor (a window: on the sill), the closed leaf along +x. The
 others stand on their underside, their front to +x; ``static`` in a scene builds them in.
@@ -9,16 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gibson_sim_tools.making.objects.model import ZERO, Joint, Link, ObjectModel, Solid, box
+from gibson_sim_tools.making.objects.model import ZERO, ObjectJoint, ObjectLink, ObjectModel, Primitive, box
 
 WORLD = "world"
-"""Root link of what is fixed; it has nothing in it."""
+"""Empty root link of fixed objects."""
 LEAF = 0.04
 """Thickness of a door, metres."""
 HANDLE_Z = 1.02
 PANEL = 0.018
 """Thickness of the boards of cabinets."""
-_FIXED = Link(WORLD, 0.0, (), visual=False)
+_FIXED = ObjectLink(WORLD, 0.0, (), visual=False)
 
 
 def door_names() -> tuple[str, ...]:
@@ -29,34 +29,34 @@ def door_names() -> tuple[str, ...]:
 def _door(name: str, width: float, side: int) -> ObjectModel:
     """A leaf for a clear opening of ``width``, its axis 22 mm inside; ``side``: 1 = it swings to +y, -1 = to -y."""
     reach = width - 0.026
-    leaf = Link("leaf", 22.0 * width / 0.8, (box((0.0, -LEAF / 2, 0.006), (reach, LEAF / 2, 1.994)),), 0.45)
-    handle = Link("handle", 0.5, lever(), 0.4, center=ZERO)
+    leaf = ObjectLink("leaf", 22.0 * width / 0.8, (box((0.0, -LEAF / 2, 0.006), (reach, LEAF / 2, 1.994)),), 0.45)
+    handle = ObjectLink("handle", 0.5, lever(), 0.4, center=ZERO)
     return ObjectModel(
         name, "door", (reach + LEAF / 2, 0.144, 1.988), (_FIXED, leaf, handle),
         (
-            Joint("hinge", "revolute", WORLD, "leaf", ZERO, (0.0, 0.0, float(side)), 0.0, math.radians(100.0), 2.5),
-            Joint("handle", "revolute", "leaf", "handle", (reach - 0.06, 0.0, HANDLE_Z), (0.0, -1.0, 0.0), 0.0, math.radians(40.0), 0.02),
+            ObjectJoint("hinge", "revolute", WORLD, "leaf", ZERO, (0.0, 0.0, float(side)), 0.0, math.radians(100.0), 2.5),
+            ObjectJoint("handle", "revolute", "leaf", "handle", (reach - 0.06, 0.0, HANDLE_Z), (0.0, -1.0, 0.0), 0.0, math.radians(40.0), 0.02),
         ),
         built_in=True,
     )  # fmt: skip
 
 
-def lever() -> tuple[Solid, ...]:
+def lever() -> tuple[Primitive, ...]:
     """Returns a spindle with a lever at both ends, which point to the hinge; the origin is on its axis."""
-    across = Solid("cylinder", (0.009, 0.126, 0.0), ZERO, (math.pi / 2, 0.0, 0.0))
+    across = Primitive("cylinder", (0.009, 0.126, 0.0), ZERO, (math.pi / 2, 0.0, 0.0))
     return (across, *(box((-0.125, side * 0.054, -0.009), (0.009, side * 0.072, 0.009)) for side in (-1, 1)))
 
 
 def _sliding_door() -> ObjectModel:
-    leaf = Link(
+    leaf = ObjectLink(
         "leaf", 24.0, (box((0.0, -0.0175, 0.008), (0.94, 0.0175, 2.028)), box((0.053, 0.036, 0.9), (0.072, 0.054, 1.2))), 0.45
     )
-    rail = Link("rail", 2.0, (box((0.0, -0.022, 2.05), (1.84, 0.022, 2.09)),), 0.4)
+    rail = ObjectLink("rail", 2.0, (box((0.0, -0.022, 2.05), (1.84, 0.022, 2.09)),), 0.4)
     return ObjectModel(
         "sliding_door_90", "door", (1.84, 0.077, 2.082), (_FIXED, rail, leaf),
         (
-            Joint("rail", "fixed", WORLD, "rail", ZERO),
-            Joint("slide", "prismatic", WORLD, "leaf", ZERO, (1.0, 0.0, 0.0), 0.0, 0.88, 12.0),
+            ObjectJoint("rail", "fixed", WORLD, "rail", ZERO),
+            ObjectJoint("slide", "prismatic", WORLD, "leaf", ZERO, (1.0, 0.0, 0.0), 0.0, 0.88, 12.0),
         ),
         built_in=True,
     )  # fmt: skip
@@ -64,11 +64,11 @@ def _sliding_door() -> ObjectModel:
 
 def _window() -> ObjectModel:
     """A frame of 0.80 x 1.20 m with one sash, hung at x = 0.05 on the side of +y."""
-    frame = Link("frame", 8.0, _rim(0.0, 0.8, 0.0, 1.2, 0.05, 0.035), 0.4)
+    frame = ObjectLink("frame", 8.0, _rim(0.0, 0.8, 0.0, 1.2, 0.05, 0.035), 0.4)
     # The axis is at the edge of the sash that looks into the room: from there it swings clear of its frame.
     sash_width, low, high = 0.7, 0.05, 1.15
-    sash = Link("sash", 14.0, (box((0.004, -0.055, low + 0.004), (sash_width - 0.004, -0.005, high - 0.004)),), 0.4)
-    handle = Link(
+    sash = ObjectLink("sash", 14.0, (box((0.004, -0.055, low + 0.004), (sash_width - 0.004, -0.005, high - 0.004)),), 0.4)
+    handle = ObjectLink(
         "handle",
         0.2,
         (box((-0.01, 0.0, -0.01), (0.01, 0.04, 0.01)), box((-0.009, 0.028, -0.12), (0.009, 0.043, 0.0))),
@@ -78,15 +78,15 @@ def _window() -> ObjectModel:
     return ObjectModel(
         "window_casement", "window", (0.8, 0.108, 1.2), (_FIXED, frame, sash, handle),
         (
-            Joint("frame", "fixed", WORLD, "frame", ZERO),
-            Joint("hinge", "revolute", WORLD, "sash", (0.05, 0.035, 0.0), (0.0, 0.0, 1.0), 0.0, math.radians(90.0), 1.5),
-            Joint("handle", "revolute", "sash", "handle", (sash_width - 0.03, -0.005, 0.6), (0.0, 1.0, 0.0), 0.0, math.radians(90.0), 0.01),
+            ObjectJoint("frame", "fixed", WORLD, "frame", ZERO),
+            ObjectJoint("hinge", "revolute", WORLD, "sash", (0.05, 0.035, 0.0), (0.0, 0.0, 1.0), 0.0, math.radians(90.0), 1.5),
+            ObjectJoint("handle", "revolute", "sash", "handle", (sash_width - 0.03, -0.005, 0.6), (0.0, 1.0, 0.0), 0.0, math.radians(90.0), 0.01),
         ),
         built_in=True,
     )  # fmt: skip
 
 
-def _rim(x0: float, x1: float, z0: float, z1: float, wide: float, half_depth: float) -> tuple[Solid, ...]:
+def _rim(x0: float, x1: float, z0: float, z1: float, wide: float, half_depth: float) -> tuple[Primitive, ...]:
     """Returns the four sides of an upright frame."""
     d = half_depth
     return (
@@ -97,8 +97,8 @@ def _rim(x0: float, x1: float, z0: float, z1: float, wide: float, half_depth: fl
     )
 
 
-def carcass(x0: float, x1: float, width: float, z0: float, z1: float, wall: float) -> tuple[Solid, ...]:
-    """Returns back, sides, bottom and top of a case that is open to the front."""
+def carcass(x0: float, x1: float, width: float, z0: float, z1: float, wall: float) -> tuple[Primitive, ...]:
+    """Returns back, sides, bottom and top of a case with an open front."""
     y = width / 2
     return (
         box((x0, -y, z0), (x0 + wall, y, z1)),
@@ -117,19 +117,23 @@ _DRAWER_DEEP = 0.37
 
 def _cabinet_drawers() -> ObjectModel:
     links = [
-        Link("body", 19.0, (*carcass(-0.225, 0.177, 0.6, 0.06, 0.72, PANEL), box((-0.2, -0.28, 0.0), (0.13, 0.28, 0.06))), 0.5)
+        ObjectLink(
+            "body", 19.0, (*carcass(-0.225, 0.177, 0.6, 0.06, 0.72, PANEL), box((-0.2, -0.28, 0.0), (0.13, 0.28, 0.06))), 0.5
+        )
     ]
     joints = []
     for number, z in enumerate(DRAWERS_Z, start=1):
-        links.append(Link(f"drawer_{number}", 3.2, _drawer(), 0.5, mesh="drawer"))
+        links.append(ObjectLink(f"drawer_{number}", 3.2, _drawer(), 0.5, mesh="drawer"))
         joints.append(
-            Joint(f"drawer_{number}", "prismatic", "body", f"drawer_{number}", (0.177, 0.0, z), (1.0, 0.0, 0.0), 0.0, 0.32, 15.0)
+            ObjectJoint(
+                f"drawer_{number}", "prismatic", "body", f"drawer_{number}", (0.177, 0.0, z), (1.0, 0.0, 0.0), 0.0, 0.32, 15.0
+            )
         )
     return ObjectModel("cabinet_drawers", "cabinet", (0.45, 0.6, 0.72), tuple(links), tuple(joints))
 
 
-def _drawer() -> tuple[Solid, ...]:
-    """Returns a drawer: the origin below the back of its front."""
+def _drawer() -> tuple[Primitive, ...]:
+    """Returns a drawer, its origin at the lower back edge of its front."""
     y, back, top = 0.265, -_DRAWER_DEEP, 0.16
     return (
         box((0.0, -0.297, 0.0), (PANEL, 0.297, DRAWER_HIGH)),
@@ -143,16 +147,16 @@ def _drawer() -> tuple[Solid, ...]:
 
 def _cabinet_doors() -> ObjectModel:
     shelf = box((-0.207, -0.382, 0.40), (0.16, 0.382, 0.418))
-    body = Link(
+    body = ObjectLink(
         "body", 24.0, (*carcass(-0.225, 0.177, 0.8, 0.06, 0.76, PANEL), shelf, box((-0.2, -0.38, 0.0), (0.13, 0.38, 0.06))), 0.5
     )
     links, joints = [body], []
     for name, side in (("door_left", 1), ("door_right", -1)):
         leaf = box((0.0, -side * 0.002, 0.062), (PANEL, -side * 0.3985, 0.758))
         bar = box((PANEL + 0.018, -side * 0.36, 0.38), (PANEL + 0.03, -side * 0.372, 0.54))
-        links.append(Link(name, 4.5, (leaf, bar), 0.5))
+        links.append(ObjectLink(name, 4.5, (leaf, bar), 0.5))
         joints.append(
-            Joint(
+            ObjectJoint(
                 name, "revolute", "body", name, (0.177, side * 0.4, 0.0), (0.0, 0.0, float(side)), 0.0, math.radians(110.0), 0.6
             )
         )
@@ -161,27 +165,27 @@ def _cabinet_doors() -> ObjectModel:
 
 def _fridge() -> ObjectModel:
     shelves = tuple(box((-0.29, -0.26, z), (0.2, 0.26, z + 0.008)) for z in (0.5, 0.85, 1.2))
-    body = Link(
+    body = ObjectLink(
         "body", 48.0, (*carcass(-0.34, 0.25, 0.6, 0.02, 1.78, 0.04), box((-0.3, -0.28, 0.0), (0.22, 0.28, 0.02)), *shelves), 0.5
     )
-    door = Link(
+    door = ObjectLink(
         "door", 12.0,
         (box((0.004, 0.002, 0.045), (0.06, 0.598, 1.775)), box((0.078, 0.54, 0.85), (0.09, 0.56, 1.35)),
          *(box((-0.09, 0.06, z), (-0.002, 0.54, z + 0.012)) for z in (0.35, 0.75, 1.15))), 0.5,
     )  # fmt: skip
-    joint = Joint("door", "revolute", "body", "door", (0.25, -0.3, 0.0), (0.0, 0.0, -1.0), 0.0, math.radians(115.0), 2.0)
+    joint = ObjectJoint("door", "revolute", "body", "door", (0.25, -0.3, 0.0), (0.0, 0.0, -1.0), 0.0, math.radians(115.0), 2.0)
     return ObjectModel("fridge_body", "fridge", (0.68, 0.6, 1.78), (body, door), (joint,))
 
 
 def _oven() -> ObjectModel:
-    """The axis of the door is at its front edge below: its own weight holds it shut, and open."""
+    """The axis of the door is at its lower front edge: gravity holds it closed, and open."""
     rack = box((-0.26, -0.23, 0.27), (0.2, 0.23, 0.276))
     panel = box((0.23, -0.2975, 0.49), (0.265, 0.2975, 0.6))
-    body = Link("body", 30.0, (*carcass(-0.3, 0.23, 0.595, 0.0, 0.6, 0.045), rack, panel), 0.5)
-    door = Link(
+    body = ObjectLink("body", 30.0, (*carcass(-0.3, 0.23, 0.595, 0.0, 0.6, 0.045), rack, panel), 0.5)
+    door = ObjectLink(
         "door", 5.5, (box((-0.034, -0.29, 0.005), (0.0, 0.29, 0.42)), box((0.02, -0.24, 0.375), (0.035, 0.24, 0.39))), 0.5
     )  # fmt: skip
-    joint = Joint("door", "revolute", "body", "door", (0.265, 0.0, 0.065), (0.0, 1.0, 0.0), 0.0, math.radians(90.0), 2.5)
+    joint = ObjectJoint("door", "revolute", "body", "door", (0.265, 0.0, 0.065), (0.0, 1.0, 0.0), 0.0, math.radians(90.0), 2.5)
     return ObjectModel("oven_body", "oven", (0.6, 0.595, 0.6), (body, door), (joint,))
 
 

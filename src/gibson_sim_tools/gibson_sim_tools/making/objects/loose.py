@@ -1,30 +1,36 @@
-"""The objects without joints: what lies on tables and stands on floors."""
+"""Objects without joints, on tables and floors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from gibson_sim.types import Vec3
-from gibson_sim_tools.making.objects.model import Link, ObjectModel, Solid, ball, box, ring_wall, upright
+from gibson_sim_tools.making.objects.model import ObjectLink, ObjectModel, Primitive, ball, box, ring_wall, upright
 
 _ROLLS = 0.0015
-"""Metres: rolling friction of a smooth round thing that lies on its side."""
+"""Rolling friction of a smooth round object on its side, metres."""
 
 
 def _one(
-    name: str, semantic_class: str, size: Vec3, mass: float, solids: Sequence[Solid], friction: float = 0.5, rolling: float = 0.0
+    name: str,
+    semantic_class: str,
+    size: Vec3,
+    mass: float,
+    primitives: Sequence[Primitive],
+    friction: float = 0.5,
+    rolling: float = 0.0,
 ) -> ObjectModel:
-    return ObjectModel(name, semantic_class, size, (Link("body", mass, tuple(solids), friction, rolling),))
+    return ObjectModel(name, semantic_class, size, (ObjectLink("body", mass, tuple(primitives), friction, rolling),))
 
 
-def _lying(size: Vec3) -> Solid:
+def _lying(size: Vec3) -> Primitive:
     """Returns a box about the origin that lies on z = 0."""
     x, y, z = size
     return box((-x / 2, -y / 2, 0.0), (x / 2, y / 2, z))
 
 
-def _crate(size: Vec3, wall: float, base: float) -> tuple[Solid, ...]:
-    """Returns four walls and a base around a hollow that is open above."""
+def _crate(size: Vec3, wall: float, base: float) -> tuple[Primitive, ...]:
+    """Returns four walls and a base, open above."""
     x, y, z = size[0] / 2, size[1] / 2, size[2]
     return (
         box((-x, -y, 0.0), (x, y, base)),
@@ -35,8 +41,8 @@ def _crate(size: Vec3, wall: float, base: float) -> tuple[Solid, ...]:
     )
 
 
-def _legs(x: float, y: float, edge: float, high: float) -> tuple[Solid, ...]:
-    """Returns four square legs whose middles are at (+-x, +-y)."""
+def _legs(x: float, y: float, edge: float, high: float) -> tuple[Primitive, ...]:
+    """Returns four square legs, centred at (+-x, +-y)."""
     e = edge / 2
     return tuple(box((sx * x - e, sy * y - e, 0.0), (sx * x + e, sy * y + e, high)) for sx in (-1, 1) for sy in (-1, 1))
 
@@ -72,25 +78,25 @@ LOOSE: tuple[ObjectModel, ...] = (
     ),
     _one(
         "laptop", "laptop", (0.31, 0.33, 0.21), 1.45,
-        (box((-0.115, -0.165, 0.0), (0.12, 0.165, 0.018)), Solid("box", (0.008, 0.33, 0.215), (-0.1525, 0.0, 0.113), (0.0, -0.33, 0.0))), 0.6,
+        (box((-0.115, -0.165, 0.0), (0.12, 0.165, 0.018)), Primitive("box", (0.008, 0.33, 0.215), (-0.1525, 0.0, 0.113), (0.0, -0.33, 0.0))), 0.6,
     ),
     _one("keyboard", "keyboard", (0.14, 0.44, 0.028), 0.62, (_lying((0.14, 0.44, 0.022)),), 0.6),
     _one("remote_control", "remote_control", (0.17, 0.046, 0.022), 0.12, (_lying((0.17, 0.046, 0.02)),), 0.55),
-    _one("fruit_apple", "fruit", (0.075, 0.075, 0.075), 0.17, (Solid("sphere", (0.0345, 0.0, 0.0), (0.0, 0.0, 0.0345)),), 0.5, 0.004),
+    _one("fruit_apple", "fruit", (0.075, 0.075, 0.075), 0.17, (Primitive("sphere", (0.0345, 0.0, 0.0), (0.0, 0.0, 0.0345)),), 0.5, 0.004),
     _one("fruit_orange", "fruit", (0.076, 0.076, 0.076), 0.19, (ball(0.038),), 0.55, 0.003),
     _one("toy_ball", "ball", (0.12, 0.12, 0.12), 0.09, (ball(0.06),), 0.6, 0.002),
     _one("ball", "ball", (0.22, 0.22, 0.22), 0.43, (ball(0.11),), 0.6, 0.002),
     _one("pen_cup", "pen_cup", (0.085, 0.085, 0.19), 0.24, (upright(0.042, 0.0, 0.105), upright(0.02, 0.105, 0.18)), 0.5, _ROLLS),
     _one(
         "clock", "clock", (0.05, 0.14, 0.145), 0.32,
-        (Solid("cylinder", (0.068, 0.045, 0.0), (0.0, 0.0, 0.077), (0.0, 1.5707963, 0.0)), box((-0.025, -0.05, 0.0), (0.025, 0.05, 0.02))), 0.5,
+        (Primitive("cylinder", (0.068, 0.045, 0.0), (0.0, 0.0, 0.077), (0.0, 1.5707963, 0.0)), box((-0.025, -0.05, 0.0), (0.025, 0.05, 0.02))), 0.5,
     ),
     _one("bin_waste", "bin", (0.28, 0.28, 0.33), 0.9, (upright(0.1, 0.0, 0.012), *ring_wall(0.105, 0.14, 0.006, 0.33, 0.008)), 0.5, 0.002),
     _one("basket", "basket", (0.3, 0.4, 0.23), 0.8, _crate((0.3, 0.4, 0.23), 0.012, 0.012), 0.6),
     _one(
         "chair_wooden", "chair", (0.5, 0.44, 0.88), 4.6,
         (*_legs(0.205, 0.19, 0.036, 0.43), box((-0.22, -0.22, 0.43), (0.24, 0.22, 0.455)),
-         Solid("box", (0.025, 0.40, 0.44), (-0.227, 0.0, 0.66), (0.0, -0.09, 0.0))), 0.45,
+         Primitive("box", (0.025, 0.40, 0.44), (-0.227, 0.0, 0.66), (0.0, -0.09, 0.0))), 0.45,
     ),
     _one("stool", "stool", (0.36, 0.36, 0.46), 3.1, (*_legs(0.135, 0.135, 0.036, 0.43), upright(0.18, 0.43, 0.46)), 0.45),
     _one(

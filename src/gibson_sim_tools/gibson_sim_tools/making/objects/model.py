@@ -1,6 +1,6 @@
-"""What an object is before it is a URDF: links of simple solids, joints, masses. Plain values and their arithmetic; NumPy alone.
+"""The model behind an object's URDF: links of primitives, joints, masses. Plain values and their arithmetic; NumPy only.
 
-Frames: the origin of an object is in the middle of its underside, x to its front, y to its left, z up; doors and windows have theirs in the
+Frames: the origin of an object is at the centre of its underside, x to its front, y to its left, z up; doors and windows have it in the
 hinge (see ``joined``). Metres, kilograms, radians.
 """
 
@@ -21,8 +21,8 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Solid:
-    """A part of a link that collides and has mass."""
+class Primitive:
+    """A primitive with mass that a link collides with."""
 
     kind: Literal["box", "cylinder", "sphere"]
     size: Vec3
@@ -42,7 +42,7 @@ class Solid:
 
     @property
     def second_moments(self) -> F64:
-        """Returns the integral of x x^T over the solid about its middle, (3, 3), of density 1 over its volume, in its link's axes."""
+        """Second moments about the centre, (3, 3), in the axes of the link: the mean of x x^T over the volume, m^2."""
         a, b, c = self.size
         if self.kind == "box":
             own = np.diag([a * a, b * b, c * c]) / 12.0
@@ -55,34 +55,34 @@ class Solid:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class ObjectLink:
     """One rigid part."""
 
     name: str
     mass: float
-    """kg; spread evenly over the solids."""
-    solids: tuple[Solid, ...]
+    """kg; uniform over the primitives."""
+    primitives: tuple[Primitive, ...]
     friction: float = 0.5
     rolling_friction: float = 0.0
-    """Metres: what holds a round thing back; 0 = it rolls on for ever."""
+    """Rolling friction, metres; 0 = rolls without resistance."""
     center: Vec3 | None = None
-    """Centre of mass where it is not that of the solids: a handle that is balanced by a spring."""
+    """Centre of mass, if not that of the primitives: a handle balanced by a spring."""
     visual: bool = True
-    """Whether there is a mesh of it."""
+    """Whether the link has a mesh."""
     mesh: str = ""
-    """Name of its mesh where several links share one; empty = the link's."""
+    """Name of a mesh that several links share; empty = the name of the link."""
 
 
 @dataclass(frozen=True, slots=True)
-class Joint:
-    """How one link moves on another."""
+class ObjectJoint:
+    """A joint between two links."""
 
     name: str
     kind: Literal["revolute", "prismatic", "fixed"]
     parent: str
     child: str
     origin: Vec3
-    """Of the child's frame in the parent's, at position 0; the axes of both are parallel."""
+    """Origin of the child in the parent's frame, at position 0; the axes of both are parallel."""
     axis: Vec3 = (0.0, 0.0, 1.0)
     lower: float = 0.0
     upper: float = 0.0
@@ -97,22 +97,22 @@ class ObjectModel:
     name: str
     semantic_class: str
     size: Vec3
-    """Depth (x), width (y), height (z) of what is drawn, all joints at 0."""
-    links: tuple[Link, ...]
+    """Depth (x), width (y), height (z) of the meshes, all joints at 0."""
+    links: tuple[ObjectLink, ...]
     """The root first."""
-    joints: tuple[Joint, ...] = ()
+    joints: tuple[ObjectJoint, ...] = ()
     built_in: bool = False
     """It is fixed to the world: a door, a window."""
 
     @property
     def mass(self) -> float:
-        """Of all links, kg."""
+        """Total mass, kg."""
         return sum(link.mass for link in self.links)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MassProperties:
-    """How the mass of a link lies."""
+    """Mass, centre of mass and inertia of a link."""
 
     mass: float
     center: F64
@@ -121,14 +121,14 @@ class MassProperties:
     """(3, 3), about the centre, kg m^2."""
 
 
-def mass_properties(link: Link) -> MassProperties:
-    """Returns mass, centre and inertia of a link, its mass spread evenly over its solids."""
-    total = sum(solid.volume for solid in link.solids)
-    center = sum((solid.volume / total * np.array(solid.middle) for solid in link.solids), np.zeros(3))
+def mass_properties(link: ObjectLink) -> MassProperties:
+    """Returns mass, centre and inertia of a link, its mass uniform over its primitives."""
+    total = sum(primitive.volume for primitive in link.primitives)
+    center = sum((primitive.volume / total * np.array(primitive.middle) for primitive in link.primitives), np.zeros(3))
     second = np.zeros((3, 3))
-    for solid in link.solids:
-        offset = np.array(solid.middle) - center
-        second += link.mass * solid.volume / total * (solid.second_moments + np.outer(offset, offset))
+    for primitive in link.primitives:
+        offset = np.array(primitive.middle) - center
+        second += link.mass * primitive.volume / total * (primitive.second_moments + np.outer(offset, offset))
     inertia = np.trace(second) * np.eye(3) - second
     return MassProperties(link.mass, center if link.center is None else np.array(link.center), inertia)
 
@@ -145,42 +145,42 @@ def rotation(rpy: Sequence[float]) -> F64:
     )
 
 
-def box(low: Vec3, high: Vec3) -> Solid:
+def box(low: Vec3, high: Vec3) -> Primitive:
     """Returns the box between two corners."""
     size = tuple(abs(b - a) for a, b in zip(low, high, strict=True))
     middle = tuple((a + b) / 2.0 for a, b in zip(low, high, strict=True))
-    return Solid("box", (size[0], size[1], size[2]), (middle[0], middle[1], middle[2]))
+    return Primitive("box", (size[0], size[1], size[2]), (middle[0], middle[1], middle[2]))
 
 
-def upright(radius: float, low: float, high: float, x: float = 0.0, y: float = 0.0) -> Solid:
+def upright(radius: float, low: float, high: float, x: float = 0.0, y: float = 0.0) -> Primitive:
     """Returns an upright cylinder from one height to another."""
-    return Solid("cylinder", (radius, high - low, 0.0), (x, y, (low + high) / 2.0))
+    return Primitive("cylinder", (radius, high - low, 0.0), (x, y, (low + high) / 2.0))
 
 
-def ball(radius: float) -> Solid:
-    """Returns a ball that lies on z = 0."""
-    return Solid("sphere", (radius, 0.0, 0.0), (0.0, 0.0, radius))
+def ball(radius: float) -> Primitive:
+    """Returns a sphere that rests on z = 0."""
+    return Primitive("sphere", (radius, 0.0, 0.0), (0.0, 0.0, radius))
 
 
-def ring_wall(bottom: float, top: float, low: float, high: float, thickness: float, sides: int = 8) -> tuple[Solid, ...]:
-    """Returns boxes that stand around a hollow: the wall of a bowl or a bin, open above.
+def ring_wall(bottom: float, top: float, low: float, high: float, thickness: float, sides: int = 8) -> tuple[Primitive, ...]:
+    """Returns boxes in a ring: the wall of a bowl or a bin, open above.
 
     Args:
         bottom: outer radius at the height ``low``.
         top: outer radius at the height ``high``.
         low: metres.
         high: metres.
-        thickness: of the wall.
-        sides: how many.
+        thickness: of the wall, metres.
+        sides: number of boxes.
     """
     lean = math.atan2(top - bottom, high - low)
     length = math.hypot(top - bottom, high - low)
-    # The middle of a side is nearer to the axis than its ends: those lie on the outline.
+    # The ends of a side lie on the outline, so its centre is nearer to the axis.
     apothem = ((bottom + top) / 2.0 - thickness / 2.0 * math.cos(lean)) * math.cos(math.pi / sides)
     width = 2.0 * max(bottom, top) * math.sin(math.pi / sides)
     walls = []
     for k in range(sides):
         yaw = 2.0 * math.pi * (k + 0.5) / sides
         middle = (apothem * math.cos(yaw), apothem * math.sin(yaw), (low + high) / 2.0)
-        walls.append(Solid("box", (thickness, width, length), middle, (0.0, lean, yaw)))
+        walls.append(Primitive("box", (thickness, width, length), middle, (0.0, lean, yaw)))
     return tuple(walls)

@@ -1,4 +1,4 @@
-"""Draws the small textures of our objects: labels, covers, wood. Everything is drawn here, from a few numbers; nothing comes from elsewhere."""
+"""Draws the textures of our objects: labels, covers, wood. All are procedural."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gibson_sim.picture_files import write_picture
 Rgb = NDArray[np.uint8]
 Color = tuple[int, int, int]
 _FINE = 4
-"""Drawn this many times larger, then made smaller: edges become smooth."""
+"""Supersampling factor."""
 _QUALITY = 82
 _INK: Color = (38, 36, 34)
 _WHITE: Color = (246, 244, 238)
 
 
 class Canvas:
-    """A picture in the making; places and sizes are fractions of its width and height, from the top left."""
+    """A picture under construction; positions and sizes are fractions of width and height, from the top left."""
 
     def __init__(self, width: int, height: int, color: Color) -> None:
         self.width, self.height = width * _FINE, height * _FINE
@@ -46,7 +46,7 @@ class Canvas:
         cv2.polylines(self.pixels, [points], False, color, max(1, round(width * self.height)), cv2.LINE_AA)
 
     def text(self, text: str, x: float, y: float, high: float, color: Color, weight: float = 0.16) -> None:
-        """Writes a line whose middle is at (x, y), its capitals ``high`` of the height tall."""
+        """Writes a line of text centred at (x, y); ``high``: height of capitals as a fraction of the picture's height."""
         font = cv2.FONT_HERSHEY_DUPLEX
         pixels = high * self.height
         thick = max(1, round(pixels * weight))
@@ -56,7 +56,7 @@ class Canvas:
         cv2.putText(self.pixels, text, (left, below), font, scale, color, thick, cv2.LINE_AA)
 
     def finished(self) -> Rgb:
-        """Returns the picture in its own size."""
+        """Returns the picture at its final size."""
         size = (self.width // _FINE, self.height // _FINE)
         return np.asarray(cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
@@ -282,7 +282,7 @@ def _clock() -> Rgb:
 
 
 def directions(width: int, height: int) -> NDArray[np.float64]:
-    """Returns the unit vector that each pixel of an equirectangular picture stands for, (height, width, 3), the top upwards."""
+    """Returns the unit direction of each pixel of an equirectangular picture, (height, width, 3), the top row upwards."""
     longitude = (np.arange(width) + 0.5) / width * 2 * np.pi
     latitude = np.pi / 2 - (np.arange(height) + 0.5) / height * np.pi
     ring = np.cos(latitude)[:, None]
@@ -290,7 +290,7 @@ def directions(width: int, height: int) -> NDArray[np.float64]:
 
 
 def _football() -> Rgb:
-    """Twelve dark pentagons among white hexagons: what is nearest to a corner of an icosahedron is dark."""
+    """Twelve dark pentagons, around the corners of an icosahedron, among white hexagons."""
     golden = (1 + 5**0.5) / 2
     corners = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)], dtype=float)
     corners = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)]) / np.hypot(1, golden)
@@ -299,7 +299,7 @@ def _football() -> Rgb:
     middles /= np.linalg.norm(middles, axis=1, keepdims=True)
     at = directions(1024, 512)
     to_five, to_six = np.sort(at @ corners.T, axis=2), np.sort(at @ middles.T, axis=2)
-    # A hexagon's edge to a pentagon lies where both are as near, counted by the angle each takes.
+    # The edge between a hexagon and a pentagon is at equal distances, weighted by the angular size of each.
     dark = np.arccos(to_five[..., -1].clip(-1, 1)) < np.arccos(to_six[..., -1].clip(-1, 1)) - 0.085
     seam = (np.arccos(to_six[..., -2].clip(-1, 1)) - np.arccos(to_six[..., -1].clip(-1, 1)) < 0.028) & ~dark
     picture = np.full((512, 1024, 3), (240, 240, 236), dtype=np.uint8)
@@ -394,4 +394,4 @@ PICTURES: dict[str, Callable[[], Rgb]] = {
     "wood_walnut": lambda: _wood((122, 82, 54), (92, 60, 38), 41),
     "wood_beech": lambda: _wood((224, 188, 144), (200, 158, 112), 51),
 }
-"""Name -> what draws it, (H, W, 3) uint8 sRGB."""
+"""Name -> function that draws the picture, (H, W, 3) uint8 sRGB."""

@@ -1,4 +1,4 @@
-"""Makes ``scenes/objects``: draws the pictures, lets Blender model the meshes in a process of its own, writes URDFs and the licence."""
+"""Makes ``scenes/objects``: draws the textures, runs Blender in a separate process for the meshes, writes URDFs and the licence."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def make_objects(names: Sequence[str], output: Path, blender_python: str, progre
         names: which; none = all.
         output: the folder.
         blender_python: a Python in which ``import bpy`` works.
-        progress: is told one line for every mesh.
+        progress: called with one line per mesh.
 
     Raises:
-        GibsonSimError: a name is not known, Blender is not there, or it fails.
+        GibsonSimError: a name is unknown, or Blender is missing or fails.
     """
     models = chosen(names)
     if shutil.which(blender_python) is None:
@@ -54,10 +54,10 @@ def make_objects(names: Sequence[str], output: Path, blender_python: str, progre
 
 
 def chosen(names: Sequence[str]) -> list[ObjectModel]:
-    """Returns the objects of these names, all if there are none.
+    """Returns the objects of these names; no names = all.
 
     Raises:
-        GibsonSimError: one is not known.
+        GibsonSimError: a name is unknown.
     """
     for name in names:
         if name not in OBJECTS:
@@ -89,5 +89,5 @@ def _model(models: Sequence[ObjectModel], pictures: Path, output: Path, blender_
 
 
 def default_blender_python() -> str:
-    """Returns the Python that is tried where none is named: this one."""
+    """Returns the default interpreter for Blender: this one."""
     return sys.executable

@@ -1,4 +1,4 @@
-"""A contact sheet: every object on a neutral floor, seen from the front and above, drawn by our renderer."""
+"""Renders a contact sheet: every object on a neutral floor, seen from the front and above."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FOV = math.radians(26.0)
 _ELEVATION, _AZIMUTH = math.radians(24.0), math.radians(32.0)
 _FLOOR = (0.74, 0.74, 0.73, 1.0)
 _OPEN = 0.36
-"""Share of their way that joints are open."""
+"""Position of joints, as a fraction of their range."""
 _LIGHT = LightSpec(
     sun_direction=(-0.55, 0.42, -1.0), sun=0.62, ambient=0.36, background=(0.80, 0.81, 0.82), shadows=True, sun_color=(1.0, 0.97, 0.92)
 )  # fmt: skip
@@ -48,13 +48,13 @@ def sheet(folder: Path, models: Sequence[ObjectModel], tile: int = 160, columns:
 
 
 def picture(folder: Path, model: ObjectModel, tile: int) -> Rgb:
-    """Returns one object, (tile, tile, 3) uint8 sRGB."""
+    """Returns a picture of one object, (tile, tile, 3) uint8 sRGB."""
     body = load_spawnable(str(folder / model.name), "", name="thing", pose=Pose())
     assert isinstance(body, BodySpec)
     share = {joint.name: _OPEN * (1.0 if index % 2 == 0 else 0.5) for index, joint in enumerate(model.joints)}
     joints = tuple((joint.name, share[joint.name] * joint.upper) for joint in model.joints if joint.kind != "fixed")
     size = float(np.linalg.norm(model.size))
-    # No larger than it must be: the resolution of the shadows is that of the scene.
+    # As small as possible: the resolution of shadows depends on the size of the scene.
     floor = VisualSpec("floor", "", Shape("cylinder", (7.0 * size, 0.1 * size, 0.0)), Pose((0.0, 0.0, -0.05 * size)), _FLOOR)
     lamp = PointLight((1.2 * size, -1.6 * size, 1.6 * size), (1.0, 1.0, 1.0), 0.10 * size * size)
     sun = (-0.5, -0.62, -1.0) if model.built_in else _LIGHT.sun_direction
@@ -69,7 +69,7 @@ def picture(folder: Path, model: ObjectModel, tile: int) -> Rgb:
 
 
 def _eye(middle: NDArray[np.float64], across: float, front: float) -> Pose:
-    """Returns T_world_optical of a camera that sees a ball of diameter ``across``; ``front``: 1 = from +x, -1 = from +y."""
+    """Returns T_world_optical of a camera that frames a sphere of diameter ``across``; ``front``: 1 = from +x, -1 = from +y."""
     azimuth = _AZIMUTH if front > 0 else math.radians(88.0)
     away = np.array([math.cos(_ELEVATION) * math.cos(azimuth), math.cos(_ELEVATION) * math.sin(azimuth), math.sin(_ELEVATION)])
     distance = 0.56 * across / math.tan(_FOV / 2)

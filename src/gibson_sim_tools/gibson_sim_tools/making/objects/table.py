@@ -1,11 +1,11 @@
-"""The table of our objects in docs/objects.md."""
+"""Makes the table of objects in docs/objects.md."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from gibson_sim_tools.making.objects.model import Joint, ObjectModel
+from gibson_sim_tools.making.objects.model import ObjectJoint, ObjectModel
 
 _HEAD = "| object | class | depth x width x height, m | mass, kg | joints |\n|---|---|---|---|---|"
 
@@ -21,7 +21,7 @@ def _row(model: ObjectModel) -> str:
     return f"| `{model.name}` | {model.semantic_class} | {size} | {model.mass:.3g} | {joints} |"
 
 
-def _joint(joint: Joint) -> str:
+def _joint(joint: ObjectJoint) -> str:
     if joint.kind == "prismatic":
         return f"`{joint.name}` {joint.lower:g} to {joint.upper:g} m"
     return f"`{joint.name}` {math.degrees(joint.lower):.0f} to {math.degrees(joint.upper):.0f}°"

@@ -1,18 +1,18 @@
-"""Writes the URDF of an object of ours. Pure."""
+"""Makes the URDF of an object. Pure."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from gibson_sim_tools.making.objects.model import Joint, Link, ObjectModel, Solid, mass_properties
+from gibson_sim_tools.making.objects.model import ObjectJoint, ObjectLink, ObjectModel, Primitive, mass_properties
 
 _EFFORT, _SPEED = "100", "10"
-"""Of joints, which URDF wants named: nothing of ours drives them."""
+"""Effort and velocity limits of joints, which URDF requires; no joint has a motor."""
 
 
 def object_urdf(model: ObjectModel) -> str:
-    """Returns the text of the URDF; meshes are expected beside it, one for each link (see ``mesh_name``)."""
-    # The name of a model is the class that pictures label it with.
+    """Returns the text of the URDF, which refers to one mesh per link in its folder (see ``mesh_name``)."""
+    # The name of the model is its semantic class in images.
     robot = ET.Element("robot", name=model.semantic_class)
     for link in model.links:
         _link(robot, model, link)
@@ -22,14 +22,14 @@ def object_urdf(model: ObjectModel) -> str:
     return f'<?xml version="1.0"?>\n{ET.tostring(robot, encoding="unicode")}\n'
 
 
-def mesh_name(model: ObjectModel, link: Link) -> str:
-    """Returns the name of the file with the mesh of a link."""
+def mesh_name(model: ObjectModel, link: ObjectLink) -> str:
+    """Returns the file name of the mesh of a link."""
     return f"{model.name}.glb" if len(model.links) == 1 else f"{model.name}_{link.mesh or link.name}.glb"
 
 
-def _link(robot: ET.Element, model: ObjectModel, link: Link) -> None:
+def _link(robot: ET.Element, model: ObjectModel, link: ObjectLink) -> None:
     element = ET.SubElement(robot, "link", name=link.name)
-    if not link.solids:
+    if not link.primitives:
         return
     contact = ET.SubElement(element, "contact")
     ET.SubElement(contact, "lateral_friction", value=_text(link.friction))
@@ -46,23 +46,23 @@ def _link(robot: ET.Element, model: ObjectModel, link: Link) -> None:
     if link.visual:
         geometry = ET.SubElement(ET.SubElement(element, "visual"), "geometry")
         ET.SubElement(geometry, "mesh", filename=mesh_name(model, link))
-    for solid in link.solids:
-        _collision(element, solid)
+    for primitive in link.primitives:
+        _collision(element, primitive)
 
 
-def _collision(element: ET.Element, solid: Solid) -> None:
+def _collision(element: ET.Element, primitive: Primitive) -> None:
     collision = ET.SubElement(element, "collision")
-    ET.SubElement(collision, "origin", xyz=_text(*solid.middle), rpy=_text(*solid.rpy))
+    ET.SubElement(collision, "origin", xyz=_text(*primitive.middle), rpy=_text(*primitive.rpy))
     geometry = ET.SubElement(collision, "geometry")
-    if solid.kind == "box":
-        ET.SubElement(geometry, "box", size=_text(*solid.size))
-    elif solid.kind == "sphere":
-        ET.SubElement(geometry, "sphere", radius=_text(solid.size[0]))
+    if primitive.kind == "box":
+        ET.SubElement(geometry, "box", size=_text(*primitive.size))
+    elif primitive.kind == "sphere":
+        ET.SubElement(geometry, "sphere", radius=_text(primitive.size[0]))
     else:
-        ET.SubElement(geometry, "cylinder", radius=_text(solid.size[0]), length=_text(solid.size[1]))
+        ET.SubElement(geometry, "cylinder", radius=_text(primitive.size[0]), length=_text(primitive.size[1]))
 
 
-def _joint(robot: ET.Element, joint: Joint) -> None:
+def _joint(robot: ET.Element, joint: ObjectJoint) -> None:
     element = ET.SubElement(robot, "joint", name=joint.name, type=joint.kind)
     ET.SubElement(element, "parent", link=joint.parent)
     ET.SubElement(element, "child", link=joint.child)

@@ -1,4 +1,4 @@
-"""What is wrong with a plan. Works on the finished building alone and shares with the planner only what a room looks like from within."""
+"""Checks a finished plan. Shares with the planner only the geometry of rooms (``rooms``, ``floor_grid``)."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _HEAD = 2.0
 
 
 def check_building(building: Building) -> list[str]:
-    """Returns one line for everything that is wrong with a plan; empty = all is well."""
-    found = [*_names(building), *_walls(building), *_solids(building), *_lamps(building)]
+    """Returns one line for each fault of a plan; empty = none."""
+    found = [*_names(building), *_walls(building), *_overlaps(building), *_lamps(building)]
     for number, storey in enumerate(building.storeys):
         views = {room.name: room_view(storey, room, blocked(building, number)) for room in storey.rooms}
         found += _rooms(views)
         found += _standing(building, number, views)
         found += _doors_and_windows(building, number, views)
         found += _bodies(building, number, storey)
-        found += _ways(building, number, views)
+        found += _reachability(building, number, views)
     return found
 
 
 def piece_box(piece: Piece) -> Box:
-    """Returns the box along the axes that holds a piece, in the frame of the scene."""
+    """Returns the axis-aligned bounding box of a piece, in the frame of the scene, shrunk by the tolerance."""
     rect = around((piece.position[0], piece.position[1]), piece.yaw, piece.size[0], piece.size[1])
     return Box(
         rect.grown(-_TOLERANCE / 2), piece.position[2] + _TOLERANCE / 2, piece.position[2] + piece.size[2] - _TOLERANCE / 2
@@ -42,12 +42,12 @@ def piece_box(piece: Piece) -> Box:
 
 
 def _flat(piece: Piece) -> bool:
-    """Returns whether a piece lies on the floor and is walked on."""
+    """Returns whether a piece lies flat on the floor, as a rug does."""
     return CATALOGUE[piece.kind].stands == "lies"
 
 
 def _names(building: Building) -> Iterator[str]:
-    """Yields names that are used twice or that nothing knows."""
+    """Yields duplicate and unknown names."""
     for what, names in (
         ("piece", [p.name for p in building.pieces]),
         ("body", [b.name for b in building.bodies]),
@@ -82,7 +82,7 @@ def _walls(building: Building) -> Iterator[str]:
 
 
 def _openings(wall: Wall, storey: Storey) -> Iterator[str]:
-    """Yields openings that leave their wall or meet each other."""
+    """Yields openings that leave their wall or overlap."""
     length, at = math.dist(wall.start, wall.end), 0.1
     for opening in sorted(wall.openings, key=lambda o: o.middle):
         place = f"{opening.kind} between {wall.left or 'outside'} and {wall.right or 'outside'}"
@@ -97,8 +97,8 @@ def _openings(wall: Wall, storey: Storey) -> Iterator[str]:
         at = opening.middle + opening.width / 2 + 0.05
 
 
-def _solids(building: Building) -> Iterator[str]:
-    """Yields things that overlap."""
+def _overlaps(building: Building) -> Iterator[str]:
+    """Yields pieces and bodies that overlap."""
     things = [(p.name, piece_box(p)) for p in building.pieces if not _flat(p)]
     for body in building.bodies:
         box = body_box(body)
@@ -113,7 +113,7 @@ def _solids(building: Building) -> Iterator[str]:
 
 
 def _lamps(building: Building) -> Iterator[str]:
-    """Yields lamps that do not shine, and lights without a lamp."""
+    """Yields lamps without a light, and lights without a lamp."""
     pieces = [p for p in building.pieces if p.kind in _LAMPS]
     for lamp in building.lamps:
         if not any(math.dist(p.position[:2], lamp.position[:2]) < 0.05 for p in pieces):
@@ -139,7 +139,7 @@ def _rooms(views: dict[str, RoomView]) -> Iterator[str]:
 
 
 def _standing(building: Building, number: int, views: dict[str, RoomView]) -> Iterator[str]:
-    """Yields pieces outside their room, in the air, or too far from the wall that they hang on."""
+    """Yields pieces outside their room, above the floor, or too far from their wall."""
     storey = building.storeys[number]
     mine = [p for p in building.pieces if p.storey == number]
     for piece in mine:
@@ -160,14 +160,14 @@ def _standing(building: Building, number: int, views: dict[str, RoomView]) -> It
 
 
 def _carries(piece: Piece, position: tuple[float, float, float], rect: Rect) -> bool:
-    """Returns whether something at a position stands on top of a piece, entirely."""
+    """Returns whether a footprint at a position stands entirely on top of a piece."""
     on_top = abs(piece.position[2] + piece.size[2] - position[2]) < _TOLERANCE
     below = piece_box(piece).rect.grown(_TOLERANCE)
     return on_top and rect.shared(below) >= rect.area - 1e-6
 
 
 def _at_wall(piece: Piece, view: RoomView, others: list[Piece]) -> bool:
-    """Returns whether a wall is behind a piece. Sofas may stand free, and desks of an island have a screen behind them."""
+    """Returns whether a wall is behind a piece; sofas may stand free, and desks of an island have a partition behind them."""
     back = (
         piece.position[0] - math.cos(piece.yaw) * piece.size[0] / 2,
         piece.position[1] - math.sin(piece.yaw) * piece.size[0] / 2,
@@ -183,7 +183,7 @@ def _at_wall(piece: Piece, view: RoomView, others: list[Piece]) -> bool:
 
 
 def _doors_and_windows(building: Building, number: int, views: dict[str, RoomView]) -> Iterator[str]:
-    """Yields what stands in the way of a door, at the end of a stair, or before a window."""
+    """Yields obstacles before doors, windows and the ends of stairs."""
     floor_z = building.storeys[number].floor_z
     solid = [(p.name, piece_box(p)) for p in building.pieces if p.storey == number and not _flat(p)]
     solid += [(b.name, body_box(b)) for b in building.bodies if not is_door(b) and _storey_of(building, b.position[2]) == number]
@@ -220,7 +220,7 @@ def _storey_of(building: Building, z: float) -> int:
 
 
 def _bodies(building: Building, number: int, storey: Storey) -> Iterator[str]:
-    """Yields bodies that float or lie outside all rooms."""
+    """Yields bodies that float or are outside all rooms."""
     pieces = [p for p in building.pieces if p.storey == number and CATALOGUE[p.kind].stands != "lies"]
     cells = {room.name: cells_of(room.corners) for room in storey.rooms}
     for body in building.bodies:
@@ -233,8 +233,8 @@ def _bodies(building: Building, number: int, storey: Storey) -> Iterator[str]:
             yield f"{body.name} floats"
 
 
-def _ways(building: Building, number: int, views: dict[str, RoomView]) -> Iterator[str]:
-    """Yields rooms that people cannot walk through, and places that a robot cannot reach."""
+def _reachability(building: Building, number: int, views: dict[str, RoomView]) -> Iterator[str]:
+    """Yields rooms without a passage between their doors, and places that a robot cannot reach."""
     walking = FloorGrid(building, number, views, with_bodies=False)
     wide = walking.regions(0.35)
     for view in views.values():

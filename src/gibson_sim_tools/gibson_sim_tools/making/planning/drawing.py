@@ -1,4 +1,4 @@
-"""A plan as a picture, seen from above, to look at while working on the planner."""
+"""Draws a plan, seen from above, for work on the planner."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _INK: _Colour = (40, 40, 48)
 
 
 def draw_plan(building: Building, storey: int) -> NDArray[np.uint8]:
-    """Returns a storey from above, north up, (H, W, 3) RGB: rooms, walls, doors, windows, furniture with names, bodies, lamps, starts."""
+    """Returns a picture of a storey, north up, (H, W, 3) RGB: rooms, walls, doors, windows, furniture with names, bodies, lamps, starts."""
     return _Sheet(building, storey).drawn()
 
 
 class _Sheet:
-    """The picture while it is being drawn."""
+    """Draws one storey."""
 
     def __init__(self, building: Building, storey: int) -> None:
         self._building = building
@@ -74,7 +74,7 @@ class _Sheet:
         return self._storey.floor_z - 0.01 <= z < self._storey.floor_z + self._storey.height
 
     def _pixel(self, point: Point) -> tuple[int, int]:
-        """Returns where a point is in the picture."""
+        """Returns the pixel of a point."""
         return (round((point[0] - self._bounds.x0) * _SCALE), round((self._bounds.y1 - point[1]) * _SCALE))
 
     def _fill(self, points: Iterable[Point], colour: _Colour, edge: _Colour | None = None) -> None:
@@ -85,14 +85,14 @@ class _Sheet:
             cv2.polylines(self._image, [corners], True, edge, 1, cv2.LINE_AA)
 
     def _text(self, text: str, point: Point, colour: _Colour, size: float) -> None:
-        """Writes a text in the middle of a point."""
+        """Writes a text centred on a point."""
         (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
         x, y = self._pixel(point)
         cv2.putText(self._image, text, (x - width // 2, y + height // 2), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
     @staticmethod
     def _turned(middle: Point, yaw: float, depth: float, width: float) -> list[Point]:
-        """Returns the corners of a turned rectangle."""
+        """Returns the corners of a rotated rectangle."""
         cos, sin = math.cos(yaw), math.sin(yaw)
         offsets = ((-depth / 2, -width / 2), (depth / 2, -width / 2), (depth / 2, width / 2), (-depth / 2, width / 2))
         return [(middle[0] + cos * x - sin * y, middle[1] + sin * x + cos * y) for x, y in offsets]
@@ -138,7 +138,7 @@ class _Sheet:
                     self._fill(self._turned(middle, stair.yaw, stair.tread, stair.width), (shade, shade, shade), _INK)
 
     def _bodies(self) -> None:
-        """Draws what moves: leaves of doors in red, the rest in green."""
+        """Draws movable bodies: door leaves in red, others in green."""
         for body in sorted(self._building.bodies, key=lambda b: b.position[2]):
             if not self._is_here(body.position[2]):
                 continue

@@ -1,4 +1,4 @@
-"""The floor of a whole storey as a grid: where something round may go."""
+"""The floor of a storey as an occupancy grid, and the regions where a disc can move."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class FloorGrid:
 
     Args:
         building: the plan.
-        number: of the storey.
-        views: its rooms from within.
-        with_bodies: whether leaves of doors, where they are, and loose things on the floor are in the way.
+        number: index of the storey.
+        views: views of its rooms.
+        with_bodies: whether door leaves and loose objects on the floor are obstacles.
     """
 
     def __init__(self, building: Building, number: int, views: dict[str, RoomView], *, with_bodies: bool) -> None:
@@ -60,13 +60,13 @@ class FloorGrid:
                 self._paint(body_box(body).rect, 0)
 
     def regions(self, radius: float) -> NDArray[np.int32]:
-        """Returns the number of the region that the middle of something round may move in, for each cell; 0 = it does not fit."""
+        """Returns, for each cell, the number of the connected region in which the centre of a disc can move; 0 = it does not fit."""
         distances = cv2.distanceTransform(self.free, cv2.DIST_L2, 5) * _CELL - _CELL / 2
         _, labels = cv2.connectedComponents((distances >= radius).astype(np.uint8), connectivity=4)
         return np.asarray(labels, np.int32)
 
     def most_open(self, cells: Iterable[Rect], radius: float) -> Point | None:
-        """Returns the place farthest from everything in rectangles, within the largest region; None where there is none."""
+        """Returns the place in ``cells`` and the largest region that is farthest from obstacles; None if there is none."""
         distances = cv2.distanceTransform(self.free, cv2.DIST_L2, 5) * _CELL - _CELL / 2
         regions = self.regions(radius)
         largest = int(np.argmax(np.bincount(regions[regions > 0]))) if regions.any() else 0
@@ -80,17 +80,17 @@ class FloorGrid:
         return (self._x0 + (float(column) + 0.5) * _CELL, self._y0 + (float(row) + 0.5) * _CELL)
 
     def region_near(self, regions: NDArray[np.int32], point: Point, radius: float) -> int:
-        """Returns the largest region within a distance of a point; 0 = none."""
+        """Returns the largest region within ``radius`` of a point; 0 = none."""
         near = regions[self._slices(Rect(point[0], point[1], point[0], point[1]).grown(radius))]
         values, counts = np.unique(near[near > 0], return_counts=True)
         return int(values[np.argmax(counts)]) if values.size else 0
 
     def _cell(self, point: Point) -> tuple[float, float]:
-        """Returns column and row of a point, with fractions."""
+        """Returns the fractional column and row of a point."""
         return ((point[0] - self._x0) / _CELL - 0.5, (point[1] - self._y0) / _CELL - 0.5)
 
     def _slices(self, rect: Rect) -> tuple[slice, slice]:
-        """Returns the cells whose middles lie in a rectangle."""
+        """Returns the cells whose centres lie in a rectangle."""
         (left, low), (right, high) = self._cell((rect.x0, rect.y0)), self._cell((rect.x1, rect.y1))
         return (
             slice(max(0, math.ceil(low - 1e-6)), max(0, math.floor(high + 1e-6) + 1)),
@@ -98,5 +98,5 @@ class FloorGrid:
         )
 
     def _paint(self, rect: Rect, value: int) -> None:
-        """Sets the cells whose middles lie in a rectangle."""
+        """Sets the cells whose centres lie in a rectangle."""
         self.free[self._slices(rect)] = value

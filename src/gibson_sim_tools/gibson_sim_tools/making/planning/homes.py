@@ -1,10 +1,10 @@
-"""Layouts of flats and houses: a few types of plan, each with sizes by chance."""
+"""Layouts of flats and houses: a few types of plan with random sizes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.planning.layout import OUTSIDE_THICKNESS, Flight, Layout, Level, Link, Space, one
+from gibson_sim_tools.making.planning.layout import OUTSIDE_THICKNESS, BuildingLayout, Flight, Level, Space, SpaceLink, one
 from gibson_sim_tools.making.planning.rectangles import Rect
 
 _STAIR_WIDTH = 0.95
@@ -13,32 +13,32 @@ _TREAD = 0.25
 _RUN = (_STEPS - 1) * _TREAD
 
 
-def flat_layout(rng: np.random.Generator) -> Layout:
+def flat_layout(rng: np.random.Generator) -> BuildingLayout:
     """Returns the layout of a flat: one storey, five to seven rooms."""
     makers = (_corridor_flat, _hall_flat, _open_flat, _ell_flat, _small_flat)
     spaces, links = makers[int(rng.integers(len(makers)))](rng)
-    return Layout((Level(_draw(rng, 2.5, 2.75), spaces, links),), _draw(rng, 0.1, 0.14))
+    return BuildingLayout((Level(_draw(rng, 2.5, 2.75), spaces, links),), _draw(rng, 0.1, 0.14))
 
 
-def house_layout(rng: np.random.Generator) -> Layout:
+def house_layout(rng: np.random.Generator) -> BuildingLayout:
     """Returns the layout of a house of two storeys."""
-    # Half of it is a whole number of centimetres, so that stairs end at the face of a wall.
+    # Half the thickness is a whole number of centimetres, so that stairs end at the face of a wall.
     partition = float(rng.choice((0.1, 0.12, 0.14)))
     return _side_hall_house(rng, partition) if rng.random() < 0.5 else _middle_hall_house(rng, partition)
 
 
 def _draw(rng: np.random.Generator, low: float, high: float) -> float:
-    """Returns a length between two, in whole centimetres."""
+    """Returns a random length between two, in whole centimetres."""
     return round(float(rng.uniform(low, high)), 2)
 
 
-def _way(rng: np.random.Generator, from_room: str, to_room: str, *, near: tuple[float, float] | None = None) -> Link:
-    """Returns a passage or a door, by chance."""
+def _connection(rng: np.random.Generator, from_room: str, to_room: str, *, near: tuple[float, float] | None = None) -> SpaceLink:
+    """Returns a passage or a door, chosen at random."""
     wide = rng.random() < 0.6
-    return Link(from_room, to_room, "passage" if wide else "door", _draw(rng, 1.1, 1.5) if wide else 0.9, near)
+    return SpaceLink(from_room, to_room, "passage" if wide else "door", _draw(rng, 1.1, 1.5) if wide else 0.9, near)
 
 
-def _corridor_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _corridor_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """A corridor from the entrance between living room above and kitchen, bath below; bedrooms at its end."""
     large = rng.random() < 0.4
     end = _draw(rng, 7.7, 8.1) if large else _draw(rng, 6.2, 7.0)
@@ -60,18 +60,18 @@ def _corridor_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[L
         *beside,
     )
     links = (
-        Link("", "corridor", near=(0, y1 + corridor / 2)),
-        _way(rng, "corridor", "living_room", near=(_draw(rng, 2.0, 4.5), y2)),
-        Link("corridor", "bedroom_1", near=(end, y1 + corridor / 2)),
-        Link("corridor", spaces[3].name, near=(end, y1)),
-        Link("corridor", "bathroom", width=0.8),
-        Link("corridor", "kitchen", sliding=bool(rng.random() < 0.25)),
-        *(Link("corridor", space.name) for space in beside),
+        SpaceLink("", "corridor", near=(0, y1 + corridor / 2)),
+        _connection(rng, "corridor", "living_room", near=(_draw(rng, 2.0, 4.5), y2)),
+        SpaceLink("corridor", "bedroom_1", near=(end, y1 + corridor / 2)),
+        SpaceLink("corridor", spaces[3].name, near=(end, y1)),
+        SpaceLink("corridor", "bathroom", width=0.8),
+        SpaceLink("corridor", "kitchen", sliding=bool(rng.random() < 0.25)),
+        *(SpaceLink("corridor", space.name) for space in beside),
     )
     return spaces, links
 
 
-def _hall_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _hall_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """A square hall below living room and bedroom, between the kitchen and the bath."""
     left = _draw(rng, 3.0, 3.5)
     right = left + _draw(rng, 2.9, 3.1)
@@ -89,18 +89,18 @@ def _hall_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link,
         one("storage", "storage", right, 0, width, store),
     )
     links = (
-        Link("", "hall", near=((left + right) / 2, 0)),
-        Link("hall", "living_room", near=(parting - 0.7, middle)),
-        Link("hall", "bedroom", near=(parting + 0.7, middle)),
-        Link("hall", "kitchen", near=(left, 1.0)),
-        Link("hall", "bathroom", width=0.8, near=(right, middle - 0.7)),
-        Link("hall", "storage", near=(right, 0.8), sliding=bool(rng.random() < 0.4)),
-        Link("kitchen", "living_room", "passage", _draw(rng, 1.2, 1.7), near=(_draw(rng, 1.0, left - 0.6), middle)),
+        SpaceLink("", "hall", near=((left + right) / 2, 0)),
+        SpaceLink("hall", "living_room", near=(parting - 0.7, middle)),
+        SpaceLink("hall", "bedroom", near=(parting + 0.7, middle)),
+        SpaceLink("hall", "kitchen", near=(left, 1.0)),
+        SpaceLink("hall", "bathroom", width=0.8, near=(right, middle - 0.7)),
+        SpaceLink("hall", "storage", near=(right, 0.8), sliding=bool(rng.random() < 0.4)),
+        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.2, 1.7), near=(_draw(rng, 1.0, left - 0.6), middle)),
     )
     return spaces, links
 
 
-def _small_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _small_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """A short corridor between bedroom and bath leads to the living room; the kitchen lies open beside it."""
     left = _draw(rng, 4.5, 4.9)
     width = left + _draw(rng, 3.6, 3.9)
@@ -115,16 +115,16 @@ def _small_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link
         one("bedroom", "bedroom", left, upper, width, depth),
     )
     links = (
-        Link("", "corridor", near=(width, lower + corridor / 2)),
-        Link("corridor", "living_room", near=(left, lower + corridor / 2)),
-        Link("corridor", "bathroom", width=0.8),
-        Link("corridor", "bedroom"),
-        Link("kitchen", "living_room", "passage", _draw(rng, 1.4, 2.4), near=(_draw(rng, 1.5, left - 1.2), lower)),
+        SpaceLink("", "corridor", near=(width, lower + corridor / 2)),
+        SpaceLink("corridor", "living_room", near=(left, lower + corridor / 2)),
+        SpaceLink("corridor", "bathroom", width=0.8),
+        SpaceLink("corridor", "bedroom"),
+        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.4, 2.4), near=(_draw(rng, 1.5, left - 1.2), lower)),
     )
     return spaces, links
 
 
-def _open_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _open_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """Living room and kitchen side by side and open to each other; a hall parts them from bedrooms and bath."""
     left = _draw(rng, 4.4, 5.2)
     hall = left + _draw(rng, 1.45, 1.6)
@@ -142,17 +142,17 @@ def _open_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link,
         one("bedroom_2", "bedroom", hall, 0, width, bath),
     )
     links = (
-        Link("", "hall", near=((left + hall) / 2, 0)),
-        _way(rng, "hall", "living_room", near=(left, top - 1.0)),
-        Link("hall", "bedroom_1", near=((left + hall) / 2, top)),
-        Link("hall", "bathroom", width=0.8),
-        Link("hall", "bedroom_2", near=(hall, bath)),
-        Link("kitchen", "living_room", "passage", _draw(rng, 1.9, 2.6), near=(_draw(rng, 1.5, left - 1.2), kitchen)),
+        SpaceLink("", "hall", near=((left + hall) / 2, 0)),
+        _connection(rng, "hall", "living_room", near=(left, top - 1.0)),
+        SpaceLink("hall", "bedroom_1", near=((left + hall) / 2, top)),
+        SpaceLink("hall", "bathroom", width=0.8),
+        SpaceLink("hall", "bedroom_2", near=(hall, bath)),
+        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.9, 2.6), near=(_draw(rng, 1.5, left - 1.2), kitchen)),
     )
     return spaces, links
 
 
-def _ell_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _ell_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """Two wings: living room and kitchen in one, bath and bedrooms along a corridor with windows in the other."""
     wing = _draw(rng, 4.3, 5.0)
     lower, corridor = _draw(rng, 3.2, 3.6), _draw(rng, 1.55, 1.7)
@@ -170,25 +170,25 @@ def _ell_flat(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, 
         one("bedroom_1", "bedroom", end, 0, width, y2),
     )
     links = (
-        Link("", "corridor", near=(wing + 1.6, y2)),
-        Link("corridor", "living_room", near=(wing, lower + corridor / 2)),
-        Link("corridor", "bathroom", width=0.8),
-        Link("corridor", spaces[4].name),
-        Link("corridor", "bedroom_1", near=(end, lower + corridor / 2)),
-        Link("kitchen", "living_room", "passage", _draw(rng, 1.2, 2.2), near=(_draw(rng, 1.2, wing - 1.0), lower)),
+        SpaceLink("", "corridor", near=(wing + 1.6, y2)),
+        SpaceLink("corridor", "living_room", near=(wing, lower + corridor / 2)),
+        SpaceLink("corridor", "bathroom", width=0.8),
+        SpaceLink("corridor", spaces[4].name),
+        SpaceLink("corridor", "bedroom_1", near=(end, lower + corridor / 2)),
+        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.2, 2.2), near=(_draw(rng, 1.2, wing - 1.0), lower)),
     )
     return spaces, links
 
 
 def _flight(hall_start: float, partition: float, outer: bool, foot: float, front: float) -> Flight:
-    """Returns the stair along the left wall of a hall, rising along y; ``front`` = middle of the wall before its hole on the upper storey."""
+    """Returns the stair along the left wall of a hall, rising along y; ``front``: centre of the wall before its hole on the upper storey."""
     x0 = round(hall_start + (OUTSIDE_THICKNESS if outer else partition) / 2, 3)
     middle = round(x0 + _STAIR_WIDTH / 2, 3)
     hole = Rect(x0, round(front + partition / 2, 3), round(x0 + _STAIR_WIDTH, 3), round(foot + _RUN, 3))
     return Flight((middle, foot), (middle, round(foot + _RUN, 3)), _STAIR_WIDTH, _STEPS, hole, "hall", "upper_hall")
 
 
-def _side_hall_house(rng: np.random.Generator, partition: float) -> Layout:
+def _side_hall_house(rng: np.random.Generator, partition: float) -> BuildingLayout:
     """A narrow house: the hall with the stair along one outer wall, all rooms on its other side."""
     hall = _draw(rng, 2.4, 2.55)
     width = hall + _draw(rng, 4.5, 5.4)
@@ -203,11 +203,11 @@ def _side_hall_house(rng: np.random.Generator, partition: float) -> Layout:
         one("living_room", "living", hall, kitchen, width, depth),
     )
     ground_links = (
-        Link("", "hall", near=(hall - 0.7, 0)),
-        Link("hall", "toilet", width=0.8, near=(hall - 0.6, back)),
-        Link("hall", "kitchen", near=(hall, 2.0), sliding=bool(rng.random() < 0.4)),
-        Link("hall", "living_room", near=(hall, kitchen + 1.2)),
-        Link("kitchen", "living_room", "passage", _draw(rng, 1.2, 2.0), near=(width - 1.6, kitchen)),
+        SpaceLink("", "hall", near=(hall - 0.7, 0)),
+        SpaceLink("hall", "toilet", width=0.8, near=(hall - 0.6, back)),
+        SpaceLink("hall", "kitchen", near=(hall, 2.0), sliding=bool(rng.random() < 0.4)),
+        SpaceLink("hall", "living_room", near=(hall, kitchen + 1.2)),
+        SpaceLink("kitchen", "living_room", "passage", _draw(rng, 1.2, 2.0), near=(width - 1.6, kitchen)),
     )
     upper = (
         one("upper_hall", "hall", 0, front, hall, depth),
@@ -216,16 +216,16 @@ def _side_hall_house(rng: np.random.Generator, partition: float) -> Layout:
         one("bedroom_2", "bedroom", hall, 0, width, parting),
     )
     upper_links = (
-        Link("upper_hall", "bathroom", width=0.8, near=(hall - 0.6, front)),
-        Link("upper_hall", "bedroom_1", near=(hall, parting + 0.8)),
-        Link("upper_hall", "bedroom_2", near=(hall, parting - 0.8)),
+        SpaceLink("upper_hall", "bathroom", width=0.8, near=(hall - 0.6, front)),
+        SpaceLink("upper_hall", "bedroom_1", near=(hall, parting + 0.8)),
+        SpaceLink("upper_hall", "bedroom_2", near=(hall, parting - 0.8)),
     )
     height = _draw(rng, 2.5, 2.6)
     levels = (Level(height, ground, ground_links, ("hall",)), Level(height, upper, upper_links))
-    return Layout(levels, partition, (_flight(0.0, partition, True, foot, front),))
+    return BuildingLayout(levels, partition, (_flight(0.0, partition, True, foot, front),))
 
 
-def _middle_hall_house(rng: np.random.Generator, partition: float) -> Layout:
+def _middle_hall_house(rng: np.random.Generator, partition: float) -> BuildingLayout:
     """A wide house: the hall with the stair in its middle, rooms on both sides."""
     left = _draw(rng, 3.9, 4.3)
     hall = left + _draw(rng, 2.4, 2.55)
@@ -243,11 +243,11 @@ def _middle_hall_house(rng: np.random.Generator, partition: float) -> Layout:
         one("kitchen", "kitchen", hall, depth - kitchen, width, depth),
     )
     ground_links = (
-        Link("", "hall", near=(hall - 0.7, 0)),
-        Link("hall", "toilet", width=0.8, near=(hall - 0.6, back)),
-        Link("hall", "living_room", near=(left, 0.9)),
-        Link("hall", "kitchen", near=(hall, depth - kitchen + 0.7)),
-        Link("hall", ground[3].name, near=(hall, depth - kitchen - 0.8)),
+        SpaceLink("", "hall", near=(hall - 0.7, 0)),
+        SpaceLink("hall", "toilet", width=0.8, near=(hall - 0.6, back)),
+        SpaceLink("hall", "living_room", near=(left, 0.9)),
+        SpaceLink("hall", "kitchen", near=(hall, depth - kitchen + 0.7)),
+        SpaceLink("hall", ground[3].name, near=(hall, depth - kitchen - 0.8)),
     )
     upper = (
         one("upper_hall", "hall", left, front, hall, depth),
@@ -258,12 +258,12 @@ def _middle_hall_house(rng: np.random.Generator, partition: float) -> Layout:
         one("bedroom_3", "bedroom", hall, 0, width, parting),
     )
     upper_links = (
-        Link("upper_hall", "bathroom", width=0.8, near=(hall - 0.6, front)),
-        Link("upper_hall", "bedroom_1", near=(left, depth - 1.0)),
-        Link("bedroom_1", "ensuite", width=0.8),
-        Link("upper_hall", "bedroom_2", near=(hall, parting + 0.8)),
-        Link("upper_hall", "bedroom_3", near=(hall, parting - 0.8)),
+        SpaceLink("upper_hall", "bathroom", width=0.8, near=(hall - 0.6, front)),
+        SpaceLink("upper_hall", "bedroom_1", near=(left, depth - 1.0)),
+        SpaceLink("bedroom_1", "ensuite", width=0.8),
+        SpaceLink("upper_hall", "bedroom_2", near=(hall, parting + 0.8)),
+        SpaceLink("upper_hall", "bedroom_3", near=(hall, parting - 0.8)),
     )
     height = _draw(rng, 2.5, 2.6)
     levels = (Level(height, ground, ground_links, ("hall",)), Level(height, upper, upper_links))
-    return Layout(levels, partition, (_flight(left, partition, False, foot, front),))
+    return BuildingLayout(levels, partition, (_flight(left, partition, False, foot, front),))

@@ -1,4 +1,4 @@
-"""Layouts: which rooms there are, where they lie and which are joined, before there are walls. What the makers of each kind of building return."""
+"""Layouts of buildings: rooms, their rectangles and their connections, without walls. The result of the layout functions of each kind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OUTSIDE_THICKNESS = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """A room to be: rectangles that touch."""
+    """A room: adjacent rectangles."""
 
     name: str
     kind: str
@@ -23,56 +23,56 @@ class Space:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class SpaceLink:
     """A door or a passage between two spaces."""
 
     from_room: str
     """Empty = outside."""
     to_room: str
-    """A door opens into this one."""
+    """The room into which a door opens."""
     kind: Literal["door", "passage"] = "door"
     width: float = 0.9
     near: Point | None = None
-    """It comes as near to this point as may be."""
+    """Preferred position; None = anywhere."""
     sliding: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A straight stair to the storey above."""
+    """A straight flight of stairs to the storey above."""
 
     foot: Point
     top: Point
-    """Middles of the edges at which it begins and ends."""
+    """Centres of the first and the last edge."""
     width: float
     steps: int
     hole: Rect
-    """In the floor above."""
+    """Hole in the floor above."""
     lower_room: str
     upper_room: str
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A storey to be."""
+    """The layout of a storey."""
 
     height: float
     spaces: tuple[Space, ...]
-    links: tuple[Link, ...]
+    links: tuple[SpaceLink, ...]
     windowless: tuple[str, ...] = ()
-    """Rooms that get no window."""
+    """Rooms without windows."""
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """A building to be."""
+class BuildingLayout:
+    """The layout of a building."""
 
     levels: tuple[Level, ...]
     partition: float
-    """Thickness of the walls inside."""
+    """Thickness of inside walls, metres."""
     flights: tuple[Flight, ...] = ()
     slab: float = 0.3
-    """Thickness of the floor between two storeys."""
+    """Thickness of the floor between two storeys, metres."""
 
     def bounds(self) -> Rect:
         """Returns the rectangle around all storeys."""
@@ -84,8 +84,8 @@ def one(name: str, kind: str, x0: float, y0: float, x1: float, y1: float) -> Spa
     return Space(name, kind, (Rect(round(x0, 2), round(y0, 2), round(x1, 2), round(y1, 2)),))
 
 
-def turned(layout: Layout, rng: np.random.Generator) -> Layout:
-    """Returns the layout mirrored and turned by chance, its lower left corner at the origin."""
+def turned(layout: BuildingLayout, rng: np.random.Generator) -> BuildingLayout:
+    """Returns the layout, randomly mirrored and transposed, with its lower left corner at the origin."""
     mirror, swap = bool(rng.integers(2)), bool(rng.integers(2))
     bounds = layout.bounds()
 

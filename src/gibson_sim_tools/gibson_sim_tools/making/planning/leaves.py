@@ -1,4 +1,4 @@
-"""Leaves of doors: how far each stands open. Most are open, so that a robot can go everywhere."""
+"""Door leaves and their opening angles. Most are open, so that a robot can reach every room."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gibson_sim_tools.making.planning.objects import door_body
 _OPEN = (1.15, 1.35, 1.5, 1.55)
 """Angles of open doors, radians."""
 _SLID = (0.75, 0.88)
-"""The same of sliding doors, metres."""
+"""Positions of open sliding doors, metres."""
 
 
 def hang_doors(storeys: Sequence[Storey], rng: np.random.Generator) -> list[Body]:
     """Returns the leaves of all doors.
 
-    Those to the outside are closed. Of each storey at most one other is: one that there is a way round.
+    Outside doors are closed, and at most one other per storey, if there is a detour around it.
     """
     bodies: list[Body] = []
     for storey in storeys:
@@ -46,7 +46,7 @@ def hang_doors(storeys: Sequence[Storey], rng: np.random.Generator) -> list[Body
 
 
 def _all_joined(walls: Sequence[Wall]) -> bool:
-    """Returns whether doors and passages in these walls join all rooms."""
+    """Returns whether doors and passages in these walls connect all rooms."""
     pairs = [(w.left, w.right) for w in walls if w.left and w.right and any(o.kind != "window" for o in w.openings)]
     rooms = {room for w in walls for room in (w.left, w.right) if room}
     reached = {min(rooms)}

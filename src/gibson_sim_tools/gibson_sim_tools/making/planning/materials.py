@@ -1,4 +1,4 @@
-"""Floors and walls that go together: one palette for each building."""
+"""Palettes of matching floor and wall materials, one for each building."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Palette:
     """Materials of one building."""
 
     floor: str
-    """Of living rooms and corridors."""
+    """Floor of living rooms and corridors."""
     soft_floor: str
-    """Of bedrooms and offices."""
+    """Floor of bedrooms and offices."""
     wet_floor: str
     wet_walls: str
     kitchen_floor: str
@@ -28,11 +28,11 @@ class Palette:
     store_floor: str
     walls: str
     accents: tuple[str, ...]
-    """Walls of single rooms."""
+    """Walls of some rooms."""
 
 
 def palette(kind: BuildingKind, rng: np.random.Generator) -> Palette:
-    """Returns a palette for a kind of building."""
+    """Returns a random palette for a kind of building."""
 
     def pick(*names: str) -> str:
         return names[int(rng.integers(len(names)))]

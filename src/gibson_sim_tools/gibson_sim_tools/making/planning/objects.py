@@ -1,4 +1,4 @@
-"""Sizes of the bodies that move, and where a door's leaf is: what plans need to know of ``scenes/objects``."""
+"""Sizes of movable bodies and geometry of door leaves: what plans need to know about ``scenes/objects``."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ SIZES: dict[str, Vec3] = {
     "fridge_body": (0.68, 0.6, 1.78),
     "oven_body": (0.6, 0.595, 0.6),
 }
-"""Depth (x), width (y) and height (z) of a box about the origin that holds the object, metres."""
+"""Bounding box of each object, centred on its origin in x and y: depth (x), width (y), height (z), metres."""
 
 DOOR_HEIGHT = 2.0
 _LEAF = 0.04
 _PIVOT = 0.022
-"""From the jamb to the axis of a hinge."""
+"""Distance from the jamb to the axis of a hinge, metres."""
 _SLIDING_WIDTH = 0.94
 _SLIDING_LEAF = 0.035
 _SLIDING_OFFSET = 0.05
@@ -64,7 +64,7 @@ def is_door(body: Body) -> bool:
 
 
 def body_box(body: Body) -> Box:
-    """Returns the box along the axes that holds a body; of a leaf, where its joint is."""
+    """Returns the axis-aligned bounding box of a body; for a leaf, at its joint position."""
     if is_door(body):
         return Box(leaf_rect(body), body.position[2], body.position[2] + DOOR_HEIGHT + 0.1)
     depth, width, height = SIZES[body.model]
@@ -72,7 +72,7 @@ def body_box(body: Body) -> Box:
 
 
 def leaf_corners(body: Body) -> tuple[Point, ...]:
-    """Returns the four corners of a door's leaf where its joint is, seen from above."""
+    """Returns the four corners of a door leaf at its joint position, seen from above."""
     yaw, x0, x1, half = body.yaw, -0.02, 0.874 if "90" in body.model else 0.774, _LEAF / 2
     if body.model.startswith("sliding"):
         x0, half = body.joints.get("slide", 0.0), _SLIDING_LEAF / 2
@@ -87,32 +87,32 @@ def leaf_corners(body: Body) -> tuple[Point, ...]:
 
 
 def leaf_rect(body: Body) -> Rect:
-    """Returns the rectangle along the axes about a door's leaf where its joint is."""
+    """Returns the bounding rectangle of a door leaf at its joint position."""
     return spanning(leaf_corners(body))
 
 
 def door_model(opening_width: float, swing: int, hinge: str) -> str:
-    """Returns the object that fits: a leaf is left-handed if it turns counter-clockwise as it opens."""
+    """Returns the object of a door: a leaf is left-handed if it turns counter-clockwise as it opens."""
     hand = "left" if (swing > 0) == (hinge == "start") else "right"
     return f"door_{round(opening_width * 100)}_{hand}"
 
 
 def door_body(name: str, wall: Wall, opening: Opening, floor_z: float, joint: float) -> Body:
-    """Returns the body of a door's leaf in its opening.
+    """Returns the body of a door leaf in its opening.
 
     Args:
         name: of the body.
-        wall: that it hangs in.
-        opening: with ``body`` set.
+        wall: wall of the opening.
+        opening: opening with ``body`` set.
         floor_z: of the storey, metres.
-        joint: how far it is open: radians, or metres for a sliding door.
+        joint: joint position: radians, or metres for a sliding door.
     """
     length = math.dist(wall.start, wall.end)
     along = ((wall.end[0] - wall.start[0]) / length, (wall.end[1] - wall.start[1]) / length)
     side = (-along[1] * opening.swing, along[0] * opening.swing)
     sliding = opening.body.startswith("sliding")
     if sliding:
-        # It slides towards its "hinge", so its closed edge is the other one.
+        # It slides towards its "hinge", so its closing edge is the other one.
         at, ahead = (
             (opening.middle + opening.width / 2 + 0.02, -1.0)
             if opening.hinge == "start"

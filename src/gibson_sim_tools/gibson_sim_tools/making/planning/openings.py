@@ -1,4 +1,4 @@
-"""Doors, passages and windows: where they come in the walls of a storey."""
+"""Places doors, passages and windows in the walls of a storey."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from gibson_sim_tools.making.building import Opening, Point, Wall
-from gibson_sim_tools.making.planning.layout import Level, Link
+from gibson_sim_tools.making.planning.layout import Level, SpaceLink
 from gibson_sim_tools.making.planning.objects import DOOR_HEIGHT, door_model
 from gibson_sim_tools.making.planning.rectangles import Rect
-from gibson_sim_tools.making.planning.rooms import Face, door_zones, face_of, window_zone
+from gibson_sim_tools.making.planning.rooms import WallFace, door_zones, face_of, window_zone
 
 _MARGIN = 0.24
-"""From the end of a wall's middle line to an opening: half a wall, and what a door needs to turn."""
+"""Distance from the end of a wall's centre line to an opening, metres: half a wall and the clearance of a door."""
 
 
-def with_doors(walls: tuple[Wall, ...], links: tuple[Link, ...], rng: np.random.Generator) -> tuple[Wall, ...] | None:
-    """Returns the walls with a door or a passage for each link; None where one finds no place."""
+def with_doors(walls: tuple[Wall, ...], links: tuple[SpaceLink, ...], rng: np.random.Generator) -> tuple[Wall, ...] | None:
+    """Returns the walls with a door or a passage for each link; None if one does not fit."""
     current = list(walls)
     for link in links:
         places = [(index, opening) for index, wall in enumerate(current) for opening in _places(wall, link, rng)]
@@ -35,13 +35,13 @@ def with_doors(walls: tuple[Wall, ...], links: tuple[Link, ...], rng: np.random.
 
 
 def _on(wall: Wall, along: float) -> Point:
-    """Returns a point of a wall's middle line."""
+    """Returns a point on a wall's centre line."""
     part = along / math.dist(wall.start, wall.end)
     return (wall.start[0] + (wall.end[0] - wall.start[0]) * part, wall.start[1] + (wall.end[1] - wall.start[1]) * part)
 
 
-def _places(wall: Wall, link: Link, rng: np.random.Generator) -> list[Opening]:
-    """Returns what may be made of a link in a wall, the best first: doors near a corner, hung on that side."""
+def _places(wall: Wall, link: SpaceLink, rng: np.random.Generator) -> list[Opening]:
+    """Returns the possible openings of a link in a wall, the best first: doors near a corner, with the hinge on that side."""
     if {wall.left, wall.right} != {link.from_room, link.to_room}:
         return []
     length = math.dist(wall.start, wall.end)
@@ -53,7 +53,7 @@ def _places(wall: Wall, link: Link, rng: np.random.Generator) -> list[Opening]:
     return [_opening(wall, link, round(m, 3), "start" if m - low < high - m else "end") for m in order]
 
 
-def _opening(wall: Wall, link: Link, middle: float, hinge: str) -> Opening:
+def _opening(wall: Wall, link: SpaceLink, middle: float, hinge: str) -> Opening:
     """Returns the door or passage of a link."""
     if link.kind == "passage":
         return Opening("passage", middle, link.width, 0.0, 2.1)
@@ -65,7 +65,7 @@ def _opening(wall: Wall, link: Link, middle: float, hinge: str) -> Opening:
 
 
 def _is_free(walls: list[Wall], wall: Wall, opening: Opening) -> bool:
-    """Returns whether neither the leaf of this door nor that of another comes in the way."""
+    """Returns whether an opening is free of the leaves of other doors, and they of its leaf."""
     for room in (wall.left, wall.right):
         if not room:
             continue
@@ -90,8 +90,8 @@ def _is_free(walls: list[Wall], wall: Wall, opening: Opening) -> bool:
     return True
 
 
-def _turns_here(face: Face, opening: Opening) -> bool:
-    """Returns whether the leaf of an opening is on this side of its wall."""
+def _turns_here(face: WallFace, opening: Opening) -> bool:
+    """Returns whether the leaf of an opening swings to this side of its wall."""
     return opening.kind == "door" and opening.swing == face.side
 
 
@@ -113,19 +113,19 @@ _WINDOWS: dict[str, tuple[float, float, float, float]] = {
     "shop": (1.8, 2.6, 0.45, 1.95),
 }
 _MANY = ("living", "open_office", "meeting", "office", "shop", "bedroom")
-"""Rooms with windows in more than one wall."""
+"""Kinds of rooms with windows in more than one wall."""
 
 
 def with_windows(
     walls: tuple[Wall, ...], level: Level, keep_off: tuple[Rect, ...], front: Rect, rng: np.random.Generator
 ) -> tuple[Wall, ...]:
-    """Returns the walls with windows in those to the outside.
+    """Returns the walls with windows in the outside walls.
 
     Args:
         walls: of the storey, with their doors.
-        level: what rooms there are.
-        keep_off: stairs; no window comes beside them.
-        front: where the entrance is; a shop has its windows on that side only.
+        level: layout of the storey.
+        keep_off: stairs; no window is beside them.
+        front: the side of the entrance; a shop has windows on that side only.
         rng: decides number and width.
     """
     current = list(walls)
@@ -150,7 +150,7 @@ def with_windows(
 
 
 def _windows(wall: Wall, kind: str, rng: np.random.Generator) -> list[Opening]:
-    """Returns the windows of one wall, at equal distances, without those that would meet a door."""
+    """Returns the windows of one wall, at equal distances, clear of its doors."""
     least, largest, sill, height = _WINDOWS[kind]
     wanted = round(float(rng.uniform(least, largest)), 2)
     found: list[Opening] = []
@@ -166,7 +166,7 @@ def _windows(wall: Wall, kind: str, rng: np.random.Generator) -> list[Opening]:
 
 
 def _between_doors(wall: Wall) -> list[tuple[float, float]]:
-    """Returns the parts of a wall that doors leave, the longest first."""
+    """Returns the intervals of a wall between its doors, the longest first."""
     low, high = 0.3, math.dist(wall.start, wall.end) - 0.3
     parts = []
     for door in sorted(wall.openings, key=lambda o: o.middle):

@@ -1,4 +1,4 @@
-"""From a kind of building and a seed to the whole plan."""
+"""Plans a whole building from its kind and a seed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim_tools.making.building import Building, BuildingKind, Piece, Poin
 from gibson_sim_tools.making.planning.floor_grid import FloorGrid
 from gibson_sim_tools.making.planning.furnishing import furnish
 from gibson_sim_tools.making.planning.homes import flat_layout, house_layout
-from gibson_sim_tools.making.planning.layout import Flight, Layout, Level, turned
+from gibson_sim_tools.making.planning.layout import BuildingLayout, Flight, Level, turned
 from gibson_sim_tools.making.planning.leaves import hang_doors
 from gibson_sim_tools.making.planning.materials import Palette, palette, surfaces
 from gibson_sim_tools.making.planning.openings import with_doors, with_windows
@@ -24,7 +24,7 @@ from gibson_sim_tools.making.planning.space import FurnishedRoom, Furnishings
 from gibson_sim_tools.making.planning.walls import outline, walls_of
 from gibson_sim_tools.making.planning.workplaces import office_layout, shop_layout
 
-KINDS: Mapping[BuildingKind, Callable[[np.random.Generator], Layout]] = {
+KINDS: Mapping[BuildingKind, Callable[[np.random.Generator], BuildingLayout]] = {
     "flat": flat_layout,
     "house": house_layout,
     "office": office_layout,
@@ -33,11 +33,11 @@ KINDS: Mapping[BuildingKind, Callable[[np.random.Generator], Layout]] = {
 _ATTEMPTS = 60
 _ROOM_ATTEMPTS = 8
 _OPENING = ("cabinet_drawers", "cabinet_doors")
-"""Furniture that opens; every home has some."""
+"""Furniture with joints; every home has some."""
 ROBOT_RADIUS = 0.22
-"""Of the robot that can go everywhere, metres."""
+"""Radius of the robot that can reach every room, metres."""
 LANDING = 0.9
-"""Floor that stays free at both ends of a stair, metres."""
+"""Free floor at both ends of a stair, metres."""
 
 
 def plan_building(kind: BuildingKind, seed: int, name: str = "") -> Building:
@@ -64,7 +64,7 @@ def plan_building(kind: BuildingKind, seed: int, name: str = "") -> Building:
 
 
 def _attempt(kind: BuildingKind, seed: int, name: str, rng: np.random.Generator) -> Building | None:
-    """Returns a plan, or None where a door or a piece of furniture that must be has found no place."""
+    """Returns a plan, or None if a door or a required piece of furniture does not fit."""
     layout = turned(KINDS[kind](rng), rng)
     colours = palette(kind, rng)
     stairs = tuple(_stair(flight) for flight in layout.flights)
@@ -78,7 +78,7 @@ def _attempt(kind: BuildingKind, seed: int, name: str, rng: np.random.Generator)
     for number, storey in enumerate(storeys):
         _put_railings(things, layout, number)
         for room in storey.rooms:
-            if not _is_furnished(things, layout, number, storey, room, workplace=kind in ("office", "shop")):
+            if not _furnish_room(things, layout, number, storey, room, workplace=kind in ("office", "shop")):
                 return None
     if kind in ("flat", "house") and not any(body.model in _OPENING for body in things.bodies):
         return None
@@ -108,7 +108,7 @@ def _rounded(values: Vec3) -> Vec3:
     return (round(values[0], 4), round(values[1], 4), round(values[2], 4))
 
 
-def _storey(layout: Layout, number: int, level: Level, colours: Palette, rng: np.random.Generator) -> Storey | None:
+def _storey(layout: BuildingLayout, number: int, level: Level, colours: Palette, rng: np.random.Generator) -> Storey | None:
     """Returns one storey with walls, doors, windows and materials."""
     walls = with_doors(walls_of(level.spaces, layout.partition, level.height), level.links, rng)
     if walls is None:
@@ -123,7 +123,7 @@ def _storey(layout: Layout, number: int, level: Level, colours: Palette, rng: np
 
 
 def _front(walls: tuple[Wall, ...]) -> Rect:
-    """Returns the line of the wall with the entrance."""
+    """Returns an infinite strip along the wall with the entrance."""
     doors = [w for w in walls if any(o.kind == "door" for o in w.openings) and "" in (w.left, w.right)]
     if not doors:
         return Rect(0.0, 0.0, 0.0, 0.0)
@@ -141,7 +141,7 @@ def _stair(flight: Flight) -> Stair:
 
 
 def flight_rect(foot: Point, yaw: float, width: float, length: float, before: float = 0.0) -> Rect:
-    """Returns what a flight covers, seen from above; with ``before``, the floor before it instead."""
+    """Returns the footprint of a flight; with ``before``, the floor before it instead."""
     cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
     start, end = (-before, 0.0) if before else (0.0, length)
     return spanning(
@@ -151,8 +151,8 @@ def flight_rect(foot: Point, yaw: float, width: float, length: float, before: fl
     )
 
 
-def _blocked(layout: Layout, number: int) -> tuple[Rect, ...]:
-    """Returns flights and holes of a storey, which are no floor."""
+def _blocked(layout: BuildingLayout, number: int) -> tuple[Rect, ...]:
+    """Returns the flights and holes of a storey in a layout, which are no floor."""
     flights = tuple(spanning((*_edge(f, f.foot), *_edge(f, f.top))) for f in layout.flights if number == 0)
     return flights + tuple(f.hole for f in layout.flights if number == 1)
 
@@ -165,8 +165,8 @@ def _edge(flight: Flight, middle: Point) -> tuple[Point, Point]:
     return (middle[0] - dx, middle[1] - dy), (middle[0] + dx, middle[1] + dy)
 
 
-def _ways(layout: Layout, number: int, room: str) -> list[tuple[Point, Rect]]:
-    """Returns the foot or the top of stairs in a room: a point to be reached, and the floor that stays free."""
+def _stair_ends(layout: BuildingLayout, number: int, room: str) -> list[tuple[Point, Rect]]:
+    """Returns the foot or the top of the stairs in a room: a point to be reached, and the zone that stays free."""
     found = []
     for f in layout.flights:
         yaw = math.atan2(f.top[1] - f.foot[1], f.top[0] - f.foot[0])
@@ -178,11 +178,11 @@ def _ways(layout: Layout, number: int, room: str) -> list[tuple[Point, Rect]]:
 
 
 def _towards(point: Point, yaw: float, distance: float) -> Point:
-    """Returns the point so far in a direction."""
+    """Returns the point at a distance in a direction."""
     return (point[0] + math.cos(yaw) * distance, point[1] + math.sin(yaw) * distance)
 
 
-def _put_railings(things: Furnishings, layout: Layout, number: int) -> None:
+def _put_railings(things: Furnishings, layout: BuildingLayout, number: int) -> None:
     """Puts a railing along the open long side of each hole."""
     if number != 1:
         return
@@ -204,8 +204,10 @@ def _put_railings(things: Furnishings, layout: Layout, number: int) -> None:
         things.pieces.append(Piece(things.name("railing"), "railing", 1, flight.upper_room, position, round(yaw, 6), size))
 
 
-def _is_furnished(things: Furnishings, layout: Layout, number: int, storey: Storey, room: Room, *, workplace: bool) -> bool:
-    """Furnishes a room, and returns whether that worked; several tries, since one piece may have taken the place of the next."""
+def _furnish_room(
+    things: Furnishings, layout: BuildingLayout, number: int, storey: Storey, room: Room, *, workplace: bool
+) -> bool:
+    """Furnishes a room in several attempts, and returns whether one succeeded."""
     railings = [p for p in things.pieces if p.kind == "railing" and p.room == room.name]
     blocked = [*_blocked(layout, number), *(_footprint(p) for p in railings)]
     view = room_view(storey, room, blocked)
@@ -217,7 +219,7 @@ def _is_furnished(things: Furnishings, layout: Layout, number: int, storey: Stor
             storey.floor_z,
             storey.height,
             things,
-            _ways(layout, number, room.name),
+            _stair_ends(layout, number, room.name),
             strict=attempt < _ROOM_ATTEMPTS - 3,
             curtains=attempt < _ROOM_ATTEMPTS - 1,
             workplace=workplace,
@@ -229,7 +231,7 @@ def _is_furnished(things: Furnishings, layout: Layout, number: int, storey: Stor
 
 
 def _footprint(piece: Piece) -> Rect:
-    """Returns what a piece covers, seen from above."""
+    """Returns the footprint of a piece."""
     cos, sin = abs(round(math.cos(piece.yaw))), abs(round(math.sin(piece.yaw)))
     half_x, half_y = (cos * piece.size[0] + sin * piece.size[1]) / 2, (sin * piece.size[0] + cos * piece.size[1]) / 2
     x, y, _ = piece.position
@@ -237,7 +239,7 @@ def _footprint(piece: Piece) -> Rect:
 
 
 def _starts(building: Building) -> tuple[Start, ...] | None:
-    """Returns the most open place of each room, looking to its middle; None where a room has none that a robot can reach."""
+    """Returns the most open place of each room, facing the centre; None if a robot cannot reach a room."""
     starts = []
     for number, storey in enumerate(building.storeys):
         views = {room.name: room_view(storey, room, blocked(building, number)) for room in storey.rooms}
@@ -253,7 +255,7 @@ def _starts(building: Building) -> tuple[Start, ...] | None:
 
 
 def blocked(building: Building, number: int) -> tuple[Rect, ...]:
-    """Returns flights and holes of a storey: what is no floor."""
+    """Returns the flights and holes of a storey in a building, which are no floor."""
     found = [flight_rect(s.foot, s.yaw, s.width, (s.steps - 1) * s.tread) for s in building.stairs if s.storey == number]
     found += [spanning(s.hole) for s in building.stairs if s.storey + 1 == number]
     return tuple(found)

@@ -1,4 +1,4 @@
-"""Rectangles and boxes along the axes: what plans are made of. Plain numbers, metres."""
+"""Axis-aligned rectangles and boxes, metres: the elements of plans."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EPSILON = 1e-6
 
 
 class Rect(NamedTuple):
-    """A rectangle along the axes of the plan."""
+    """An axis-aligned rectangle of the plan."""
 
     x0: float
     y0: float
@@ -22,12 +22,12 @@ class Rect(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Along x."""
+        """Extent along x."""
         return self.x1 - self.x0
 
     @property
     def depth(self) -> float:
-        """Along y."""
+        """Extent along y."""
         return self.y1 - self.y0
 
     @property
@@ -37,15 +37,15 @@ class Rect(NamedTuple):
 
     @property
     def middle(self) -> Point:
-        """Its middle."""
+        """Its centre."""
         return ((self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2)
 
     def grown(self, margin: float) -> Rect:
-        """Returns it with every edge moved outwards by a margin."""
+        """Returns the rectangle with every edge moved outwards by a margin."""
         return Rect(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
 
     def overlaps(self, other: Rect) -> bool:
-        """Returns whether the two share an area; to touch is not to overlap."""
+        """Returns whether both share an area; touching is no overlap."""
         return (
             self.x0 < other.x1 - EPSILON
             and other.x0 < self.x1 - EPSILON
@@ -54,48 +54,48 @@ class Rect(NamedTuple):
         )
 
     def shared(self, other: Rect) -> float:
-        """Returns the area that the two share."""
+        """Returns the area of the intersection."""
         width = min(self.x1, other.x1) - max(self.x0, other.x0)
         depth = min(self.y1, other.y1) - max(self.y0, other.y0)
         return max(width, 0.0) * max(depth, 0.0)
 
     def holds(self, point: Point) -> bool:
-        """Returns whether a point lies in it or on its edge."""
+        """Returns whether a point lies inside or on the edge."""
         return self.x0 - EPSILON <= point[0] <= self.x1 + EPSILON and self.y0 - EPSILON <= point[1] <= self.y1 + EPSILON
 
 
 class Box(NamedTuple):
-    """A box along the axes: a rectangle with a lower and an upper end."""
+    """An axis-aligned box: a rectangle between two heights."""
 
     rect: Rect
     z0: float
     z1: float
 
     def overlaps(self, other: Box) -> bool:
-        """Returns whether the two share a volume; to touch is not to overlap."""
+        """Returns whether both share a volume; touching is no overlap."""
         return self.z0 < other.z1 - EPSILON and other.z0 < self.z1 - EPSILON and self.rect.overlaps(other.rect)
 
 
 def around(middle: Point, yaw: float, depth: float, width: float) -> Rect:
-    """Returns the rectangle along the axes about a turned one: ``depth`` along its own x, ``width`` along its own y."""
+    """Returns the bounding rectangle of a rotated one: ``depth`` along its own x, ``width`` along its own y."""
     cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
     half_x, half_y = (cos * depth + sin * width) / 2, (sin * depth + cos * width) / 2
     return Rect(middle[0] - half_x, middle[1] - half_y, middle[0] + half_x, middle[1] + half_y)
 
 
 def spanning(points: Iterable[Point]) -> Rect:
-    """Returns the smallest rectangle that holds all points."""
+    """Returns the bounding rectangle of points."""
     xs, ys = zip(*points, strict=True)
     return Rect(min(xs), min(ys), max(xs), max(ys))
 
 
 def inside(rect: Rect, cells: Iterable[Rect]) -> bool:
-    """Returns whether a rectangle lies in the union of rectangles that do not overlap."""
+    """Returns whether a rectangle lies in the union of disjoint rectangles."""
     return sum(rect.shared(cell) for cell in cells) >= rect.area - 1e-5
 
 
 def without(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
-    """Returns rectangles that do not overlap and cover what is in ``rects``, but in none of ``holes``."""
+    """Returns disjoint rectangles that cover the union of ``rects`` minus the union of ``holes``."""
     rects, holes = tuple(rects), tuple(holes)
     xs = sorted({round(x, 6) for r in rects + holes for x in (r.x0, r.x1)})
     ys = sorted({round(y, 6) for r in rects + holes for y in (r.y0, r.y1)})
@@ -114,7 +114,7 @@ def without(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
 
 
 def _joined(columns: list[Rect]) -> tuple[Rect, ...]:
-    """Returns columns with neighbours of the same extent along y made one."""
+    """Returns the columns with neighbours of equal extent along y merged."""
     joined: list[Rect] = []
     for rect in columns:
         for index, other in enumerate(joined):

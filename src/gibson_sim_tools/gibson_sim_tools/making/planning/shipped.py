@@ -1,4 +1,4 @@
-"""The designs that become the scenes of this project."""
+"""The plans of the scenes that come with this project."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from gibson_sim_tools.making.planning.planner import plan_building
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A plan that was looked at and kept."""
+    """A selected plan."""
 
     name: str
-    """Of the folder under ``scenes/``."""
+    """Name of the folder under ``scenes/``."""
     kind: BuildingKind
     seed: int
     title: str
-    """What a list of scenes says of it."""
+    """Title in lists of scenes."""
 
     def plan(self) -> Building:
         """Returns the plan of this design."""

@@ -1,4 +1,4 @@
-"""Walls from rooms: every edge between two rooms, or between a room and the outside, becomes a wall with one room on each side."""
+"""Derives walls from rooms: every edge between two rooms, or a room and the outside, becomes a wall with one room on each side."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def walls_of(spaces: Sequence[Space], partition: float, height: float) -> tuple[
 
     Args:
         spaces: the rooms.
-        partition: thickness of the walls inside, metres.
+        partition: thickness of inside walls, metres.
         height: of all walls, metres.
     """
     xs = sorted({x for s in spaces for r in s.rects for x in (r.x0, r.x1)})
@@ -43,7 +43,7 @@ def walls_of(spaces: Sequence[Space], partition: float, height: float) -> tuple[
 
 
 def outline(space: Space) -> tuple[Point, ...]:
-    """Returns the corners of a space, counter-clockwise, without those that lie on a straight edge."""
+    """Returns the corners of a space, counter-clockwise, without collinear points."""
     walls = walls_of([space], OUTSIDE_THICKNESS, 1.0)
     ahead = {(wall.start if wall.left else wall.end): (wall.end if wall.left else wall.start) for wall in walls}
     first = min(ahead)
@@ -58,7 +58,7 @@ def outline(space: Space) -> tuple[Point, ...]:
 
 
 def _bends(before: Point, corner: Point, after: Point) -> bool:
-    """Returns whether a way along the axes turns at a corner."""
+    """Returns whether an axis-aligned path bends at a corner."""
     return not (before[0] == corner[0] == after[0] or before[1] == corner[1] == after[1])
 
 
@@ -68,12 +68,12 @@ def _pairs(values: Sequence[float]) -> list[tuple[float, float]]:
 
 
 def _room_at(spaces: Sequence[Space], point: Point) -> int:
-    """Returns the number of the room at a point, or that of the outside."""
+    """Returns the index of the room at a point, or ``_OUTSIDE``."""
     return next((n for n, space in enumerate(spaces) if any(r.holds(point) for r in space.rects)), _OUTSIDE)
 
 
 def _runs(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int, tuple[int, int]]]:
-    """Returns the stretches of equal (left, right) with different sides: first edge, last edge, the pair."""
+    """Returns the runs of equal (left, right) pairs whose sides differ: first edge, last edge, pair."""
     runs: list[tuple[int, int, tuple[int, int]]] = []
     for index, pair in enumerate(pairs):
         if pair[0] == pair[1]:
@@ -92,7 +92,7 @@ def _wall(start: Point, end: Point, pair: tuple[int, int], names: Sequence[str],
 
 
 def _split(walls: list[Wall]) -> tuple[Wall, ...]:
-    """Returns the walls split where the end of another lies on them: where four rooms meet in pairs, a stretch passes a joint unchanged."""
+    """Returns the walls, split at the ends of other walls: where four rooms meet in pairs, a run continues through the joint."""
     ends = sorted({p for w in walls for p in (w.start, w.end)})
     found = []
     for wall in walls:

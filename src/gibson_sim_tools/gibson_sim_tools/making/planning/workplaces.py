@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.planning.layout import Layout, Level, Link, Space, one
+from gibson_sim_tools.making.planning.layout import BuildingLayout, Level, Space, SpaceLink, one
 
 
-def office_layout(rng: np.random.Generator) -> Layout:
+def office_layout(rng: np.random.Generator) -> BuildingLayout:
     """Returns the layout of an office: single offices along a corridor, or one open plan office."""
     maker = _open_plan_office if rng.random() < 0.45 else _cell_office
     spaces, links = maker(rng)
-    return Layout((Level(_draw(rng, 2.8, 3.1), spaces, links),), _draw(rng, 0.1, 0.14))
+    return BuildingLayout((Level(_draw(rng, 2.8, 3.1), spaces, links),), _draw(rng, 0.1, 0.14))
 
 
-def shop_layout(rng: np.random.Generator) -> Layout:
-    """Returns the layout of a shop: sales room before, storage and toilet behind."""
+def shop_layout(rng: np.random.Generator) -> BuildingLayout:
+    """Returns the layout of a shop: sales room in front, storage and toilet behind."""
     width, depth = _draw(rng, 8.6, 11.5), _draw(rng, 7.2, 8.8)
     back = depth + _draw(rng, 2.9, 3.4)
     toilet = _draw(rng, 1.9, 2.2)
@@ -32,19 +32,19 @@ def shop_layout(rng: np.random.Generator) -> Layout:
             one("toilet", "toilet", 0, depth, toilet, back),
         )
     links = (
-        Link("", "sales_room", near=(width * _draw(rng, 0.3, 0.7), 0)),
-        Link("sales_room", "storage"),
-        Link("storage", "toilet", width=0.8),
+        SpaceLink("", "sales_room", near=(width * _draw(rng, 0.3, 0.7), 0)),
+        SpaceLink("sales_room", "storage"),
+        SpaceLink("storage", "toilet", width=0.8),
     )
-    return Layout((Level(_draw(rng, 2.9, 3.2), spaces, links),), _draw(rng, 0.1, 0.14))
+    return BuildingLayout((Level(_draw(rng, 2.9, 3.2), spaces, links),), _draw(rng, 0.1, 0.14))
 
 
 def _draw(rng: np.random.Generator, low: float, high: float) -> float:
-    """Returns a length between two, in whole centimetres."""
+    """Returns a random length between two, in whole centimetres."""
     return round(float(rng.uniform(low, high)), 2)
 
 
-def _cell_office(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _cell_office(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """Offices above a corridor; meeting room, kitchenette, toilet and one more office below."""
     width = _draw(rng, 13.5, 16.5)
     lower = _draw(rng, 3.9, 4.5)
@@ -66,17 +66,17 @@ def _cell_office(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Lin
         one(f"office_{count + 1}", "office", toilet, 0, width, lower),
     )
     links = (
-        Link("", "corridor", near=(0, (lower + upper) / 2)),
-        *(Link("corridor", s.name) for s in (*offices, spaces[count + 1])),
-        Link("corridor", "kitchenette", "passage", _draw(rng, 0.9, 1.4)),
-        Link("corridor", "toilet", width=0.8),
-        Link("kitchenette", "storage", near=(kitchen, 0.8)),
-        Link("corridor", spaces[-1].name),
+        SpaceLink("", "corridor", near=(0, (lower + upper) / 2)),
+        *(SpaceLink("corridor", s.name) for s in (*offices, spaces[count + 1])),
+        SpaceLink("corridor", "kitchenette", "passage", _draw(rng, 0.9, 1.4)),
+        SpaceLink("corridor", "toilet", width=0.8),
+        SpaceLink("kitchenette", "storage", near=(kitchen, 0.8)),
+        SpaceLink("corridor", spaces[-1].name),
     )
     return spaces, links
 
 
-def _open_plan_office(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[Link, ...]]:
+def _open_plan_office(rng: np.random.Generator) -> tuple[tuple[Space, ...], tuple[SpaceLink, ...]]:
     """An open plan office above a corridor; meeting room, kitchenette and toilet below; an office at the end."""
     lower = _draw(rng, 3.9, 4.4)
     upper = lower + _draw(rng, 1.7, 2.0)
@@ -95,13 +95,13 @@ def _open_plan_office(rng: np.random.Generator) -> tuple[tuple[Space, ...], tupl
         one("office", "office", toilet, 0, width, upper),
     )
     links = (
-        Link("", "corridor", near=(0, (lower + upper) / 2)),
-        Link("corridor", "open_plan_office", "passage", _draw(rng, 1.4, 2.0), near=(2.0, upper)),
-        Link("corridor", "open_plan_office", "passage", _draw(rng, 1.2, 1.6), near=(toilet - 1.5, upper)),
-        Link("corridor", "meeting_room"),
-        Link("corridor", "kitchenette", "passage", _draw(rng, 0.9, 1.4)),
-        Link("corridor", "toilet", width=0.8),
-        Link("kitchenette", "storage", near=(kitchen, 0.8)),
-        Link("corridor", "office", near=(toilet, (lower + upper) / 2)),
+        SpaceLink("", "corridor", near=(0, (lower + upper) / 2)),
+        SpaceLink("corridor", "open_plan_office", "passage", _draw(rng, 1.4, 2.0), near=(2.0, upper)),
+        SpaceLink("corridor", "open_plan_office", "passage", _draw(rng, 1.2, 1.6), near=(toilet - 1.5, upper)),
+        SpaceLink("corridor", "meeting_room"),
+        SpaceLink("corridor", "kitchenette", "passage", _draw(rng, 0.9, 1.4)),
+        SpaceLink("corridor", "toilet", width=0.8),
+        SpaceLink("kitchenette", "storage", near=(kitchen, 0.8)),
+        SpaceLink("corridor", "office", near=(toilet, (lower + upper) / 2)),
     )
     return spaces, links

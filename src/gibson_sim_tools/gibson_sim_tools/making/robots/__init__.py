@@ -1,1 +1,1 @@
-"""The meshes of our mobile manipulator: made from a few numbers, without Blender."""
+"""Makes the meshes of ``arm_bot`` procedurally, without Blender."""

@@ -1,4 +1,4 @@
-"""What ``arm_bot`` looks like: for each link its solids, in the frame of the link. Lengths are those of its URDF."""
+"""The visual shape of ``arm_bot``: the solids of each link, in the frame of the link. Lengths are those of its URDF."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gibson_sim.types import Vec3
 from gibson_sim_tools.making.robots.glb import Finish, write_solids
-from gibson_sim_tools.making.robots.surfaces import Section, Solid, box, loft, tube
+from gibson_sim_tools.making.robots.surfaces import ClosedSurface, Section, box, loft, tube
 
 FINISHES: Mapping[str, Finish] = {
     "shell": Finish((0.91, 0.92, 0.92), roughness=0.38),
@@ -23,8 +23,8 @@ _ALONG_X: Vec3 = (0.0, math.pi / 2, 0.0)
 _ALONG_Y: Vec3 = (-math.pi / 2, 0.0, 0.0)
 
 
-def arm_bot_solids() -> dict[str, list[Solid]]:
-    """Returns the solids of every link that is drawn."""
+def arm_bot_solids() -> dict[str, list[ClosedSurface]]:
+    """Returns the solids of every visible link."""
     return {
         "base_link": _base(),
         "wheel": _wheel(),
@@ -53,12 +53,12 @@ def write_arm_bot(folder: Path) -> list[Path]:
     return files
 
 
-def _base() -> list[Solid]:
+def _base() -> list[ClosedSurface]:
     return [
         tube([(0.028, 0.262), (0.098, 0.274)], "graphite", 0.012, 0.004),
         tube([(0.097, 0.268), (0.107, 0.268)], "light"),
         tube([(0.106, 0.274), (0.150, 0.275), (0.205, 0.273), (0.258, 0.264)], "shell", 0.004, 0.022),
-        # Behind the lidar a core carries the lid; in front the slot is open.
+        # A core behind the lidar carries the lid; the slot is open in front.
         box((-0.215, -0.190, 0.235), (0.070, 0.190, 0.325), "graphite", 0.09, 0.004),
         tube([(0.254, 0.052), (0.270, 0.052)], "graphite", 0.003).placed((0.175, 0.0, 0.0)),
         tube([(0.270, 0.047), (0.308, 0.043)], "glass", 0.003, 0.008).placed((0.175, 0.0, 0.0)),
@@ -74,14 +74,14 @@ def _base() -> list[Solid]:
     ]  # fmt: skip
 
 
-def _wheel() -> list[Solid]:
+def _wheel() -> list[ClosedSurface]:
     return [
         tube([(-0.020, 0.0625), (0.020, 0.0625)], "rubber", 0.008).placed(rpy=_ALONG_Y),
         tube([(-0.023, 0.042), (0.023, 0.042)], "steel", 0.004).placed(rpy=_ALONG_Y),
     ]
 
 
-def _torso() -> list[Solid]:
+def _torso() -> list[ClosedSurface]:
     spine = [
         Section(0.000, 0.092, 0.128, 0.060, -0.018),
         Section(0.120, 0.094, 0.130, 0.062, -0.018),
@@ -92,7 +92,7 @@ def _torso() -> list[Solid]:
     ]
     return [
         loft(spine, "shell", 0.010, 0.022),
-        # The shelf that bears the arm grows out of the front.
+        # The bracket of the arm, at the front.
         loft(
             [Section(0.165, 0.060, 0.070, 0.055, 0.020), Section(0.235, 0.105, 0.092, 0.085, 0.070), Section(0.318, 0.112, 0.094, 0.090, 0.078)],
             "shell", 0.030, 0.012,
@@ -104,7 +104,7 @@ def _torso() -> list[Solid]:
     ]  # fmt: skip
 
 
-def _neck() -> list[Solid]:
+def _neck() -> list[ClosedSurface]:
     """The frame is 0.05 m ahead of the torso's and 0.603 m above it; the head tilts 0.143 m ahead of it, 0.058 m higher."""
     return [
         tube([(-0.040, 0.050), (-0.014, 0.050)], "graphite", 0.003).placed((-0.053, 0.0, 0.0)),
@@ -116,7 +116,7 @@ def _neck() -> list[Solid]:
     ]  # fmt: skip
 
 
-def _head() -> list[Solid]:
+def _head() -> list[ClosedSurface]:
     """Its camera is 0.055 m ahead of the axis and 0.022 m above it."""
     skull = [
         Section(-0.150, 0.034, 0.040, 0.033, 0.000, -0.020),
@@ -137,8 +137,8 @@ def _head() -> list[Solid]:
     ]
 
 
-def _shoulder() -> list[Solid]:
-    """From the turning axis to the lifting one, 0.117 m ahead and 0.06 m above."""
+def _shoulder() -> list[ClosedSurface]:
+    """From the pan axis to the lift axis, 0.117 m ahead and 0.06 m above."""
     return [
         tube([(-0.018, 0.070), (-0.004, 0.070)], "accent", 0.002),
         loft(
@@ -150,8 +150,8 @@ def _shoulder() -> list[Solid]:
     ]  # fmt: skip
 
 
-def _flexing(barrel: float, half: float, length: float, end: float) -> list[Solid]:
-    """A link that turns about y: a barrel of this radius and half width, and a tube along x that narrows to ``end``."""
+def _flexing(barrel: float, half: float, length: float, end: float) -> list[ClosedSurface]:
+    """A link that rotates about y: a barrel of this radius and half width, and a tube along x that narrows to ``end``."""
     return [
         _barrel(barrel, half, "shell"),
         tube([(0.0, barrel * 0.86), (length * 0.35, barrel * 0.90), (length * 0.7, end + 0.004), (length - 0.024, end)], "shell", 0.0, 0.006)
@@ -161,8 +161,8 @@ def _flexing(barrel: float, half: float, length: float, end: float) -> list[Soli
     ]  # fmt: skip
 
 
-def _rolling(radius: float, length: float, barrel: float, half: float) -> list[Solid]:
-    """A link that turns about x: a tube that ends in the joint that turns about y."""
+def _rolling(radius: float, length: float, barrel: float, half: float) -> list[ClosedSurface]:
+    """A link that rotates about x: a tube that ends in a joint about y."""
     neck = length - barrel * 0.7
     return [
         tube([(-0.006, radius), (0.020, radius + 0.003), (neck * 0.75, radius + 0.001), (neck, radius - 0.006)], "shell", 0.006, 0.012)
@@ -173,11 +173,11 @@ def _rolling(radius: float, length: float, barrel: float, half: float) -> list[S
     ]  # fmt: skip
 
 
-def _barrel(radius: float, half: float, finish: str) -> Solid:
+def _barrel(radius: float, half: float, finish: str) -> ClosedSurface:
     return tube([(-half, radius), (half, radius)], finish, 0.010).placed(rpy=_ALONG_Y)
 
 
-def _caps(radius: float, half: float, middle: Vec3) -> Sequence[Solid]:
+def _caps(radius: float, half: float, middle: Vec3) -> Sequence[ClosedSurface]:
     """Discs on both ends of a barrel, and a ring of colour around each."""
     x, y, z = middle
     out = []
@@ -190,7 +190,7 @@ def _caps(radius: float, half: float, middle: Vec3) -> Sequence[Solid]:
     return out
 
 
-def _flange() -> list[Solid]:
+def _flange() -> list[ClosedSurface]:
     return [
         tube([(-0.004, 0.038), (0.030, 0.038)], "graphite", 0.003).placed(rpy=_ALONG_X),
         tube([(0.006, 0.0385), (0.011, 0.0385)], "accent", 0.001).placed(rpy=_ALONG_X),
@@ -198,7 +198,7 @@ def _flange() -> list[Solid]:
     ]
 
 
-def _palm() -> list[Solid]:
+def _palm() -> list[ClosedSurface]:
     """The frame is between the finger tips, 0.165 m ahead of the wrist."""
     return [
         loft(
@@ -210,7 +210,7 @@ def _palm() -> list[Solid]:
     ]  # fmt: skip
 
 
-def _finger() -> list[Solid]:
+def _finger() -> list[ClosedSurface]:
     """The left one: its inner face is at y = 0."""
     return [
         box((-0.050, 0.001, -0.017), (-0.030, 0.030, 0.017), "graphite", 0.004, 0.003),

@@ -1,4 +1,4 @@
-"""A picture of a robot alone, as it stands in one of its poses."""
+"""Renders a robot alone, in one of its poses."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from gibson_sim.types import CameraSpec, Pose
 Rgb = NDArray[np.uint8]
 _FOV = math.radians(24.0)
 _MARGIN = 1.06
-"""Factor on the distance at which the robot just fills the picture."""
+"""Factor of the distance at which the robot just fills the picture."""
 _SETTLING = 24
-"""Steps until wheels stand on the floor."""
+"""Steps until the wheels rest on the floor."""
 _FLOOR_M = 60.0
 _GREY = (0.66, 0.67, 0.69)
 
@@ -29,14 +29,14 @@ def robot_picture(robot: RobotSpec, pose: str = "", *, width: int = 640, height:
     """Returns a picture of a robot on a grey floor, (height, width, 3) uint8 sRGB.
 
     Args:
-        robot: Which.
-        pose: One of its named poses; "" = as it starts.
-        width: Pixels.
-        height: Pixels.
-        yaw_deg: Where the camera stands, from straight ahead of the robot, counter-clockwise seen from above.
+        robot: the robot.
+        pose: a named pose; "" = initial pose.
+        width: pixels.
+        height: pixels.
+        yaw_deg: azimuth of the camera: 0 = straight ahead of the robot, counter-clockwise seen from above.
 
     Raises:
-        RobotError: it has no such pose.
+        RobotError: the pose is unknown.
     """
     if pose:
         robot = replace(robot, joints=tuple({**dict(robot.joints), **dict(robot.named_pose(pose).joints)}.items()))
@@ -53,7 +53,7 @@ def robot_picture(robot: RobotSpec, pose: str = "", *, width: int = 640, height:
 
 
 def _camera(low: NDArray[np.float64], high: NDArray[np.float64], width: int, height: int, yaw: float) -> CameraSpec:
-    """Returns a camera that sees a box, corners in metres, from in front and a little above."""
+    """Returns a camera that frames a box, corners in metres, from slightly above."""
     middle = (low + high) / 2
     pitch = math.radians(16.0)
     ahead = -np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])

@@ -1,4 +1,4 @@
-"""Smooth solids from outlines: rounded boxes, tubes, barrels, and what is between them. Pure arithmetic."""
+"""Lofts smooth closed surfaces through cross-sections: rounded boxes, tubes, barrels. Pure."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 _FINE_M, _COARSE_M = 0.1, 0.02
-"""Half an edge above which corners are fine, and below which they are coarse."""
+"""Half edge lengths above which corners are fine, and below which they are coarse, metres."""
 _BEVEL = 4
 """Rings of a rounded edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A rectangle with round corners across the z axis; a circle where the radius is half of both edges. Metres."""
+    """A cross-section normal to z: a rectangle with round corners, or a circle if the radius is half of both edges. Metres."""
 
     z: float
     half_x: float
     half_y: float
     radius: float
-    """Of the corners."""
+    """Radius of the corners."""
     x: float = 0.0
-    """Of the middle."""
+    """Centre."""
     y: float = 0.0
 
     def inset(self, depth: float, z: float) -> Section:
-        """Returns the section that lies ``depth`` inside of this one, at height ``z``."""
+        """Returns the section inset by ``depth``, at height ``z``."""
         half_x, half_y = max(self.half_x - depth, 1e-5), max(self.half_y - depth, 1e-5)
         return Section(z, half_x, half_y, min(max(self.radius - depth, 1e-5), half_x, half_y), self.x, self.y)
 
     def outline(self, points: int) -> F64:
-        """Returns points, (P, 3), counter-clockwise seen from +z; so many of them on each corner."""
+        """Returns the outline, (P, 3), counter-clockwise seen from +z, with ``points`` points on each corner."""
         turns = np.linspace(0.0, math.pi / 2, points)
         corners = []
         for quarter, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
@@ -51,8 +51,8 @@ class Section:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solid:
-    """A closed smooth surface of one finish."""
+class ClosedSurface:
+    """A closed smooth surface of one material."""
 
     vertices: F64
     """(V, 3), metres."""
@@ -63,21 +63,21 @@ class Solid:
     finish: str
     """Name of its material."""
 
-    def placed(self, xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> Solid:
-        """Returns it turned (radians) and moved (metres)."""
+    def placed(self, xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> ClosedSurface:
+        """Returns the surface rotated (radians) and translated (metres)."""
         T = matrix_from_pose(pose_from_xyz_rpy(xyz, rpy))
         rotation = T[:3, :3]
-        return Solid(self.vertices @ rotation.T + T[:3, 3], self.normals @ rotation.T, self.triangles, self.finish)
+        return ClosedSurface(self.vertices @ rotation.T + T[:3, 3], self.normals @ rotation.T, self.triangles, self.finish)
 
 
-def loft(sections: Sequence[Section], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> Solid:
-    """Returns the solid through sections that go up along z, closed by flat ends with rounded edges.
+def loft(sections: Sequence[Section], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> ClosedSurface:
+    """Returns the surface through sections stacked along z, closed by flat ends with rounded edges.
 
     Args:
-        sections: Two or more, from the lowest.
-        finish: Name of its material.
-        bevel: Radius of the edge at the lower end, metres.
-        bevel_end: The same of the upper end; None = as the lower one.
+        sections: two or more, from the lowest.
+        finish: name of the material.
+        bevel: radius of the edge at the lower end, metres.
+        bevel_end: radius at the upper end; None = as the lower one.
     """
     first, last = sections[0], sections[-1]
     upper = bevel if bevel_end is None else bevel_end
@@ -101,12 +101,12 @@ def loft(sections: Sequence[Section], finish: str, bevel: float = 0.0, bevel_end
     return _smooth(vertices, np.concatenate(triangles), finish)
 
 
-def tube(radii: Sequence[tuple[float, float]], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> Solid:
-    """Returns the round solid through (z, radius) pairs that go up along z."""
+def tube(radii: Sequence[tuple[float, float]], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> ClosedSurface:
+    """Returns the body of revolution through (z, radius) pairs, ascending along z."""
     return loft([Section(z, radius, radius, radius) for z, radius in radii], finish, bevel, bevel_end)
 
 
-def box(low: Vec3, high: Vec3, finish: str, corner: float, bevel: float) -> Solid:
+def box(low: Vec3, high: Vec3, finish: str, corner: float, bevel: float) -> ClosedSurface:
     """Returns a box between two corners; ``corner``: radius of its upright edges, ``bevel``: of the others."""
     x, y = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
     half_x, half_y = (high[0] - low[0]) / 2, (high[1] - low[1]) / 2
@@ -123,9 +123,9 @@ def _rounded(end: Section, bevel: float, *, up: bool) -> list[Section]:
     return [end.inset(bevel * (1.0 - math.cos(a)), end.z + inward * bevel * (1.0 - math.sin(a))) for a in angles.tolist()]
 
 
-def _smooth(vertices: F64, triangles: NDArray[np.int64], finish: str) -> Solid:
-    """Returns the solid, its corners shared where they are at one place, without the triangles that have no area."""
+def _smooth(vertices: F64, triangles: NDArray[np.int64], finish: str) -> ClosedSurface:
+    """Returns the surface with coincident vertices merged, without degenerate triangles."""
     _, first, shared = np.unique(np.round(vertices, 7), axis=0, return_index=True, return_inverse=True)
     joined = np.asarray(shared).reshape(-1)[triangles]
     distinct = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
-    return Solid(vertices[first], area_normals(vertices[first], distinct), distinct, finish)
+    return ClosedSurface(vertices[first], area_normals(vertices[first], distinct), distinct, finish)

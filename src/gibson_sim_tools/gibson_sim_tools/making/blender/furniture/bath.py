@@ -7,10 +7,10 @@ import numpy as np
 from gibson_sim_tools.making.blender.furniture.kitchen import tap
 from gibson_sim_tools.making.blender.furniture.living import choose, fronts
 from gibson_sim_tools.making.blender.looks import look
-from gibson_sim_tools.making.blender.shapes import Solid, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, placed
 
 
-def toilet(s: Solid, d: float, w: float, h: float) -> None:
+def toilet(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A toilet with its cistern."""
     white = look("ceramic_white")
     s.cushion((-d / 2, -w / 2, 0.40), (-d / 2 + 0.17, w / 2, h), white, 9, 6)
@@ -23,14 +23,14 @@ def toilet(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0.4), (-d / 2 + 0.17, w / 2, h))
 
 
-def _oval(s: Solid, profile: list[tuple[float, float]], long: float, wide: float, front: float) -> None:
+def _oval(s: ObjectBuilder, profile: list[tuple[float, float]], long: float, wide: float, front: float) -> None:
     part = s.lathe((0, 0, 0), profile, look("ceramic_white"), 24)
     part.vertices[:, 0] = part.vertices[:, 0] * long * 0.99 + front - long / 2
     part.vertices[:, 1] *= wide * 0.99
     part.uv *= 0.3
 
 
-def basin(s: Solid, d: float, w: float, h: float) -> None:
+def basin(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A basin on a cabinet, with a tap."""
     white, wood = look("ceramic_white"), choose(s, ("wood_oak", "wood_white", "wood_walnut"))
     x = d / 2 - 0.06
@@ -47,7 +47,7 @@ def basin(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0.25), (d / 2, w / 2, h))
 
 
-def bath(s: Solid, d: float, w: float, h: float) -> None:
+def bath(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A built-in bath tub with panels."""
     white, rim, deep = look("ceramic_white"), 0.07, h - 0.16
     s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, h - 0.04), look("ceramic_white", (0.90, 0.90, 0.89)), 0.003, "-x -z +z")
@@ -64,7 +64,7 @@ def bath(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def shower(s: Solid, d: float, w: float, h: float) -> None:
+def shower(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A shower: tray, two panes, a head on a rail; its corner is at the back and right."""
     steel = look("metal_steel", (0.76, 0.77, 0.78))
     s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, 0.05), look("ceramic_white"), 0.01, "-z")
@@ -83,7 +83,7 @@ def shower(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((d / 2 - 0.02, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def washing_machine(s: Solid, d: float, w: float, h: float) -> None:
+def washing_machine(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A washing machine."""
     white, x = look("plastic_white"), d / 2 - 0.03
     s.box((-d / 2, -w / 2, 0.01), (x, w / 2, h), white, 0.01, "-x -z")

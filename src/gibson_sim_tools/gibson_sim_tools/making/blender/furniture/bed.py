@@ -6,10 +6,10 @@ import numpy as np
 
 from gibson_sim_tools.making.blender.furniture.living import WOODS, choose, legs
 from gibson_sim_tools.making.blender.looks import look, varied
-from gibson_sim_tools.making.blender.shapes import Solid, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, placed
 
 
-def bed(s: Solid, d: float, w: float, h: float) -> None:
+def bed(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A bed with headboard (at the back), mattress, duvet and pillows."""
     frame = choose(s, (*WOODS, "fabric_grey", "fabric_beige"))
     back, base = -d / 2 + 0.07, 0.30
@@ -41,7 +41,7 @@ def bed(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((back, -w / 2, 0), (d / 2, w / 2, top + 0.03))
 
 
-def _duvet(s: Solid, along: tuple[float, float], half: float, top: float) -> None:
+def _duvet(s: ObjectBuilder, along: tuple[float, float], half: float, top: float) -> None:
     """A blanket that lies on the bed and hangs over its sides in soft folds."""
     names = ("fabric_blue", "fabric_beige", "linen", "fabric_striped", "fabric_green", "fabric_grey")
     cloth = choose(s, names)

@@ -1,4 +1,4 @@
-"""Pieces of furniture, by the kinds of the catalogue. NumPy only.
+"""Builds furniture of each kind in the catalogue. NumPy only.
 
 Each function gets a solid and the size of the piece, depth (x, front at +x), width (y), height (z), and fills just that size; the origin lies in
 the middle of the underside.
@@ -12,9 +12,9 @@ import numpy as np
 
 from gibson_sim.types import Vec3
 from gibson_sim_tools.making.blender.furniture import bath, bed, kitchen, living, small, work
-from gibson_sim_tools.making.blender.shapes import Solid
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder
 
-Builder = Callable[[Solid, float, float, float], None]
+Builder = Callable[[ObjectBuilder, float, float, float], None]
 BUILDERS: dict[str, Builder] = {
     **living.BUILDERS,
     **kitchen.BUILDERS,
@@ -25,13 +25,13 @@ BUILDERS: dict[str, Builder] = {
 }
 
 
-def build_piece(kind: str, size: Vec3, seed: int, style: int = 0) -> Solid:
-    """Returns a piece of furniture; the same seed and style give the same one.
+def build_piece(kind: str, size: Vec3, seed: int, style: int = 0) -> ObjectBuilder:
+    """Returns a piece of furniture; equal seed and style give an equal piece.
 
     Raises:
         KeyError: there is no such kind.
     """
-    solid = Solid(np.random.default_rng(seed), style)
+    solid = ObjectBuilder(np.random.default_rng(seed), style)
     BUILDERS[kind](solid, *size)
     if not solid.boxes:
         depth, width, height = size

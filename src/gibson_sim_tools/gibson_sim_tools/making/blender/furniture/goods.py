@@ -5,28 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gibson_sim_tools.making.blender.looks import look, vivid
-from gibson_sim_tools.making.blender.shapes import Solid, Surface, Tint
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, Tint
 
 Point = tuple[float, float, float]
 _GLASS: tuple[Tint, ...] = ((0.13, 0.20, 0.11), (0.20, 0.12, 0.06), (0.70, 0.74, 0.72), (0.82, 0.80, 0.70), (0.10, 0.09, 0.09))
-"""Colours of bottles with what is in them."""
+"""Colours of filled bottles."""
 _SIDES = 8
 _BEHIND = "-x -y +y -z +z"
-"""Sides that a thin label does not show."""
+"""Hidden sides of a thin label."""
 
 
-def goods(s: Solid, low: Point, high: Point) -> None:
-    """Fills a shelf, the fronts of the goods at the high x.
+def goods(s: ObjectBuilder, low: Point, high: Point) -> None:
+    """Fills a shelf; the fronts of the goods are at the high x.
 
     Args:
-        s: what they are added to.
+        s: builder of the shelf.
         low: corner of the space, metres.
         high: the other corner.
     """
     y, room = low[1] + 0.01, high[2] - low[2]
     while y < high[1] - 0.12:
         kind = s.rng.random()
-        put: Callable[[Solid, Point, float, float, Tint, Tint], None] = (
+        put: Callable[[ObjectBuilder, Point, float, float, Tint, Tint], None] = (
             _package if kind < 0.5 else _bottle if kind < 0.8 else _can
         )
         color, second = vivid(s.rng, (0.2, 0.75), (0.3, 0.85)), vivid(s.rng, (0.05, 0.7), (0.35, 0.95))
@@ -40,7 +40,7 @@ def goods(s: Solid, low: Point, high: Point) -> None:
         y += s.rng.uniform(0.0, 0.04)
 
 
-def _package(s: Solid, front: Point, wide: float, tall: float, color: Tint, second: Tint) -> None:
+def _package(s: ObjectBuilder, front: Point, wide: float, tall: float, color: Tint, second: Tint) -> None:
     """A box with a band around it and a label; ``front``: the middle of its lower front edge."""
     x, y, z = front
     half = wide / 2 - 0.003
@@ -50,7 +50,7 @@ def _package(s: Solid, front: Point, wide: float, tall: float, color: Tint, seco
     s.box((x, y - half * 0.5, z + tall * 0.6), (x + 0.0012, y + half * 0.5, z + tall * 0.7), look("paper", color), 0, _BEHIND)
 
 
-def _bottle(s: Solid, front: Point, wide: float, tall: float, color: Tint, second: Tint) -> None:
+def _bottle(s: ObjectBuilder, front: Point, wide: float, tall: float, color: Tint, second: Tint) -> None:
     """A bottle with a label and a cap."""
     r = wide / 2 - 0.003
     middle = (front[0] - r, front[1], front[2])
@@ -61,7 +61,7 @@ def _bottle(s: Solid, front: Point, wide: float, tall: float, color: Tint, secon
     s.lathe(middle, [(r * 0.4, tall * 0.88), (r * 0.4, tall), (0, tall)], Surface("plain", color), _SIDES)
 
 
-def _can(s: Solid, front: Point, wide: float, tall: float, color: Tint, second: Tint) -> None:
+def _can(s: ObjectBuilder, front: Point, wide: float, tall: float, color: Tint, second: Tint) -> None:
     """A can with a printed sleeve, metal above and below."""
     r = wide / 2 - 0.003
     middle = (front[0] - r, front[1], front[2])

@@ -9,21 +9,21 @@ import numpy as np
 from gibson_sim_tools.making.blender.furniture.goods import goods
 from gibson_sim_tools.making.blender.furniture.living import bar, choose, fronts
 from gibson_sim_tools.making.blender.looks import look
-from gibson_sim_tools.making.blender.shapes import Solid, Surface
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface
 
 _FRONTS = ("wood_white", "wood_white", "wood_oak", "plaster_sage", "plaster_blue")
 _TOPS = ("wood_oak", "stone_dark", "marble", "wood_walnut")
 
 
-def kitchen_style(s: Solid) -> tuple[Surface, Surface]:
-    """Returns the surfaces of fronts and worktop; the same in all of a building."""
+def kitchen_style(s: ObjectBuilder) -> tuple[Surface, Surface]:
+    """Returns the surfaces of fronts and worktop, equal in a whole building."""
     rng = np.random.default_rng((s.style, 31))
     front = look(_FRONTS[int(rng.integers(len(_FRONTS)))])
     top = look(_TOPS[int(rng.integers(len(_TOPS)))])
     return Surface("plain" if front.material == "plaster" else front.material, front.tint), top
 
 
-def _base(s: Solid, d: float, w: float, h: float, hole: tuple[float, float] | None = None) -> tuple[float, Surface]:
+def _base(s: ObjectBuilder, d: float, w: float, h: float, hole: tuple[float, float] | None = None) -> tuple[float, Surface]:
     """Adds plinth, body and worktop (with a hole of depth x width); returns the x of the fronts and their surface."""
     front, top = kitchen_style(s)
     inner, thick = d / 2 - 0.05, 0.035
@@ -41,7 +41,7 @@ def _base(s: Solid, d: float, w: float, h: float, hole: tuple[float, float] | No
     return inner, front
 
 
-def counter(s: Solid, d: float, w: float, h: float) -> None:
+def counter(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Kitchen base units with doors and drawers."""
     x, front = _base(s, d, w, h)
     columns = max(1, round(w / 0.6))
@@ -51,7 +51,7 @@ def counter(s: Solid, d: float, w: float, h: float) -> None:
         fronts(s, x, (low, 0.1), (high, h - 0.045), 1, 3 if drawers else 1, front, look("metal_black"))
 
 
-def sink(s: Solid, d: float, w: float, h: float) -> None:
+def sink(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A base unit with a basin of steel and a tap."""
     x, front = _base(s, d, w, h, (0.38, 0.46))
     fronts(s, x, (-w / 2, 0.1), (w / 2, h - 0.045), 2, 1, front, look("metal_black"))
@@ -64,7 +64,7 @@ def sink(s: Solid, d: float, w: float, h: float) -> None:
     tap(s, (-a - 0.045, 0.0, h), 0.28, 0.2)
 
 
-def tap(s: Solid, at: tuple[float, float, float], tall: float, reach: float) -> None:
+def tap(s: ObjectBuilder, at: tuple[float, float, float], tall: float, reach: float) -> None:
     """A tap whose spout bends to +x, with a lever."""
     steel = look("metal_steel", (0.78, 0.79, 0.80))
     t = np.linspace(0, np.pi, 9)
@@ -74,7 +74,7 @@ def tap(s: Solid, at: tuple[float, float, float], tall: float, reach: float) -> 
     s.tube([(at[0], at[1] + 0.015, at[2] + 0.04), (at[0] + 0.02, at[1] + 0.075, at[2] + 0.06)], 0.006, steel, 6)
 
 
-def stove(s: Solid, d: float, w: float, h: float) -> None:
+def stove(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A cooker: oven below, glass top with four rings."""
     x, _ = _base(s, d, w, h)
     steel, black = look("metal_steel"), look("plastic_black")
@@ -88,7 +88,7 @@ def stove(s: Solid, d: float, w: float, h: float) -> None:
     _rings(s, d, w, h)
 
 
-def hob(s: Solid, d: float, w: float, h: float) -> None:
+def hob(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A worktop with a hob, and a drawer, above an oven."""
     front, top = kitchen_style(s)
     x = d / 2 - 0.05
@@ -99,7 +99,7 @@ def hob(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def _rings(s: Solid, d: float, w: float, h: float) -> None:
+def _rings(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Adds a plate of black glass with four rings."""
     s.box((-d / 2 + 0.04, -w / 2 + 0.02, h - 0.001), (d / 2 - 0.05, w / 2 - 0.02, h + 0.005), look("plastic_black"), 0.002, "-z")
     for a in (-0.14, 0.12):
@@ -113,7 +113,7 @@ def _rings(s: Solid, d: float, w: float, h: float) -> None:
             )
 
 
-def wall_cupboard(s: Solid, d: float, w: float, h: float) -> None:
+def wall_cupboard(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Cupboards on the wall."""
     front, _ = kitchen_style(s)
     x = d / 2 - 0.04
@@ -122,7 +122,7 @@ def wall_cupboard(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def hood(s: Solid, d: float, w: float, h: float) -> None:
+def hood(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """An extractor hood with its chimney."""
     steel = look("metal_steel")
     low = [(-d / 2, -w / 2), (d / 2, -w / 2), (d / 2, w / 2), (-d / 2, w / 2)]
@@ -137,7 +137,7 @@ def hood(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -0.13, 0.26), (-d / 2 + 0.24, 0.13, h))
 
 
-def fridge(s: Solid, d: float, w: float, h: float) -> None:
+def fridge(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A fridge with a freezer below."""
     tone = choose(s, ("metal_steel", "plastic_white", "metal_steel", "plaster_sage"))
     skin = Surface("plain", tone.tint)
@@ -159,7 +159,7 @@ def fridge(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def display_fridge(s: Solid, d: float, w: float, h: float) -> None:
+def display_fridge(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A cooled shelf of a shop, open to the front, full of goods."""
     skin = look("plastic_white")
     s.box((-d / 2, -w / 2, 0), (-d / 2 + 0.06, w / 2, h), skin, 0.004, "-x -z")

@@ -7,19 +7,19 @@ import itertools
 import numpy as np
 
 from gibson_sim_tools.making.blender.looks import LOOKS, look, varied, vivid
-from gibson_sim_tools.making.blender.shapes import Part, Solid, Surface, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, SurfacePart, placed
 
 _FABRICS = ("fabric_grey", "fabric_beige", "fabric_blue", "fabric_green", "fabric_grey", "leather_brown")
 WOODS = ("wood_oak", "wood_walnut", "wood_white", "wood_oak", "wood_pine")
 
 
-def choose(s: Solid, names: tuple[str, ...]) -> Surface:
-    """Returns the surface of one of the names, its colour a little its own."""
+def choose(s: ObjectBuilder, names: tuple[str, ...]) -> Surface:
+    """Returns the surface of a random name, with a slight colour variation."""
     name = names[int(s.rng.integers(len(names)))]
     return look(name, varied(LOOKS[name][1], s.rng, 0.04))
 
 
-def legs(s: Solid, d: float, w: float, h: float, surface: Surface, radius: float = 0.018, inset: float = 0.05) -> None:
+def legs(s: ObjectBuilder, d: float, w: float, h: float, surface: Surface, radius: float = 0.018, inset: float = 0.05) -> None:
     """Adds four legs that stand a little outwards."""
     for x in (-1, 1):
         for y in (-1, 1):
@@ -28,7 +28,7 @@ def legs(s: Solid, d: float, w: float, h: float, surface: Surface, radius: float
             s.tube([foot, top], [radius * 0.7, radius], surface, 8)
 
 
-def sofa(s: Solid, d: float, w: float, h: float) -> None:
+def sofa(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A sofa of two or three seats with loose cushions."""
     cloth, foot, arm = choose(s, _FABRICS), 0.12, 0.16 + 0.06 * s.rng.random()
     seat = 0.42
@@ -50,14 +50,14 @@ def sofa(s: Solid, d: float, w: float, h: float) -> None:
     _seat_boxes(s, d, w, h, arm)
 
 
-def _seat_boxes(s: Solid, d: float, w: float, h: float, arm: float) -> None:
+def _seat_boxes(s: ObjectBuilder, d: float, w: float, h: float, arm: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, 0.44))
     s.collide((-d / 2, -w / 2, 0), (-d / 2 + 0.3, w / 2, h))
     for side in (-1, 1):
         s.collide((-d / 2, side * w / 2, 0), (d / 2, side * (w / 2 - arm), 0.60))
 
 
-def loose_cushion(s: Solid, at: tuple[float, float, float], yaw: float, pitch: float) -> None:
+def loose_cushion(s: ObjectBuilder, at: tuple[float, float, float], yaw: float, pitch: float) -> None:
     """A throw cushion that leans."""
     first, half = len(s.parts), 0.2 + 0.03 * s.rng.random()
     material = ("fabric_striped", "linen", "fabric_red", "fabric_green", "fabric_blue")[int(s.rng.integers(5))]
@@ -68,7 +68,7 @@ def loose_cushion(s: Solid, at: tuple[float, float, float], yaw: float, pitch: f
     s.turned(first, placed(at, yaw, pitch))
 
 
-def armchair(s: Solid, d: float, w: float, h: float) -> None:
+def armchair(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """An armchair."""
     cloth = choose(s, _FABRICS)
     legs(s, d, w, 0.17, look("wood_walnut"), 0.02, 0.07)
@@ -83,7 +83,7 @@ def armchair(s: Solid, d: float, w: float, h: float) -> None:
     _seat_boxes(s, d, w, h, 0.12)
 
 
-def table(s: Solid, d: float, w: float, h: float) -> None:
+def table(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A table with four legs and a frame, or with a round foot."""
     wood = choose(s, WOODS)
     thick = 0.028
@@ -112,7 +112,7 @@ def table(s: Solid, d: float, w: float, h: float) -> None:
             s.collide((corner[0] - 0.02, corner[1] - 0.02, 0), (corner[0] + 0.02, corner[1] + 0.02, h - thick))
 
 
-def magazines(s: Solid, at: tuple[float, float, float]) -> None:
+def magazines(s: ObjectBuilder, at: tuple[float, float, float]) -> None:
     """A few magazines on top of each other."""
     z = at[2]
     for _ in range(int(s.rng.integers(2, 5))):
@@ -123,7 +123,7 @@ def magazines(s: Solid, at: tuple[float, float, float]) -> None:
 
 
 def fronts(
-    s: Solid,
+    s: ObjectBuilder,
     x: float,
     low: tuple[float, float],
     high: tuple[float, float],
@@ -132,7 +132,7 @@ def fronts(
     surface: Surface,
     handle: Surface,
 ) -> None:
-    """Adds doors or drawers, columns x rows, between (y, z) corners, before the plane at ``x``, each with a handle."""
+    """Adds doors or drawers, columns x rows, between (y, z) corners, in front of the plane at ``x``, each with a handle."""
     gap, thick = 0.003, 0.018
     ys, zs = np.linspace(low[0], high[0], columns + 1), np.linspace(low[1], high[1], rows + 1)
     for j in range(columns):
@@ -148,7 +148,9 @@ def fronts(
             bar(s, ends, handle)
 
 
-def bar(s: Solid, ends: list[tuple[float, float, float]], surface: Surface, out: float = 0.02, radius: float = 0.005) -> None:
+def bar(
+    s: ObjectBuilder, ends: list[tuple[float, float, float]], surface: Surface, out: float = 0.02, radius: float = 0.005
+) -> None:
     """A bar handle that stands out by ``out`` along x."""
     (x, y0, z0), (_, y1, z1) = ends
     y, z = 0.12 * (y1 - y0), 0.12 * (z1 - z0)
@@ -158,7 +160,7 @@ def bar(s: Solid, ends: list[tuple[float, float, float]], surface: Surface, out:
     s.tube([(x + out, y0, z0), (x + out, y1, z1)], radius, surface, 6)
 
 
-def cabinet(s: Solid, d: float, w: float, h: float) -> None:
+def cabinet(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A cabinet with drawers or doors; low ones stand on legs."""
     wood = choose(s, WOODS)
     front = wood if s.rng.random() < 0.6 else look("wood_white")
@@ -178,7 +180,7 @@ def cabinet(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def wardrobe(s: Solid, d: float, w: float, h: float) -> None:
+def wardrobe(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A wardrobe with doors."""
     wood = choose(s, ("wood_white", "wood_oak", "wood_walnut", "wood_white"))
     inner = d / 2 - 0.04
@@ -188,7 +190,7 @@ def wardrobe(s: Solid, d: float, w: float, h: float) -> None:
     fronts(s, inner, (-w / 2, 0.07), (w / 2, h), columns, 1, wood, look("metal_steel"))
 
 
-def bookshelf(s: Solid, d: float, w: float, h: float) -> None:
+def bookshelf(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A bookshelf full of books and some other things."""
     wood, t = choose(s, WOODS), 0.022
     columns = max(1, round(w / 0.8))
@@ -206,7 +208,7 @@ def bookshelf(s: Solid, d: float, w: float, h: float) -> None:
     s.box((-d / 2 + 0.008, -w / 2 + t, 0), (d / 2 - 0.03, w / 2 - t, 0.06), wood, 0, "-x -z +z")
 
 
-def _books(s: Solid, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
+def _books(s: ObjectBuilder, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
     """Fills a compartment: books upright, some lying, gaps."""
     y, clear = low[1] + s.rng.uniform(0, 0.03), high[2] - low[2]
     stop = high[1] - (s.rng.uniform(0, 0.25) * (high[1] - low[1]) if s.rng.random() < 0.6 else 0.0)
@@ -230,14 +232,14 @@ def _books(s: Solid, low: tuple[float, float, float], high: tuple[float, float, 
         y += thick
 
 
-def _book(s: Solid, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+def _book(s: ObjectBuilder, low: tuple[float, ...], high: tuple[float, ...]) -> None:
     kind = s.rng.random()
     color = vivid(s.rng, (0.0, 0.25), (0.55, 0.92)) if kind < 0.4 else vivid(s.rng, (0.3, 0.75), (0.18, 0.7))
     part = s.box(low, high, look("paper", color), 0, "-x -y -z")
     part.importance[part.chart == 2] *= 0.35
 
 
-def plant(s: Solid, d: float, w: float, h: float) -> None:
+def plant(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A plant in a pot: a rubber tree, a palm or something bushy."""
     radius, pot = min(d, w) * 0.34, h * s.rng.uniform(0.2, 0.27)
     shade = choose(s, ("plaster_white", "concrete", "tile_terracotta", "metal_black"))
@@ -269,8 +271,16 @@ def plant(s: Solid, d: float, w: float, h: float) -> None:
 
 
 def _leaf(
-    s: Solid, root: np.ndarray, angle: float, length: float, droop: float, wide: float, reach: float, top: float, surface: Surface
-) -> Part:
+    s: ObjectBuilder,
+    root: np.ndarray,
+    angle: float,
+    length: float,
+    droop: float,
+    wide: float,
+    reach: float,
+    top: float,
+    surface: Surface,
+) -> SurfacePart:
     """A leaf that bends under its weight, kept within ``reach`` of the middle and below ``top``."""
     t = np.linspace(0, 1, 6)
     rise = (1.1 - abs(droop)) * t - (0.55 + droop) * t**2
@@ -287,18 +297,18 @@ def _leaf(
     return s.sheet(grid, surface)
 
 
-def rug(s: Solid, d: float, w: float, h: float) -> None:
+def rug(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A rug with a border."""
     color = varied(
         [(0.62, 0.28, 0.22), (0.72, 0.66, 0.56), (0.32, 0.38, 0.46), (0.55, 0.54, 0.50)][int(s.rng.integers(4))], s.rng, 0.05
     )
     part = s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, h), Surface("rug", color, 1.0), 0.003, "-z")
-    # The pattern wants to know how far each point is from the edges: -1 to 1 across, and metres along.
+    # The pattern needs each point's distance from the edges: -1 to 1 across, and metres along.
     part.pattern = part.vertices[part.triangles] / np.array([d / 2, w / 2, 1.0]) + np.array([0, 0, float(s.rng.integers(3))])
     s.collide((-0.01, -0.01, 0), (0.01, 0.01, 0.001))
 
 
-def curtain(s: Solid, d: float, w: float, h: float) -> None:
+def curtain(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A curtain in folds on a rod."""
     names = ("linen", "fabric_beige", "fabric_grey", "linen", "fabric_green", "fabric_blue")
     cloth = look(names[int(np.random.default_rng((s.style, 32)).integers(len(names)))])  # the same at all windows
@@ -314,7 +324,7 @@ def curtain(s: Solid, d: float, w: float, h: float) -> None:
     s.tube([(0, -w / 2 - 0.0, h - 0.02), (0, w / 2, h - 0.02)], 0.011, look("metal_black"), 8)
 
 
-def painting(s: Solid, d: float, w: float, h: float) -> None:
+def painting(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A picture in a frame."""
     frame = choose(s, ("wood_black", "wood_oak", "wood_white", "metal_brass"))
     rim = 0.025

@@ -1,4 +1,4 @@
-"""Lamps and what hangs on walls. NumPy only."""
+"""Lamps, wall fixtures and railings. NumPy only."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from gibson_sim_tools.making.blender.furniture.living import choose
 from gibson_sim_tools.making.blender.looks import look
-from gibson_sim_tools.making.blender.shapes import Solid, Surface, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, placed
 
 
-def radiator(s: Solid, d: float, w: float, h: float) -> None:
+def radiator(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A radiator of upright columns, with its valve."""
     white = look("plastic_white")
     count = max(5, round(w / 0.055))
@@ -21,7 +21,7 @@ def radiator(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def mirror(s: Solid, d: float, w: float, h: float) -> None:
+def mirror(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A mirror with a narrow rim."""
     s.box((-d / 2, -w / 2, 0), (d / 2 - 0.004, w / 2, h), choose(s, ("metal_black", "wood_oak", "metal_brass")), 0.004, "-x")
     x, rim = d / 2 - 0.003, 0.018
@@ -29,7 +29,7 @@ def mirror(s: Solid, d: float, w: float, h: float) -> None:
     s.quad([(x, -y, rim), (x, y, rim), (x, y, h - rim), (x, -y, h - rim)], look("mirror"))
 
 
-def coat_rack(s: Solid, d: float, w: float, h: float) -> None:
+def coat_rack(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A board with hooks and a shelf above, some coats on it."""
     wood = choose(s, ("wood_oak", "wood_walnut", "wood_white"))
     s.box((-d / 2, -w / 2, h * 0.3), (-d / 2 + 0.02, w / 2, h * 0.62), wood, 0.004, "-x")
@@ -44,7 +44,7 @@ def coat_rack(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, h * 0.3), (d / 2, w / 2, h))
 
 
-def _coat(s: Solid, x: float, y: float, top: float) -> None:
+def _coat(s: ObjectBuilder, x: float, y: float, top: float) -> None:
     """A coat that hangs from a hook."""
     cloth = choose(s, ("fabric_blue", "fabric_grey", "fabric_green", "leather_brown"))
     angle, rows = np.linspace(0, 2 * np.pi, 25), np.linspace(0, 1, 9)
@@ -58,7 +58,7 @@ def _coat(s: Solid, x: float, y: float, top: float) -> None:
     s.sheet(grid, cloth)
 
 
-def floor_lamp(s: Solid, d: float, w: float, h: float) -> None:
+def floor_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A lamp with a shade of cloth on a stand."""
     metal, r = choose(s, ("metal_black", "metal_brass")), min(d, w) / 2
     s.lathe((0, 0, 0), [(0, 0), (r * 0.75, 0), (r * 0.75, 0.02), (0.02, 0.03)], metal, 24)
@@ -68,20 +68,20 @@ def floor_lamp(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-0.03, -0.03, 0), (0.03, 0.03, h))
 
 
-def shade(s: Solid, low: tuple[float, float, float], wide: float, narrow: float, tall: float) -> None:
+def shade(s: ObjectBuilder, low: tuple[float, float, float], wide: float, narrow: float, tall: float) -> None:
     """A shade of cloth, lit from within."""
     s.lathe(low, [(wide, 0), (narrow, tall)], Surface("glow", (0.99, 0.90, 0.74)), 28)
     s.lathe(low, [(wide * 0.5, tall * 0.5), (0.001, tall * 0.5)], Surface("glow", (1.0, 0.97, 0.9)), 12)
 
 
-def ceiling_lamp(s: Solid, d: float, w: float, h: float) -> None:
+def ceiling_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A flat round lamp under the ceiling."""
     r = min(d, w) / 2
     s.lathe((0, 0, 0), [(0.0, 0.0), (r * 0.75, 0.004), (r * 0.94, 0.025), (r * 0.96, h * 0.6)], look("glow"), 28)
     s.lathe((0, 0, 0), [(r * 0.97, h * 0.45), (r, h * 0.5), (r, h), (0, h)], look("plastic_white"), 28)
 
 
-def pendant_lamp(s: Solid, d: float, w: float, h: float) -> None:
+def pendant_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A lamp that hangs on its cable."""
     r, metal = min(d, w) / 2, choose(s, ("metal_black", "metal_brass", "plastic_white", "plaster_sage"))
     skin = Surface("plain", metal.tint)
@@ -100,14 +100,14 @@ def pendant_lamp(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-r * 0.8, -r * 0.8, 0), (r * 0.8, r * 0.8, tall))
 
 
-def panel_lamp(s: Solid, d: float, w: float, h: float) -> None:
+def panel_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A flat panel under the ceiling of an office."""
     s.box((-d / 2, -w / 2, 0.005), (d / 2, w / 2, h), look("plastic_white"), 0.003, "+z")
     a, b = d / 2 - 0.02, w / 2 - 0.02
     s.quad([(-a, b, 0.004), (a, b, 0.004), (a, -b, 0.004), (-a, -b, 0.004)], look("glow", (1.0, 1.0, 0.98)))
 
 
-def desk_lamp(s: Solid, d: float, w: float, h: float) -> None:
+def desk_lamp(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A desk lamp with two arms."""
     metal = choose(s, ("metal_black", "plastic_white", "metal_steel", "plastic_red"))
     y = -w / 2 + 0.08
@@ -119,7 +119,7 @@ def desk_lamp(s: Solid, d: float, w: float, h: float) -> None:
     s.turned(first, placed((0.0, w / 2 - 0.08, h - 0.03), roll=0.25))
 
 
-def railing(s: Solid, d: float, w: float, h: float) -> None:
+def railing(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A railing: posts, a handrail, upright bars."""
     wood, white = look("wood_oak"), look("wood_white")
     s.box((-d / 2, -w / 2, h - 0.05), (d / 2, w / 2, h), wood, 0.01)

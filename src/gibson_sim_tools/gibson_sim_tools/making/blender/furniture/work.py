@@ -9,11 +9,11 @@ import numpy as np
 from gibson_sim_tools.making.blender.furniture.goods import goods
 from gibson_sim_tools.making.blender.furniture.living import cabinet, choose, fronts
 from gibson_sim_tools.making.blender.looks import look, varied, vivid
-from gibson_sim_tools.making.blender.shapes import Solid, Surface, placed
+from gibson_sim_tools.making.blender.shapes import ObjectBuilder, Surface, placed
 
 
-def chair(s: Solid, d: float, w: float, h: float) -> None:
-    """A chair of wood; who sits on it looks to +x."""
+def chair(s: ObjectBuilder, d: float, w: float, h: float) -> None:
+    """A wooden chair that faces +x."""
     wood = choose(s, ("wood_oak", "wood_walnut", "wood_black", "wood_white", "wood_pine"))
     seat, a, b = 0.45, d / 2 - 0.03, w / 2 - 0.03
     padded = s.rng.random() < 0.5
@@ -43,7 +43,7 @@ def chair(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, seat), (-d / 2 + 0.08, w / 2, h))
 
 
-def office_chair(s: Solid, d: float, w: float, h: float) -> None:
+def office_chair(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A swivel chair on five castors."""
     black, cloth = look("plastic_black"), choose(s, ("fabric_grey", "fabric_blue", "leather_black", "fabric_green"))
     r = min(d, w) / 2 - 0.03
@@ -74,7 +74,7 @@ def office_chair(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -0.22, 0.5), (-d / 2 + 0.12, 0.22, h))
 
 
-def desk(s: Solid, d: float, w: float, h: float) -> None:
+def desk(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A desk with a drawer unit and a frame of steel."""
     wood, metal = choose(s, ("wood_oak", "wood_white", "wood_walnut", "wood_pine")), choose(s, ("metal_black", "metal_steel"))
     s.box((-d / 2, -w / 2, h - 0.028), (d / 2, w / 2, h), wood, 0.004, solid=True)
@@ -96,7 +96,7 @@ def desk(s: Solid, d: float, w: float, h: float) -> None:
     fronts(s, d / 2 - 0.1, low, high, 1, 3, look("wood_white"), look("metal_steel"))
 
 
-def monitor(s: Solid, d: float, w: float, h: float) -> None:
+def monitor(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A monitor on its foot."""
     black = look("plastic_black")
     s.box((-d / 2, -0.12, 0), (d / 2, 0.12, 0.012), black, 0.004, "-z")
@@ -104,7 +104,7 @@ def monitor(s: Solid, d: float, w: float, h: float) -> None:
     screen(s, (-d / 4 + 0.02, -w / 2, h * 0.22), (-d / 4 + 0.05, w / 2, h))
 
 
-def screen(s: Solid, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
+def screen(s: ObjectBuilder, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
     """A flat screen with a narrow rim, its picture at the high x."""
     s.box(low, high, look("plastic_black"), 0.004, "-x")
     x, rim = high[0] + 0.0015, 0.012
@@ -112,14 +112,14 @@ def screen(s: Solid, low: tuple[float, float, float], high: tuple[float, float, 
     s.quad([(x, y0, z0), (x, y1, z0), (x, y1, z1), (x, y0, z1)], look("screen"))
 
 
-def television(s: Solid, d: float, w: float, h: float) -> None:
+def television(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A television on the wall."""
     screen(s, (-d / 2 + 0.02, -w / 2, 0), (d / 2 - 0.002, w / 2, h))
     s.box((-d / 2, -0.2, h / 2 - 0.15), (-d / 2 + 0.02, 0.2, h / 2 + 0.15), look("metal_black"), 0, "-x +x")
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def filing_cabinet(s: Solid, d: float, w: float, h: float) -> None:
+def filing_cabinet(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A filing cabinet of steel."""
     skin = Surface("plain", choose(s, ("plaster_grey", "plastic_white", "metal_black")).tint)
     x = d / 2 - 0.04
@@ -128,7 +128,7 @@ def filing_cabinet(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def whiteboard(s: Solid, d: float, w: float, h: float) -> None:
+def whiteboard(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A whiteboard with a rim and a tray."""
     s.box((-d / 2, -w / 2, 0.02), (d / 2 - 0.012, w / 2, h), look("metal_steel"), 0.003, "-x")
     x, rim = d / 2 - 0.011, 0.02
@@ -144,7 +144,7 @@ def whiteboard(s: Solid, d: float, w: float, h: float) -> None:
     s.box((-d / 2, -w / 4, 0), (d / 2, w / 4, 0.02), look("metal_steel"), 0.002)
 
 
-def printer(s: Solid, d: float, w: float, h: float) -> None:
+def printer(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """An office printer on its cabinet."""
     white, grey = look("plastic_white", (0.82, 0.82, 0.81)), look("plastic_black", (0.22, 0.23, 0.24))
     s.box((-d / 2, -w / 2, 0.03), (d / 2 - 0.03, w / 2, h * 0.5), grey, 0.01, "-x -z")
@@ -156,7 +156,7 @@ def printer(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def partition(s: Solid, d: float, w: float, h: float) -> None:
+def partition(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A screen between desks, covered with cloth."""
     s.box((-d / 2, -w / 2, 0.05), (d / 2, w / 2, h - 0.02), choose(s, ("fabric_grey", "fabric_blue", "fabric_green")), 0.004)
     s.box((-d / 2, -w / 2, h - 0.02), (d / 2, w / 2, h), look("metal_steel"), 0.003)
@@ -165,7 +165,7 @@ def partition(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def shelf(s: Solid, d: float, w: float, h: float) -> None:
+def shelf(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A shop shelf on one side, with goods."""
     metal = look("plastic_white", (0.80, 0.80, 0.79))
     s.box((-d / 2, -w / 2, 0), (-d / 2 + 0.03, w / 2, h), metal, 0.002, "-x -z")
@@ -173,7 +173,7 @@ def shelf(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def gondola(s: Solid, d: float, w: float, h: float) -> None:
+def gondola(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A shop shelf with goods on both sides."""
     metal = look("plastic_white", (0.80, 0.80, 0.79))
     s.box((-0.02, -w / 2, 0), (0.02, w / 2, h), metal, 0.002, "-z")
@@ -184,7 +184,7 @@ def gondola(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def _levels(s: Solid, back: float, front: float, w: float, h: float, metal: Surface) -> None:
+def _levels(s: ObjectBuilder, back: float, front: float, w: float, h: float, metal: Surface) -> None:
     s.box((back, -w / 2, 0), (front, w / 2, 0.12), look("metal_black", (0.2, 0.2, 0.2)), 0.003, "-x -z")
     levels = np.linspace(0.12, h - 0.05, max(3, round(h / 0.38)) + 1)
     for k, (low, high) in enumerate(itertools.pairwise(levels)):
@@ -200,7 +200,7 @@ def _levels(s: Solid, back: float, front: float, w: float, h: float, metal: Surf
         goods(s, (max(back, deep - 0.25), -w / 2 + 0.02, low + 0.02), (deep - 0.015, w / 2 - 0.02, high - 0.02))
 
 
-def till(s: Solid, d: float, w: float, h: float) -> None:
+def till(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """A shop counter with a till."""
     cabinet(s, d, w, h * 0.94)
     s.box((-d / 2, -w / 2, h * 0.94), (d / 2, w / 2, h * 0.965), look("wood_oak"), 0.004)
@@ -208,7 +208,7 @@ def till(s: Solid, d: float, w: float, h: float) -> None:
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
 
 
-def crate_stack(s: Solid, d: float, w: float, h: float) -> None:
+def crate_stack(s: ObjectBuilder, d: float, w: float, h: float) -> None:
     """Crates on top of each other."""
     count = max(2, round(h / 0.28))
     edges = np.linspace(0, h, count + 1)

@@ -11,13 +11,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from gibson_sim_tools.making.blender.objects import cabinets, doors, furniture, things, vessels
-from gibson_sim_tools.making.blender.objects.workshop import Part, Shop
+from gibson_sim_tools.making.blender.objects.workshop import LinkModel, Workshop
 from gibson_sim_tools.making.objects.catalogue import OBJECTS
 from gibson_sim_tools.making.objects.urdf import mesh_name
 
 
-def _makers(name: str) -> Mapping[str, Callable[[Part], None]]:
-    """Returns what models each link of an object."""
+def _makers(name: str) -> Mapping[str, Callable[[LinkModel], None]]:
+    """Returns the modelling function of each link of an object."""
     joined = {**doors.MAKERS, **cabinets.MAKERS}
     if name in joined:
         return joined[name]
@@ -25,9 +25,9 @@ def _makers(name: str) -> Mapping[str, Callable[[Part], None]]:
 
 
 def main() -> None:
-    """Models what the command line names."""
+    """Models the objects named on the command line."""
     pictures, output, *names = sys.argv[1:]
-    shop = Shop(Path(pictures))
+    shop = Workshop(Path(pictures))
     for name in names:
         model, makers = OBJECTS[name], _makers(name)
         written = set()
@@ -38,7 +38,7 @@ def main() -> None:
             written.add(path)
             path.parent.mkdir(parents=True, exist_ok=True)
             shop.clear()
-            part = Part(shop)
+            part = LinkModel(shop)
             makers[link.name](part)
             print(json.dumps({"object": name, "file": path.name, "triangles": part.write(path)}), flush=True)
 

@@ -6,26 +6,30 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from gibson_sim_tools.making.blender.objects.paints import BEECH, BLACK, DARK_STEEL, LACQUER, OAK, STEEL, WALNUT, WHITE, label
-from gibson_sim_tools.making.blender.objects.workshop import Paint, Part
+from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial
 from gibson_sim_tools.making.objects.joined import DRAWER_HIGH, PANEL, carcass
-from gibson_sim_tools.making.objects.model import Solid
+from gibson_sim_tools.making.objects.model import Primitive
 
 _HANDLE = 0.03
-"""How far a handle stands out."""
+"""Protrusion of a handle, metres."""
 
 
-def _boards(part: Part, solids: Sequence[Solid], paint: Paint, bevel: float = 0.0015) -> None:
-    """Adds boards where the solids are."""
-    for solid in solids:
+def _boards(part: LinkModel, primitives: Sequence[Primitive], paint: ShaderMaterial, bevel: float = 0.0015) -> None:
+    """Adds a board for each primitive."""
+    for solid in primitives:
         low = [m - s / 2 for m, s in zip(solid.middle, solid.size, strict=True)]
         high = [m + s / 2 for m, s in zip(solid.middle, solid.size, strict=True)]
         part.box(low, high, paint, bevel, 1)
 
 
 def _bar(
-    part: Part, x: float, ends: tuple[tuple[float, float], tuple[float, float]], paint: Paint = STEEL, radius: float = 0.006
+    part: LinkModel,
+    x: float,
+    ends: tuple[tuple[float, float], tuple[float, float]],
+    paint: ShaderMaterial = STEEL,
+    radius: float = 0.006,
 ) -> None:
-    """Adds a bar handle before the plane ``x`` between two places (y, z)."""
+    """Adds a bar handle in front of the plane ``x`` between two points (y, z)."""
     (y0, z0), (y1, z1) = ends
     out = x + _HANDLE - radius
     part.rod((out, y0, z0), (out, y1, z1), radius, paint, 14, 0.0015)
@@ -34,14 +38,14 @@ def _bar(
         part.rod((x - 0.001, y, z), (out, y, z), 0.8 * radius, paint, 12)
 
 
-def _drawers_body(part: Part) -> None:
+def _drawers_body(part: LinkModel) -> None:
     _boards(part, carcass(-0.225, 0.177, 0.6, 0.06, 0.72, PANEL), WALNUT)
     part.box((-0.2, -0.28, 0.0), (0.13, 0.28, 0.06), BLACK, 0.001, 1)
     for z in (0.282, 0.492):
         part.box((-0.207, -0.282, z - 0.006), (0.165, 0.282, z), WALNUT, 0.0, 1)
 
 
-def _drawer(part: Part) -> None:
+def _drawer(part: LinkModel) -> None:
     y, back, top = 0.265, -0.37, 0.16
     part.box((0.0, -0.297, 0.0), (PANEL, 0.297, DRAWER_HIGH), LACQUER, 0.002, 2)
     part.box((back, -y, 0.015), (0.0, y, 0.024), BEECH, 0.0, 1)
@@ -57,15 +61,15 @@ def _drawer(part: Part) -> None:
     _bar(part, PANEL, ((-0.08, 0.131), (0.08, 0.131)))
 
 
-def _doors_body(part: Part) -> None:
+def _doors_body(part: LinkModel) -> None:
     _boards(part, carcass(-0.225, 0.177, 0.8, 0.06, 0.76, PANEL), OAK)
     part.box((-0.207, -0.382, 0.40), (0.16, 0.382, 0.418), OAK, 0.001, 1)
     part.box((-0.2, -0.38, 0.0), (0.13, 0.38, 0.06), BLACK, 0.001, 1)
 
 
-def _cabinet_door(part: Part, side: int) -> None:
+def _cabinet_door(part: LinkModel, side: int) -> None:
     """A frame with a sunk field; ``side``: 1 = hung at +y."""
-    sage = Paint((0.47, 0.55, 0.48), roughness=0.5)
+    sage = ShaderMaterial((0.47, 0.55, 0.48), roughness=0.5)
     inner, outer, low, high, wide = 0.002, 0.3985, 0.062, 0.758, 0.055
     y0, y1 = sorted((-side * inner, -side * outer))
     part.box((0.0, y0, low), (PANEL, y0 + wide, high), sage, 0.002, 2)
@@ -74,11 +78,11 @@ def _cabinet_door(part: Part, side: int) -> None:
         part.box((0.0, y0 + wide, z), (PANEL, y1 - wide, z + wide), sage, 0.002, 2)
     part.box((0.003, y0 + wide - 0.004, low + wide - 0.004), (0.010, y1 - wide + 0.004, high - wide + 0.004), sage, 0.0, 1)
     y = -side * 0.366
-    _bar(part, PANEL, ((y, 0.38), (y, 0.54)), Paint((0.68, 0.55, 0.32), metallic=0.5, roughness=0.35))
+    _bar(part, PANEL, ((y, 0.38), (y, 0.54)), ShaderMaterial((0.68, 0.55, 0.32), metallic=0.5, roughness=0.35))
 
 
-def _fridge_body(part: Part) -> None:
-    steel = Paint((0.78, 0.79, 0.80), metallic=0.12, roughness=0.42)
+def _fridge_body(part: LinkModel) -> None:
+    steel = ShaderMaterial((0.78, 0.79, 0.80), metallic=0.12, roughness=0.42)
     x0, x1, y, z0, z1, wall = -0.34, 0.25, 0.3, 0.02, 1.78, 0.04
     part.box((x0, -y, z0), (x0 + 0.01, y, z1), DARK_STEEL, 0.002, 1)
     for side in (-1, 1):
@@ -95,33 +99,35 @@ def _fridge_body(part: Part) -> None:
     part.box((x0 + 0.01, -y + 0.008, z0), (x1, y - 0.008, z0 + wall), WHITE, 0.0, 1)
     part.box((x0 + 0.01, -y + wall, z0 + wall), (x0 + wall, y - wall, z1 - wall), WHITE, 0.0, 1)
     part.box((-0.3, -0.28, 0.0), (0.22, 0.28, 0.022), BLACK, 0.0, 1)
-    shelf = Paint((0.80, 0.90, 0.92), roughness=0.1, alpha=0.4)
+    shelf = ShaderMaterial((0.80, 0.90, 0.92), roughness=0.1, alpha=0.4)
     for z in (0.5, 0.85, 1.2):
         part.box((-0.29, -0.26, z), (0.19, 0.26, z + 0.006), shelf, 0.0, 1)
         part.box((0.185, -0.26, z - 0.004), (0.2, 0.26, z + 0.010), WHITE, 0.002, 1)
-    crisper = Paint((0.86, 0.92, 0.94), roughness=0.2, alpha=0.5)
+    crisper = ShaderMaterial((0.86, 0.92, 0.94), roughness=0.2, alpha=0.5)
     part.box((-0.28, -0.255, 0.065), (0.19, 0.255, 0.28), crisper, 0.01, 2)
     part.box((0.19, -0.255, 0.22), (0.205, 0.255, 0.28), WHITE, 0.004, 2)
-    part.box((-0.1, -0.06, 1.725), (0.05, 0.06, 1.741), Paint((1.0, 0.98, 0.92), roughness=0.4, glow=0.6), 0.004, 2)
+    part.box((-0.1, -0.06, 1.725), (0.05, 0.06, 1.741), ShaderMaterial((1.0, 0.98, 0.92), roughness=0.4, glow=0.6), 0.004, 2)
 
 
-def _fridge_door(part: Part) -> None:
+def _fridge_door(part: LinkModel) -> None:
     """The origin is the edge at the hinge (-y), on the floor."""
-    steel = Paint((0.82, 0.83, 0.84), metallic=0.15, roughness=0.36)
+    steel = ShaderMaterial((0.82, 0.83, 0.84), metallic=0.15, roughness=0.36)
     part.box((0.012, 0.002, 0.045), (0.06, 0.598, 1.775), steel, 0.006, 3)
     part.box((0.004, 0.012, 0.055), (0.012, 0.588, 1.765), WHITE, 0.002, 1)
-    part.box((0.0, 0.018, 0.061), (0.006, 0.582, 1.759), Paint((0.55, 0.56, 0.57), roughness=0.8), 0.002, 1)
+    part.box((0.0, 0.018, 0.061), (0.006, 0.582, 1.759), ShaderMaterial((0.55, 0.56, 0.57), roughness=0.8), 0.002, 1)
     for z in (0.35, 0.75, 1.15):
         part.box((-0.09, 0.06, z), (-0.0, 0.54, z + 0.01), WHITE, 0.002, 1)
-        part.box((-0.09, 0.06, z), (-0.084, 0.54, z + 0.075), Paint((0.86, 0.92, 0.94), roughness=0.2, alpha=0.5), 0.002, 1)
+        part.box(
+            (-0.09, 0.06, z), (-0.084, 0.54, z + 0.075), ShaderMaterial((0.86, 0.92, 0.94), roughness=0.2, alpha=0.5), 0.002, 1
+        )
         for y in (0.06, 0.534):
             part.box((-0.09, y, z), (0.0, y + 0.006, z + 0.075), WHITE, 0.001, 1)
     _bar(part, 0.06, ((0.55, 0.85), (0.55, 1.35)), STEEL, 0.009)
     part.box((0.0595, 0.27, 1.66), (0.0612, 0.33, 1.672), DARK_STEEL, 0.0, 1)
 
 
-def _oven_body(part: Part) -> None:
-    enamel = Paint((0.10, 0.10, 0.11), roughness=0.35)
+def _oven_body(part: LinkModel) -> None:
+    enamel = ShaderMaterial((0.10, 0.10, 0.11), roughness=0.35)
     for solid in carcass(-0.3, 0.23, 0.595, 0.0, 0.6, 0.045):
         _boards(part, [solid], enamel, 0.002)
     part.box((0.225, -0.2975, 0.49), (0.263, 0.2975, 0.6), DARK_STEEL, 0.003, 2)
@@ -137,13 +143,13 @@ def _oven_body(part: Part) -> None:
         part.rod((-0.255, at, 0.273), (0.2, at, 0.273), 0.0018, STEEL, 6)
     for x in (-0.25, -0.03, 0.2):
         part.rod((x, -0.248, 0.2715), (x, 0.248, 0.2715), 0.003, STEEL, 8)
-    part.box((-0.2, -0.04, 0.545), (-0.1, 0.04, 0.556), Paint((1.0, 0.93, 0.78), roughness=0.4, glow=0.5), 0.003, 1)
+    part.box((-0.2, -0.04, 0.545), (-0.1, 0.04, 0.556), ShaderMaterial((1.0, 0.93, 0.78), roughness=0.4, glow=0.5), 0.003, 1)
 
 
-def _oven_door(part: Part) -> None:
+def _oven_door(part: LinkModel) -> None:
     """The origin is the axis, at the front edge below."""
-    glass = Paint((0.05, 0.05, 0.06), roughness=0.08)
-    dark = Paint((0.08, 0.09, 0.10), roughness=0.05, alpha=0.62)
+    glass = ShaderMaterial((0.05, 0.05, 0.06), roughness=0.08)
+    dark = ShaderMaterial((0.08, 0.09, 0.10), roughness=0.05, alpha=0.62)
     x0, x1, y, z0, z1 = -0.034, 0.0, 0.29, 0.005, 0.42
     wide, low, high = 0.065, 0.075, 0.345
     for a, b in (((-y, z0), (y, low)), ((-y, high), (y, z1)), ((-y, low), (-y + wide, high)), ((y - wide, low), (y, high))):
@@ -158,7 +164,7 @@ def _oven_door(part: Part) -> None:
         part.rod((-0.012, side * (y - 0.04), 0.0), (-0.012, side * (y + 0.0005), 0.0), 0.006, DARK_STEEL, 10)
 
 
-Maker = Callable[[Part], None]
+Maker = Callable[[LinkModel], None]
 MAKERS: dict[str, dict[str, Maker]] = {
     "cabinet_drawers": {"body": _drawers_body, **{f"drawer_{k}": _drawer for k in (1, 2, 3)}},
     "cabinet_doors": {
@@ -169,4 +175,4 @@ MAKERS: dict[str, dict[str, Maker]] = {
     "fridge_body": {"body": _fridge_body, "door": _fridge_door},
     "oven_body": {"body": _oven_body, "door": _oven_door},
 }
-"""Name of an object -> link -> what models it."""
+"""Object name -> link -> modelling function."""

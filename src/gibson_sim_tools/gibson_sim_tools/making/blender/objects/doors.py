@@ -8,15 +8,15 @@ from dataclasses import replace
 from functools import partial
 
 from gibson_sim_tools.making.blender.objects.paints import BLACK, DARK_STEEL, LACQUER, OAK, PANE, STEEL, WHITE
-from gibson_sim_tools.making.blender.objects.workshop import Paint, Part, mm
+from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial, mm
 from gibson_sim_tools.making.objects.joined import HANDLE_Z, LEAF, door_names
 
 _HALF = LEAF / 2
 _VENEER = replace(OAK, tile=1.1)
-_OAK_ROUND = Paint(OAK.color, roughness=0.55)
+_OAK_ROUND = ShaderMaterial(OAK.color, roughness=0.55)
 
 
-def _leaf(part: Part, width: float) -> None:
+def _leaf(part: LinkModel, width: float) -> None:
     """A door leaf, its round edge about the hinge: 0.80 m lacquered with two sunk fields, wider ones of oak."""
     reach, painted = width - 0.026, width < 0.85
     paint = LACQUER if painted else _VENEER
@@ -25,7 +25,7 @@ def _leaf(part: Part, width: float) -> None:
         _panelled(part, round_edge, reach, paint)
     else:
         part.prism([*round_edge, (reach, -_HALF), (reach, _HALF)], 0.006, 1.994, paint, 0.0015)
-        groove = Paint((0.36, 0.26, 0.16), roughness=0.8)
+        groove = ShaderMaterial((0.36, 0.26, 0.16), roughness=0.8)
         for side in (-1, 1):
             y = side * (_HALF + 0.0003)
             for z in (0.5, 1.0, 1.5):
@@ -48,7 +48,7 @@ def _leaf(part: Part, width: float) -> None:
         part.rod((0.0, 0.0, z - 0.05), (0.0, 0.0, z + 0.05), _HALF + 0.0008, STEEL, 18, 0.001)
 
 
-def _panelled(part: Part, round_edge: list[tuple[float, float]], reach: float, paint: Paint) -> None:
+def _panelled(part: LinkModel, round_edge: list[tuple[float, float]], reach: float, paint: ShaderMaterial) -> None:
     """Stiles and rails around two thinner fields with raised middles."""
     stile, rail = 0.11, (0.006, 0.20, 0.86, 0.98, 1.88, 1.994)
     part.prism([*round_edge, (stile, -_HALF), (stile, _HALF)], 0.006, 1.994, paint, 0.0015)
@@ -67,8 +67,8 @@ def _panelled(part: Part, round_edge: list[tuple[float, float]], reach: float, p
                 part.box((stile, y0, z), (reach - stile, y1, z + 0.012), paint, 0.004, 1)
 
 
-def _lever(part: Part) -> None:
-    """Both levers of a door on one spindle; the origin is on its axis, they point to the hinge (-x)."""
+def _lever(part: LinkModel) -> None:
+    """Both levers of a door on one spindle, pointing to the hinge (-x); the origin is on the axis."""
     for side in (-1, 1):
         part.rod((0.0, side * 0.024, 0.0), (0.0, side * 0.064, 0.0), 0.0095, STEEL, 16, 0.001)
         y = side * 0.063
@@ -78,8 +78,8 @@ def _lever(part: Part) -> None:
         )
 
 
-def _sliding_leaf(part: Part) -> None:
-    frosted = Paint((0.88, 0.92, 0.93), roughness=0.6)
+def _sliding_leaf(part: LinkModel) -> None:
+    frosted = ShaderMaterial((0.88, 0.92, 0.93), roughness=0.6)
     part.box((0.0, -0.0175, 0.008), (0.94, 0.0175, 2.028), _VENEER, 0.002, 1)
     for side in (-1, 1):
         y = side * 0.0178
@@ -98,7 +98,7 @@ def _sliding_leaf(part: Part) -> None:
         part.rod((x, 0.004, 2.062), (x, 0.0235, 2.062), 0.026, DARK_STEEL, 20, 0.002)
 
 
-def _rail(part: Part) -> None:
+def _rail(part: LinkModel) -> None:
     part.box((0.0, -0.010, 2.05), (1.84, 0.004, 2.09), DARK_STEEL, 0.002, 1)
     for x in (0.02, 1.82):
         part.box((x - 0.015, -0.022, 2.046), (x + 0.015, 0.018, 2.0895), DARK_STEEL, 0.002, 1)
@@ -106,7 +106,7 @@ def _rail(part: Part) -> None:
         part.rod((x, -0.022, 2.07), (x, 0.008, 2.07), 0.008, DARK_STEEL, 12)
 
 
-def _window_frame(part: Part) -> None:
+def _window_frame(part: LinkModel) -> None:
     for low, high in (((0, 0), (0.05, 1.2)), ((0.75, 0), (0.8, 1.2)), ((0.05, 0), (0.75, 0.05)), ((0.05, 1.15), (0.75, 1.2))):
         part.box((low[0], -0.035, low[1]), (high[0], 0.035, high[1]), WHITE, 0.003, 2)
     for low, high in (
@@ -118,7 +118,7 @@ def _window_frame(part: Part) -> None:
         part.box((low[0], -0.035, low[1]), (high[0], -0.024, high[1]), WHITE, 0.001, 1)
 
 
-def _sash(part: Part) -> None:
+def _sash(part: LinkModel) -> None:
     """The origin is the edge at the hinge, in the plane of the frame's front."""
     x0, x1, z0, z1, wide = 0.004, 0.696, 0.054, 1.146, 0.062
     y0, y1 = -0.055, -0.005
@@ -127,7 +127,7 @@ def _sash(part: Part) -> None:
     part.box((x0 + wide, y0, z0), (x1 - wide, y1, z0 + wide), WHITE, 0.004, 2)
     part.box((x0 + wide, y0, z1 - wide), (x1 - wide, y1, z1), WHITE, 0.004, 2)
     part.box((x0 + wide - 0.005, -0.034, z0 + wide - 0.005), (x1 - wide + 0.005, -0.026, z1 - wide + 0.005), PANE, 0.0, 1)
-    bead = Paint((0.30, 0.31, 0.32), roughness=0.8)
+    bead = ShaderMaterial((0.30, 0.31, 0.32), roughness=0.8)
     for y in (-0.038, -0.026):
         for x in (x0 + wide, x1 - wide - 0.004):
             part.box((x, y, z0 + wide), (x + 0.004, y + 0.004, z1 - wide), bead, 0.0, 1)
@@ -137,16 +137,16 @@ def _sash(part: Part) -> None:
         part.rod((0.0, -0.004, z - 0.035), (0.0, -0.004, z + 0.035), 0.0075, STEEL, 14, 0.001)
 
 
-def _window_handle(part: Part) -> None:
+def _window_handle(part: LinkModel) -> None:
     part.box((-0.015, 0.0, -0.035), (0.015, 0.009, 0.035), STEEL, 0.003, 2)
     part.rod((0.0, 0.008, 0.0), (0.0, 0.036, 0.0), 0.0085, STEEL, 16, 0.001)
     part.tube(mm("0 30 4, 0 35 0, 0 36 -50, 0 34 -118"), 0.0078, STEEL, 3, 6, (1.0, 1.1, 1.0, 0.75))
 
 
-Maker = Callable[[Part], None]
+Maker = Callable[[LinkModel], None]
 MAKERS: dict[str, dict[str, Maker]] = {
     **{name: {"leaf": partial(_leaf, width=int(name[5:7]) / 100), "handle": _lever} for name in door_names()},
     "sliding_door_90": {"leaf": _sliding_leaf, "rail": _rail},
     "window_casement": {"frame": _window_frame, "sash": _sash, "handle": _window_handle},
 }
-"""Name of an object -> link -> what models it."""
+"""Object name -> link -> modelling function."""

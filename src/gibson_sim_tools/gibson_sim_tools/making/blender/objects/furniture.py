@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 
 from gibson_sim_tools.making.blender.objects.paints import BEECH, OAK, WALNUT
-from gibson_sim_tools.making.blender.objects.workshop import Paint, Part, mm
+from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial, mm
 
 
-def _leg(part: Part, foot: tuple[float, float, float], top: tuple[float, float, float], thick: float, paint: Paint) -> None:
+def _leg(
+    part: LinkModel, foot: tuple[float, float, float], top: tuple[float, float, float], thick: float, paint: ShaderMaterial
+) -> None:
     """Adds a round leg that is thinner at its foot."""
     # The end of a slanting bar slants too: its lower side stands on the floor.
     slant = math.hypot(top[0] - foot[0], top[1] - foot[1]) / math.dist(foot, top)
     part.rod((foot[0], foot[1], foot[2] + 0.62 * thick * slant), top, 0.62 * thick, paint, 14, 0.002, top=thick)
 
 
-def _chair_wooden(part: Part) -> None:
-    wood = Paint(OAK.color, roughness=0.5)
+def _chair_wooden(part: LinkModel) -> None:
+    wood = ShaderMaterial(OAK.color, roughness=0.5)
     part.prism(mm("240 -190, 240 190, 215 220, -190 205, -220 180, -220 -180, -190 -205, 215 -220"), 0.427, 0.455, OAK, 0.007)
     for y in (-1.0, 1.0):
         _leg(part, (0.222, 0.200 * y, 0.0), (0.190, 0.175 * y, 0.43), 0.019, wood)
@@ -34,7 +36,7 @@ def _chair_wooden(part: Part) -> None:
     for k in range(5):
         y = -0.115 + 0.0575 * k
         part.tube([(-0.193, 0.92 * y, 0.45), (-0.222, y, 0.60), (-0.238, 1.03 * y, 0.82)], 0.0075, wood, 2, 5)
-    # The top rail bends around who sits.
+    # The top rail is curved around the sitter.
     front, back = [], []
     for k in range(13):
         y = -0.215 + 0.43 * k / 12
@@ -44,10 +46,10 @@ def _chair_wooden(part: Part) -> None:
     part.prism([*front, *back[::-1]], 0.80, 0.88, OAK, 0.006)
 
 
-def _stool(part: Part) -> None:
+def _stool(part: LinkModel) -> None:
     seat = mm("0 430, 165 430, 176 434, 180 443, 178 455, 170 460, 130 458.5, 0 456.5")
-    part.lathe(seat, Paint((0.82, 0.68, 0.50), roughness=0.55, picture="wood_beech"), 40)
-    wood = Paint((0.80, 0.66, 0.48), roughness=0.55)
+    part.lathe(seat, ShaderMaterial((0.82, 0.68, 0.50), roughness=0.55, picture="wood_beech"), 40)
+    wood = ShaderMaterial((0.80, 0.66, 0.48), roughness=0.55)
     feet = [(0.152 * x, 0.152 * y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
     for x, y in feet:
         _leg(part, (x, y, 0.0), (0.72 * x, 0.72 * y, 0.432), 0.019, wood)
@@ -55,11 +57,17 @@ def _stool(part: Part) -> None:
         part.rod((0.91 * x0, 0.91 * y0, 0.14), (0.91 * x1, 0.91 * y1, 0.14), 0.010, wood, 10)
 
 
-def _table_side(part: Part) -> None:
+def _table_side(part: LinkModel) -> None:
     part.box((-0.225, -0.225, 0.476), (0.225, 0.225, 0.5), WALNUT, 0.005, 2)
     for x in (-1, 1):
         for y in (-1, 1):
-            _leg(part, (0.200 * x, 0.200 * y, 0.0), (0.178 * x, 0.178 * y, 0.478), 0.0195, Paint(WALNUT.color, roughness=0.5))
+            _leg(
+                part,
+                (0.200 * x, 0.200 * y, 0.0),
+                (0.178 * x, 0.178 * y, 0.478),
+                0.0195,
+                ShaderMaterial(WALNUT.color, roughness=0.5),
+            )
     for k in (-1, 1):
         part.box((-0.175, 0.178 * k - 0.009, 0.425), (0.175, 0.178 * k + 0.009, 0.477), WALNUT, 0.002, 1)
         part.box((0.178 * k - 0.009, -0.175, 0.425), (0.178 * k + 0.009, 0.175, 0.477), WALNUT, 0.002, 1)
@@ -67,4 +75,4 @@ def _table_side(part: Part) -> None:
 
 
 MAKERS = {one.__name__[1:]: one for one in (_chair_wooden, _stool, _table_side)}
-"""Name of an object -> what models its only link."""
+"""Object name -> modelling function of its only link."""

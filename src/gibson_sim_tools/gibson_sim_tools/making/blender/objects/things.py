@@ -1,4 +1,4 @@
-"""Books, boxes, fruit, balls, and what has keys or hands."""
+"""Books, boxes, fruit, balls, electronics and a clock."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import math
 from mathutils import Matrix
 
 from gibson_sim_tools.making.blender.objects.paints import BLACK, BRASS, GREY_PLASTIC, PAPER, RUBBER, WALNUT, label
-from gibson_sim_tools.making.blender.objects.workshop import Paint, Part, mm
+from gibson_sim_tools.making.blender.objects.workshop import LinkModel, ShaderMaterial, mm
 
-_WALNUT_ROUND = Paint((0.36, 0.23, 0.14), roughness=0.45)
+_WALNUT_ROUND = ShaderMaterial((0.36, 0.23, 0.14), roughness=0.45)
 _SPINE, _FRONT = (0.0, 0.0, 0.125, 1.0), (0.13, 0.0, 1.0, 1.0)
 
 
 def _book(
-    part: Part,
+    part: LinkModel,
     x: float,
     y: float,
     low: float,
@@ -26,7 +26,7 @@ def _book(
     """Adds a lying book whose middle is at (x, y): its spine to -x before it is turned, the top of its cover to +y."""
     dx, dy, dz = size
     board = 0.0022
-    paint, plain = label(cover, 0.6), Paint(color, roughness=0.6)
+    paint, plain = label(cover, 0.6), ShaderMaterial(color, roughness=0.6)
     first = len(part.pieces)
     part.box((-dx / 2 + 0.001, -dy / 2, dz - board), (dx / 2, dy / 2, dz), plain, 0.0007, 1)
     part.box((-dx / 2 + 0.001, -dy / 2, 0.0), (dx / 2, dy / 2, board), plain, 0.0007, 1)
@@ -44,43 +44,43 @@ def _book(
         piece.matrix_world = move @ piece.matrix_world
 
 
-def _crop(part: Part, window: tuple[float, float, float, float]) -> None:
-    """Lets the last plate show a window of its picture alone."""
+def _crop(part: LinkModel, window: tuple[float, float, float, float]) -> None:
+    """Crops the picture of the last plate to a window."""
     left, top, right, bottom = window
     for loop in part.pieces[-1].data.uv_layers[0].data:
         u, v = loop.uv
         loop.uv = (left + u * (right - left), 1 - bottom + v * (bottom - top))
 
 
-def _book_a(part: Part) -> None:
+def _book_a(part: LinkModel) -> None:
     _book(part, 0.0, 0.0, 0.0, (0.155, 0.225, 0.0297), "cover_blue", (0.14, 0.24, 0.41), 0.0)
 
 
-def _book_b(part: Part) -> None:
+def _book_b(part: LinkModel) -> None:
     _book(part, 0.0, 0.0, 0.0, (0.130, 0.195, 0.0217), "cover_red", (0.59, 0.16, 0.16), 0.0)
 
 
-def _book_stack(part: Part) -> None:
+def _book_stack(part: LinkModel) -> None:
     _book(part, 0.0, 0.0, 0.0, (0.170, 0.240, 0.038), "cover_green", (0.20, 0.38, 0.27), 0.02)
     _book(part, 0.002, -0.004, 0.0383, (0.156, 0.224, 0.030), "cover_cream", (0.88, 0.83, 0.71), -0.05)
     _book(part, -0.003, 0.004, 0.0686, (0.138, 0.205, 0.029), "cover_red", (0.59, 0.16, 0.16), 0.07)
 
 
-def _box_cereal(part: Part) -> None:
+def _box_cereal(part: LinkModel) -> None:
     front, side = (0.0, 0.0, 0.625, 1.0), (0.625, 0.0, 1.0, 1.0)
     plain = (0.02, 0.02, 0.06, 0.06)
     atlas = {"+x": front, "-x": front, "+y": side, "-y": side, "+z": plain, "-z": plain}
     part.box((-0.035, -0.095, 0.0), (0.035, 0.095, 0.29), label("box_cereal", 0.45), 0.0012, 1, atlas)
 
 
-def _box_small(part: Part) -> None:
+def _box_small(part: LinkModel) -> None:
     whole, plain = (0.0, 0.0, 1.0, 1.0), (0.0, 0.1, 1.0, 0.22)
     atlas = {"+z": whole, "+x": plain, "-x": plain, "+y": plain, "-y": plain, "-z": plain}
     part.box((-0.06, -0.09, 0.0), (0.06, 0.09, 0.09), label("box_tea", 0.4), 0.0012, 1, atlas)
-    part.box((-0.0604, -0.0904, 0.0645), (0.0604, 0.0904, 0.0655), Paint((0.10, 0.27, 0.23), roughness=0.5), 0.0, 1)
+    part.box((-0.0604, -0.0904, 0.0645), (0.0604, 0.0904, 0.0655), ShaderMaterial((0.10, 0.27, 0.23), roughness=0.5), 0.0, 1)
 
 
-def _box_cardboard(part: Part) -> None:
+def _box_cardboard(part: LinkModel) -> None:
     card = label("cardboard", 0.9)
     side, plain = (0.0, 0.0, 1.0, 1.0), (0.0, 0.0, 1.0, 0.65)
     part.box(
@@ -95,14 +95,14 @@ def _box_cardboard(part: Part) -> None:
         part.box(
             (x0, -0.199, 0.276), (x1, 0.199, 0.2795), card, 0.001, 1, {k: plain for k in ("+x", "-x", "+y", "-y", "+z", "-z")}
         )
-    tape = Paint((0.78, 0.64, 0.40), roughness=0.25)
+    tape = ShaderMaterial((0.78, 0.64, 0.40), roughness=0.25)
     part.box((-0.025, -0.2006, 0.2793), (0.025, 0.2006, 0.28), tape, 0.0, 1)
     for y in (-0.2004, 0.2004):
         part.box((-0.025, min(y, y * 0.9995), 0.225), (0.025, max(y, y * 0.9995), 0.28), tape, 0.0, 1)
 
 
-def _laptop(part: Part) -> None:
-    shell = Paint((0.66, 0.665, 0.68), metallic=0.35, roughness=0.4)
+def _laptop(part: LinkModel) -> None:
+    shell = ShaderMaterial((0.66, 0.665, 0.68), metallic=0.35, roughness=0.4)
     part.box((-0.115, -0.165, 0.004), (0.12, 0.165, 0.017), shell, 0.003, 2)
     for x in (-0.1, 0.1):
         part.box((x - 0.006, -0.14, 0.0), (x + 0.006, 0.14, 0.004), RUBBER, 0.001, 1)
@@ -118,20 +118,28 @@ def _laptop(part: Part) -> None:
 
     x, z = at(high / 2, -0.003)
     part.box((x - 0.003, -0.165, z - high / 2), (x + 0.003, 0.165, z + high / 2), shell, 0.0025, 2, turn=(0.0, -lean, 0.0))
-    for margin, out, paint in ((0.004, 0.0002, BLACK), (0.012, 0.0005, Paint(picture="screen", roughness=0.25, glow=0.8))):
+    for margin, out, paint in (
+        (0.004, 0.0002, BLACK),
+        (0.012, 0.0005, ShaderMaterial(picture="screen", roughness=0.25, glow=0.8)),
+    ):
         (x0, z0), (x1, z1) = at(margin + 0.006, out), at(high - margin, out)
         y = 0.165 - margin
         part.plate([(x1, -y, z1), (x0, -y, z0), (x0, y, z0), (x1, y, z1)], paint)
 
 
-def _keyboard(part: Part) -> None:
+def _keyboard(part: LinkModel) -> None:
     part.box(
-        (-0.07, -0.22, 0.005), (0.07, 0.22, 0.016), Paint((0.17, 0.18, 0.20), roughness=0.5), 0.004, 2, turn=(0.0, 0.06, 0.0)
+        (-0.07, -0.22, 0.005),
+        (0.07, 0.22, 0.016),
+        ShaderMaterial((0.17, 0.18, 0.20), roughness=0.5),
+        0.004,
+        2,
+        turn=(0.0, 0.06, 0.0),
     )
     for y in (-0.17, 0.17):
         part.box((-0.062, y - 0.02, 0.0), (-0.05, y + 0.02, 0.012), RUBBER, 0.001, 1)
-    key = Paint((0.30, 0.31, 0.33), roughness=0.5)
-    accent = Paint((0.86, 0.42, 0.20), roughness=0.5)
+    key = ShaderMaterial((0.30, 0.31, 0.33), roughness=0.5)
+    accent = ShaderMaterial((0.86, 0.42, 0.20), roughness=0.5)
     for row in range(5):
         x, y = -0.048 + 0.0225 * row, -0.206
         z = 0.0172 - math.tan(0.06) * x
@@ -154,9 +162,13 @@ def _keyboard(part: Part) -> None:
             y += wide
 
 
-def _remote_control(part: Part) -> None:
-    part.box((-0.085, -0.023, 0.0), (0.085, 0.023, 0.019), Paint((0.12, 0.12, 0.13), roughness=0.55), 0.006, 3)
-    red, grey, pale = Paint((0.80, 0.14, 0.12), roughness=0.4), GREY_PLASTIC, Paint((0.82, 0.82, 0.82), roughness=0.4)
+def _remote_control(part: LinkModel) -> None:
+    part.box((-0.085, -0.023, 0.0), (0.085, 0.023, 0.019), ShaderMaterial((0.12, 0.12, 0.13), roughness=0.55), 0.006, 3)
+    red, grey, pale = (
+        ShaderMaterial((0.80, 0.14, 0.12), roughness=0.4),
+        GREY_PLASTIC,
+        ShaderMaterial((0.82, 0.82, 0.82), roughness=0.4),
+    )
     part.rod((-0.070, -0.012, 0.0185), (-0.070, -0.012, 0.0215), 0.0045, red, 12, 0.0008)
     part.lathe(mm("0 0, 15 0, 15.5 1, 14.5 2.2, 8.5 2.2, 0 1.5"), grey, 20, at=(-0.022, 0.0, 0.0188))
     part.rod((-0.022, 0.0, 0.0195), (-0.022, 0.0, 0.022), 0.006, pale, 12, 0.0008)
@@ -168,10 +180,10 @@ def _remote_control(part: Part) -> None:
         part.box((-0.052, y - 0.0035, 0.018), (-0.044, y + 0.0035, 0.0208), grey, 0.001, 1)
 
 
-def _fruit_apple(part: Part) -> None:
+def _fruit_apple(part: LinkModel) -> None:
     outline = mm("0 7.5, 8 3, 13.5 0, 21 3.2, 30 14, 35.5 28, 37 40, 34.5 52, 27 62.5, 18 66.8, 10 65.5, 3.5 60, 0 57.5")
     part.lathe(outline, label("skin_apple", 0.3), 28, shape=lambda a, s: 1.0 + 0.012 * math.cos(5 * a) * (0.3 + abs(s - 0.5)))
-    stem = Paint((0.32, 0.22, 0.12), roughness=0.8)
+    stem = ShaderMaterial((0.32, 0.22, 0.12), roughness=0.8)
     part.tube(mm("0 0 57, 0.5 0 64, 3 1 70, 6 2 74.2"), 0.0014, stem, 1, 3)
 
 
@@ -179,21 +191,21 @@ def _ball_outline(radius: float, steps: int) -> list[tuple[float, float]]:
     return [(radius * math.sin(math.pi * k / steps), radius - radius * math.cos(math.pi * k / steps)) for k in range(steps + 1)]
 
 
-def _fruit_orange(part: Part) -> None:
+def _fruit_orange(part: LinkModel) -> None:
     part.lathe(_ball_outline(0.038, 14), label("skin_orange", 0.45), 28)
-    part.lathe(mm("0 0, 3 0.3, 3.5 0.8, 0 1"), Paint((0.30, 0.38, 0.16), roughness=0.8), 8, at=(0, 0, 0.0750))
+    part.lathe(mm("0 0, 3 0.3, 3.5 0.8, 0 1"), ShaderMaterial((0.30, 0.38, 0.16), roughness=0.8), 8, at=(0, 0, 0.0750))
 
 
-def _toy_ball(part: Part) -> None:
+def _toy_ball(part: LinkModel) -> None:
     part.lathe(_ball_outline(0.06, 18), label("beach_ball", 0.3), 36)
 
 
-def _ball(part: Part) -> None:
+def _ball(part: LinkModel) -> None:
     part.lathe(_ball_outline(0.11, 22), label("football", 0.4), 44)
 
 
-def _clock(part: Part) -> None:
-    turn = (0.0, math.pi / 2, 0.0)  # the axis of what is turned points to the front
+def _clock(part: LinkModel) -> None:
+    turn = (0.0, math.pi / 2, 0.0)  # the axis of revolution points to the front
     part.lathe(
         mm("0 -20, 60 -20, 68 -15, 68 16, 65.5 22.5, 62.5 22.5, 60.5 18, 0 18"), _WALNUT_ROUND, 44, at=(0, 0, 0.077), turn=turn
     )
@@ -204,23 +216,23 @@ def _clock(part: Part) -> None:
     part.rod((0.0, 0.0, 0.140), (0.0, 0.0, 0.145), 0.007, BRASS, 14, 0.001)
 
 
-def _bin_waste(part: Part) -> None:
-    paint = Paint((0.42, 0.47, 0.50), roughness=0.55)
-    inner = Paint((0.26, 0.29, 0.31), roughness=0.7)
+def _bin_waste(part: LinkModel) -> None:
+    paint = ShaderMaterial((0.42, 0.47, 0.50), roughness=0.55)
+    inner = ShaderMaterial((0.26, 0.29, 0.31), roughness=0.7)
     part.lathe(mm("0 0, 100 0, 104 4, 118 160, 133.5 312, 138 314, 140 320, 139 328, 136 330"), paint, 40)
     part.lathe(mm("136 330, 132 328, 130 310, 100 8, 0 7"), inner, 40)
     for z, r in ((0.09, 0.1125), (0.20, 0.1225)):
         part.lathe([(r, z - 0.006), (r + 0.002, z - 0.003), (r + 0.002, z + 0.003), (r + 0.0005, z + 0.006)], paint, 40)
 
 
-def _basket(part: Part) -> None:
-    weave = Paint((0.68, 0.52, 0.32), roughness=0.85, picture="wicker", tile=0.12)
+def _basket(part: LinkModel) -> None:
+    weave = ShaderMaterial((0.68, 0.52, 0.32), roughness=0.85, picture="wicker", tile=0.12)
     x, y, z, w = 0.148, 0.198, 0.215, 0.012
     part.box((-x, -y, 0.0), (x, y, w), weave, 0.003, 1)
     for side in (-1, 1):
         part.box((min(side * x, side * (x - w)), -y, 0.004), (max(side * x, side * (x - w)), y, z), weave, 0.003, 1)
         part.box((-x, min(side * y, side * (y - w)), 0.004), (x, max(side * y, side * (y - w)), z), weave, 0.003, 1)
-    dark = Paint((0.52, 0.36, 0.20), roughness=0.8)
+    dark = ShaderMaterial((0.52, 0.36, 0.20), roughness=0.8)
     r = 0.008
     corners = [(x - 0.006, y - 0.006), (-x + 0.006, y - 0.006), (-x + 0.006, -y + 0.006), (x - 0.006, -y + 0.006)]
     for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
@@ -258,4 +270,4 @@ MAKERS = {
         _basket,
     )
 }
-"""Name of an object -> what models its only link."""
+"""Object name -> modelling function of its only link."""

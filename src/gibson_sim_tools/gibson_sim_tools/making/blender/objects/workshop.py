@@ -1,6 +1,6 @@
-"""Tools to model a small thing in Blender: boxes with rounded edges, bodies of revolution, bars, and their materials.
+"""Tools for modelling small objects in Blender: boxes with rounded edges, bodies of revolution, bars, and their materials.
 
-Metres, z up. A ``Part`` gathers pieces and becomes one mesh in one GLB.
+Metres, z up. A ``LinkModel`` gathers pieces and becomes one mesh in one GLB.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SHARP = math.radians(38.0)
 
 
 @dataclass(frozen=True)
-class Paint:
+class ShaderMaterial:
     """A material."""
 
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -35,25 +35,25 @@ class Paint:
     picture: str = ""
     """Name of a texture."""
     tile: float = 0.0
-    """Metres after which the picture repeats on boxes; 0 = it is laid out by an ``Atlas``, or around a body of revolution."""
+    """Size of one repeat of the picture on boxes, metres; 0 = mapped by an ``Atlas``, or around a body of revolution."""
     glow: float = 0.0
-    """Strength of its own light."""
+    """Strength of emission."""
 
 
-class Shop:
-    """Blender's file in memory: materials and pictures that parts share."""
+class Workshop:
+    """Blender's file in memory, with the materials and pictures that links share."""
 
     def __init__(self, pictures: Path) -> None:
         self.pictures = pictures
-        self._materials: dict[Paint, bpy.types.Material] = {}
+        self._materials: dict[ShaderMaterial, bpy.types.Material] = {}
 
     def clear(self) -> None:
-        """Throws everything away."""
+        """Empties the file."""
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self._materials.clear()
 
-    def material(self, paint: Paint) -> bpy.types.Material:
-        """Returns Blender's material of a paint."""
+    def material(self, paint: ShaderMaterial) -> bpy.types.Material:
+        """Returns Blender's material, made on first use."""
         if paint not in self._materials:
             material = bpy.data.materials.new(f"paint_{len(self._materials)}")
             material.use_nodes = True
@@ -80,10 +80,10 @@ class Shop:
         return self._materials[paint]
 
 
-class Part:
-    """One link in the making."""
+class LinkModel:
+    """Builds the mesh of one link."""
 
-    def __init__(self, shop: Shop) -> None:
+    def __init__(self, shop: Workshop) -> None:
         self.shop = shop
         self.pieces: list[bpy.types.Object] = []
 
@@ -91,13 +91,13 @@ class Part:
         self,
         low: Point,
         high: Point,
-        paint: Paint,
+        paint: ShaderMaterial,
         bevel: float = 0.003,
         segments: int = 2,
         atlas: Atlas | None = None,
         turn: Point = (0, 0, 0),
     ) -> bpy.types.Object:
-        """Adds a box with rounded edges, turned about its middle by ``turn`` (roll, pitch, yaw, radians)."""
+        """Adds a box with rounded edges, rotated about its centre by ``turn`` (roll, pitch, yaw, radians)."""
         mesh = bmesh.new()
         size = [abs(b - a) for a, b in zip(low, high, strict=True)]
         bmesh.ops.create_cube(mesh, size=1.0, matrix=Matrix.Diagonal((*size, 1.0)))
@@ -113,7 +113,7 @@ class Part:
     def lathe(
         self,
         profile: Sequence[Point],
-        paint: Paint,
+        paint: ShaderMaterial,
         sides: int = 28,
         at: Point = (0, 0, 0),
         turn: Point = (0, 0, 0),
@@ -125,7 +125,7 @@ class Part:
             profile: radius and height of its outline, outside upwards (the normal is to the right of the way); radius 0 closes it.
             paint: a picture goes around it once, its left edge at +x, its top at the top of the profile.
             sides: number of facets.
-            at: where its origin is put.
+            at: position of its origin.
             turn: roll, pitch, yaw about the origin, radians.
             shape: factor of the radius at (angle, share of the height), for what is not quite round.
         """
@@ -162,8 +162,8 @@ class Part:
                     loop[uv].uv = (a / sides, lengths[level] / lengths[-1])
         return self._keep(mesh, paint, Matrix.Translation(Vector(at)) @ Euler(turn).to_matrix().to_4x4())
 
-    def disc(self, radius: float, paint: Paint, at: Point, turn: Point, sides: int = 44) -> bpy.types.Object:
-        """Adds a flat disc that faces z and shows the picture: its right is +y, its top -x, before it is turned."""
+    def disc(self, radius: float, paint: ShaderMaterial, at: Point, turn: Point, sides: int = 44) -> bpy.types.Object:
+        """Adds a flat disc that faces z with the picture: its right is +y, its top -x, before the rotation."""
         piece = self.lathe([(radius, 0.0), (0.0, 0.0)], paint, sides, at, turn)
         for loop, place in zip(piece.data.loops, piece.data.uv_layers[0].data, strict=True):
             x, y, _ = piece.data.vertices[loop.vertex_index].co
@@ -171,9 +171,9 @@ class Part:
         return piece
 
     def rod(
-        self, low: Point, high: Point, radius: float, paint: Paint, sides: int = 16, bevel: float = 0.0, top: float = 0.0
+        self, low: Point, high: Point, radius: float, paint: ShaderMaterial, sides: int = 16, bevel: float = 0.0, top: float = 0.0
     ) -> bpy.types.Object:
-        """Adds a round bar from one point to another; ``top``: radius at its end where it is another one."""
+        """Adds a round bar between two points; ``top``: radius at its end, 0 = constant."""
         start, end = Vector(low), Vector(high)
         length, last = (end - start).length, top or radius
         b = min(bevel, 0.4 * radius, 0.4 * length)
@@ -189,12 +189,12 @@ class Part:
         self,
         points: Sequence[Point],
         radius: float,
-        paint: Paint,
+        paint: ShaderMaterial,
         resolution: int = 3,
         steps: int = 6,
         radii: Sequence[float] = (),
     ) -> bpy.types.Object:
-        """Adds a smooth bent bar along points; ``radii``: factors of its radius at each of them."""
+        """Adds a smooth curved bar along points; ``radii``: factor of the radius at each point."""
         curve = bpy.data.curves.new("tube", "CURVE")
         curve.dimensions, curve.bevel_depth, curve.bevel_resolution, curve.resolution_u, curve.use_fill_caps = (
             "3D",
@@ -217,9 +217,9 @@ class Part:
         return self._keep(mesh, paint, Matrix.Identity(4))
 
     def prism(
-        self, outline: Sequence[Point], low: float, high: float, paint: Paint, bevel: float = 0.002, axis: str = "z"
+        self, outline: Sequence[Point], low: float, high: float, paint: ShaderMaterial, bevel: float = 0.002, axis: str = "z"
     ) -> bpy.types.Object:
-        """Adds an outline (counter-clockwise) drawn out along an axis: its plane is (x, y), or (y, z) for x, (z, x) for y."""
+        """Adds a counter-clockwise outline, extruded along an axis: its plane is (x, y), or (y, z) for x, (z, x) for y."""
         mesh = bmesh.new()
         face = mesh.faces.new([mesh.verts.new((a, b, low)) for a, b in outline])
         moved = bmesh.ops.extrude_face_region(mesh, geom=[face])["geom"]
@@ -237,7 +237,7 @@ class Part:
         }[axis]
         return self._keep(mesh, paint, turn)
 
-    def plate(self, corners: Sequence[Point], paint: Paint) -> bpy.types.Object:
+    def plate(self, corners: Sequence[Point], paint: ShaderMaterial) -> bpy.types.Object:
         """Adds a flat quad that shows the whole picture: its corners are top left, bottom left, bottom right, top right, seen from its front."""
         mesh = bmesh.new()
         uv = mesh.loops.layers.uv.new("UVMap")
@@ -251,7 +251,7 @@ class Part:
         for piece in self.pieces:
             piece.data.transform(piece.matrix_world)
             piece.matrix_world = Matrix.Identity(4)
-            # Turned by a mirror: what was outside would be inside.
+            # A mirroring matrix turns surfaces inside out.
             piece.data.update()
         bpy.ops.object.select_all(action="DESELECT")
         for piece in self.pieces:
@@ -264,7 +264,7 @@ class Part:
         for polygon in thing.data.polygons:
             polygon.use_smooth = not keep_flat
         thing.data.set_sharp_from_angle(angle=_SHARP)
-        # Large faces keep their own normal: without it a rounded edge would shade a flat side.
+        # Weighted normals keep flat sides flat beside rounded edges.
         weigh = thing.modifiers.new("weigh", "WEIGHTED_NORMAL")
         weigh.keep_sharp, weigh.weight = True, 60
         bpy.ops.export_scene.gltf(
@@ -287,7 +287,7 @@ class Part:
         self.pieces.clear()
         return count
 
-    def _keep(self, mesh: bmesh.types.BMesh, paint: Paint, matrix: Matrix) -> bpy.types.Object:
+    def _keep(self, mesh: bmesh.types.BMesh, paint: ShaderMaterial, matrix: Matrix) -> bpy.types.Object:
         data = bpy.data.meshes.new("piece")
         mesh.to_mesh(data)
         mesh.free()
@@ -305,12 +305,12 @@ class Part:
 
 
 def mm(text: str) -> list[tuple[float, ...]]:
-    """Returns places that are written in millimetres, in metres: of ``"12 0, 13.5 4"`` it is ``[(0.012, 0.0), (0.0135, 0.004)]``."""
+    """Returns points written in millimetres, in metres: ``"12 0, 13.5 4"`` gives ``[(0.012, 0.0), (0.0135, 0.004)]``."""
     return [tuple(float(number) / 1000 for number in place.split()) for place in text.split(",")]
 
 
 def _lay_boxwise(mesh: bmesh.types.BMesh, size: Sequence[float], tile: float, atlas: Atlas | None) -> None:
-    """Lays a picture on the faces by the side that each faces: by the atlas, else repeating, its grain (u) along the longest edge."""
+    """Maps a picture onto faces by the side that each faces: by the atlas, or repeated, its grain (u) along the longest edge."""
     uv = mesh.loops.layers.uv.new("UVMap")
     mesh.normal_update()
     spread = [max(v.co[k] for v in mesh.verts) - min(v.co[k] for v in mesh.verts) for k in range(3)]
@@ -329,7 +329,7 @@ def _lay_boxwise(mesh: bmesh.types.BMesh, size: Sequence[float], tile: float, at
 
 
 def _in_atlas(co: Vector, side: str, size: Sequence[float], window: tuple[float, float, float, float]) -> tuple[float, float]:
-    """Returns where a point of a side lies in the picture: seen from outside, z up; from above, +x is below (towards who stands in front)."""
+    """Returns the picture coordinates of a point on a side, seen from outside with z up; from above, +x is at the bottom."""
     x, y, z = (co[k] / size[k] + 0.5 for k in range(3))
     right, up = {
         "+x": (y, z),

@@ -1,4 +1,4 @@
-"""What comes into each kind of room."""
+"""Furnishes each kind of room."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ _FURNISHERS: dict[str, Callable[[FurnishedRoom], bool]] = {
 
 
 def furnish(room: FurnishedRoom) -> bool:
-    """Furnishes, lights and dresses a room.
+    """Furnishes and lights a room, and adds curtains, radiators and loose objects.
 
     Returns:
-        Whether all that such a room cannot do without has found its place.
+        Whether all required furniture has found its place.
     """
     hang_radiators(room)
     if room.curtains:

@@ -1,18 +1,18 @@
-"""What hangs on walls and stands in corners of any room: radiators, curtains, pictures, plants."""
+"""Adds radiators, curtains, pictures and plants to any room."""
 
 from __future__ import annotations
 
 import math
 
 from gibson_sim_tools.making.catalogue import CATALOGUE
-from gibson_sim_tools.making.planning.rooms import Face
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
 _CURTAINED = ("living", "bedroom", "study")
 
 
 def hang_radiators(room: FurnishedRoom) -> None:
-    """Hangs a radiator below each window that is high and wide enough, except where counters come."""
+    """Hangs a radiator below each window that is high and wide enough, except in rooms with counters."""
     if room.kind in ("kitchen", "kitchenette", "shop", "storage", "toilet"):
         return
     for window in room.view.windows:
@@ -23,7 +23,7 @@ def hang_radiators(room: FurnishedRoom) -> None:
 
 
 def dress_windows(room: FurnishedRoom) -> None:
-    """Hangs a curtain on both sides of a window, or none."""
+    """Hangs curtains on both sides of each window, or on neither."""
     if room.kind not in _CURTAINED or room.rng.random() < 0.15:
         return
     for window in room.view.windows:
@@ -33,21 +33,21 @@ def dress_windows(room: FurnishedRoom) -> None:
         room.place([room.on_wall("curtain", window.face, window.opening.middle + s * half, size, lift) for s in (-1, 1)])
 
 
-def hang_above(room: FurnishedRoom, kind: str, part: Part, face: Face, *, spare: float = 0.25) -> bool:
-    """Hangs something on the wall above a piece, in its middle.
+def hang_above(room: FurnishedRoom, kind: str, item: FurnishingItem, face: WallFace, *, spare: float = 0.25) -> bool:
+    """Hangs a piece on the wall above an item, centred.
 
     Args:
-        room: that both are in.
-        kind: what to hang.
-        part: what stands below.
+        room: room of both.
+        kind: kind of the piece.
+        item: the item below.
         face: the wall.
         spare: least distance between the two, metres.
     """
-    along = (part.middle[0] - face.start[0]) * face.along[0] + (part.middle[1] - face.start[1]) * face.along[1]
+    along = (item.middle[0] - face.start[0]) * face.along[0] + (item.middle[1] - face.start[1]) * face.along[1]
     limits = CATALOGUE[kind].lift
-    low = max(limits[0], part.lift + part.size[2] + spare)
+    low = max(limits[0], item.lift + item.size[2] + spare)
     size = room.size(
-        kind, width=min(float(room.rng.uniform(*CATALOGUE[kind].width)), max(part.size[1] - 0.1, CATALOGUE[kind].width[0]))
+        kind, width=min(float(room.rng.uniform(*CATALOGUE[kind].width)), max(item.size[1] - 0.1, CATALOGUE[kind].width[0]))
     )
     return low <= limits[1] + 0.15 and room.place(
         [room.on_wall(kind, face, along, size, max(low, min(room.lift(kind), limits[1])), 0.005)]
@@ -55,25 +55,25 @@ def hang_above(room: FurnishedRoom, kind: str, part: Part, face: Face, *, spare:
 
 
 def hang_pictures(room: FurnishedRoom, count: int) -> None:
-    """Hangs pictures where walls are bare, in the middle of what is free."""
-    hung: list[Part] = []
+    """Hangs pictures on bare walls, centred in the free intervals."""
+    hung: list[FurnishingItem] = []
     for _ in range(count):
         size, lift = room.size("painting"), room.lift("painting")
 
-        def bare(face: Face, along: float) -> float:
+        def bare(face: WallFace, along: float) -> float:
             point = face.point(along)
             apart = min((math.dist(point, p.middle) for p in hung), default=3.0)
             return 2.0 * min(apart, 3.0) + min(room.corner_gap(face, along, 0.4), 1.2) - (1.0 if face.outer else 0.0)
 
         for face, along in room.spots(size[1] + 0.3, score=bare, step=0.25):
-            part = room.on_wall("painting", face, along, size, lift, 0.005)
-            if room.place([part]):
-                hung.append(part)
+            item = room.on_wall("painting", face, along, size, lift, 0.005)
+            if room.place([item]):
+                hung.append(item)
                 break
 
 
 def fill_corners(room: FurnishedRoom, kind: str, count: int) -> None:
-    """Puts something into free corners, those far from doors first."""
+    """Places items in free corners, those far from doors first."""
     for _ in range(count):
         size = room.size(kind)
         side = max(size[0], size[1])
@@ -90,7 +90,7 @@ def fill_corners(room: FurnishedRoom, kind: str, count: int) -> None:
                 break
 
 
-def _in_corner(room: FurnishedRoom, face: Face, along: float) -> bool:
-    """Returns whether the nearer end of a wall meets another, rather than turning away from the room."""
+def _in_corner(room: FurnishedRoom, face: WallFace, along: float) -> bool:
+    """Returns whether the nearer end of a wall is an inside corner of the room."""
     end = face.low - 0.05 if along < (face.low + face.high) / 2 else face.high + 0.05
     return not any(cell.holds(face.point(end, 0.1)) for cell in room.view.cells)

@@ -1,4 +1,4 @@
-"""Things that come together: a table with its chairs, a desk with what belongs to it, a bed with nightstands."""
+"""Places groups of furniture: a table with chairs, a desk with chair and monitor, single pieces at walls."""
 
 from __future__ import annotations
 
@@ -9,66 +9,66 @@ from gibson_sim_tools.making.building import Point
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.objects import SIZES
 from gibson_sim_tools.making.planning.rectangles import Rect, around
-from gibson_sim_tools.making.planning.rooms import Face
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
-Group = tuple[list[Part], list[Rect]]
+Group = tuple[list[FurnishingItem], list[Rect]]
 
 
 def by_wall(
     room: FurnishedRoom,
     kind: str,
-    score: Callable[[Face, float], float] | None = None,
+    score: Callable[[WallFace, float], float] | None = None,
     **fixed: float,
-) -> Part | None:
-    """Puts a piece with its back to a wall, its front free; returns it, or None where there is no place."""
+) -> FurnishingItem | None:
+    """Places a piece with its back to a wall and its front free; returns it, or None if it does not fit."""
     size = room.size(kind, **fixed)
     front = CATALOGUE[kind].front
     chosen = room.place_first(
-        ([part], [part.front(front)] if front > 0.1 else [])
-        for part in (room.on_wall(kind, face, along, size) for face, along in room.spots(size[1] + 0.02, score=score))
+        ([item], [item.front(front)] if front > 0.1 else [])
+        for item in (room.on_wall(kind, face, along, size) for face, along in room.spots(size[1] + 0.02, score=score))
     )
     return chosen[0] if chosen else None
 
 
 def object_by_wall(
-    room: FurnishedRoom, model: str, front: float, score: Callable[[Face, float], float] | None = None
-) -> Part | None:
-    """Puts a body that moves with its back to a wall; returns it, or None where there is no place."""
+    room: FurnishedRoom, model: str, front: float, score: Callable[[WallFace, float], float] | None = None
+) -> FurnishingItem | None:
+    """Places a movable body with its back to a wall; returns it, or None if it does not fit."""
     size = SIZES[model]
     chosen = room.place_first(
-        ([part], [part.front(front)])
-        for part in (
-            Part(model, face.point(along, size[0] / 2 + 0.02), face.yaw, size, movable=True)
+        ([item], [item.front(front)])
+        for item in (
+            FurnishingItem(model, face.point(along, size[0] / 2 + 0.02), face.yaw, size, movable=True)
             for face, along in room.spots(size[1] + 0.04, score=score)
         )
     )
     return chosen[0] if chosen else None
 
 
-def wall_of(room: FurnishedRoom, part: Part) -> Face | None:
-    """Returns the wall behind a piece; None where it stands free."""
-    behind = part.ahead(-part.size[0] / 2 - 0.05)
+def wall_of(room: FurnishedRoom, item: FurnishingItem) -> WallFace | None:
+    """Returns the wall behind an item; None if it stands free."""
+    behind = item.ahead(-item.size[0] / 2 - 0.05)
     for face in room.view.sides:
         along = (behind[0] - face.start[0]) * face.along[0] + (behind[1] - face.start[1]) * face.along[1]
         off = (behind[0] - face.start[0]) * face.normal[0] + (behind[1] - face.start[1]) * face.normal[1]
-        if face.low <= along <= face.high and -0.2 < off < 0.05 and abs(math.remainder(face.yaw - part.yaw, 2 * math.pi)) < 0.01:
+        if face.low <= along <= face.high and -0.2 < off < 0.05 and abs(math.remainder(face.yaw - item.yaw, 2 * math.pi)) < 0.01:
             return face
     return None
 
 
-def near_corner(room: FurnishedRoom, width: float) -> Callable[[Face, float], float]:
+def near_corner(room: FurnishedRoom, width: float) -> Callable[[WallFace, float], float]:
     """Returns a score that prefers the ends of walls."""
     return lambda face, along: -2.5 * room.corner_gap(face, along, width)
 
 
-def far_from_doors(room: FurnishedRoom) -> Callable[[Face, float], float]:
-    """Returns a score that prefers what is far from doors."""
+def far_from_doors(room: FurnishedRoom) -> Callable[[WallFace, float], float]:
+    """Returns a score that prefers places far from doors."""
     return lambda face, along: room.distance_to_doors(face.point(along, 0.5))
 
 
 def floor_points(room: FurnishedRoom, score: Callable[[Point], float], step: float = 0.2) -> Iterator[Point]:
-    """Yields points of the free floor, those with the highest score first."""
+    """Yields points of the free floor, the highest score first."""
     found = []
     for cell in room.view.cells:
         for column in range(int(cell.width / step) + 1):
@@ -80,37 +80,42 @@ def floor_points(room: FurnishedRoom, score: Callable[[Point], float], step: flo
 
 
 def table_group(
-    room: FurnishedRoom, table: Part, chair: str, chair_size: tuple[float, float, float], sides: Sequence[int], heads: int
+    room: FurnishedRoom,
+    table: FurnishingItem,
+    chair: str,
+    chair_size: tuple[float, float, float],
+    sides: Sequence[int],
+    heads: int,
 ) -> Group:
-    """Returns a table with chairs that face it, and the floor that those who sit down need.
+    """Returns a table with chairs that face it, and the free zones behind the chairs.
 
     Args:
-        room: that it is for.
-        table: its long sides along its own y.
+        room: the room.
+        table: the table, its long sides along its own y.
         chair: kind of chair, or ``chair_wooden``.
-        chair_size: of each.
+        chair_size: size of each chair.
         sides: number of chairs on the front and on the back of the table.
         heads: number of chairs at its ends, 0 to 2.
     """
     movable = chair not in CATALOGUE
     off = table.size[0] / 2 + 0.03 + chair_size[0] / 2
-    parts, fronts = [table], []
+    items, fronts = [table], []
     for sign, count in zip((1, -1), sides, strict=True):
         for n in range(count):
             aside = table.size[1] * ((n + 0.5) / count - 0.5)
             yaw = _tidy(table.yaw + (math.pi if sign > 0 else 0.0))
-            seat = Part(chair, table.ahead(sign * off, aside), yaw, chair_size, movable=movable)
-            parts.append(seat)
+            seat = FurnishingItem(chair, table.ahead(sign * off, aside), yaw, chair_size, movable=movable)
+            items.append(seat)
             fronts.append(around(seat.ahead(-chair_size[0] / 2 - 0.15), yaw, 0.3, chair_size[1]))
     for n in range(heads):
         sign = 1 if n == 0 else -1
         yaw = _tidy(table.yaw - sign * math.pi / 2)
-        seat = Part(
+        seat = FurnishingItem(
             chair, table.ahead(0.0, sign * (table.size[1] / 2 + 0.03 + chair_size[0] / 2)), yaw, chair_size, movable=movable
         )
-        parts.append(seat)
+        items.append(seat)
         fronts.append(around(seat.ahead(-chair_size[0] / 2 - 0.15), yaw, 0.3, chair_size[1]))
-    return parts, fronts
+    return items, fronts
 
 
 def put_table(
@@ -123,18 +128,18 @@ def put_table(
     at_wall: bool = False,
     apart_from: Sequence[Rect] = (),
     **fixed: float,
-) -> Part | None:
-    """Puts a table with chairs on the free floor; the first seating that finds a place.
+) -> FurnishingItem | None:
+    """Places a table with chairs on the free floor, in the first seating that fits.
 
     Args:
-        room: to furnish.
-        table_kind: of the catalogue.
+        room: the room.
+        table_kind: key of the catalogue.
         chair: kind of chair.
-        seats: for each seating, the chairs on front and back, and those at the ends.
-        score: of the table's middle; the highest is best.
-        at_wall: whether a place with one end or one side to a wall is better.
-        apart_from: rugs that belong to something else.
-        fixed: sizes of the table.
+        seats: for each seating, the numbers of chairs on front and back, and at the ends.
+        score: score of the table's centre; the highest is best.
+        at_wall: whether places with one end or one side at a wall come first.
+        apart_from: rugs that the table must not cover.
+        fixed: fixed dimensions of the table.
     """
     size = room.size(table_kind, **fixed)
     chair_size = room.size(chair) if chair in CATALOGUE else SIZES[chair]
@@ -146,7 +151,7 @@ def put_table(
                 yield from _tables_at_walls(room, table_kind, size, chair, chair_size, sum(sides))
             for point in floor_points(room, score):
                 for yaw in (turn, math.pi / 2 - turn):
-                    table = Part(table_kind, point, _tidy(yaw), size)
+                    table = FurnishingItem(table_kind, point, _tidy(yaw), size)
                     if room.fits(table) and not any(table.rect.overlaps(rug) for rug in apart_from):
                         yield table_group(room, table, chair, chair_size, sides, heads)
 
@@ -164,39 +169,49 @@ def _tables_at_walls(
     chair_size: tuple[float, float, float],
     seats: int,
 ) -> Iterator[Group]:
-    """Yields a table with one end to a wall and chairs on its sides, then with one side to a wall and chairs before it."""
+    """Yields tables with one end at a wall and chairs on both sides, then with one side at a wall and chairs on the other."""
     each = max(1, seats // 2)
     for face, along in room.spots(size[0], score=far_from_doors(room)):
-        table = Part(kind, face.point(along, size[1] / 2 + 0.02), _tidy(face.yaw + math.pi / 2), size)
+        table = FurnishingItem(kind, face.point(along, size[1] / 2 + 0.02), _tidy(face.yaw + math.pi / 2), size)
         if room.fits(table):
             yield table_group(room, table, chair, chair_size, (each, each), 0)
     for face, along in room.spots(size[1], score=far_from_doors(room)):
-        table = Part(kind, face.point(along, size[0] / 2 + 0.02), face.yaw, size)
+        table = FurnishingItem(kind, face.point(along, size[0] / 2 + 0.02), face.yaw, size)
         if room.fits(table):
             yield table_group(room, table, chair, chair_size, (min(seats, max(1, int(size[1] / 0.6))), 0), 0)
 
 
-def desk_group(room: FurnishedRoom, desk: Part, chair_size: tuple[float, float, float], *, lamp: bool) -> Group:
-    """Returns a desk with chair, monitor and keyboard, perhaps a lamp, and the floor behind the chair."""
+def desk_group(room: FurnishedRoom, desk: FurnishingItem, chair_size: tuple[float, float, float], *, lamp: bool) -> Group:
+    """Returns a desk with chair, monitor, keyboard and perhaps a lamp, and the free zone behind the chair."""
     top = desk.size[2]
-    chair = Part("office_chair", desk.ahead(desk.size[0] / 2 + 0.04 + chair_size[0] / 2), _tidy(desk.yaw + math.pi), chair_size)
+    chair = FurnishingItem(
+        "office_chair", desk.ahead(desk.size[0] / 2 + 0.04 + chair_size[0] / 2), _tidy(desk.yaw + math.pi), chair_size
+    )
     monitor = room.size("monitor")
-    parts = [desk, chair, Part("monitor", desk.ahead(-desk.size[0] / 2 + monitor[0] / 2 + 0.06), desk.yaw, monitor, top)]
+    items = [
+        desk,
+        chair,
+        FurnishingItem("monitor", desk.ahead(-desk.size[0] / 2 + monitor[0] / 2 + 0.06), desk.yaw, monitor, top),
+    ]
     keyboard = SIZES["keyboard"]
-    parts.append(Part("keyboard", desk.ahead(desk.size[0] / 2 - keyboard[0] / 2 - 0.08), desk.yaw, keyboard, top, movable=True))
+    items.append(
+        FurnishingItem("keyboard", desk.ahead(desk.size[0] / 2 - keyboard[0] / 2 - 0.08), desk.yaw, keyboard, top, movable=True)
+    )
     if lamp:
         shade = room.size("desk_lamp", width=0.3)
         aside = (desk.size[1] / 2 - shade[1] / 2 - 0.03) * (1 if room.rng.random() < 0.5 else -1)
         if abs(aside) - shade[1] / 2 > monitor[1] / 2 + 0.02:
-            parts.append(Part("desk_lamp", desk.ahead(-desk.size[0] / 2 + shade[0] / 2 + 0.05, aside), desk.yaw, shade, top))
-    return parts, [around(chair.ahead(-chair_size[0] / 2 - 0.15), chair.yaw, 0.3, chair_size[1])]
+            items.append(
+                FurnishingItem("desk_lamp", desk.ahead(-desk.size[0] / 2 + shade[0] / 2 + 0.05, aside), desk.yaw, shade, top)
+            )
+    return items, [around(chair.ahead(-chair_size[0] / 2 - 0.15), chair.yaw, 0.3, chair_size[1])]
 
 
 def put_desk(room: FurnishedRoom, *, lamp: bool = True) -> bool:
-    """Puts a desk against a wall, near a window but not before it."""
+    """Places a desk at a wall, near a window but not before it."""
     size, chair_size = room.size("desk"), room.size("office_chair")
 
-    def bright(face: Face, along: float) -> float:
+    def bright(face: WallFace, along: float) -> float:
         point = face.point(along, 0.5)
         window = min((math.dist(point, w.face.point(w.opening.middle)) for w in room.view.windows), default=3.0)
         return 0.7 * room.distance_to_doors(point) - 0.6 * window

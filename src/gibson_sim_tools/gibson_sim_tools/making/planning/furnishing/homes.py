@@ -18,20 +18,20 @@ from gibson_sim_tools.making.planning.furnishing.groups import (
     wall_of,
 )
 from gibson_sim_tools.making.planning.objects import SIZES
-from gibson_sim_tools.making.planning.rooms import Face
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
-_LOOK = 0.8
+_VIEWING_GAP = 0.8
 """Least free floor before a television, metres."""
-_REACH = 0.4
-"""From the sofa to the table before it, metres."""
+_TABLE_GAP = 0.4
+"""Distance from the sofa to the table before it, metres."""
 
 
 def furnish_living(room: FurnishedRoom) -> bool:
     """Furnishes a living room: sofa and television, in large rooms a dining table; shelves, plants, pictures."""
     if not _put_sofa(room):
         return False
-    sofa = next(p for p in room.parts if p.kind == "sofa")
+    sofa = next(p for p in room.items if p.kind == "sofa")
     behind = wall_of(room, sofa)
     if behind:
         hang_above(room, "painting", sofa, behind)
@@ -42,7 +42,7 @@ def furnish_living(room: FurnishedRoom) -> bool:
             "chair_wooden" if room.rng.random() < 0.3 else "chair",
             [((2, 2), 2), ((2, 2), 0), ((1, 1), 0)] if room.rng.random() < 0.5 else [((2, 2), 0), ((1, 1), 1)],
             lambda point: min(3.0, math.dist(point, sofa.middle)) - 0.3 * _to_window(room, point),
-            apart_from=tuple(p.rect for p in room.parts if p.kind == "rug"),
+            apart_from=tuple(p.rect for p in room.items if p.kind == "rug"),
             depth=round(float(room.rng.uniform(0.75, 0.95)), 2),
             width=round(float(room.rng.uniform(1.3, 2.0 if room.view.area > 24.0 else 1.6)), 2),
         )
@@ -72,7 +72,7 @@ def _to_window(room: FurnishedRoom, point: Point) -> float:
 
 
 def _put_sofa(room: FurnishedRoom) -> bool:
-    """Places television and sofa face to face, a table and a rug between."""
+    """Places television and sofa face to face, with a table and a rug between."""
     sofa, board = room.size("sofa"), room.size("tv_board")
     screen, table = (
         room.size("television", width=min(board[1] - 0.1, float(room.rng.uniform(1.0, 1.4)))),
@@ -81,9 +81,9 @@ def _put_sofa(room: FurnishedRoom) -> bool:
     if room.view.area < 16.0:
         sofa = (sofa[0], min(sofa[1], 1.9), sofa[2])
 
-    dining = room.view.area > 17.0  # At one end then, so that there is room for a table at the other.
+    dining = room.view.area > 17.0  # At one end, which leaves space for a table at the other.
 
-    def quiet(face: Face, along: float) -> float:
+    def quiet(face: WallFace, along: float) -> float:
         depth = room.view.depth_at(face, along)
         comfort = -abs(depth - 4.2) if depth < 5.4 else -0.8
         return (
@@ -107,7 +107,7 @@ def _put_sofa(room: FurnishedRoom) -> bool:
             ]
             for off in rests:
                 gap = off - sofa[0] / 2 - board[0]
-                if gap < _LOOK + _REACH + table[0] + 0.02 or gap > 3.7:
+                if gap < _VIEWING_GAP + _TABLE_GAP + table[0] + 0.02 or gap > 3.7:
                     continue
                 yaw = round(math.remainder(face.yaw + math.pi, 2 * math.pi), 6)
                 stand = room.on_wall("tv_board", face, along, board)
@@ -115,11 +115,13 @@ def _put_sofa(room: FurnishedRoom) -> bool:
                     [
                         stand,
                         room.on_wall("television", face, along, screen, max(room.lift("television"), board[2] + 0.1), 0.02),
-                        Part("sofa", face.point(along, off), yaw, sofa),
-                        Part("coffee_table", face.point(along, off - sofa[0] / 2 - _REACH - table[0] / 2), face.yaw, table),
+                        FurnishingItem("sofa", face.point(along, off), yaw, sofa),
+                        FurnishingItem(
+                            "coffee_table", face.point(along, off - sofa[0] / 2 - _TABLE_GAP - table[0] / 2), face.yaw, table
+                        ),
                     ],
-                    # Nothing comes between the two.
-                    [stand.front(gap - _REACH - table[0] - 0.02)],
+                    # The floor between the two stays free.
+                    [stand.front(gap - _TABLE_GAP - table[0] - 0.02)],
                 )
 
     placed = room.place_first(groups())
@@ -129,26 +131,30 @@ def _put_sofa(room: FurnishedRoom) -> bool:
     size = room.size("rug")
     for scale in (1.0, 0.9, 0.8):
         if room.place(
-            [Part("rug", middle, yaw, (max(1.4, round(size[0] * scale, 2)), max(2.0, round(size[1] * scale, 2)), size[2]))]
+            [
+                FurnishingItem(
+                    "rug", middle, yaw, (max(1.4, round(size[0] * scale, 2)), max(2.0, round(size[1] * scale, 2)), size[2])
+                )
+            ]
         ):
             break
     return True
 
 
 def _add_armchair(room: FurnishedRoom) -> None:
-    """Puts an armchair at one end of the low table, turned to it, and a small table beside the sofa."""
-    table = next(p for p in room.parts if p.kind == "coffee_table")
+    """Places an armchair at one end of the low table, facing it, and a small table beside the sofa."""
+    table = next(p for p in room.items if p.kind == "coffee_table")
     size = room.size("armchair")
     signs = (1, -1) if room.rng.random() < 0.5 else (-1, 1)
     for sign in signs:
         middle = table.ahead(0.1, sign * (table.size[1] / 2 + 0.4 + size[0] / 2))
         yaw = round(math.remainder(table.yaw - sign * math.pi / 2, 2 * math.pi), 6)
-        if room.place([Part("armchair", middle, yaw, size)]):
+        if room.place([FurnishingItem("armchair", middle, yaw, size)]):
             break
-    sofa, stand = next(p for p in room.parts if p.kind == "sofa"), SIZES["table_side"]
+    sofa, stand = next(p for p in room.items if p.kind == "sofa"), SIZES["table_side"]
     for sign in signs:
         middle = sofa.ahead(-0.1, sign * ((sofa.size[1] + stand[1]) / 2 + 0.05))
-        if room.place([Part("table_side", middle, sofa.yaw, stand, movable=True)]):
+        if room.place([FurnishingItem("table_side", middle, sofa.yaw, stand, movable=True)]):
             return
 
 
@@ -189,16 +195,16 @@ def _put_bed(room: FurnishedRoom, kind: str, sides: tuple[int, ...]) -> bool:
     size, stand = room.size(kind), room.size("nightstand")
     width = size[1] + len(sides) * (stand[1] + 0.04)
 
-    def calm(face: Face, along: float) -> float:
+    def calm(face: WallFace, along: float) -> float:
         wanted = abs(along - (face.low + face.high) / 2) if kind == "double_bed" else room.corner_gap(face, along, width)
         return 1.2 * room.distance_to_doors(face.point(along, size[0] / 2)) - 0.8 * wanted
 
     def groups() -> Iterator[Group]:
         for face, along in room.spots(width, score=calm):
             middle = along - (sum(sides) * (stand[1] + 0.04) / 2)
-            parts = [room.on_wall(kind, face, middle, size, gap=0.03)]
+            items = [room.on_wall(kind, face, middle, size, gap=0.03)]
             stands = [room.on_wall("nightstand", face, middle + s * (size[1] / 2 + 0.04 + stand[1] / 2), stand) for s in sides]
-            yield parts + stands, [parts[0].front(0.6), *(s.front(0.35) for s in stands)]
+            yield items + stands, [items[0].front(0.6), *(s.front(0.35) for s in stands)]
 
     placed = room.place_first(groups())
     if not placed:
@@ -209,24 +215,26 @@ def _put_bed(room: FurnishedRoom, kind: str, sides: tuple[int, ...]) -> bool:
         hang_above(room, "painting", bed, wall)
     rug = room.size("rug")
     if room.rng.random() < 0.6:
-        room.place([Part("rug", bed.ahead(size[0] / 2 - 0.2), bed.yaw, (1.4, min(rug[1], max(2.0, size[1] + 0.8)), rug[2]))])
+        room.place(
+            [FurnishingItem("rug", bed.ahead(size[0] / 2 - 0.2), bed.yaw, (1.4, min(rug[1], max(2.0, size[1] + 0.8)), rug[2]))]
+        )
     return True
 
 
 def _hang_mirror(room: FurnishedRoom) -> None:
-    """Hangs a tall mirror where one can stand before it."""
+    """Hangs a tall mirror with free floor before it."""
     size = room.size("mirror")
     lift = room.lift("mirror")
     room.place_first(
-        ([part], [part.front(0.7)])
-        for part in (
+        ([item], [item.front(0.7)])
+        for item in (
             room.on_wall("mirror", face, along, size, lift, 0.005) for face, along in room.spots(size[1] + 0.1, step=0.2)
         )
     )
 
 
 def furnish_study(room: FurnishedRoom) -> bool:
-    """Furnishes a study: desk, books, an armchair to read in."""
+    """Furnishes a study: desk, bookshelves, a reading chair."""
     if not put_desk(room):
         return False
     by_wall(room, "bookshelf", near_corner(room, 1.2))
@@ -241,21 +249,21 @@ def furnish_study(room: FurnishedRoom) -> bool:
 
 
 def _put_reading_chair(room: FurnishedRoom) -> None:
-    """Puts an armchair near a wall, far from doors."""
+    """Places an armchair near a wall, far from doors."""
     size = room.size("armchair")
     room.place_first(
-        ([part], [part.front(0.5)])
-        for part in (room.on_wall("armchair", f, a, size, gap=0.1) for f, a in room.spots(0.95, score=far_from_doors(room)))
+        ([item], [item.front(0.5)])
+        for item in (room.on_wall("armchair", f, a, size, gap=0.1) for f, a in room.spots(0.95, score=far_from_doors(room)))
     )
 
 
 def furnish_hall(room: FurnishedRoom) -> bool:
-    """Furnishes a hall or a corridor; halls without an entrance get pictures only."""
+    """Furnishes a hall or a corridor; halls without an entrance have pictures only."""
     entrance = any(not gate.other_room for gate in room.view.gates)
     if entrance:
         if not room.workplace:
             by_wall(room, "shoe_cabinet", near_corner(room, 0.9), depth=0.26)
-        shelf = next((p for p in room.parts if p.kind == "shoe_cabinet"), None)
+        shelf = next((p for p in room.items if p.kind == "shoe_cabinet"), None)
         wall = wall_of(room, shelf) if shelf else None
         if shelf and wall:
             size = room.size("mirror", height=0.9, width=min(0.6, shelf.size[1] - 0.1))
@@ -271,9 +279,9 @@ def furnish_hall(room: FurnishedRoom) -> bool:
 
 
 def by_wall_hung(room: FurnishedRoom, kind: str) -> None:
-    """Hangs something that needs free floor before it."""
+    """Hangs a piece that needs free floor before it."""
     size, lift = room.size(kind), room.lift(kind)
     room.place_first(
-        ([part], [part.front(0.4)])
-        for part in (room.on_wall(kind, face, along, size, lift, 0.005) for face, along in room.spots(size[1] + 0.1, step=0.2))
+        ([item], [item.front(0.4)])
+        for item in (room.on_wall(kind, face, along, size, lift, 0.005) for face, along in room.spots(size[1] + 0.1, step=0.2))
     )

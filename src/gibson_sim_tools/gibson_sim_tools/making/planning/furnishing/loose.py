@@ -1,4 +1,4 @@
-"""Loose things: on tables and counters, and a few on the floor."""
+"""Adds loose objects to tables, counters and the floor."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from gibson_sim_tools.making.building import Body
 from gibson_sim_tools.making.catalogue import CATALOGUE
 from gibson_sim_tools.making.planning.objects import SIZES
 from gibson_sim_tools.making.planning.rectangles import Rect, around
-from gibson_sim_tools.making.planning.rooms import Face
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
 _ON: dict[str, tuple[str, ...]] = {
-    # What lies on each kind of piece.
+    # Objects on each kind of furniture.
     "coffee_table": ("remote_control", "book_a", "mug", "candle", "bowl", "book_stack", "glass_tumbler"),
     "tv_board": ("vase", "remote_control", "clock", "book_b", "candle"),
     "sideboard": ("vase", "book_stack", "bowl", "candle", "clock", "teapot"),
@@ -48,46 +48,46 @@ _FLOOR: dict[str, tuple[str, ...]] = {
 
 
 def scatter(room: FurnishedRoom) -> None:
-    """Puts loose things on everything that has a top, and a few on the floor."""
-    for part in list(room.parts):
-        if not part.movable and CATALOGUE[part.kind].top:
-            _lay_out(room, part)
+    """Places loose objects on all furniture with a top, and a few on the floor."""
+    for item in list(room.items):
+        if not item.movable and CATALOGUE[item.kind].top:
+            _lay_out(room, item)
     for model in _FLOOR.get(room.kind, ()):
         if room.rng.random() < 0.75:
             put_on_floor(room, model)
 
 
 def put_on_floor(room: FurnishedRoom, model: str) -> None:
-    """Puts a body against a wall, where it is in nobody's way."""
+    """Places a body against a wall, away from doors."""
     size = SIZES[model]
 
-    def aside(face: Face, along: float) -> float:
+    def aside(face: WallFace, along: float) -> float:
         return room.distance_to_doors(face.point(along, 0.3)) - 1.5 * room.corner_gap(face, along, size[1])
 
     room.place_first(
-        ([Part(model, _rounded(face.point(along, size[0] / 2 + 0.04)), face.yaw, size, movable=True)], [])
+        ([FurnishingItem(model, _rounded(face.point(along, size[0] / 2 + 0.04)), face.yaw, size, movable=True)], [])
         for face, along in room.spots(size[1] + 0.06, score=aside, step=0.2)
     )
 
 
-def _lay_out(room: FurnishedRoom, part: Part) -> None:
-    """Lays things out on one top, apart from each other."""
-    low, high = _DENSITY.get(part.kind, (0, 3))
+def _lay_out(room: FurnishedRoom, item: FurnishingItem) -> None:
+    """Places objects on one top, apart from each other."""
+    low, high = _DENSITY.get(item.kind, (0, 3))
     wanted = int(room.rng.integers(low, high + 1))
-    choice = _ON.get(part.kind, ("vase", "book_stack"))
-    top = part.lift + part.size[2]
-    # What stands on it, or hangs so low above it that nothing goes below.
+    choice = _ON.get(item.kind, ("vase", "book_stack"))
+    top = item.lift + item.size[2]
+    # Items on it, or too low above it for anything below.
     taken = [
         p.rect.grown(0.02)
-        for p in room.parts
-        if p is not part and p.lift < top + 0.4 and p.lift + p.size[2] > top and p.rect.overlaps(part.rect)
+        for p in room.items
+        if p is not item and p.lift < top + 0.4 and p.lift + p.size[2] > top and p.rect.overlaps(item.rect)
     ]
-    area = part.rect.grown(-0.03)
+    area = item.rect.grown(-0.03)
     pool = [choice[int(n)] for n in room.rng.permutation(len(choice))]
     for model in (pool * 2)[:wanted]:
         size = SIZES[model]
         for _ in range(12):
-            yaw = round(part.yaw + float(room.rng.uniform(-0.5, 0.5)), 4)
+            yaw = round(item.yaw + float(room.rng.uniform(-0.5, 0.5)), 4)
             middle = (float(room.rng.uniform(area.x0, area.x1)), float(room.rng.uniform(area.y0, area.y1)))
             rect = around(middle, yaw, size[0], size[1])
             if rect.shared(area) >= rect.area - 1e-9 and not any(rect.overlaps(t) for t in taken):
@@ -98,7 +98,7 @@ def _lay_out(room: FurnishedRoom, part: Part) -> None:
 def _add(
     room: FurnishedRoom, model: str, middle: tuple[float, float], top: float, yaw: float, rect: Rect, taken: list[Rect]
 ) -> None:
-    """Adds one loose thing."""
+    """Adds one loose object."""
     taken.append(rect.grown(0.015))
     name = room.things.name(f"{room.view.room.name}_{model}")
     x, y = _rounded(middle)
@@ -106,5 +106,5 @@ def _add(
 
 
 def _rounded(point: tuple[float, float]) -> tuple[float, float]:
-    """Returns a point in whole tenths of millimetres."""
+    """Returns a point rounded to 0.1 mm."""
     return (round(point[0], 4), round(point[1], 4))

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from gibson_sim_tools.making.planning.furnishing.dressing import fill_corners
 from gibson_sim_tools.making.planning.furnishing.groups import Group, by_wall, near_corner
 from gibson_sim_tools.making.planning.rectangles import Rect, around
-from gibson_sim_tools.making.planning.rooms import Gate
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import GateView
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
 _SPARE = 0.4
-"""Behind the front, in addition to shelf and aisle, metres."""
+"""Free depth behind the front, in addition to shelf and aisle, metres."""
 
 
 def furnish_shop(room: FurnishedRoom) -> bool:
@@ -29,7 +29,7 @@ def furnish_shop(room: FurnishedRoom) -> bool:
 
 
 def _line_walls(room: FurnishedRoom) -> None:
-    """Lines the walls with shelves, those along one stretch of wall equally wide."""
+    """Lines the walls with shelves of equal width per free interval."""
     depth, _, height = room.size("wall_shelf")
     for face in room.view.sides:
         for low, high in room.stretches(face, depth + 0.02, height):
@@ -42,8 +42,8 @@ def _line_walls(room: FurnishedRoom) -> None:
                 room.place([shelf], [shelf.front(0.9)])
 
 
-def _put_till(room: FurnishedRoom, entrance: Gate) -> bool:
-    """Places the till beside the entrance, its front to the way in, with room for who stands behind it."""
+def _put_till(room: FurnishedRoom, entrance: GateView) -> bool:
+    """Places the till beside the entrance, facing it, with free floor for the cashier."""
     size = room.size("till")
     face, middle = entrance.face, entrance.opening.middle
     signs = (1, -1) if room.rng.random() < 0.5 else (-1, 1)
@@ -55,15 +55,15 @@ def _put_till(room: FurnishedRoom, entrance: Gate) -> bool:
                     # Its front looks along the wall, towards the entrance.
                     yaw = math.atan2(-sign * face.along[1], -sign * face.along[0])
                     point = face.point(middle + sign * (aside + size[0] / 2), off + size[1] / 2)
-                    till = Part("till", point, round(yaw, 6) + 0.0, size)
+                    till = FurnishingItem("till", point, round(yaw, 6) + 0.0, size)
                     behind = around(till.ahead(-size[0] / 2 - 0.4), yaw, 0.8, size[1])
                     yield [till], [till.front(0.9), behind]
 
     return bool(room.place_first(groups()))
 
 
-def _put_gondolas(room: FurnishedRoom, entrance: Gate, aisle: float) -> int:
-    """Fills the middle of the largest part of the room with rows of gondolas; returns how many."""
+def _put_gondolas(room: FurnishedRoom, entrance: GateView, aisle: float) -> int:
+    """Fills the centre of the largest part of the room with rows of gondolas; returns their number."""
     # Shelves stand along the walls, with an aisle before them.
     inner = _behind_front(_largest(room), entrance).grown(-0.47 - aisle)
     depth, _, height = room.size("gondola")
@@ -83,7 +83,7 @@ def _put_gondolas(room: FurnishedRoom, entrance: Gate, aisle: float) -> int:
 
 
 def _rows(inner: Rect, upright: bool, depth: float, aisle: float) -> tuple[bool, int, int, float]:
-    """Returns how gondolas fill a rectangle: the direction that was asked for, rows, gondolas in a row, length of each."""
+    """Returns how gondolas fill a rectangle: ``upright``, rows, gondolas per row, length of each."""
     across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
     rows = max(0, int((across + aisle) / (depth + aisle) + 1e-6))
     each = 1 if along <= 4.0 else 2
@@ -103,21 +103,23 @@ def _largest(room: FurnishedRoom) -> Rect:
 def _put_gondola(
     room: FurnishedRoom, inner: Rect, upright: bool, off: float, at: float, size: tuple[float, float, float], aisle: float
 ) -> bool:
-    """Places one gondola, a shorter one where there is something at its end."""
+    """Places one gondola, shortened if something is at its end."""
     for length in (size[1], size[1] - 0.6, size[1] - 1.2):
         for shift in (0.0, (size[1] - length) / 2, (length - size[1]) / 2):
             if length < 2.0:
                 return False
             middle = (inner.x0 + off, inner.y0 + at + shift) if upright else (inner.x0 + at + shift, inner.y0 + off)
-            part = Part("gondola", middle, 0.0 if upright else round(math.pi / 2, 6), (size[0], round(length, 2), size[2]))
+            item = FurnishingItem(
+                "gondola", middle, 0.0 if upright else round(math.pi / 2, 6), (size[0], round(length, 2), size[2])
+            )
             depth = min(1.0, aisle - 0.05)
-            if room.place([part], [part.front(depth), around(part.ahead(-(size[0] + depth) / 2), part.yaw, depth, length)]):
+            if room.place([item], [item.front(depth), around(item.ahead(-(size[0] + depth) / 2), item.yaw, depth, length)]):
                 return True
     return False
 
 
-def _behind_front(hall: Rect, entrance: Gate) -> Rect:
-    """Returns a room without a stretch behind its front."""
+def _behind_front(hall: Rect, entrance: GateView) -> Rect:
+    """Returns a room without a strip behind its front."""
     x, y = entrance.face.normal
     return Rect(
         hall.x0 + _SPARE * max(x, 0.0),

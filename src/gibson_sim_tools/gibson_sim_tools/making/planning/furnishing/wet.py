@@ -9,13 +9,13 @@ from gibson_sim_tools.making.building import Point
 from gibson_sim_tools.making.planning.furnishing.dressing import fill_corners, hang_pictures
 from gibson_sim_tools.making.planning.furnishing.groups import Group, by_wall, far_from_doors, near_corner, put_table, wall_of
 from gibson_sim_tools.making.planning.objects import SIZES
-from gibson_sim_tools.making.planning.rooms import Face
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
 _DEPTH = 0.62
 _HEIGHT = 0.91
 _FRIDGE = 0.64
-"""Width of the slot that a fridge takes."""
+"""Width of the slot for a fridge, metres."""
 _WORK = 0.9
 """Free floor before a kitchen run, metres."""
 
@@ -67,7 +67,7 @@ def furnish_kitchen(room: FurnishedRoom) -> bool:
 
 
 def _aside(room: FurnishedRoom) -> Callable[[Point], float]:
-    """Returns a score that prefers what is far from doors."""
+    """Returns a score that prefers places far from doors."""
     return lambda point: 0.5 * room.distance_to_doors(point)
 
 
@@ -101,8 +101,10 @@ def _put_run(room: FurnishedRoom) -> bool:
     return False
 
 
-def _place_run(room: FurnishedRoom, face: Face, low: float, high: float, with_fridge: bool, oven: bool) -> list[_Module] | None:
-    """Places a run somewhere in a free stretch of a wall; returns its modules."""
+def _place_run(
+    room: FurnishedRoom, face: WallFace, low: float, high: float, with_fridge: bool, oven: bool
+) -> list[_Module] | None:
+    """Places a run in a free interval of a wall; returns its modules."""
     least = 0.8 + 0.6 + 0.9 + (_FRIDGE if with_fridge else 0.0)
     if high - low < least:
         return None
@@ -111,14 +113,14 @@ def _place_run(room: FurnishedRoom, face: Face, low: float, high: float, with_fr
     for start in starts:
         for backwards in (False, True) if room.rng.random() < 0.5 else (True, False):
             modules = _modules(room, start, length, with_fridge, backwards)
-            parts = [p for m in modules for p in _parts(room, face, m, oven)]
-            if room.place(parts, [face.rect(start, start + length, _DEPTH + 0.07, _DEPTH + _WORK)]):
+            items = [p for m in modules for p in _items(room, face, m, oven)]
+            if room.place(items, [face.rect(start, start + length, _DEPTH + 0.07, _DEPTH + _WORK)]):
                 return modules
     return None
 
 
 def _modules(room: FurnishedRoom, start: float, length: float, with_fridge: bool, backwards: bool) -> list[_Module]:
-    """Returns what a run is made of: fridge, counter, sink, counter, stove, counter."""
+    """Returns the modules of a run: fridge, counter, sink, counter, stove, counter."""
     sink = round(float(room.rng.uniform(0.8, 0.9)), 2)
     rest = length - sink - 0.6 - (_FRIDGE if with_fridge else 0.0)
     if rest < 0.9:
@@ -126,7 +128,7 @@ def _modules(room: FurnishedRoom, start: float, length: float, with_fridge: bool
     if room.kind == "kitchenette":
         widths = [("kitchen_counter", rest / 2 + 0.3), ("kitchen_sink", sink), ("kitchen_counter", rest / 2 + 0.3)]
     else:
-        shares = [0.3 + (rest - 0.9) * part for part in (0.4, 0.35, 0.25)]
+        shares = [0.3 + (rest - 0.9) * item for item in (0.4, 0.35, 0.25)]
         widths = [("kitchen_counter", shares[0]), ("kitchen_sink", sink), ("kitchen_counter", shares[1])]
         widths += [("stove", 0.6), ("kitchen_counter", shares[2])]
     if with_fridge:
@@ -139,23 +141,23 @@ def _modules(room: FurnishedRoom, start: float, length: float, with_fridge: bool
     return modules
 
 
-def _parts(room: FurnishedRoom, face: Face, module: _Module, oven: bool) -> list[Part]:
-    """Returns the things of one module."""
+def _items(room: FurnishedRoom, face: WallFace, module: _Module, oven: bool) -> list[FurnishingItem]:
+    """Returns the items of one module."""
     size = (_DEPTH, module.width, _HEIGHT)
     if module.kind == "fridge_body":
         fridge = SIZES["fridge_body"]
-        return [Part("fridge_body", face.point(module.middle, fridge[0] / 2 + 0.02), face.yaw, fridge, movable=True)]
+        return [FurnishingItem("fridge_body", face.point(module.middle, fridge[0] / 2 + 0.02), face.yaw, fridge, movable=True)]
     if module.kind != "stove":
         return [room.on_wall(module.kind, face, module.middle, size)]
     lift = 1.58
     hood = room.size("extractor_hood", width=0.6, height=round(min(0.9, room.height - lift - 0.02), 3))
-    parts = [room.on_wall("extractor_hood", face, module.middle, hood, lift)]
+    items = [room.on_wall("extractor_hood", face, module.middle, hood, lift)]
     if oven:
-        # A hob in a piece of worktop, and below it an oven whose door opens.
+        # A hob in a worktop, and an oven with a movable door below.
         size = SIZES["oven_body"]
-        body = Part("oven_body", face.point(module.middle, size[0] / 2 + 0.02), face.yaw, size, movable=True)
-        return [*parts, room.on_wall("hob", face, module.middle, (_DEPTH, 0.6, round(_HEIGHT - 0.61, 3)), 0.61), body]
-    return [*parts, room.on_wall("stove", face, module.middle, (_DEPTH, 0.6, _HEIGHT))]
+        body = FurnishingItem("oven_body", face.point(module.middle, size[0] / 2 + 0.02), face.yaw, size, movable=True)
+        return [*items, room.on_wall("hob", face, module.middle, (_DEPTH, 0.6, round(_HEIGHT - 0.61, 3)), 0.61), body]
+    return [*items, room.on_wall("stove", face, module.middle, (_DEPTH, 0.6, _HEIGHT))]
 
 
 def _place_fridge(room: FurnishedRoom) -> bool:
@@ -163,16 +165,16 @@ def _place_fridge(room: FurnishedRoom) -> bool:
     size = SIZES["fridge_body"]
     return bool(
         room.place_first(
-            ([part], [part.front(0.8)])
-            for part in (
-                Part("fridge_body", face.point(along, size[0] / 2 + 0.02), face.yaw, size, movable=True)
+            ([item], [item.front(0.8)])
+            for item in (
+                FurnishingItem("fridge_body", face.point(along, size[0] / 2 + 0.02), face.yaw, size, movable=True)
                 for face, along in room.spots(size[1] + 0.04, score=near_corner(room, 0.64))
             )
         )
     )
 
 
-def _hang_cupboards(room: FurnishedRoom, face: Face, modules: list[_Module]) -> None:
+def _hang_cupboards(room: FurnishedRoom, face: WallFace, modules: list[_Module]) -> None:
     """Hangs cupboards above the counters on both sides of the hood, as wide as windows leave room."""
     lift = room.lift("wall_cupboard")
     depth, _, height = room.size("wall_cupboard", height=round(min(0.72, room.height - lift - 0.05), 3))
@@ -191,8 +193,8 @@ def _hang_cupboards(room: FurnishedRoom, face: Face, modules: list[_Module]) -> 
                 room.place([room.on_wall("wall_cupboard", face, (start + end) / 2, (depth, width, height), lift)])
 
 
-def _apart_from_windows(room: FurnishedRoom, face: Face, low: float, high: float) -> Iterator[tuple[float, float]]:
-    """Yields the parts of a stretch of wall that are not below or beside a window's opening."""
+def _apart_from_windows(room: FurnishedRoom, face: WallFace, low: float, high: float) -> Iterator[tuple[float, float]]:
+    """Yields the sub-intervals of a wall interval that are clear of windows."""
     strip, axis = face.rect(low, high, 0.0, 0.1), 0 if face.along[0] else 1
     hidden = [w.zone.grown(0.05) for w in room.view.windows if w.zone.overlaps(strip)]
     spans = sorted(tuple(sorted((edge - face.start[axis]) * face.along[axis] for edge in (r[axis], r[axis + 2]))) for r in hidden)
@@ -233,20 +235,20 @@ def _put_shower(room: FurnishedRoom) -> bool:
     size = room.size("shower")
     return bool(
         room.place_first(
-            ([part], [part.front(0.5)])
+            ([item], [item.front(0.5)])
             for face, along in room.spots(size[1] + 0.02, score=far_from_doors(room), step=5.0)
-            for part in [room.on_wall("shower", face, along, size)]
+            for item in [room.on_wall("shower", face, along, size)]
         )
     )
 
 
 def _put_toilet(room: FurnishedRoom) -> bool:
-    """Puts the toilet against a wall, with room on both sides, as far from the door as may be."""
+    """Places the toilet at a wall, with space on both sides, as far from the door as possible."""
     size = room.size("toilet")
     return bool(
         room.place_first(
-            ([part], [part.front(0.55)])
-            for part in (
+            ([item], [item.front(0.55)])
+            for item in (
                 room.on_wall("toilet", face, along, size) for face, along in room.spots(size[1] + 0.4, score=far_from_doors(room))
             )
         )
@@ -254,7 +256,7 @@ def _put_toilet(room: FurnishedRoom) -> bool:
 
 
 def _put_basin(room: FurnishedRoom, width: float) -> bool:
-    """Puts a basin against a wall without a window, a mirror above it."""
+    """Places a basin at a wall without a window, with a mirror above it."""
     size = room.size("basin", width=width)
     mirror = room.size("bathroom_mirror", width=0.5 if width < 0.65 else 0.65)
     lift = room.lift("bathroom_mirror")

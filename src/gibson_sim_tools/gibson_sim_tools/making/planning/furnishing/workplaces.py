@@ -19,8 +19,8 @@ from gibson_sim_tools.making.planning.furnishing.groups import (
     put_table,
 )
 from gibson_sim_tools.making.planning.rectangles import Rect
-from gibson_sim_tools.making.planning.rooms import Face
-from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+from gibson_sim_tools.making.planning.rooms import WallFace
+from gibson_sim_tools.making.planning.space import FurnishedRoom, FurnishingItem
 
 
 def furnish_office(room: FurnishedRoom) -> bool:
@@ -42,7 +42,7 @@ def furnish_office(room: FurnishedRoom) -> bool:
 
 
 def furnish_open_office(room: FurnishedRoom) -> bool:
-    """Furnishes an open plan office: islands of desks face to face, all in one direction; cabinets and a printer along the walls."""
+    """Furnishes an open plan office: parallel islands of facing desks; cabinets and a printer along the walls."""
     turn, columns = float(room.rng.integers(2)) * math.pi / 2, 2 + int(room.rng.integers(2))
     sizes = (room.size("desk", width=1.4), room.size("office_chair"), room.size("partition"))
     islands = sum(_put_island(room, columns, turn, *sizes) for _ in range(5))
@@ -59,8 +59,8 @@ def furnish_open_office(room: FurnishedRoom) -> bool:
 
 
 def _put_island(room: FurnishedRoom, columns: int, turn: float, size: Vec3, chair: Vec3, screen: Vec3) -> bool:
-    """Places desks in two rows, face to face, with a screen between, in line with those that are there; fewer where there is no room."""
-    others = [p.middle for p in room.parts if p.kind == "partition"]
+    """Places two rows of facing desks with a partition between, aligned with existing islands; fewer desks if they do not fit."""
+    others = [p.middle for p in room.items if p.kind == "partition"]
 
     def in_line(point: Point) -> float:
         lined = any(abs(point[axis] - o[axis]) < 0.02 for o in others for axis in (0, 1))
@@ -72,40 +72,40 @@ def _put_island(room: FurnishedRoom, columns: int, turn: float, size: Vec3, chai
 
     def groups(count: int) -> Iterator[Group]:
         for point in floor_points(room, in_line, 0.35):
-            yield _island(room, Part("partition", point, round(turn, 6), screen), size, chair, count)
+            yield _island(room, FurnishingItem("partition", point, round(turn, 6), screen), size, chair, count)
 
     return any(room.place_first(groups(count)) for count in (columns, columns - 1))
 
 
-def _island(room: FurnishedRoom, middle: Part, size: Vec3, chair: Vec3, columns: int) -> Group:
-    """Returns an island of desks about a point; the screens stand along y of its frame."""
-    parts: list[Part] = []
+def _island(room: FurnishedRoom, middle: FurnishingItem, size: Vec3, chair: Vec3, columns: int) -> Group:
+    """Returns an island of desks about a point; the partitions stand along y of its frame."""
+    items: list[FurnishingItem] = []
     fronts: list[Rect] = []
     for column in range(columns):
         aside = (column + 0.5 - columns / 2) * (size[1] + 0.02)
-        parts.append(Part("partition", middle.ahead(0.0, aside), middle.yaw, (middle.size[0], size[1], middle.size[2])))
+        items.append(FurnishingItem("partition", middle.ahead(0.0, aside), middle.yaw, (middle.size[0], size[1], middle.size[2])))
         for sign in (1, -1):
             yaw = round(math.remainder(middle.yaw + (0.0 if sign > 0 else math.pi), 2 * math.pi), 6)
-            desk = Part("desk", middle.ahead(sign * (middle.size[0] / 2 + 0.01 + size[0] / 2), aside), yaw, size)
+            desk = FurnishingItem("desk", middle.ahead(sign * (middle.size[0] / 2 + 0.01 + size[0] / 2), aside), yaw, size)
             added, front = desk_group(room, desk, chair, lamp=False)
-            parts += added
+            items += added
             fronts += front
-    return parts, fronts
+    return items, fronts
 
 
 def _hang_board(room: FurnishedRoom) -> None:
-    """Hangs a whiteboard where one can stand before it."""
+    """Hangs a whiteboard with free floor before it."""
     size, lift = room.size("whiteboard"), room.lift("whiteboard")
     room.place_first(
-        ([part], [part.front(0.8)])
-        for part in (
+        ([item], [item.front(0.8)])
+        for item in (
             room.on_wall("whiteboard", face, along, size, lift, 0.005) for face, along in room.spots(size[1] + 0.2, step=0.2)
         )
     )
 
 
 def furnish_meeting(room: FurnishedRoom) -> bool:
-    """Furnishes a meeting room: one large table in its middle, a board or a screen at its end."""
+    """Furnishes a meeting room: one large central table, a whiteboard or a screen at its end."""
     middle = room.view.cells[0].middle
     width = 2.6 if room.view.area > 19.0 else 2.0
     seats = [((3, 3), 2), ((3, 3), 1), ((3, 3), 0), ((2, 2), 0)] if width > 2.2 else [((2, 2), 2), ((2, 2), 0)]
@@ -124,11 +124,11 @@ def furnish_meeting(room: FurnishedRoom) -> bool:
     return True
 
 
-def _hang_screen(room: FurnishedRoom, table: Part) -> None:
+def _hang_screen(room: FurnishedRoom, table: FurnishingItem) -> None:
     """Hangs a large screen on the wall at one end of the table."""
     size = room.size("television", width=1.4, height=0.8)
 
-    def facing(face: Face, along: float) -> float:
+    def facing(face: WallFace, along: float) -> float:
         ends = min(math.dist(face.point(along), table.ahead(0.0, s * table.size[1])) for s in (1, -1))
         return -3.0 * ends
 
@@ -138,7 +138,7 @@ def _hang_screen(room: FurnishedRoom, table: Part) -> None:
 
 
 def furnish_storage(room: FurnishedRoom) -> bool:
-    """Furnishes a storage room: shelves, stacked crates; in homes rather a cupboard and a washing machine."""
+    """Furnishes a storage room: shelves and stacked crates; in homes a cupboard and a washing machine."""
     if not room.workplace:
         by_wall(room, "wardrobe", near_corner(room, 1.2), width=1.2)
         by_wall(room, "washing_machine", near_corner(room, 0.6))

@@ -1,0 +1,308 @@
+"""Assembles the submeshes of a scene into ``SceneGeometry``: clusters, levels of detail, triangles shared by equal bodies. No OpenGL here."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.formats.mesh import MATTE_ROUGHNESS, TextureSource
+from gibson_sim.render.batching.material_table import MaterialTable
+from gibson_sim.render.batching.scene_geometry import (
+    PLACEMENT,
+    VERTEX,
+    AlphaMode,
+    Batch,
+    MapSet,
+    Progress,
+    SceneGeometry,
+    settings,
+)
+from gibson_sim.render.lod.clusters import build_clusters, simplifier, weld
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+CLUSTER_TRIANGLES = 256
+"""Most triangles in a cluster."""
+DETAIL_FROM = 50_000
+"""Least number of triangles of a scene with levels of detail."""
+MOVING_DETAIL_UPTO = 60_000
+"""Most triangles of a link with levels of detail: images wait while those of a spawned body are made."""
+BLEND_CLUSTERS = 2048
+"""Clusters, at least one triangle each, that a translucent submesh is cut into: they are drawn in order of their distance."""
+
+
+@dataclass(slots=True)
+class Submesh:
+    """Triangles of one link with one set of draw settings, gathered from its visuals."""
+
+    vertices: list[NDArray[np.void]] = field(default_factory=list)
+    triangles: list[I64] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, vertices: NDArray[np.void], triangles: NDArray[np.uint32]) -> None:
+        """Adds triangles: (V,) of ``VERTEX``, and (F, 3) rows of these."""
+        self.vertices.append(vertices)
+        self.triangles.append(triangles.astype(np.int64) + self.count)
+        self.count += len(vertices)
+
+
+SubmeshKey = tuple[bool, int, int, AlphaMode, bool, bool, bool, int]
+"""Moving, texture, maps, alpha mode, unlit, colored, closed, link. Submeshes are sorted by it, so those of one batch are consecutive. It
+leaves out what an appearance changes: levels of detail and the order of drawing, and with them depth, labels and normals, must not
+depend on appearances."""
+
+
+def _unpacked_colors(packed: F32) -> F32:
+    """Returns linear colours (V, 3), 0 to 1."""
+    return np.ascontiguousarray(packed).view("<u2").reshape(-1, 4)[:, :3].astype(np.float32) / np.float32(65535.0)
+
+
+class GeometryAssembler:
+    """Concatenates submeshes into the arrays of ``SceneGeometry``."""
+
+    def __init__(self, coarser: bool, progress: Progress) -> None:
+        self._coarser, self._progress = coarser, progress
+        self._vertices: list[NDArray[np.void]] = []
+        self._indices: list[I64] = []
+        self._clusters: dict[str, list[NDArray[Any]]] = {
+            name: []
+            for name in (
+                "first",
+                "count",
+                "box",
+                "link",
+                "placed",
+                "group",
+                "next",
+                "error",
+                "error_box",
+                "error_link",
+                "placement",
+            )
+        }
+        self._clusters["placement"].append(np.zeros(1, dtype=PLACEMENT))  # of all static clusters
+        self._shapes: dict[bytes, dict[str, NDArray[Any]]] = {}
+        self._index_count = self._vertex_count = self._cluster_count = self._group_count = self._triangles = 0
+
+    def assemble(
+        self,
+        submeshes: dict[SubmeshKey, Submesh],
+        table: MaterialTable,
+        textures: tuple[TextureSource, ...],
+        map_sets: tuple[MapSet, ...],
+        closed: tuple[NDArray[np.float64], I64],
+        files: tuple[Path, ...],
+        warnings: tuple[str, ...],
+    ) -> SceneGeometry:
+        """Returns the geometry; call it once.
+
+        Args:
+            submeshes: all of the scene.
+            table: materials that the vertices name.
+            textures: numbered as in the keys of the submeshes.
+            map_sets: likewise.
+            closed: ``closed_box`` and ``closed_link``.
+            files: files that were read.
+            warnings: what was left out.
+
+        Raises:
+            ConfigError: there are more triangles than can be drawn.
+        """
+        materials = table.materials()
+        matte = (materials["surface"][:, 0] <= 0.0) & (materials["surface"][:, 1] >= MATTE_ROUGHNESS)
+        with_appearance = np.array([bool(appearance) for _, appearance in table.rows], dtype=bool)
+        total = sum(len(t) for submesh in submeshes.values() for t in submesh.triangles)
+        self._coarser &= total >= DETAIL_FROM
+        if self._coarser and simplifier() is None:
+            warnings += (
+                f"{total} triangles are drawn without levels of detail, slowly: install meshoptimizer (pip install meshoptimizer)",
+            )
+        shared = _shared_vertices(submeshes) if self._coarser else {}
+        batches: list[Batch] = []
+        for key in sorted(submeshes):
+            self._progress("levels of detail", self._triangles / max(total, 1))
+            first = self._cluster_count
+            self._add(key, submeshes[key], shared.get(key))
+            moving, texture, maps, alpha_mode, unlit, colored, is_closed, _ = key
+            rows = np.unique(np.concatenate([v["material"] for v in submeshes[key].vertices]))
+            material = int(rows[0]) if len(rows) == 1 else -1
+            shiny = not matte[rows].all() or (maps >= 0 and map_sets[maps][0] is not None)
+            glossy, has_appearance = not unlit and shiny, bool(with_appearance[rows].any())
+            if batches and settings(batches[-1]) == (moving, texture, maps, alpha_mode, unlit, colored, is_closed):
+                last = batches.pop()
+                first, material = last.first_cluster, material if material == last.material else -1
+                glossy, has_appearance = glossy or last.glossy, has_appearance or last.has_appearance
+            span = (first, self._cluster_count)
+            batches.append(
+                Batch(texture, alpha_mode, maps, unlit, glossy, has_appearance, colored, moving, is_closed, material, *span)
+            )
+        if self._index_count >= 2**31:
+            raise ConfigError(
+                f"the scene has {self._triangles} triangles, at most {2**31 // 6} can be drawn; simplify its meshes"
+            )
+        c = self._clusters
+        return SceneGeometry(
+            vertices=np.concatenate(self._vertices) if self._vertices else np.zeros(0, dtype=VERTEX),
+            indices=_joined(self._indices, np.uint32),
+            materials=materials,
+            appearances=table.appearances(),
+            patterns=table.patterns,
+            map_sets=map_sets,
+            batches=tuple(batches),
+            textures=textures,
+            cluster_first=_joined(c["first"], np.uint32),
+            cluster_count=_joined(c["count"], np.uint32),
+            cluster_box=_joined(c["box"], np.float64).reshape(-1, 6),
+            cluster_link=_joined(c["link"], np.int64),
+            cluster_placement=_joined(c["placed"], np.uint32),
+            placements=np.concatenate(c["placement"]),
+            cluster_group=_joined(c["group"], np.int64),
+            cluster_next_group=_joined(c["next"], np.int64),
+            group_error=_joined(c["error"], np.float64),
+            group_box=_joined(c["error_box"], np.float64).reshape(-1, 6),
+            group_link=_joined(c["error_link"], np.int64),
+            closed_box=closed[0],
+            closed_link=closed[1],
+            triangles=self._triangles,
+            files=files,
+            warnings=warnings,
+        )
+
+    def _add(self, key: SubmeshKey, submesh: Submesh, fixed: NDArray[np.bool_] | None) -> None:
+        """Appends the clusters of a submesh, all levels. It shares the triangles of an earlier one that differs in label, material and link alone."""
+        _, texture, maps, alpha_mode, _, colored, closed, link = key
+        vertices = np.concatenate(submesh.vertices)
+        placement = np.zeros(1, dtype=PLACEMENT)
+        if link:
+            placement["link"] = link
+            for name in ("label", "material"):
+                if (vertices[name] == vertices[name][0]).all():
+                    placement[name] = vertices[name][0]
+                    vertices[name] = 0
+        triangles = np.concatenate(submesh.triangles)
+        if not closed:  # closed surfaces are wound outwards
+            triangles = _wound(vertices, triangles)
+        size = CLUSTER_TRIANGLES
+        if alpha_mode == "blend":
+            size = min(max(len(triangles) // BLEND_CLUSTERS, 1), size)
+        slow = bool(link) and len(triangles) > MOVING_DETAIL_UPTO
+        coarser, textured = self._coarser and alpha_mode != "blend" and not slow, max(texture, maps) >= 0
+        digest = hashlib.sha256(repr((size, coarser, textured, colored)).encode())
+        for array in (vertices, triangles, *(() if fixed is None else (fixed,))):
+            digest.update(np.ascontiguousarray(array).view(np.uint8).data)
+        shape = self._shapes.get(digest.digest())
+        if shape is None:
+            shape = self._shape(vertices, triangles, size, fixed, coarser, textured, colored)
+            self._shapes[digest.digest()] = shape
+        clusters, groups = len(shape["first"]), len(shape["error"])
+        row = 0 if not link else sum(map(len, self._clusters["placement"]))
+        if link:
+            self._clusters["placement"].append(placement)
+        columns = {
+            **shape,
+            "link": np.full(clusters, link),
+            "placed": np.full(clusters, row),
+            "group": np.where(shape["group"] < 0, -1, shape["group"] + self._group_count),
+            "next": np.where(shape["next"] < 0, -1, shape["next"] + self._group_count),
+            "error_link": np.full(groups, link),
+        }
+        for name, column in columns.items():
+            self._clusters[name].append(column)
+        self._cluster_count += clusters
+        self._group_count += groups
+        self._triangles += len(triangles)
+
+    def _shape(
+        self,
+        vertices: NDArray[np.void],
+        triangles: I64,
+        size: int,
+        fixed: NDArray[np.bool_] | None,
+        coarser: bool,
+        textured: bool,
+        colored: bool,
+    ) -> dict[str, NDArray[Any]]:
+        """Appends triangles, all levels, and returns their clusters and groups; groups are numbered from 0."""
+        clusters = build_clusters(
+            vertices["position"],
+            vertices["normal"].astype(np.float32) / np.float32(32767.0),
+            vertices["uv"] if textured else np.zeros_like(vertices["uv"]),
+            triangles,
+            size,
+            fixed,
+            coarser,
+            _unpacked_colors(vertices["uv"]) if colored else None,
+        )
+        starts, ends = clusters.starts, clusters.ends
+        corners = vertices["position"][clusters.triangles]
+        low = np.minimum.reduceat(corners.min(axis=1), starts, axis=0).astype(np.float64)
+        high = np.maximum.reduceat(corners.max(axis=1), starts, axis=0).astype(np.float64)
+        for level in np.unique(clusters.level):
+            rows = np.flatnonzero(clusters.level == level)
+            self._add_level(vertices, clusters.triangles[starts[rows[0]] : ends[rows[-1]]])
+        box = clusters.group_box
+        return {
+            "first": 3 * starts + self._index_count - clusters.triangles.size,
+            "count": 3 * (ends - starts),
+            "box": np.hstack([(low + high) / 2, (high - low) / 2]),
+            "group": clusters.group,
+            "next": clusters.next_group,
+            "error": clusters.group_error,
+            "error_box": np.hstack([(box[:, :3] + box[:, 3:]) / 2, (box[:, 3:] - box[:, :3]) / 2]),
+        }
+
+    def _add_level(self, vertices: NDArray[np.void], triangles: I64) -> None:
+        """Appends triangles with a copy of their vertices in the order of first use.
+
+        The vertex stage of a software renderer depends on memory locality: a coarse level must not fetch from all over the fine one.
+        """
+        used, first, inverse = np.unique(triangles, return_index=True, return_inverse=True)
+        order = np.argsort(first, kind="stable")
+        new_number = np.empty(len(used), dtype=np.int64)
+        new_number[order] = np.arange(len(used))
+        self._indices.append(new_number[inverse.ravel()] + self._vertex_count)
+        self._vertices.append(vertices[used[order]])
+        self._vertex_count += len(used)
+        self._index_count += triangles.size
+
+
+def _wound(vertices: NDArray[np.void], triangles: I64) -> I64:
+    """Returns triangles wound as their normals say: counter-clockwise seen from outside."""
+    a, b, c = (vertices["position"][triangles[:, k]] for k in range(3))
+    outward = vertices["normal"][triangles].sum(axis=1, dtype=np.int64)
+    wrong = np.einsum("fk,fk->f", np.cross(b - a, c - a), outward) < 0.0
+    triangles[wrong] = triangles[wrong][:, ::-1]
+    return triangles
+
+
+def _joined(arrays: Sequence[NDArray[Any]], dtype: type[np.generic]) -> NDArray[Any]:
+    return np.concatenate(arrays).astype(dtype) if arrays else np.zeros(0, dtype=dtype)
+
+
+def _shared_vertices(submeshes: dict[SubmeshKey, Submesh]) -> dict[SubmeshKey, NDArray[np.bool_]]:
+    """Returns for each submesh which vertices coincide with one of another submesh of its link: moving them would open cracks."""
+    shared: dict[SubmeshKey, NDArray[np.bool_]] = {}
+    for keys in _by_link(submeshes):
+        sizes = [submeshes[key].count for key in keys]
+        if len(keys) < 2:
+            continue
+        welded = weld(np.concatenate([v["position"] for key in keys for v in submeshes[key].vertices]))
+        owner = np.repeat(np.arange(len(keys)), sizes)
+        lowest, highest = np.full(int(welded.max()) + 1, len(keys)), np.full(int(welded.max()) + 1, -1)
+        np.minimum.at(lowest, welded, owner)
+        np.maximum.at(highest, welded, owner)
+        both = (lowest < highest)[welded]
+        shared.update(zip(keys, np.split(both, np.cumsum(sizes)[:-1]), strict=True))
+    return shared
+
+
+def _by_link(submeshes: dict[SubmeshKey, Submesh]) -> Iterator[list[SubmeshKey]]:
+    for link in sorted({key[-1] for key in submeshes}):
+        yield [key for key in submeshes if key[-1] == link]

@@ -1,0 +1,124 @@
+"""All triangles of a scene in few arrays that a GPU draws quickly; ``building`` makes them. No OpenGL here.
+
+A *batch* is drawn with one set of settings: texture, alpha mode, shading; moving triangles are apart from static ones. A batch consists
+of *clusters*: up to 256 neighbouring triangles of one link, each with its box, at several levels of detail (``lod.clusters``). Static
+triangles are in the world frame (link number 0), all others in the frame of their link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.shapes import Shape
+from gibson_sim.formats.mesh import Mesh, TextureSource
+
+Loader = Callable[[Shape], Mesh]
+Progress = Callable[[str, float], None]
+"""Called with the current stage and its progress, 0 to 1."""
+AlphaMode = Literal["opaque", "mask", "blend"]
+"""glTF's ``alphaMode``."""
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<i2", 3), ("material", "<u2"), ("uv", "<f4", 2), ("label", "<u2", 2)])
+PLACEMENT = np.dtype([("link", "<u4"), ("label", "<u2", 2), ("material", "<u4")])
+"""One use of triangles that several bodies share: link, and the offsets that are added to the label and material numbers of the vertices."""
+MATERIAL = np.dtype([("color", "<f4", 4), ("surface", "<f4", 4), ("emission", "<f4", 4), ("maps", "<f4", 4)])
+"""Base colour (linear) and alpha; metallic, roughness, alpha from which it is opaque, 1 = unlit; emission; and of the material maps the
+scale of normals, the strength of occlusion, and the weights of the maps of metallic and of roughness."""
+APPEARANCE = np.dtype([("tint", "<f4", (3, 4)), ("first", "<f4", 4), ("second", "<f4", 4)])
+"""``Appearance`` of appearances.glsl."""
+PLAIN_APPEARANCE = (*np.eye(3, 4).ravel().tolist(), 0.0, 0.0, 0.0, -1.0, 1.0, 1.0, 1.0, 1.0)
+"""An appearance that changes nothing; the fourth number of ``first`` is the layer of the pattern, -1 = none."""
+MapSet = tuple[TextureSource | None, TextureSource | None, TextureSource | None, TextureSource | None]
+"""Material maps: metallic-roughness, normals, occlusion, emission."""
+MAX_LABEL = 2**16 - 1
+"""Greatest number of a semantic class, an instance or a material."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Clusters that are drawn with the same settings."""
+
+    texture: int
+    """Index in ``SceneGeometry.textures``; -1 = none."""
+    alpha_mode: AlphaMode
+    maps: int
+    """Index in ``SceneGeometry.map_sets``; -1 = none."""
+    unlit: bool
+    """No light falls on any of it."""
+    glossy: bool
+    """Some of it shows highlights."""
+    has_appearance: bool
+    """Some of it has a tint or a pattern."""
+    colored: bool
+    """Its vertices have colours instead of texture coordinates."""
+    moving: bool
+    """Its clusters belong to links, not to the world."""
+    closed: bool
+    """All its triangles belong to closed surfaces: their back faces are never seen from outside."""
+    material: int
+    """Index in ``SceneGeometry.materials`` if all its triangles have the same; -1 = they differ."""
+    first_cluster: int
+    end_cluster: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneGeometry:
+    """All triangles of a scene."""
+
+    vertices: NDArray[np.void]
+    """(V,) of ``VERTEX``."""
+    indices: NDArray[np.uint32]
+    """(3 F,), rows of ``vertices``."""
+    materials: NDArray[np.void]
+    """(M,) of ``MATERIAL``."""
+    appearances: NDArray[np.void]
+    """(M,) of ``APPEARANCE`` if any batch ``has_appearance``; else (0,)."""
+    patterns: NDArray[np.uint8]
+    """(L, S, S, 3), sRGB: the layers that appearances name."""
+    map_sets: tuple[MapSet, ...]
+    batches: tuple[Batch, ...]
+    textures: tuple[TextureSource, ...]
+    cluster_first: NDArray[np.uint32]
+    """(C,), position in ``indices``."""
+    cluster_count: NDArray[np.uint32]
+    """(C,), number of indices."""
+    cluster_box: F64
+    """(C, 6), centre and half extents, metres, frame of the link."""
+    cluster_link: I64
+    """(C,), 0 = the world, else 1 + index in ``links``."""
+    cluster_placement: NDArray[np.uint32]
+    """(C,), row of ``placements``."""
+    placements: NDArray[np.void]
+    """(P,) of ``PLACEMENT``; the first is that of all static clusters."""
+    cluster_group: I64
+    """(C,), as ``Clusters.group``, numbered through the whole scene."""
+    cluster_next_group: I64
+    """(C,), as ``Clusters.next_group``."""
+    group_error: F64
+    """(G,), metres."""
+    group_box: F64
+    """(G, 6), centre and half extents, metres, frame of the link."""
+    group_link: I64
+    """(G,), as ``cluster_link``."""
+    closed_box: F64
+    """(S, 6), of closed surfaces, centre and half extents, metres, frame of the link."""
+    closed_link: I64
+    """(S,), as ``cluster_link``."""
+    triangles: int
+    """Number of triangles at the finest level."""
+    files: tuple[Path, ...]
+    """Files that were read."""
+    warnings: tuple[str, ...]
+
+
+def settings(batch: Batch) -> tuple[bool, int, int, AlphaMode, bool, bool, bool]:
+    """Returns the settings of a batch; batches with equal settings may be merged."""
+    return batch.moving, batch.texture, batch.maps, batch.alpha_mode, batch.unlit, batch.colored, batch.closed

@@ -1,0 +1,1 @@
+"""What the live page shows of ROS topics, and the services that it asks."""

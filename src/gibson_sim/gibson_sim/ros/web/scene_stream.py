@@ -1,0 +1,85 @@
+"""The scene for the 3-D view: its model once for each revision, its poses while a page shows it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from gibson_msgs.msg import Scene, SceneState
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros import conversions
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.scenes.asset_paths import with_local_files
+from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.web.scene_model import poses_message, scene_model
+from gibson_sim.web.server import PageServer
+from gibson_sim.web.videos import Poses
+
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_PERIOD_S = 0.04
+"""Seconds of wall time between poses."""
+
+
+class SceneStream:
+    """Subscribes to ``scene`` and ``scene_state`` while a page shows the scene in 3-D.
+
+    Args:
+        node: subscribes.
+        server: gets the model, as blobs ``scene``, ``scene_arrays`` and ``texture_<k>``, and the poses.
+    """
+
+    def __init__(self, node: Node, server: PageServer) -> None:
+        self._node, self._server = node, server
+        self._subscriptions: list[Any] = []
+        self._revision, self._links = -1, tuple[str, ...]()
+        self._made: tuple[str, int] | None = None
+        self._next_s = 0.0
+
+    def update(self, shown: bool) -> None:
+        """Subscribes if a page shows the scene, and else to nothing."""
+        if shown and not self._subscriptions:
+            self._subscriptions = [
+                self._node.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED),
+                self._node.create_subscription(SceneState, names.SCENE_STATE, self._on_state, _NEWEST),
+            ]
+        elif not shown:
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
+            self._subscriptions = []
+
+    def _on_scene(self, msg: Scene) -> None:
+        try:
+            scene, _ = with_local_files(conversions.scene_from_msg(msg))
+        except GibsonSimError as error:
+            self._node.get_logger().warning(f"the scene is not shown in 3-D: {error}")
+            return
+        self._revision, self._links = scene.revision, scene.links
+        if self._made != (scene.content_hash, scene.revision):
+            self._made = (scene.content_hash, scene.revision)
+            threading.Thread(target=self._make, args=(scene,), name="scene-model", daemon=True).start()
+
+    def _make(self, scene: DrawnScene) -> None:
+        """Makes the model, in a thread of its own: a second for a home, several for a large scan."""
+        try:
+            model = scene_model(scene, self._node.get_logger().warning)
+        except GibsonSimError as error:
+            self._node.get_logger().warning(f"the scene is not shown in 3-D: {error}")
+            return
+        if self._made != (scene.content_hash, scene.revision):
+            return  # a newer one is on its way
+        self._server.serve_blob("scene", model.description)
+        self._server.serve_blob("scene_arrays", model.arrays)
+        for number, texture in enumerate(model.textures):
+            self._server.serve_blob(f"texture_{number}", texture)
+        self._server.tell("scene", {"version": f"{scene.content_hash[:12]}-{scene.revision}"}, keep=True)
+
+    def _on_state(self, msg: SceneState) -> None:
+        now = time.monotonic()
+        if now < self._next_s or msg.revision != self._revision:
+            return
+        self._next_s = now + _PERIOD_S
+        self._server.show(Poses(poses_message(conversions.scene_state_from_msg(msg, self._links))))

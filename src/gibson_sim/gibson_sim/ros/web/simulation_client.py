@@ -1,0 +1,153 @@
+"""What a page asks of a simulation, by the services of ``simulation_interfaces``: any simulator that has them will do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import Pose
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import (
+    DeleteEntity,
+    GetEntitiesStates,
+    GetNamedPoses,
+    GetSimulationState,
+    GetSpawnables,
+    ResetSimulation,
+    SetEntityState,
+    SetSimulationState,
+    SpawnEntity,
+    StepSimulation,
+)
+
+from gibson_sim.types import WORLD_FRAME
+from gibson_sim.web.requests import Delete, Move, Rate, Request, Spawn, Time
+
+Answer = Callable[[bool, str], None]
+STATES = {
+    SimulationState.STATE_STOPPED: "stopped",
+    SimulationState.STATE_PLAYING: "playing",
+    SimulationState.STATE_PAUSED: "paused",
+    SimulationState.STATE_QUITTING: "quitting",
+    SimulationState.STATE_NO_WORLD: "no world",
+    SimulationState.STATE_LOADING_WORLD: "loading a world",
+}
+_SERVICES = {
+    "delete_entity": DeleteEntity, "get_entities_states": GetEntitiesStates, "get_named_poses": GetNamedPoses,
+    "get_simulation_state": GetSimulationState, "get_spawnables": GetSpawnables, "reset_simulation": ResetSimulation,
+    "set_entity_state": SetEntityState, "set_simulation_state": SetSimulationState, "spawn_entity": SpawnEntity,
+    "step_simulation": StepSimulation,
+}  # fmt: skip
+_OK = 1
+"""``Result.RESULT_OK``."""
+_DROP_M = 0.02
+"""A spawned thing begins this far above the floor, metres."""
+
+
+class SimulationClient:
+    """Calls the services; never blocks."""
+
+    def __init__(self, node: Node, physics: str = "physics") -> None:
+        """``physics``: name of the node with the parameter ``rate``."""
+        self._node, self._clients = node, {name: node.create_client(kind, name) for name, kind in _SERVICES.items()}
+        self._parameters = node.create_client(SetParameters, f"{physics}/set_parameters")
+
+    def is_there(self) -> bool:
+        """Returns whether a simulation answers in this domain."""
+        return bool(self._clients["get_simulation_state"].service_is_ready())
+
+    def ask(self, request: Request, floor_z: float, answer: Answer) -> None:
+        """Does what a page asks for; ``answer`` is called once it is done.
+
+        Args:
+            request: of a page.
+            floor_z: height of the floor that the page shows, metres.
+            answer: (whether it worked, what to say).
+        """
+        if isinstance(request, Time):
+            self._time(request, answer)
+        elif isinstance(request, Rate):
+            value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=request.value)
+            self._call(
+                self._parameters,
+                SetParameters.Request(parameters=[Parameter(name="rate", value=value)]),
+                partial(_parameter, answer),
+            )
+        elif isinstance(request, Spawn):
+            message = SpawnEntity.Request(allow_renaming=True)
+            if hasattr(message, "entity_resource"):  # 2.x
+                message.entity_resource.uri = request.uri
+            else:
+                message.uri = request.uri
+            message.initial_pose.header.frame_id = WORLD_FRAME
+            message.initial_pose.pose = flat_pose(request.x, request.y, floor_z + _DROP_M, request.yaw)
+            self._do("spawn_entity", message, answer, "spawned {response.entity_name}")
+        elif isinstance(request, Move):
+            message = SetEntityState.Request(entity=request.name)
+            message.state.header.frame_id = WORLD_FRAME
+            message.state.pose = flat_pose(request.x, request.y, floor_z + _DROP_M, request.yaw)
+            if hasattr(message, "set_pose"):  # 2.x
+                message.set_pose = True
+            self._do("set_entity_state", message, answer, "moved " + _literal(request.name))
+        elif isinstance(request, Delete):
+            self._do("delete_entity", DeleteEntity.Request(entity=request.name), answer, "deleted " + _literal(request.name))
+
+    def get(self, service: str, request: Any, then: Callable[[Any], None]) -> None:
+        """Calls ``then`` with the response of a service, where it answers and succeeds."""
+        self._call(
+            self._clients[service],
+            request,
+            lambda response: then(response) if response and response.result.result == _OK else None,
+        )
+
+    def _time(self, request: Time, answer: Answer) -> None:
+        if request.action == "step":
+            self._do("step_simulation", StepSimulation.Request(steps=request.steps), answer, "")
+        elif request.action == "reset":
+            self._do("reset_simulation", ResetSimulation.Request(), answer, "the simulation was reset")
+        else:
+            state = SimulationState.STATE_PLAYING if request.action == "play" else SimulationState.STATE_PAUSED
+            self._do("set_simulation_state", SetSimulationState.Request(state=SimulationState(state=state)), answer, "")
+
+    def _do(self, service: str, request: Any, answer: Answer, done: str) -> None:
+        def then(response: Any) -> None:
+            if response is None:
+                answer(False, f"nothing offers the service {service}: does a simulation run in this ROS domain?")
+            elif response.result.result != _OK and response.result.result != SetSimulationState.Response.ALREADY_IN_TARGET_STATE:
+                answer(False, response.result.error_message or f"{service} failed with code {response.result.result}")
+            else:
+                answer(True, done.format(response=response))
+
+        self._call(self._clients[service], request, then)
+
+    def _call(self, client: Any, request: Any, then: Callable[[Any], None]) -> None:
+        if not client.service_is_ready():
+            then(None)
+            return
+        client.call_async(request).add_done_callback(lambda future: then(None if future.exception() else future.result()))
+
+
+def _literal(text: str) -> str:
+    """Returns a text that ``str.format`` leaves as it is."""
+    return text.replace("{", "{{").replace("}", "}}")
+
+
+def _parameter(answer: Answer, response: Any) -> None:
+    results = response.results if response is not None else ()
+    if not results:
+        answer(False, "nothing has the parameter rate: does a simulation run in this ROS domain?")
+    else:
+        answer(bool(results[0].successful), results[0].reason)
+
+
+def flat_pose(x: float, y: float, z: float, yaw: float) -> Pose:
+    """Returns a level pose."""
+    pose = Pose()
+    pose.position.x, pose.position.y, pose.position.z = x, y, z
+    pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    return pose

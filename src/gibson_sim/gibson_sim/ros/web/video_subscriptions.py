@@ -1,0 +1,162 @@
+"""Image topics as JPEG files: subscribed to while a page watches them, and no longer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CompressedImage, Image
+
+from gibson_sim.types import NS_PER_S
+from gibson_sim.web.videos import Image as PageImage
+
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Matches whatever is offered, and holds no publisher up."""
+_QUALITY = 80
+"""Of JPEG, 0 to 100."""
+_FAR_M = 8.0
+"""Depth that is drawn as the farthest, metres."""
+_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_SUFFIX = "/compressed"
+
+
+def image_topics(graph: list[tuple[str, list[str]]]) -> list[tuple[str, str]]:
+    """Returns (topic, type) of every video in the graph, colour before the rest; where a topic exists in both forms, the compressed one.
+
+    Args:
+        graph: (topic, types), as rclpy returns them.
+    """
+    plain = {name for name, types in graph if types == [_IMAGE]}
+    compressed = {name for name, types in graph if types == [_COMPRESSED] and name.endswith(_SUFFIX)}
+    found = [(name, _COMPRESSED) for name in compressed]
+    found += [(name, _IMAGE) for name in plain if name + _SUFFIX not in compressed]
+    return sorted(found, key=lambda item: (item[1] != _COMPRESSED, item[0]))
+
+
+def label_of(topic: str) -> str:
+    """Returns what a page calls a video: ``/left/camera/depth/image_raw`` is "left/camera depth"."""
+    parts = [part for part in topic.removesuffix(_SUFFIX).strip("/").split("/") if part not in ("image_raw", "image")]
+    if len(parts) > 1 and parts[-1] in (
+        "depth",
+        "semantic",
+        "instance",
+        "normal",
+        "normal_world",
+        "position",
+        "flow",
+        "depth_registered",
+    ):
+        return f"{'/'.join(parts[:-1])} {parts[-1]}"
+    return "/".join(parts) or topic
+
+
+class VideoSubscriptions:
+    """The subscriptions of the videos that any page watches.
+
+    Args:
+        node: subscribes.
+        show: is called with each image.
+    """
+
+    def __init__(self, node: Node, show: Callable[[PageImage], None]) -> None:
+        self._node, self._show = node, show
+        self._subscriptions: dict[str, Any] = {}
+
+    def update(self, watched: frozenset[str], known: dict[str, str]) -> None:
+        """Subscribes to what is watched and known, and to nothing else.
+
+        Args:
+            watched: topics.
+            known: topic -> type, of all videos.
+        """
+        for topic in set(self._subscriptions) - watched:
+            self._node.destroy_subscription(self._subscriptions.pop(topic))
+        for topic in watched - set(self._subscriptions):
+            kind = known.get(topic)
+            if kind == _COMPRESSED:
+                self._subscriptions[topic] = self._node.create_subscription(
+                    CompressedImage, topic, partial(self._on_compressed, topic), _NEWEST
+                )
+            elif kind == _IMAGE:
+                self._subscriptions[topic] = self._node.create_subscription(Image, topic, partial(self._on_image, topic), _NEWEST)
+
+    def _on_compressed(self, topic: str, msg: CompressedImage) -> None:
+        data = bytes(msg.data)
+        if not data.startswith(b"\xff\xd8"):  # a PNG
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+            if pixels is None:
+                return
+            data = _jpeg(np.asarray(pixels, dtype=np.uint8))
+        self._show(PageImage(topic, _stamp_s(msg), data))
+
+    def _on_image(self, topic: str, msg: Image) -> None:
+        pixels = picture_of(msg)
+        if pixels is not None:
+            self._show(PageImage(topic, _stamp_s(msg), _jpeg(pixels)))
+
+
+def _stamp_s(msg: Any) -> float:
+    stamp = msg.header.stamp
+    return float(stamp.sec + stamp.nanosec / NS_PER_S)
+
+
+def _jpeg(bgr: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])
+
+
+_CHANNELS = {
+    "rgb8": (np.uint8, 3), "bgr8": (np.uint8, 3), "rgba8": (np.uint8, 4), "bgra8": (np.uint8, 4), "mono8": (np.uint8, 1), "8UC1": (np.uint8, 1),
+    "8UC3": (np.uint8, 3), "mono16": (np.uint16, 1), "16UC1": (np.uint16, 1), "32FC1": (np.float32, 1), "32FC2": (np.float32, 2),
+    "32FC3": (np.float32, 3),
+}  # fmt: skip
+"""Encoding -> type and number of channels."""
+
+
+def picture_of(msg: Image) -> NDArray[np.uint8] | None:
+    """Returns an image as (H, W, 3) uint8 BGR: colours as they are, depth and labels in false colours; None for an encoding that is not known.
+
+    32FC1 and 16UC1 named depth are metres and millimetres: near is bright, nothing is black. Other 16UC1 are labels. 32FC3 are normals (-1 to 1).
+    """
+    if msg.encoding not in _CHANNELS:
+        return None
+    kind, channels = _CHANNELS[msg.encoding]
+    size = np.dtype(kind).itemsize
+    if msg.width < 1 or msg.step < msg.width * channels * size or len(msg.data) < msg.step * msg.height:
+        return None
+    rows = np.frombuffer(msg.data, np.uint8)[: msg.step * msg.height].reshape(msg.height, msg.step)[
+        :, : msg.width * channels * size
+    ]
+    pixels = np.ascontiguousarray(rows).view(kind).reshape(msg.height, msg.width, channels)
+    if msg.encoding in ("rgb8", "rgba8"):
+        return np.ascontiguousarray(pixels[:, :, 2::-1])
+    if kind is np.uint8:
+        return np.repeat(pixels, 3, axis=2) if channels == 1 else np.ascontiguousarray(pixels[:, :, :3])
+    if msg.encoding == "32FC1":
+        return _depth(pixels[:, :, 0])
+    if kind is np.uint16:
+        return _labels(pixels[:, :, 0])
+    out = np.zeros((msg.height, msg.width, 3), dtype=np.uint8)
+    values = np.nan_to_num(pixels[:, :, :3], nan=0.0, posinf=0.0, neginf=0.0)
+    out[:, :, 3 - channels :] = np.clip(127.5 * (values + 1.0), 0, 255)[:, :, ::-1]
+    return out
+
+
+def _depth(metres: NDArray[np.float32]) -> NDArray[np.uint8]:
+    near = np.clip(1.0 - np.nan_to_num(metres, nan=_FAR_M, posinf=_FAR_M, neginf=_FAR_M) / _FAR_M, 0.0, 1.0)
+    colors: NDArray[np.uint8] = cv2.applyColorMap((255 * near).astype(np.uint8), cv2.COLORMAP_TURBO)
+    colors[~np.isfinite(metres) | (metres <= 0.0)] = 0
+    return colors
+
+
+def _labels(numbers: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    n = numbers.astype(np.uint32)
+    mixed = (n * np.uint32(2654435761)) >> np.uint32(8)  # Knuth's multiplicative hash: neighbours in number differ in colour
+    colors = np.stack([mixed & 0xFF, (mixed >> 8) & 0xFF, (mixed >> 16) & 0xFF], axis=2).astype(np.uint8)
+    colors[numbers == 0] = 0
+    return colors

@@ -1,0 +1,1 @@
+"""The live page: a browser sees and drives a robot. Knows no ROS; ``ros.web`` feeds it."""

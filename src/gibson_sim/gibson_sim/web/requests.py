@@ -1,0 +1,190 @@
+"""What a page may ask for: one JSON object a message, checked here before anything acts on it. Pure."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import quoted
+
+MAX_BYTES = 4096
+"""Length of a message of a page."""
+MAX_VIDEOS = 16
+"""Videos that one page may watch at a time."""
+MAX_TEXT = 512
+"""Characters of a name or a URI."""
+MAX_COORDINATE = 1e6
+"""Metres."""
+MAX_SPEED, MAX_TURN = 10.0, 20.0
+"""m/s and rad/s of a command; the robot's own limits come on top."""
+MAX_STEPS = 100_000
+MAX_RATE = 1000.0
+"""Simulation time over wall time."""
+
+TimeAction = Literal["play", "pause", "step", "reset"]
+
+
+class PageRequestError(GibsonSimError):
+    """A message of a page that is no request; the page is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """The videos that the page shows from now on; none while it is hidden."""
+
+    topics: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """The page has shown the last image of a video, and is ready for the next."""
+
+    topic: str
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Velocities in the robot's base frame, m/s and rad/s; they hold for ``drive.DEADLINE_S``."""
+
+    linear: float
+    lateral: float
+    angular: float
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """A pose on the map, metres and radians: where to go, or where the robot is taken to be."""
+
+    kind: Literal["goal", "initial_pose"]
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclass(frozen=True, slots=True)
+class Time:
+    """Play, pause, make steps, or reset the simulation."""
+
+    action: TimeAction
+    steps: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Speed of simulation time against wall time; 0 = as fast as possible."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spawn:
+    """Puts a thing of the catalogue on the floor, metres and radians."""
+
+    uri: str
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Puts an entity elsewhere on the floor, metres and radians."""
+
+    name: str
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclass(frozen=True, slots=True)
+class Delete:
+    """Removes an entity."""
+
+    name: str
+
+
+Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete
+
+
+def parse_request(message: str) -> Request:
+    """Returns what a page asks for.
+
+    Raises:
+        PageRequestError: it is no request of a page: what, which value, what is allowed.
+    """
+    if len(message) > MAX_BYTES:
+        raise PageRequestError(f"a message has {len(message)} characters, at most {MAX_BYTES} are allowed")
+    try:
+        values = json.loads(message)
+    except (ValueError, RecursionError) as error:
+        raise PageRequestError(f"a message is no JSON: {quoted(message)}") from error
+    if not isinstance(values, dict):
+        raise PageRequestError(f"a message is {quoted(message)}, must be a JSON object")
+    fields = _Fields(values)
+    kind = fields.choice("type", tuple(_READERS))
+    request: Request = _READERS[kind](fields)
+    return request
+
+
+class _Fields:
+    """The values of one message."""
+
+    def __init__(self, values: dict[str, Any]) -> None:
+        self._values = values
+
+    def number(self, key: str, limit: float, low: float | None = None) -> float:
+        """Returns a finite number between ``low`` (-limit) and ``limit``."""
+        value = self._values.get(key, 0.0)
+        least = -limit if low is None else low
+        good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not good or not least <= value <= limit:
+            raise PageRequestError(f"{key} is {quoted(value)}, must be a number from {least:g} to {limit:g}")
+        return float(value)
+
+    def text(self, key: str) -> str:
+        """Returns a text that is not empty."""
+        value = self._values.get(key)
+        if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT:
+            raise PageRequestError(f"{key} is {quoted(value)}, must be a text of 1 to {MAX_TEXT} characters")
+        return value
+
+    def texts(self, key: str, most: int) -> tuple[str, ...]:
+        """Returns a list of texts."""
+        value = self._values.get(key)
+        if not isinstance(value, list) or len(value) > most or not all(isinstance(t, str) and len(t) <= MAX_TEXT for t in value):
+            raise PageRequestError(f"{key} is {quoted(value)}, must be a list of at most {most} texts")
+        return tuple(value)
+
+    def choice(self, key: str, known: tuple[str, ...]) -> str:
+        """Returns one of the known texts."""
+        value = self._values.get(key)
+        if value not in known:
+            raise PageRequestError(f"{key} is {quoted(value)}, must be one of {', '.join(known)}")
+        return str(value)
+
+    def place(self) -> tuple[float, float, float]:
+        """Returns x, y and yaw."""
+        x, y = (self.number(key, MAX_COORDINATE) for key in ("x", "y"))
+        return x, y, self.number("yaw", 100.0)
+
+
+def _time(fields: _Fields) -> Time:
+    action: Any = fields.choice("action", ("play", "pause", "step", "reset"))
+    return Time(action, int(fields.number("steps", MAX_STEPS, 1.0)) if action == "step" else 1)
+
+
+_READERS: dict[str, Any] = {
+    "watch": lambda f: Watch(f.texts("topics", MAX_VIDEOS)),
+    "shown": lambda f: Shown(f.text("topic")),
+    "drive": lambda f: Drive(f.number("linear", MAX_SPEED), f.number("lateral", MAX_SPEED), f.number("angular", MAX_TURN)),
+    "goal": lambda f: Goal("goal", *f.place()),
+    "initial_pose": lambda f: Goal("initial_pose", *f.place()),
+    "time": _time,
+    "rate": lambda f: Rate(f.number("value", MAX_RATE, 0.0)),
+    "spawn": lambda f: Spawn(f.text("uri"), *f.place()),
+    "move": lambda f: Move(f.text("name"), *f.place()),
+    "delete": lambda f: Delete(f.text("name")),
+}

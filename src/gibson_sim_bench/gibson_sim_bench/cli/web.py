@@ -1,0 +1,145 @@
+"""``gibson-sim bench web``: how late the images of the live page are, from the tick to the pixels of a real browser, and how many there are."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.errors import ConfigError, EnvironmentProblemError
+from gibson_sim_bench.cli.processes import PATIENCE_S, BenchError, answer, process
+
+_SAMPLER = """(seconds) => new Promise((done) => {
+  const found = [], begin = performance.now(); let last = '';
+  const look = () => {
+    const canvas = document.querySelector('canvas[data-stamp]'), stamp = canvas ? canvas.dataset.stamp : '';
+    if (stamp !== last) { last = stamp; found.push([(performance.timeOrigin + performance.now()) / 1000, Number(stamp)]); }
+    performance.now() - begin > seconds * 1000 ? done(found) : requestAnimationFrame(look);
+  };
+  look();
+})"""
+"""Notes, in each frame of the browser, when another image is on the page: wall time and stamp, seconds."""
+_SETTLE_S = 3.0
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "web",
+        help="latency and rate of the live page's images in a real browser (needs Chromium and playwright)",
+        description="Runs a simulation with its page, opens it in Chromium without a window, and drives.",
+    )
+    parser.add_argument("--scene", default="linden_flat", help="scene (default: linden_flat)")
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="wall time to measure (default: 20)")
+    add_report_options(parser)
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints what was measured, and writes the JSON file if one is named."""
+    from gibson_sim_bench import timing
+
+    if args.seconds <= 0:
+        raise ConfigError(f"--seconds {args.seconds:g}: must be above 0")
+    require_nodes()
+    facts = timing.facts()
+    found = measure(args.scene, args.seconds, args.domain_id)
+    print(
+        f"{found['images']} images in {found['seconds']:.1f} s: {found['images_per_s']:.1f}/s; from tick to pixels "
+        f"{found['latency_ms']['median']:.0f} ms (median), {found['latency_ms']['p95']:.0f} ms (95 %); "
+        f"real-time factor {found['real_time_factor']:.2f}"
+    )
+    write_json(args.json, {"kind": "web", "facts": asdict(facts), **found})
+    return 0
+
+
+def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[str, Any]:
+    """Returns what a page in Chromium shows of a running simulation whose robot it drives.
+
+    Args:
+        scene: name or path.
+        seconds: wall time to measure.
+        domain_id: ROS domain; None = that of the environment.
+
+    Returns:
+        ``images``, ``seconds``, ``images_per_s``, ``latency_ms`` (``median``, ``p95``) and ``real_time_factor``. The latency is the wall
+        time from the publication of a tick on /clock to the frame of the browser in which its image is on the page.
+
+    Raises:
+        EnvironmentProblemError: there is no Chromium, or no playwright.
+        BenchError: the page shows nothing.
+    """
+    environment, port = node_environment(domain_id=domain_id), _free_port()
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene, "--web-port", str(port)]
+    with _browser() as browser, process(command, environment), ThreadPoolExecutor(1) as pool:
+        page = _opened(browser, f"http://127.0.0.1:{port}/")
+        clock = pool.submit(answer, environment, "clock_arrivals", _SETTLE_S + seconds, seconds=_SETTLE_S + seconds)
+        page.keyboard.down("a")
+        page.wait_for_timeout(_SETTLE_S * 1000)
+        tell(f"measuring for {seconds:g} s")
+        images = page.evaluate(_SAMPLER, seconds)[1:]
+        marks = clock.result()
+    if len(images) < 2:
+        raise BenchError(f"the page showed {len(images)} images in {seconds:g} s")
+    late = sorted(1000.0 * (wall - stamp - marks["offset_s"]) for wall, stamp in images)
+    passed = images[-1][0] - images[0][0]
+    return {
+        "scene": scene,
+        "images": len(images),
+        "seconds": passed,
+        "images_per_s": (len(images) - 1) / passed,
+        "latency_ms": {"median": late[len(late) // 2], "p95": late[int(0.95 * len(late))]},
+        "real_time_factor": (images[-1][1] - images[0][1]) / passed,
+    }
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def _browser() -> Iterator[Any]:
+    """Runs Chromium, without a window, inside the block."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        raise EnvironmentProblemError("a browser is needed: apt-get install chromium")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise EnvironmentProblemError("playwright is needed: pip install 'gibson_sim_bench[web]'") from error
+    with sync_playwright() as playwright:
+        # As root Chromium has no sandbox; it opens our own page alone.
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def _opened(browser: Any, url: str) -> Any:
+    """Returns the page once it shows images."""
+    from playwright.sync_api import Error
+
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        page = browser.new_page(viewport={"width": 1360, "height": 820}, bypass_csp=True)
+        try:
+            page.goto(url)
+            page.wait_for_selector("canvas[data-stamp]", timeout=20_000)
+        except Error as error:
+            page.close()
+            if time.monotonic() > deadline:
+                raise BenchError(f"the page at {url} shows no images: {error}") from error
+            time.sleep(0.5)
+        else:
+            return page

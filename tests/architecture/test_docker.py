@@ -1,0 +1,65 @@
+"""docker/Dockerfile knows the packages and the dependencies of the source tree."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+FROM_UBUNTU = {"numpy", "opencv-python-headless", "pyyaml", "scipy", "xacro"}
+"""Dependencies that the image takes from Ubuntu or ROS."""
+
+
+def _dockerfile(root: Path) -> str:
+    return (root / "docker" / "Dockerfile").read_text()
+
+
+def _dependencies(root: Path) -> set[str]:
+    """Returns the packages that ours need, directly or through others, on the image's Python 3.12."""
+    found: set[str] = set()
+    todo = []
+    for package in PYTHON_PACKAGES:
+        block = re.search(r"(?s)install_requires=\[(.*?)\]", (root / "src" / package / "setup.py").read_text())
+        assert block is not None
+        todo += [name for name in re.findall(r'"([\w-]+)', block[1]) if name not in PYTHON_PACKAGES]
+    while todo:
+        name = canonicalize_name(todo.pop())
+        if name in found:
+            continue
+        found.add(name)
+        try:
+            lines = importlib.metadata.requires(name) or []
+        except importlib.metadata.PackageNotFoundError:  # not needed on this Python
+            continue
+        image = {"extra": "", "python_version": "3.12", "python_full_version": "3.12.3"}
+        needed = [Requirement(line) for line in lines]
+        todo += [one.name for one in needed if one.marker is None or one.marker.evaluate(image)]
+    return found
+
+
+def test_the_ros_image_has_every_dependency(root: Path) -> None:
+    listed = re.search(r"grep -E '\^\(([^)]*)\)==' \\", _dockerfile(root))
+    assert listed is not None
+    names = listed[1].split("|")
+    assert names == sorted(set(names))
+    assert _dependencies(root) - FROM_UBUNTU - set(names) == set()
+    assert all(re.search(rf"(?m)^{name}==", (root / "constraints.txt").read_text()) for name in names)
+
+
+def test_the_pip_image_copies_what_the_set_up_reads(root: Path) -> None:
+    first = _dockerfile(root).split("RUN make setup")[0]
+    files = [
+        f"{package}/{name}" for package in PYTHON_PACKAGES for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml")
+    ]
+    files += [f"{package}/resource" for package in PYTHON_PACKAGES]
+    files += [f"{package}/{package}/__init__.py" for package in PYTHON_PACKAGES]
+    assert [file for file in files if f"src/{file} " not in first] == []
+
+
+def test_copied_files_exist(root: Path) -> None:
+    copied = [line.split()[1:-1] for line in _dockerfile(root).splitlines() if line.startswith("COPY ") and "--from" not in line]
+    assert [name for names in copied for name in names if not (root / name).exists()] == []

@@ -1,0 +1,53 @@
+"""What a strict run of the tests (``make check``) refuses: skips of tests that this machine can run, and second attempts without a reason.
+
+``make setup`` brings ROS, EGL's software renderer, Numba, Gymnasium and the rest, so a test that finds one of them missing has found a fault.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+VARIABLE = "GIBSON_SIM_STRICT"
+"""Set: the run is strict."""
+FLAKY_LIST = Path(__file__).resolve().parents[1] / "flaky.txt"
+MAY_BE_MISSING = {
+    "graphics card": r"\bGPU\b|CUDA|graphics card|nvidia|UUIDs of their own",
+    "PyTorch, CuPy and JAX": r"\b(torch|PyTorch|cupy|CuPy|jax|JAX)\b",
+    "optional tools, which the package index has": r"Blender|Open3D|usd-core|coacd|mujoco|pyrender",
+    "worlds of others": r"no real worlds|GIBSON_SIM_TEST_DATA|not among the worlds",
+    "rights of root": r"by root alone|needs? root|network namespace|unshare",
+}
+"""What a machine may lack -> how a skip names it. All else is installed by ``make setup``."""
+
+
+def refused_skip(reason: str) -> bool:
+    """Returns whether a test may not be skipped for this reason in a strict run."""
+    return not any(re.search(pattern, reason) for pattern in MAY_BE_MISSING.values())
+
+
+def known_flaky() -> dict[str, str]:
+    """Returns the tests that may need a second attempt, each with the reason: lines ``<node id>  # <reason>`` of ``tests/flaky.txt``."""
+    lines = (line.partition("  # ") for line in FLAKY_LIST.read_text(encoding="utf-8").splitlines())
+    return {test.strip(): reason.strip() for test, _, reason in lines if test.strip() and not test.startswith("#")}
+
+
+def faults(stats: dict[str, list[Any]]) -> list[str]:
+    """Returns what a strict run refuses of all that happened, one line each.
+
+    Args:
+        stats: as pytest's terminal reporter counts them: "skipped" and "rerun" -> reports.
+    """
+    found = []
+    for report in stats.get("skipped", ()):
+        reason = str(report.longrepr[-1]) if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        if refused_skip(reason):
+            found.append(f"{report.nodeid} was skipped although this machine can run it: {reason}")
+    flaky = known_flaky()
+    found += [
+        f"{report.nodeid} needed a second attempt: mend it, or add it to tests/flaky.txt with the reason"
+        for report in stats.get("rerun", ())
+        if report.nodeid not in flaky
+    ]
+    return found

@@ -1,0 +1,35 @@
+"""What a strict run of the tests refuses."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from support import strict
+
+
+@pytest.mark.parametrize(
+    "reason", ["SKIPPED: no rclpy in this Python", "SKIPPED: EGL cannot be loaded", "could not import 'pybullet'"]
+)
+def test_what_make_setup_brings_may_not_be_missing(reason: str) -> None:
+    assert strict.refused_skip(reason)
+
+
+@pytest.mark.parametrize(
+    "reason", ["SKIPPED: no GPU here", "SKIPPED: Open3D is not here (no module)", "SKIPPED: no real worlds at /x"]
+)
+def test_what_a_machine_may_lack_is_skipped(reason: str) -> None:
+    assert not strict.refused_skip(reason)
+
+
+def test_a_second_attempt_is_refused_unless_it_is_explained() -> None:
+    known = next(iter(strict.known_flaky()))
+    reports = [SimpleNamespace(nodeid=known), SimpleNamespace(nodeid="tests/x.py::test_new")]
+    assert strict.faults({"rerun": reports}) == [
+        "tests/x.py::test_new needed a second attempt: mend it, or add it to tests/flaky.txt with the reason"
+    ]
+
+
+def test_each_flaky_test_has_a_reason() -> None:
+    assert all(strict.known_flaky().values())

@@ -1,0 +1,57 @@
+"""What a page may ask for, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given, strategies as st
+
+from gibson_sim.web.requests import Drive, Goal, PageRequestError, Spawn, Time, Watch, parse_request
+
+
+@pytest.mark.parametrize(
+    ("message", "request_"),
+    [
+        ({"type": "drive", "linear": 0.4, "angular": -1}, Drive(0.4, 0.0, -1.0)),
+        ({"type": "watch", "topics": ["/camera/image_raw"]}, Watch(("/camera/image_raw",))),
+        ({"type": "goal", "x": 1, "y": 2.5, "yaw": 0.5}, Goal("goal", 1.0, 2.5, 0.5)),
+        ({"type": "time", "action": "step", "steps": 10}, Time("step", 10)),
+        ({"type": "time", "action": "pause", "steps": 10}, Time("pause", 1)),
+        ({"type": "spawn", "uri": "bottle", "x": 1, "y": 2}, Spawn("bottle", 1.0, 2.0, 0.0)),
+    ],
+)
+def test_a_request_is_read(message: dict[str, object], request_: object) -> None:
+    assert parse_request(json.dumps(message)) == request_
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        ("{", "is no JSON"),
+        ("[" * 4000, "is no JSON"),
+        ("[]", "must be a JSON object"),
+        ('{"type": "reboot"}', "type is 'reboot', must be one of watch"),
+        ('{"type": "drive", "linear": NaN}', "linear is nan, must be a number from -10 to 10"),
+        ('{"type": "drive", "linear": 1e9}', "must be a number from -10 to 10"),
+        ('{"type": "drive", "linear": true}', "linear is True"),
+        ('{"type": "time", "action": "step", "steps": 0}', "must be a number from 1 to 100000"),
+        ('{"type": "rate", "value": -1}', "value is -1, must be a number from 0 to 1000"),
+        ('{"type": "spawn", "uri": ""}', "must be a text of 1 to 512 characters"),
+        ('{"type": "watch", "topics": "all"}', "must be a list of at most 16 texts"),
+        ('{"type": "delete", "name": "' + "x" * 5000 + '"}', "at most 4096 are allowed"),
+    ],
+)
+def test_what_is_no_request_is_refused(message: str, reason: str) -> None:
+    with pytest.raises(PageRequestError) as error:
+        parse_request(message)
+    assert reason in str(error.value)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda v: st.lists(v) | st.dictionaries(st.text(), v)))
+def test_nothing_else_is_raised(value: object) -> None:
+    for message in (value, {"type": "move", "name": value, "x": value}, {"type": "watch", "topics": value}, {"type": value}):
+        try:
+            parse_request(json.dumps(message))
+        except PageRequestError:
+            continue

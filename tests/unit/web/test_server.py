@@ -1,0 +1,209 @@
+"""The server of the live page: who is let in, who gets what, when the robot stops."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import aiohttp
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.web.requests import Drive, Request, Time
+from gibson_sim.web.server import MAX_PAGES, PageServer
+from gibson_sim.web.videos import Image
+
+
+class Backend:
+    """Notes what it is told."""
+
+    def __init__(self) -> None:
+        self.watched: list[frozenset[str]] = []
+        self.commands: list[Drive] = []
+        self.asked: list[Request] = []
+
+    def watch(self, topics: frozenset[str]) -> None:
+        self.watched.append(topics)
+
+    def drive(self, command: Drive) -> None:
+        self.commands.append(command)
+
+    def ask(self, request: Request, answer: Callable[[bool, str], None]) -> None:
+        self.asked.append(request)
+        answer(True, "done")
+
+
+@pytest.fixture
+def backend() -> Backend:
+    return Backend()
+
+
+@pytest.fixture
+def server(backend: Backend) -> Iterator[PageServer]:
+    server = PageServer(backend)
+    yield server
+    server.close()
+
+
+def _get(url: str, **headers: str) -> tuple[int, str]:
+    async def get() -> tuple[int, str]:
+        async with aiohttp.ClientSession() as session, session.get(url, headers=headers) as response:
+            return response.status, await response.text()
+
+    return asyncio.run(get())
+
+
+def _talk(server: PageServer, talk: Callable[[aiohttp.ClientWebSocketResponse], Any], **headers: str) -> Any:
+    async def run() -> Any:
+        url = f"http://127.0.0.1:{server.port}/socket"
+        async with aiohttp.ClientSession() as session, session.ws_connect(url, headers=headers) as socket:
+            return await talk(socket)
+
+    return asyncio.run(run())
+
+
+def _until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+async def _reply(socket: aiohttp.ClientWebSocketResponse) -> Any:
+    while True:
+        message = await socket.receive_json()
+        if message["type"] == "reply":
+            return message["value"]
+
+
+def test_the_page_and_its_parts_are_served(server: PageServer) -> None:
+    status, text = _get(server.url)
+    assert status == 200 and "<title>Gibson Sim</title>" in text
+    for name in ("app.js", "map.js", "drive.js", "style.css", "icon.svg"):
+        assert _get(f"{server.url}page/{name}")[0] == 200
+
+
+@pytest.mark.parametrize(
+    "path", ["page/..%2f__init__.py", "page/%2e%2e/server.py", "page//etc/passwd", "data/..%2f..", "page/none"]
+)
+def test_no_path_is_opened(server: PageServer, path: str) -> None:
+    assert _get(server.url + path)[0] == 404
+
+
+def test_another_web_site_is_refused(server: PageServer) -> None:
+    assert _get(server.url, Origin="http://evil.example")[0] == 403
+    assert _get(server.url, Host="evil.example")[0] == 403  # a name that an attacker's DNS has turned to loopback
+    with pytest.raises(aiohttp.WSServerHandshakeError):
+        _talk(server, lambda socket: socket.close(), Origin="http://evil.example")
+
+
+def test_another_address_needs_a_token(backend: Backend) -> None:
+    with pytest.raises(ConfigError, match="a token is needed"):
+        PageServer(backend, "0.0.0.0")
+    server = PageServer(backend, "0.0.0.0", token="correct-horse")
+    try:
+        for query, status in (("", 403), ("?token=wrong", 403), ("?token=correct-horse", 200)):
+            assert _get(f"http://127.0.0.1:{server.port}/{query}")[0] == status
+    finally:
+        server.close()
+
+
+def test_a_port_that_is_taken_is_one_line(server: PageServer, backend: Backend) -> None:
+    with pytest.raises(ConfigError, match=f"port {server.port} of 127.0.0.1 cannot be used"):
+        PageServer(backend, port=server.port)
+
+
+def test_what_a_page_asks_for_reaches_the_backend_and_is_answered(server: PageServer, backend: Backend) -> None:
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        await socket.send_json({"type": "time", "action": "pause"})
+        done = await _reply(socket)
+        await socket.send_str("nonsense")
+        return done, await _reply(socket)
+
+    done, refused = _talk(server, talk)
+    assert done == {"to": "Time", "ok": True, "text": "done"}
+    assert not refused["ok"] and "is no JSON" in refused["text"]
+    assert backend.asked == [Time("pause")]
+
+
+def test_images_go_to_who_watches_and_only_while_they_do(server: PageServer, backend: Backend) -> None:
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> bytes:
+        await socket.send_json({"type": "watch", "topics": ["/a"]})
+        while not backend.watched:
+            await asyncio.sleep(0.005)
+        server.show(Image("/b", 1.0, b"other"))
+        server.show(Image("/a", 2.0, b"jpeg"))
+        return await socket.receive_bytes()
+
+    assert _talk(server, talk).endswith(b"/ajpeg")
+    _until(lambda: backend.watched[-1] == frozenset())
+    assert backend.watched[0] == frozenset({"/a"})
+
+
+def test_a_lost_connection_stops_the_robot(server: PageServer, backend: Backend) -> None:
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        await socket.send_json({"type": "drive", "linear": 0.5})
+        while not backend.commands:
+            await asyncio.sleep(0.005)
+        socket._response.connection.transport.abort()
+
+    _talk(server, talk)
+    _until(lambda: Drive(0.0, 0.0, 0.0) in backend.commands)
+    assert backend.commands[0] == Drive(0.5, 0.0, 0.0)
+
+
+def test_a_second_page_cannot_take_the_robot(server: PageServer, backend: Backend) -> None:
+    async def talk(first: aiohttp.ClientWebSocketResponse) -> Any:
+        async def keep_driving() -> None:
+            while True:
+                await first.send_json({"type": "drive", "linear": 0.5})
+                await asyncio.sleep(0.05)
+
+        driving = asyncio.create_task(keep_driving())
+        while not backend.commands:
+            await asyncio.sleep(0.005)
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{server.port}/socket") as second:
+            await second.send_json({"type": "drive", "linear": -1.0})
+            refused = await _reply(second)
+        driving.cancel()
+        return refused
+
+    assert _talk(server, talk)["text"] == "another page drives"
+    assert Drive(-1.0, 0.0, 0.0) not in backend.commands
+
+
+def test_a_page_that_comes_later_gets_what_is_kept(server: PageServer) -> None:
+    server.tell("map", {"width": 3}, keep=True)
+    server.tell("scan", [1])
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        return await socket.receive_json()
+
+    assert _talk(server, talk) == {"type": "map", "value": {"width": 3}}
+
+
+def test_a_page_that_reads_nothing_holds_nobody_up(server: PageServer, backend: Backend) -> None:
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        for number in range(20_000):
+            server.tell("status", {"number": number, "text": "x" * 1000})
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{server.port}/socket") as second:
+            await second.send_json({"type": "time", "action": "play"})
+            return await _reply(second)
+
+    assert _talk(server, talk)["ok"]
+
+
+def test_only_so_many_pages_are_let_in(server: PageServer) -> None:
+    async def run() -> int:
+        async with aiohttp.ClientSession() as session:
+            url = f"http://127.0.0.1:{server.port}/socket"
+            sockets = [await session.ws_connect(url) for _ in range(MAX_PAGES)]
+            async with session.get(url) as response:
+                status = response.status
+            for socket in sockets:
+                await socket.close()
+            return status
+
+    assert asyncio.run(run()) == 503
