@@ -170,7 +170,7 @@ def test_initial_pose_by_topic_starts_the_robot(context: Any) -> None:
     fed.odometry(0)
     fed.tf(0, HERE)
     fed.scan(0, HERE)
-    assert fed.node._said == "waiting for initialpose"
+    assert fed.node._status == "waiting for initialpose"
     pose = PoseWithCovarianceStamped()
     pose.pose.pose.position.x = pose.pose.pose.position.y = 2.0
     pose.pose.pose.orientation.w = 1.0

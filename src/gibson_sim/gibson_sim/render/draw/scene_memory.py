@@ -1,6 +1,6 @@
 """The geometry and textures of a scene in GPU memory, and how they grow and shrink when the scene changes.
 
-``SceneMemory`` owns the buffers, vertex arrays and textures; ``upload_texture`` makes one texture with its mip levels.
+``SceneMemory`` owns the buffers, vertex arrays and textures; ``upload_texture_with_mip_levels`` makes one texture with its mip levels.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class SceneMemory:
             self._gl.delete("glDeleteTextures", self._texture_of.pop(gone)[0])
         for key, source in needed.items():
             if key not in self._texture_of:
-                self._texture_of[key] = upload_texture(self._gl, source.pixels, compress=self._compress)
+                self._texture_of[key] = upload_texture_with_mip_levels(self._gl, source.pixels, compress=self._compress)
         self.textures = [self._texture_of[id(source)][0] for source in sources]
 
     @property
@@ -151,7 +151,7 @@ class SceneMemory:
             self._gl.delete("glDeleteVertexArrays", self._arrays.pop())
 
 
-def upload_texture(gl: GL.Gl, pixels: Pixels, *, compress: bool) -> tuple[int, int]:
+def upload_texture_with_mip_levels(gl: GL.Gl, pixels: Pixels, *, compress: bool) -> tuple[int, int]:
     """Returns a texture with mip levels, and its size in bytes.
 
     Args:

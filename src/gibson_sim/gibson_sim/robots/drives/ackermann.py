@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from gibson_sim.robots.drive_spec import AckermannSpec
-from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, approach
+from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, limit_velocity_change
 
 
 def steering_angles(curvature: float, car: AckermannSpec) -> tuple[float, float]:
@@ -69,8 +69,8 @@ class AckermannDrive(Drive):
         speed, curvature = feasible_motion(commanded, car)
         if curvature is not None:
             steering = math.atan(curvature * car.wheelbase)
-            self._steering = approach(self._steering, steering, math.pi / 2, car.max_steering_rate * dt)
-        linear = approach(self.velocity.linear, speed, car.max_linear, car.max_linear_acceleration * dt)
+            self._steering = limit_velocity_change(self._steering, steering, math.pi / 2, car.max_steering_rate * dt)
+        linear = limit_velocity_change(self.velocity.linear, speed, car.max_linear, car.max_linear_acceleration * dt)
         now = math.tan(self._steering) / car.wheelbase
         self.velocity = PlanarVelocity(*self._arc(linear, now))
         return DriveTargets(rear_speeds(self._rolled.linear, now, car), steering_angles(now, car))

@@ -202,7 +202,7 @@ def active_command(command: VelocityCommand | None, now_ns: int, timeout_ns: int
     return PlanarVelocity(command.linear[0], command.linear[1], command.angular[2])
 
 
-def approach(current: float, goal: float, limit: float, change: float) -> float:
+def limit_velocity_change(current: float, goal: float, limit: float, change: float) -> float:
     """Returns ``goal`` clipped to +-``limit``, at most ``change`` away from ``current``."""
     # Comparisons, not min() and max(), which take twice as long: this runs at every step.
     target = -limit if goal < -limit else limit if goal > limit else goal

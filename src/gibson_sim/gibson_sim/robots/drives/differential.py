@@ -8,7 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gibson_sim.robots.drive_spec import DifferentialSpec
-from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, approach
+from gibson_sim.robots.drives.base import (
+    BaseServo,
+    Drive,
+    DriveJoint,
+    DriveTargets,
+    PlanarVelocity,
+    Response,
+    limit_velocity_change,
+)
 
 
 def wheel_speeds(linear: float, angular: float, drive: DifferentialSpec) -> tuple[float, float]:
@@ -34,8 +42,8 @@ def limit_velocity(current: PlanarVelocity, commanded: PlanarVelocity, limits: D
         limits: Speeds and accelerations.
         dt: Time between the two, s.
     """
-    linear = approach(current.linear, commanded.linear, limits.max_linear, limits.max_linear_acceleration * dt)
-    angular = approach(current.angular, commanded.angular, limits.max_angular, limits.max_angular_acceleration * dt)
+    linear = limit_velocity_change(current.linear, commanded.linear, limits.max_linear, limits.max_linear_acceleration * dt)
+    angular = limit_velocity_change(current.angular, commanded.angular, limits.max_angular, limits.max_angular_acceleration * dt)
     return PlanarVelocity(linear, 0.0, angular)
 
 

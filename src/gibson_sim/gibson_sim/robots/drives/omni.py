@@ -8,7 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from gibson_sim.robots.drive_spec import OmniSpec
-from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, approach
+from gibson_sim.robots.drives.base import (
+    BaseServo,
+    Drive,
+    DriveJoint,
+    DriveTargets,
+    PlanarVelocity,
+    Response,
+    limit_velocity_change,
+)
 
 
 class OmniDrive(Drive):
@@ -27,9 +35,9 @@ class OmniDrive(Drive):
     def _follow(self, commanded: PlanarVelocity, dt: float) -> DriveTargets:
         now, limits = self.velocity, self._spec
         self.velocity = PlanarVelocity(
-            approach(now.linear, commanded.linear, limits.max_linear, limits.max_linear_acceleration * dt),
-            approach(now.lateral, commanded.lateral, limits.max_lateral, limits.max_lateral_acceleration * dt),
-            approach(now.angular, commanded.angular, limits.max_angular, limits.max_angular_acceleration * dt),
+            limit_velocity_change(now.linear, commanded.linear, limits.max_linear, limits.max_linear_acceleration * dt),
+            limit_velocity_change(now.lateral, commanded.lateral, limits.max_lateral, limits.max_lateral_acceleration * dt),
+            limit_velocity_change(now.angular, commanded.angular, limits.max_angular, limits.max_angular_acceleration * dt),
         )
         return DriveTargets(self.wheel_speeds(self.velocity))
 

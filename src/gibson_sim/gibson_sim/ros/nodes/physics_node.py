@@ -332,7 +332,7 @@ class PhysicsNode(Node):
                 robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)
                 try:
                     if robot is not None:
-                        robot.receive(name, message)
+                        robot.receive_command(name, message)
                     elif self._sim_services is not None:
                         requested = True
                         self._sim_services.replay(name, message)

@@ -144,10 +144,10 @@ class ArmInterface:
     # Commands
 
     def _on_command(self, topic: str, msg: Any) -> None:
-        self.receive(topic, msg)
+        self.receive_command(topic, msg)
         self._on_received(topic)
 
-    def receive(self, topic: str, msg: Any) -> None:
+    def receive_command(self, topic: str, msg: Any) -> None:
         """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
         self._enqueue(_Command(topic, msg, None))
 

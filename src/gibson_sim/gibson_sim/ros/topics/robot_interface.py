@@ -119,13 +119,13 @@ class RobotInterface:
         return self._node.resolve_topic_name(self._topic(name))
 
     def _on_command(self, topic: str, msg: Any) -> None:
-        self.receive(topic, msg)
+        self.receive_command(topic, msg)
         self._on_received(topic)
 
-    def receive(self, topic: str, msg: Any) -> None:
+    def receive_command(self, topic: str, msg: Any) -> None:
         """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
         if topic in self._arms.command_topics:
-            self._arms.receive(topic, msg)
+            self._arms.receive_command(topic, msg)
         else:
             self._received_commands.append((topic, msg))
 
