@@ -112,7 +112,9 @@ def run(command: list[str], venv: Path, log: Path, extra: dict[str, str] | None 
     if code:
         tail = log.read_text(errors="replace").splitlines()[-30:]
         print("\n".join(tail), file=sys.stderr)
-        raise SetupError(f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; its whole output is in {log}")
+        raise SetupError(
+            f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; its whole output is in {log}"
+        )
 
 
 def missing_system_parts() -> list[str]:

@@ -26,7 +26,7 @@ def main() -> None:
             sim.command(linear=0.2, angular=0.3)
             sim.step(seconds=0.5)
             frame = sim.render("camera", outputs=["rgb", "depth"])
-            millimetres = np.where(np.isfinite(frame.depth), frame.depth * 1000.0, 0.0)  # 0 = nothing, as depth cameras write it
+            millimetres = np.where(np.isfinite(frame.depth), frame.depth * 1000.0, 0.0)  # 0 = no depth, as from depth cameras
             cv2.imwrite(str(args.folder / f"{number:06d}_rgb.png"), frame.rgb[..., ::-1])
             cv2.imwrite(str(args.folder / f"{number:06d}_depth.png"), np.clip(millimetres, 0, 65535).astype(np.uint16))
             table.writerow([frame.stamp_ns, *frame.T_world_camera[:3].ravel()])

@@ -1,4 +1,4 @@
-"""A few episodes of a task as a Gymnasium environment, by a policy that heads for the goal. No ROS.
+"""A few episodes of a task as a Gymnasium environment, with a random policy. No ROS.
 
 pip install gibson_sim[gym], then python gymnasium_rollout.py [--episodes 2]
 """
@@ -22,7 +22,7 @@ def main() -> None:
         goal = info["goal"]
         total, over = 0.0, False
         while not over:
-            # Forward speed and yaw rate, -1 to 1 of the fastest. Put your policy here.
+            # Forward speed and yaw rate, -1 to 1 of their maxima. Put your policy here.
             action = np.array([0.5, rng.normal(0.0, 0.5)], dtype=np.float32).clip(-1.0, 1.0)
             observation, reward, succeeded, out_of_time, info = environment.step(action)
             total += float(reward)

@@ -14,7 +14,7 @@ from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 
 
 class Controller(Node):
-    """Drives on while there is room ahead, else turns; it decides once a scan, at the scan's own stamp."""
+    """Drives forward while there is room ahead, otherwise turns; decides once per scan, at the scan's own stamp."""
 
     def __init__(self) -> None:
         super().__init__("lockstep_controller")

@@ -11,9 +11,9 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 PATH = ((0.6, 0.0), (0.6, 0.4), (0.0, 0.4))
-"""Waypoints, metres, odom frame: the robot starts at its origin and looks along x."""
+"""Waypoints, metres, odom frame: the robot starts at its origin and faces along x."""
 REACHED, SPEED, TURN = 0.08, 0.3, 1.5
-"""Metres from a waypoint at which it counts; m/s; rad/s for each radian off."""
+"""Distance at which a waypoint is reached, metres; speed, m/s; yaw rate per heading error, 1/s."""
 
 
 class PathFollower(Node):
@@ -21,28 +21,28 @@ class PathFollower(Node):
 
     def __init__(self) -> None:
         super().__init__("path_follower")
-        self.left = list(PATH)
+        self.waypoints = list(PATH)
         self.publisher = self.create_publisher(Twist, "cmd_vel", 1)
         self.create_subscription(Odometry, "odom", self.on_odometry, 10)
 
     def on_odometry(self, message: Odometry) -> None:
         position, q = message.pose.pose.position, message.pose.pose.orientation
-        while self.left and math.dist(self.left[0], (position.x, position.y)) < REACHED:
-            self.get_logger().info(f"reached {self.left.pop(0)}")
+        while self.waypoints and math.dist(self.waypoints[0], (position.x, position.y)) < REACHED:
+            self.get_logger().info(f"reached {self.waypoints.pop(0)}")
         command = Twist()
-        if self.left:
+        if self.waypoints:
             yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-            heading = math.atan2(self.left[0][1] - position.y, self.left[0][0] - position.x)
-            off = math.remainder(heading - yaw, math.tau)
-            command.linear.x = SPEED * max(0.0, math.cos(off)) ** 3
-            command.angular.z = TURN * off
+            heading = math.atan2(self.waypoints[0][1] - position.y, self.waypoints[0][0] - position.x)
+            error = math.remainder(heading - yaw, math.tau)
+            command.linear.x = SPEED * max(0.0, math.cos(error)) ** 3
+            command.angular.z = TURN * error
         self.publisher.publish(command)
 
 
 def main() -> None:
     rclpy.init()
     node = PathFollower()
-    while node.left:
+    while node.waypoints:
         rclpy.spin_once(node, timeout_sec=1.0)
     print("the path is driven")
     node.destroy_node()

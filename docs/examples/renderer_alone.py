@@ -1,4 +1,4 @@
-"""The renderer without physics: a mesh or a scene of yours, seen by a camera of yours. No ROS.
+"""The renderer without physics: your own mesh or scene, seen by your own camera. No ROS.
 
 python renderer_alone.py [SCENE] [PICTURE.png]
 """
@@ -19,9 +19,7 @@ def main() -> None:
     args = parser.parse_args()
     scene = gs.load_scene(args.scene)
     x, y, z = scene.starts[0].pose.position if scene.starts else (0.0, 0.0, scene.floor_z)
-    pose = gs.camera_pose(
-        (x, y, z + 1.5), look_at=(x + 1.0, y - 2.0, z + 1.0)
-    )  # from above the first start; x, y on the floor, z up
+    pose = gs.camera_pose((x, y, z + 1.5), look_at=(x + 1.0, y - 2.0, z + 1.0))  # above the first start pose; z up
     outputs = ("rgb", "depth", "normal", "semantic")
     camera = gs.CameraSpec("eye", "map", pose, width=800, height=600, fov_y=math.radians(60), outputs=outputs)
     with gs.Renderer(scene) as renderer:

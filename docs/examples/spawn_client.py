@@ -1,4 +1,4 @@
-"""Puts a bottle on the floor in front of the robot of a running simulation, by the standard service. Plain ROS 2.
+"""Spawns a bottle in front of the robot of a running simulation, with the standard service. Plain ROS 2.
 
 In one terminal: gibson-sim run. In another, after `source env.sh`: python spawn_client.py [NAME] [X] [Y]
 """

@@ -1,4 +1,4 @@
-"""Makes drive.webp, the README's moving picture: a drive through a flat, from the robot and from behind it.
+"""Makes drive.webp, the README's animation: a drive through a flat, from the robot and from behind it.
 
 python docs/images/drive.py [FILE.webp]
 """
@@ -18,10 +18,10 @@ from gibson_sim.maps.tour import plan_tour
 from gibson_sim.robots.path_tracking import PathFollower
 
 WIDTH, HEIGHT, RATE_HZ = 320, 240, 8
-"""Of one of the four pictures, pixels, and of the film."""
+"""Size of each of the four pictures, pixels, and rate of the film."""
 SECONDS = 14
 FARTHEST = 6.0
-"""Metres that are drawn as black."""
+"""Depth drawn as black, metres."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Bags made in code: messages from the Jazzy types that rosbags carries, no ROS needed."""
+"""Synthetic bags: messages of the Jazzy types in rosbags, without ROS."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def messages(root: Path) -> Messages:
 
 @pytest.fixture
 def write_drive(messages: Messages, tmp_path: Path) -> Callable[..., Path]:
-    """Returns a function that writes a small drive: 1 m along x in 10 steps of 0.1 s, with a camera 8 pixels wide and 6 high."""
+    """Returns a function that writes a short drive: 1 m along x in 10 steps of 0.1 s, with a camera of 8 x 6 pixels."""
 
     def write(folder: str = "drive", *, image_shift_ns: int = 0, skip_images: tuple[int, ...] = (), frames: int = 11) -> Path:
         path = tmp_path / folder

@@ -46,7 +46,7 @@ def test_rate_comes_from_the_stamps(write_drive: Callable[..., Path]) -> None:
 def test_images_between_ticks_are_a_problem(write_drive: Callable[..., Path]) -> None:
     report = check_bag(write_drive(image_shift_ns=1))
     assert not report.ok
-    # The last of the 11 lies behind the last odometry message.
+    # The last of the 11 is later than the last odometry message.
     assert "/camera/image_raw: 10 of 11 stamps are not in /odom, first 1.000000001 s" in report.problems
 
 
@@ -74,7 +74,7 @@ def test_stamp_that_does_not_rise_is_a_problem(write_odometry: Callable[..., Pat
     assert report.problems == ("/odom: 1 stamps do not rise, first 0.200000000 s is followed by 0.200000000 s",)
 
 
-def test_transforms_of_two_senders_on_one_topic_are_no_problem(messages: Any, tmp_path: Path) -> None:
+def test_transforms_of_two_publishers_on_one_topic_are_no_problem(messages: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         bag.add_topic("/tf", "tf2_msgs/msg/TFMessage")
         for i in range(3):
@@ -126,7 +126,7 @@ def test_odometry_of_another_robot_is_not_compared(messages: Any, tmp_path: Path
 
 
 def test_odometry_is_compared_from_the_start_of_each_frame(write_odometry: Callable[..., Path]) -> None:
-    """Truth drives 2 m north of (5, 5), heading north; the wheels tell 2.1 m along their own x and end 0.2 m to the left."""
+    """Truth: 2 m north from (5, 5), heading north. Odometry: 2.1 m along its own x, and 0.2 m to the left at the end."""
     north = np.pi / 2
     folder = write_odometry(
         [(0, 0, 0, 0), (1, 1.0, 0, 0), (2, 2.1, 0.2, 0.1)],
@@ -142,7 +142,7 @@ def test_odometry_is_compared_from_the_start_of_each_frame(write_odometry: Calla
 
 
 def test_odometry_is_compared_at_common_stamps_only(write_odometry: Callable[..., Path]) -> None:
-    """The wheels started one tick before the recording of the truth and end one after it."""
+    """Odometry starts one tick before the truth and ends one tick after it."""
     folder = write_odometry([(i, float(i), 0, 0) for i in range(6)], [(i, i - 1.0, 0, 0) for i in range(1, 5)])
     odometry = check_bag(folder).odometry
     assert odometry is not None

@@ -1,4 +1,4 @@
-"""Bags whose bytes are wrong somewhere: whatever a parser makes of them, a user gets one line."""
+"""Bags with corrupt bytes: whatever fails in a parser, the error is one line."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def test_metadata_that_is_no_yaml_is_refused_in_one_line(write_drive: Callable[.
     _refused(bag)
 
 
-def test_messages_that_only_the_index_has_are_named(write_drive: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a bag of which a chunk is listed under the times of another."""
+def test_messages_that_are_only_in_the_index_are_named(write_drive: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bag lists a chunk under the times of another one."""
     bag, read = write_drive(), BagReader.raw_messages
 
     def without_images(self: BagReader, *args: Any, **limits: Any) -> Iterator[tuple[str, int, bytes]]:

@@ -10,14 +10,14 @@ from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.errors import RecordError
 
 IMAGE_HASH = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
-"""As ROS 2 Jazzy publishes it in share/sensor_msgs/msg/Image.json."""
+"""Type hash in share/sensor_msgs/msg/Image.json of ROS 2 Jazzy."""
 
 
 def test_hash_of_image_is_that_of_jazzy() -> None:
     assert MessageDefinitions().type_hash("sensor_msgs/msg/Image") == IMAGE_HASH
 
 
-def test_full_text_holds_every_nested_type_once_behind_its_separator() -> None:
+def test_full_text_contains_every_nested_type_once_after_its_separator() -> None:
     text = MessageDefinitions().full_text("nav_msgs/msg/Odometry")
     heads = [line.removeprefix("MSG: ") for line in text.splitlines() if line.startswith("MSG: ")]
     assert sorted(heads) == sorted(
@@ -36,8 +36,8 @@ def test_own_messages_are_found_in_the_source_tree() -> None:
     assert "float64 fov_y" in text
 
 
-def test_type_that_two_others_hold_is_written_once() -> None:
-    """Visual and Camera both hold a Pose."""
+def test_type_used_by_two_others_is_written_once() -> None:
+    """Visual and Camera both contain a Pose."""
     assert MessageDefinitions().full_text("gibson_msgs/msg/Scene").count("MSG: geometry_msgs/Pose\n") == 1
 
 
@@ -46,7 +46,7 @@ def test_given_definition_wins_over_installed_one() -> None:
     assert text == "string other\n"
 
 
-def test_unknown_nested_type_is_named_with_the_type_that_holds_it() -> None:
+def test_unknown_nested_type_is_named_with_the_type_that_contains_it() -> None:
     definitions = MessageDefinitions({"my_msgs/msg/Outer": "other_msgs/Inner inner\n"})
     with pytest.raises(RecordError, match=r"other_msgs/msg/Inner.*my_msgs/msg/Outer contains.*source the workspace"):
         definitions.full_text("my_msgs/msg/Outer")

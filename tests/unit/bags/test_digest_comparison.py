@@ -1,4 +1,4 @@
-"""Two runs by their digests: equal, or where they part."""
+"""Comparison of two runs by their digests: equal, or the first difference."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _run(*steps: int) -> dict[Tick, list[TickDigests]]:
     return {(0, step): [_physics(step)] for step in steps}
 
 
-def test_a_run_that_is_the_same_is_equal() -> None:
+def test_equal_runs_are_equal() -> None:
     comparison = DigestComparison(_run(4, 8))
     for step in (4, 8, 12):
         comparison.add((0, step), _physics(step))
@@ -30,7 +30,7 @@ def test_a_run_that_is_the_same_is_equal() -> None:
     assert result.compared == {"/odom": 2, "/scene_state": 2}
 
 
-def test_first_difference_names_tick_and_topics_whatever_comes_first() -> None:
+def test_first_difference_names_tick_and_topics_in_any_order_of_arrival() -> None:
     comparison = DigestComparison(_run(4, 8, 12))
     comparison.add((0, 12), _physics(99))
     comparison.add((0, 8), TickDigests(33, ("/odom", "/scene_state"), array("Q", [99, 99])))
@@ -42,7 +42,7 @@ def test_first_difference_names_tick_and_topics_whatever_comes_first() -> None:
     assert any("/odom: 2 of 3 ticks differ" in line for line in result.lines())
 
 
-def test_a_topic_that_one_run_alone_has_is_a_difference() -> None:
+def test_a_topic_of_only_one_run_is_a_difference() -> None:
     comparison = DigestComparison({(0, 4): [_physics(1, scan=2)]})
     comparison.add((0, 4), _physics(1))
     assert comparison.result().differing == {"/scan": 1}
@@ -59,14 +59,14 @@ def test_nothing_compared_is_not_equal() -> None:
     assert not DigestComparison({}).result().is_equal
 
 
-def test_ticks_behind_a_reset_are_others() -> None:
+def test_ticks_after_a_reset_are_different_ticks() -> None:
     comparison = DigestComparison({(0, 4): [_physics(1)], (1, 4): [_physics(2)]})
     comparison.add((0, 4), _physics(1))
     comparison.add((1, 4), _physics(2))
     assert comparison.result().is_equal
 
 
-def test_images_count_where_both_runs_have_them() -> None:
+def test_images_are_compared_if_both_runs_have_them() -> None:
     expected = {(0, step): [_physics(step), _image("/camera/image_raw", step)] for step in (4, 8, 12)}
     comparison = DigestComparison(expected)
     for step in (4, 8, 12):
@@ -79,7 +79,7 @@ def test_images_count_where_both_runs_have_them() -> None:
     assert comparison.result().differing == {"/camera/image_raw": 1}
 
 
-def test_images_that_are_never_drawn_are_no_proof() -> None:
+def test_images_that_are_never_drawn_prove_nothing() -> None:
     comparison = DigestComparison({(0, 4): [_physics(4), _image("/camera/image_raw", 1)]})
     comparison.add((0, 4), _physics(4))
     assert not comparison.result().is_equal
@@ -92,7 +92,7 @@ def test_without_images_physics_alone_counts() -> None:
     assert comparison.image_topics == ()
 
 
-def test_flow_counts_where_the_image_before_is_of_the_same_tick() -> None:
+def test_flow_is_compared_if_the_previous_image_is_of_the_same_tick() -> None:
     flow = "/camera/flow/image_raw"
     expected = {(0, step): [_physics(step), _image(flow, step)] for step in (4, 12, 16)}
     comparison = DigestComparison(expected)
@@ -103,7 +103,7 @@ def test_flow_counts_where_the_image_before_is_of_the_same_tick() -> None:
     assert not result.differing
 
 
-def test_a_tick_is_complete_when_all_that_is_expected_has_come() -> None:
+def test_a_tick_is_complete_when_all_expected_digests_have_arrived() -> None:
     comparison = DigestComparison({(0, 4): [_physics(4), _image("/camera/image_raw", 1)]})
     comparison.add((0, 4), _physics(4))
     assert not comparison.is_complete((0, 4))
@@ -111,7 +111,7 @@ def test_a_tick_is_complete_when_all_that_is_expected_has_come() -> None:
     assert comparison.is_complete((0, 4)) and comparison.is_complete((0, 8))
 
 
-def test_a_result_comes_back_from_json_as_it_was() -> None:
+def test_a_result_survives_json() -> None:
     comparison = DigestComparison(_run(4))
     comparison.add((0, 4), _physics(5))
     result = comparison.result()

@@ -1,4 +1,4 @@
-"""Data sets from bags that are made in code: a wall seen from two places, so that every depth is known by hand."""
+"""Data sets from synthetic bags: a wall seen from two places, so that every depth has a closed form."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MOUNT[:3, :3] = MOUNT[:3, :3] @ R_LINK_OPTICAL
 
 
 def _link(stamp_ns: int) -> Mat4:
-    """Returns T_world_link: it drives forward and turns."""
+    """Returns T_world_link of a robot that drives forward and turns."""
     t = stamp_ns * 1e-9
     return matrix_from_pose(pose_from_xyz_rpy((2.0 * t, -t, 0.05), (0.0, 0.0, 0.3 + 4.0 * t)))
 
@@ -148,7 +148,7 @@ class Drives:
     def write(
         self, *, states: bool = True, tf: bool = False, model: str = "plumb_bob", d: int = 5, commands: bool = True
     ) -> Path:
-        """Writes colour (grey 50, 100, 150) and depth images, and where the camera was."""
+        """Writes colour (grey 50, 100, 150) and depth images, and the camera's poses."""
         topics = {
             "/camera/image_raw": "sensor_msgs/msg/Image",
             "/camera/camera_info": "sensor_msgs/msg/CameraInfo",
@@ -172,7 +172,7 @@ class Drives:
             write("/tf_static", self.transform(0, "base", "camera_optical_frame", MOUNT), STAMPS[0])
             for number, stamp in enumerate(STAMPS, 1):
                 write("/scene_state", self.state(stamp) if states else b"", stamp)
-                # Transforms stand between the images: poses must be interpolated, and there is one more behind the last.
+                # Transforms are between the images: poses must be interpolated, and one more follows the last image.
                 write("/tf", self.transform(stamp - 10 * MS, "map", "base", _link(stamp - 10 * MS)), stamp)
                 write("/odom", self.messages.odometry(stamp, 0.1 * number, 0.0, 0.5), stamp)
                 write("/camera/camera_info", self.info(stamp, model, d), stamp)
@@ -191,7 +191,7 @@ def drives(messages: Any, tmp_path: Path) -> Drives:
 
 @pytest.fixture(scope="module")
 def drive(messages: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Returns a bag of the simulation, which tests only read."""
+    """Returns a bag of the simulation; tests only read it."""
     return Drives(messages, tmp_path_factory.mktemp("drive")).write()
 
 
@@ -200,7 +200,7 @@ def _table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_depths_of_nerfstudio_frames_meet_on_the_wall(drive: Path, tmp_path: Path) -> None:
+def test_depths_of_nerfstudio_frames_lie_on_the_wall(drive: Path, tmp_path: Path) -> None:
     export_bag(drive, "nerfstudio", tmp_path / "out")
     document = json.loads((tmp_path / "out/transforms.json").read_text())
     assert document["camera_model"] == "OPENCV"
@@ -213,7 +213,7 @@ def test_depths_of_nerfstudio_frames_meet_on_the_wall(drive: Path, tmp_path: Pat
         assert (tmp_path / "out" / frame["file_path"]).is_file()
 
 
-def test_depths_of_a_tum_sequence_meet_on_the_wall(drive: Path, tmp_path: Path) -> None:
+def test_depths_of_a_tum_sequence_lie_on_the_wall(drive: Path, tmp_path: Path) -> None:
     export_bag(drive, "tum", tmp_path / "out")
     camera = yaml.safe_load((tmp_path / "out/camera.yaml").read_text())
     rows = np.loadtxt(tmp_path / "out/groundtruth.txt")
@@ -249,12 +249,12 @@ def test_poses_between_transforms_are_interpolated(drives: Drives, tmp_path: Pat
     rows = _table(tmp_path / "out/camera/frames.csv")
     for row, stamp in zip(rows, STAMPS, strict=True):
         x, y, z, *_ = pose_from_matrix(_link(stamp) @ MOUNT).position
-        # On a curve the chord is a little off: 4 rad/s over at most 67 ms, the camera 0.1 m from the axis.
+        # Error of the chord on a curve: 4 rad/s over at most 67 ms, the camera 0.1 m from the axis.
         assert [float(row[name]) for name in "xyz"] == pytest.approx([x, y, z], abs=2e-3)
     assert report.notes == []
 
 
-def test_a_bag_of_a_real_robot_needs_nothing_of_ours(drives: Drives, messages: Any, tmp_path: Path) -> None:
+def test_a_bag_of_a_real_robot_is_exported_without_our_topics(drives: Drives, messages: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         bag.add_topic("/cam/color/image_raw/compressed", "sensor_msgs/msg/CompressedImage")
         bag.add_topic("/cam/aligned_depth_to_color/image_raw", "sensor_msgs/msg/Image")
@@ -279,11 +279,11 @@ def test_a_bag_of_a_real_robot_needs_nothing_of_ours(drives: Drives, messages: A
     assert any("has no poses" in note for note in report.notes)
 
 
-def test_lerobot_holds_the_newest_image_state_and_command(drive: Path, tmp_path: Path) -> None:
+def test_lerobot_has_the_newest_image_state_and_command(drive: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="SKIPPED: LeRobot needs pyarrow: pip install pyarrow")
     export_bag(drive, "lerobot", tmp_path / "out", ExportOptions(fps=20, task="look at a wall"))
     table = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pydict()
-    # 0.1, 0.15, 0.2 s: commands came at 0.101, 0.134 and 0.201 s, odometry with the images.
+    # 0.1, 0.15, 0.2 s: commands at 0.101, 0.134 and 0.201 s, odometry with the images.
     assert [action[0] for action in table["action"]] == [0.0, 2.0, 2.0]
     assert [state[:3] for state in table["observation.state"]] == [pytest.approx([0.1 * n, 0.0, 0.5]) for n in (1, 2, 3)]
     assert table["timestamp"] == pytest.approx([0.0, 0.05, 0.1])
@@ -298,13 +298,13 @@ def test_lerobot_holds_the_newest_image_state_and_command(drive: Path, tmp_path:
     assert episode["videos/observation.images.camera/to_timestamp"] == pytest.approx(0.15)
 
 
-def test_lerobot_without_pyarrow_says_what_to_install(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobot_without_pyarrow_names_the_remedy(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gibson_sim.bags.export.lerobot.find_spec", lambda name: None)
     with pytest.raises(EnvironmentProblemError, match=r"pip install pyarrow"):
         export_bag(drive, "lerobot", tmp_path / "out")
 
 
-def test_each_second_image_takes_its_depth_along(drive: Path, tmp_path: Path) -> None:
+def test_every_second_image_keeps_its_depth(drive: Path, tmp_path: Path) -> None:
     export_bag(drive, "tum", tmp_path / "out", ExportOptions(every=2))
     lines = (tmp_path / "out/associations.txt").read_text().splitlines()
     assert [line.split()[2] for line in lines] == ["0.100000000", "0.200000000"]
@@ -323,13 +323,13 @@ def test_a_bag_without_images_is_an_error(write_drive: Callable[..., Path], mess
         export_bag(tmp_path / "empty", "png", tmp_path / "out")
 
 
-def test_a_folder_that_holds_something_is_left_alone(drive: Path, tmp_path: Path) -> None:
+def test_a_folder_with_content_is_left_alone(drive: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/mine.txt").write_text("keep")
     with pytest.raises(RecordError, match="is not an empty folder"):
         export_bag(drive, "png", tmp_path / "out")
 
 
-def test_depth_that_sixteen_bits_cannot_hold_is_nothing() -> None:
+def test_depth_beyond_sixteen_bits_is_zero() -> None:
     metres = np.array([[0.0004, 1.2346, 65.536, np.inf, -np.inf, np.nan]], np.float32)
     assert depth_in_units(metres, 1000.0).tolist() == [[0, 1235, 0, 0, 0, 0]]

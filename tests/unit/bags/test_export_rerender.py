@@ -1,4 +1,4 @@
-"""Which states of a bag are drawn again, with which cameras, and what is taken over."""
+"""States, cameras and copied topics of a rerendered bag."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _state(tick: int, revision: int = 1) -> SceneState:
 
 
 @pytest.mark.parametrize("rate_hz", [7.0, 25.0, 30.0, 60.0, 100.0])
-def test_cameras_are_due_at_the_ticks_at_which_they_are_in_a_running_simulation(rate_hz: float) -> None:
+def test_cameras_are_due_at_the_ticks_of_a_running_simulation(rate_hz: float) -> None:
     camera = CameraSpec("camera", "", rate_hz=rate_hz)
     schedule = CameraSchedule(NS // 60)
     due = [tick for tick in range(1, 200) for _, cameras in schedule.moments(_state(tick), [camera]) if cameras]
@@ -41,7 +41,7 @@ def test_the_bags_own_cameras_are_due_as_recorded() -> None:
     assert next(CameraSchedule(1).moments(_state(3), cameras, [1]))[1] == (1,)
 
 
-def test_interpolated_states_stand_at_whole_multiples_of_the_period() -> None:
+def test_interpolated_states_are_at_whole_multiples_of_the_period() -> None:
     schedule = CameraSchedule(NS // 60, interpolate=True)
     camera = CameraSpec("camera", "", rate_hz=100.0)
     found = [
@@ -61,7 +61,7 @@ def test_nothing_is_interpolated_between_two_scenes() -> None:
     assert [state.stamp_ns for state, _ in schedule.moments(_state(7, revision=2), [camera])] == [7 * NS // 60]
 
 
-def test_all_but_images_and_what_is_made_of_them_is_taken_over() -> None:
+def test_all_topics_but_images_and_their_derivatives_are_copied() -> None:
     types = {
         "/tf": "tf2_msgs/msg/TFMessage", "/lidar/points": "sensor_msgs/msg/PointCloud2", "/camera/depth/points": "sensor_msgs/msg/PointCloud2",
         "/camera/image_raw": "sensor_msgs/msg/Image", "/camera/camera_info": "sensor_msgs/msg/CameraInfo", "/scene": "gibson_msgs/msg/Scene",
@@ -74,7 +74,7 @@ def test_all_but_images_and_what_is_made_of_them_is_taken_over() -> None:
         topics_to_copy(infos, "/tf,/tff", own)
 
 
-def test_a_bag_without_a_scene_says_what_to_record(messages: Any, tmp_path: Path) -> None:
+def test_a_bag_without_a_scene_names_the_topics_to_record(messages: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         bag.add_topic("/scene_state", "gibson_msgs/msg/SceneState")
         bag.write("/scene_state", messages.text("x"), 1, 1)
@@ -95,7 +95,7 @@ def test_copied_topics_keep_their_definitions_and_quality_of_service(tmp_path: P
 
 @pytest.fixture
 def write_cameras(tmp_path: Path) -> Callable[[str], Path]:
-    """Returns a function that writes a file with one camera, on the link that it is given."""
+    """Returns a function that writes a file with one camera on a given link."""
 
     def write(link: str) -> Path:
         path = tmp_path / "cameras.yaml"
@@ -115,7 +115,7 @@ def test_cameras_of_a_file_find_their_links(write_cameras: Callable[[str], Path]
     assert (camera.link, camera.outputs) == (found, ("depth",))
 
 
-def test_an_unknown_link_is_answered_with_those_that_there_are(write_cameras: Callable[[str], Path]) -> None:
+def test_an_unknown_link_lists_the_known_ones(write_cameras: Callable[[str], Path]) -> None:
     with pytest.raises(RobotError, match="'nose' is not in the scene; there are: map, robot/base_link, robot/head, chair/head"):
         load_cameras(write_cameras("nose"), LINKS)
     with pytest.raises(RobotError, match="'head' stands for robot/head and chair/head"):

@@ -19,7 +19,7 @@ ROBOT, VIEW = "/robot_camera/image_raw", "/view_follow/image_raw"
 
 @pytest.fixture
 def bag(messages: Any, tmp_path: Path) -> Path:
-    """Returns a bag with a robot's camera at 10 Hz, brighter from tick to tick, and a view of other proportions at every second of these."""
+    """Returns a bag with a robot's camera at 10 Hz, brighter from tick to tick, and a view of another aspect ratio at every second tick."""
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as writer:
         for topic in (VIEW, ROBOT):
             writer.add_topic(topic, "sensor_msgs/msg/Image")
@@ -34,7 +34,7 @@ def bag(messages: Any, tmp_path: Path) -> Path:
 def test_a_strip_has_a_row_a_topic_and_a_column_a_moment(bag: Path, tmp_path: Path) -> None:
     strip = cv2.imread(str(write_film_strip(bag, tmp_path / "a.png", columns=3, width=64)))
     assert strip.shape[1] == 3 * 64 + 2 * 4
-    # Both have images at ticks 2, 4, 6 and 8; the first, one in the middle and the last are shown.
+    # Both have images at ticks 2, 4, 6 and 8; the strip shows the first, one in the middle and the last.
     assert strip[20, [30, 98, 166], 0].tolist() in ([40, 80, 160], [40, 120, 160])
     assert (strip[60, [30, 98, 166], 0] == strip[20, [30, 98, 166], 0]).all()
     assert strip[60, 30].tolist() == [40, 0, 0] and (strip[:, 65] == 255).all() and (strip[49, :] == 255).all()
@@ -54,7 +54,7 @@ def test_a_film_stacks_the_images_and_keeps_their_time(bag: Path, tmp_path: Path
     assert [round(int(frame[24, 32, 0]) / 20) for frame in frames] == [2, 4, 6, 8]
 
 
-def test_a_part_of_the_run_is_chosen_by_its_seconds(bag: Path, tmp_path: Path) -> None:
+def test_a_part_of_the_run_is_selected_in_seconds(bag: Path, tmp_path: Path) -> None:
     strip = cv2.imread(str(write_film_strip(bag, tmp_path / "a.png", topics=[ROBOT], columns=9, width=64, begin=0.2, end=0.4)))
     assert strip.shape[1] == 3 * 64 + 2 * 4 and strip[20, 30, 0] == 60
 
@@ -67,7 +67,7 @@ def test_a_part_of_the_run_is_chosen_by_its_seconds(bag: Path, tmp_path: Path) -
         ({"columns": 0}, "must be 1 to 100"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_words(bag: Path, tmp_path: Path, change: dict[str, Any], words: str) -> None:
+def test_invalid_requests_are_refused_with_a_reason(bag: Path, tmp_path: Path, change: dict[str, Any], words: str) -> None:
     with pytest.raises(RecordError, match=words):
         write_film_strip(bag, tmp_path / "a.png", **change)
 

@@ -1,4 +1,4 @@
-"""A disk that runs full, for real where this machine allows it: a small tmpfs (root only), a limit on the file size elsewhere."""
+"""A full disk, a real one where possible: a small tmpfs (root only), otherwise a limit on the file size."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Usage = namedtuple("Usage", "total used free")
 
 
 def _count(folder: Path) -> int:
-    """Returns how many messages rosbags reads, having compared that with what the metadata says."""
+    """Returns the number of messages that rosbags reads, after comparing it with the metadata."""
     with AnyReader([folder]) as reader:
         count = sum(1 for _ in reader.messages())
         assert count == reader.message_count
@@ -34,7 +34,7 @@ def _count(folder: Path) -> int:
 
 
 def _fill(bag: BagWriter, data: bytes) -> int:
-    """Writes until the disk is full; returns how many messages were taken."""
+    """Writes until the disk is full; returns the number of accepted messages."""
     bag.add_topic("/a", STRING)
     with pytest.raises(DiskFullError, match="make room"):
         _write(bag, data, 1000)
@@ -53,18 +53,18 @@ def _fill_with_another_file(path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [900_000, 3_000_000])
-def test_full_disk_loses_no_message_that_was_taken(small_disk: Path, messages: Any, size: int) -> None:
+def test_full_disk_loses_no_accepted_message(small_disk: Path, messages: Any, size: int) -> None:
     data = messages.text("x" * size)
     taken = _fill(BagWriter(small_disk / "bag", reserve_bytes=0), data)
     assert _count(small_disk / "bag") == taken >= 14 * MIB // len(data)
 
 
-def test_disk_that_another_program_filled_loses_no_message_that_was_taken(small_disk: Path, messages: Any) -> None:
+def test_disk_filled_by_another_program_loses_no_accepted_message(small_disk: Path, messages: Any) -> None:
     bag = BagWriter(small_disk / "bag", reserve_bytes=0)
     bag.add_topic("/a", STRING)
     with pytest.raises(OSError, match="No space"):
         _fill_with_another_file(small_disk / "other")
-    # Free space is asked for at every MiB, but 0 bytes are not less than a reserve of 0: the real error comes.
+    # Free space is checked at every MiB, but 0 bytes are not less than a reserve of 0: the real error occurs.
     taken = _fill(bag, messages.text("x" * 5000))
     assert _count(small_disk / "bag") == taken > MIB // 5100
 
@@ -72,19 +72,21 @@ def test_disk_that_another_program_filled_loses_no_message_that_was_taken(small_
 def test_reserve_is_left_free(small_disk: Path, messages: Any) -> None:
     taken = _fill(BagWriter(small_disk / "bag", reserve_bytes=6 * MIB), messages.text("x" * 900_000))
     free = os.statvfs(small_disk).f_bavail * os.statvfs(small_disk).f_frsize
-    # Having stopped with 4 to 6 MiB left, it also gave back the emergency file.
+    # It stopped with 4 to 6 MiB left, and also freed the emergency file.
     assert 4 * MIB + EMERGENCY_BYTES < free <= 6 * MIB + EMERGENCY_BYTES
     assert _count(small_disk / "bag") == taken
 
 
-def test_bag_is_cut_back_to_its_last_whole_chunk_when_others_took_the_emergency_space(small_disk: Path, messages: Any) -> None:
+def test_bag_is_truncated_to_its_last_whole_chunk_when_other_programs_use_the_emergency_space(
+    small_disk: Path, messages: Any
+) -> None:
     bag = BagWriter(small_disk / "bag", reserve_bytes=0)
     (small_disk / "bag/.reserve").unlink()
     (small_disk / "other").write_bytes(b"x" * EMERGENCY_BYTES)
     bag.add_topic("/a", STRING)
     with pytest.raises(DiskFullError, match="all readable"):
         _write(bag, messages.text("x" * 900_000), 100)
-    # 24 - 8 MiB take 18 messages of 0.9 MB; they come in chunks of two.
+    # 24 - 8 MiB hold 18 messages of 0.9 MB; a chunk has two.
     assert _count(small_disk / "bag") == 18
 
 
@@ -99,12 +101,14 @@ def test_recording_ends_when_free_space_falls_below_the_reserve(
     free = iter([100 * MIB, 100 * MIB, 31 * MIB, 29 * MIB])
     monkeypatch.setattr(writer_module.shutil, "disk_usage", lambda _: Usage(0, 0, next(free)))
     bag = BagWriter(tmp_path / "bag", reserve_bytes=30 * MIB)
-    # Space is asked for at each message, since each is longer than 1 MiB: the third one is not taken.
+    # Space is checked at each message, since each is longer than 1 MiB: the third one is refused.
     assert _fill(bag, messages.text("x" * 1_100_000)) == 2
     assert _count(tmp_path / "bag") == 2
 
 
-def test_bag_that_was_closed_by_a_full_disk_takes_no_more(tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bag_closed_by_a_full_disk_accepts_no_more_messages(
+    tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bag = BagWriter(tmp_path / "bag", reserve_bytes=0)
     bag.add_topic("/a", STRING)
     monkeypatch.setattr(writer_module.shutil, "disk_usage", lambda _: Usage(0, 0, -1))
@@ -142,7 +146,7 @@ except DiskFullError as error:
     ],
 )
 def test_limit_on_the_file_size_leaves_a_whole_bag(tmp_path: Path, root: Path, messages: Any, room: str, whole: int) -> None:
-    """As on a FAT disk: no space that is freed elsewhere helps, so chunks, of two messages each, make room for the end."""
+    """As on a FAT disk: space freed elsewhere does not help, so chunks (of two messages each) are removed to make room for the summary."""
     with BagWriter(tmp_path / "model", reserve_bytes=0) as bag:
         bag.add_topic("/a", STRING)
         _write(bag, messages.text("x" * 900_000), 12)

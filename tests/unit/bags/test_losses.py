@@ -14,19 +14,19 @@ def test_every_missing_number_is_a_lost_message() -> None:
     assert _noted(17, 18, 21, 22, 24) == {"/a": 3}
 
 
-def test_what_was_sent_before_the_first_that_came_is_not_lost() -> None:
+def test_messages_before_the_first_received_one_are_not_lost() -> None:
     assert _noted(500, 501) == {"/a": 0}
 
 
-def test_publisher_that_was_started_anew_lost_nothing() -> None:
+def test_restarted_publisher_lost_nothing() -> None:
     assert _noted(7, 8, 1, 2) == {"/a": 0}
 
 
-def test_middleware_without_numbers_says_nothing() -> None:
+def test_middleware_without_sequence_numbers_reports_nothing() -> None:
     assert _noted(None, None) == {}
 
 
-def test_nothing_is_known_of_a_topic_with_two_publishers() -> None:
+def test_losses_of_a_topic_with_two_publishers_are_unknown() -> None:
     losses = LossCounter()
     losses.add("/a", 1)
     losses.add("/b", 1)

@@ -26,7 +26,7 @@ def _profile() -> SimpleNamespace:
     )
 
 
-def test_profile_of_rclpy_is_written_in_the_words_of_rosbag2() -> None:
+def test_profile_of_rclpy_is_written_in_the_format_of_rosbag2() -> None:
     assert TopicQos.of(_profile()).as_dict() == {
         "history": "keep_last",
         "depth": 3,

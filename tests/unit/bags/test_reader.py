@@ -19,7 +19,7 @@ def _image(messages: Any, *args: Any, **options: Any) -> Any:
     return messages.store.deserialize_cdr(messages.image(*args, **options), "sensor_msgs/msg/Image")
 
 
-def test_topics_tell_type_count_and_whether_they_are_latched(write_drive: Callable[..., Path]) -> None:
+def test_topics_have_type_count_and_durability(write_drive: Callable[..., Path]) -> None:
     with BagReader(write_drive(skip_images=(3,))) as bag:
         topics = bag.topics()
     assert (topics["/camera/image_raw"].type_name, topics["/camera/image_raw"].count) == ("sensor_msgs/msg/Image", 10)
@@ -27,7 +27,7 @@ def test_topics_tell_type_count_and_whether_they_are_latched(write_drive: Callab
     assert not topics["/tf"].stamped and topics["/odom"].stamped
 
 
-def test_messages_come_decoded_in_the_order_of_time(write_drive: Callable[..., Path]) -> None:
+def test_messages_are_decoded_in_order_of_time(write_drive: Callable[..., Path]) -> None:
     with BagReader(write_drive()) as bag:
         got = [(t, msg.pose.pose.position.x) for _, t, msg in bag.messages(["/odom"])]
     assert got == [(NS + i * 100_000_000, pytest.approx(0.1 * i)) for i in range(11)]
@@ -40,7 +40,7 @@ def test_own_message_type_is_decoded_from_the_definition_in_the_bag(write_drive:
     assert list(state.due_cameras) == [0]
 
 
-def test_time_range_takes_its_start_and_leaves_its_stop(write_drive: Callable[..., Path]) -> None:
+def test_time_range_includes_its_start_and_excludes_its_stop(write_drive: Callable[..., Path]) -> None:
     with BagReader(write_drive()) as bag:
         times = [t for _, t, _ in bag.raw_messages(["/odom"], start_ns=NS + 200_000_000, stop_ns=NS + 400_000_000)]
     assert times == [NS + 200_000_000, NS + 300_000_000]
@@ -61,7 +61,7 @@ def test_missing_folder_is_an_error(tmp_path: Path) -> None:
         BagReader(tmp_path / "none")
 
 
-def test_bag_that_was_cut_off_points_to_repair(write_drive: Callable[..., Path]) -> None:
+def test_truncated_bag_suggests_repair(write_drive: Callable[..., Path]) -> None:
     folder = write_drive()
     file = folder / "drive_0.mcap"
     file.write_bytes(file.read_bytes()[:-100])
@@ -95,12 +95,12 @@ def test_rgb_image_keeps_rows_columns_and_colours(messages: Any) -> None:
     assert array.shape == (2, 3, 3)
 
 
-def test_padding_of_rows_is_left_out(messages: Any) -> None:
+def test_padding_of_rows_is_removed(messages: Any) -> None:
     pixels = np.arange(6, dtype=np.float32).reshape(2, 3)
     assert np.array_equal(image_to_array(_image(messages, 0, pixels, "32FC1", padding=4)), pixels)
 
 
-def test_sixteen_bit_depth_in_big_endian_is_turned(messages: Any) -> None:
+def test_sixteen_bit_depth_in_big_endian_is_byte_swapped(messages: Any) -> None:
     message = _image(messages, 0, np.array([[0x0102]], dtype=np.uint16), "16UC1")
     message.is_bigendian = 1
     assert image_to_array(message).tolist() == [[0x0201]]
@@ -126,7 +126,7 @@ def test_unknown_encoding_is_an_error(messages: Any) -> None:
         image_to_array(_image(messages, 0, np.zeros((2, 3), dtype=np.uint8), "bayer_rggb8"))
 
 
-def test_period_leaves_gaps_out_and_averages_quantised_steps() -> None:
+def test_period_ignores_gaps_and_averages_quantised_steps() -> None:
     # 25 Hz on ticks of 60 Hz: steps of 2 and 3 ticks; one frame is lost.
     ticks = np.array([0, 2, 5, 7, 10, 12, 17, 19, 22])
     assert nominal_period_ns(ticks * 1000) == pytest.approx((2 + 3 + 2 + 3 + 2 + 2 + 3) / 7 * 1000)
@@ -136,7 +136,7 @@ def test_period_of_one_stamp_is_zero() -> None:
     assert nominal_period_ns(np.array([5])) == 0.0
 
 
-def test_damaged_chunk_is_an_error_when_it_is_reached(write_drive: Callable[..., Path]) -> None:
+def test_damaged_chunk_is_an_error_when_it_is_read(write_drive: Callable[..., Path]) -> None:
     folder = write_drive()
     file = folder / "drive_0.mcap"
     content = bytearray(file.read_bytes())

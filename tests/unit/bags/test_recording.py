@@ -1,4 +1,4 @@
-"""What a recording writes where: time, pauses, epochs, snapshots, errors. No ROS."""
+"""Recordings without ROS: time, pauses, epochs, snapshots, errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NS = 1_000_000_000
 
 @pytest.fixture(autouse=True)
 def small_reserve(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The test's disk need not be large."""
+    """Lets tests run on a small disk."""
     monkeypatch.setattr(
         recording_module, "BagWriter", lambda folder, **o: writer_module.BagWriter(folder, **{**o, "reserve_bytes": 0})
     )
@@ -34,7 +34,7 @@ def _clock(ns: int) -> bytes:
 
 
 class _Recorder:
-    """A recording of a few topics, fed by hand."""
+    """A recording of a few topics; tests pass it the messages."""
 
     def __init__(self, folder: Path, messages: Any, **settings: Any) -> None:
         self.recording = Recording(RecordConfig(output=str(folder), **settings))
@@ -52,7 +52,7 @@ class _Recorder:
 
 
 def _read(folder: Path, *topics: str) -> list[tuple[str, int, str]]:
-    """Returns topic, time and text of messages; of /clock no text."""
+    """Returns topic, time and text of messages; no text for /clock."""
     with AnyReader([folder]) as reader:
         found = [(c.topic, t, "" if c.topic == "/clock" else bytes(d[8:-1]).decode()) for c, t, d in reader.messages()]
         assert len(found) == reader.message_count
@@ -71,7 +71,7 @@ def test_messages_get_the_time_of_the_newest_clock(tmp_path: Path, messages: Any
     ]  # fmt: skip
 
 
-def test_what_comes_before_the_first_clock_gets_its_time(tmp_path: Path, messages: Any) -> None:
+def test_messages_before_the_first_clock_get_its_time(tmp_path: Path, messages: Any) -> None:
     recorder = _Recorder(tmp_path / "bag", messages)
     recorder.say(*map(str, range(MOST_WAITING + 7)))
     recorder.say("room", topic="/scene")
@@ -100,7 +100,7 @@ def test_nothing_is_written_while_it_is_paused(tmp_path: Path, messages: Any) ->
     assert _read(tmp_path / "bag", "/scene") == [("/scene", 2, "new room")], "what still holds is written when it goes on"
 
 
-def test_duration_counts_what_was_recorded(tmp_path: Path, messages: Any) -> None:
+def test_duration_counts_recorded_time(tmp_path: Path, messages: Any) -> None:
     recorder = _Recorder(tmp_path / "bag", messages, duration=2.0)
     recorder.clock(10 * NS)
     recorder.clock(11 * NS)
@@ -115,7 +115,7 @@ def test_duration_counts_what_was_recorded(tmp_path: Path, messages: Any) -> Non
     assert _read(tmp_path / "bag", "/a") == []
 
 
-def test_time_that_goes_back_begins_another_bag(tmp_path: Path, messages: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_time_that_goes_back_starts_another_bag(tmp_path: Path, messages: Any, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     recorder = _Recorder(tmp_path / "bag", messages)
     recorder.clock(5 * NS)
@@ -161,7 +161,7 @@ def test_two_clocks_end_the_recording(tmp_path: Path, messages: Any, monkeypatch
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bag", "bag_epoch1", "bag_epoch2", "bag_epoch3"]
 
 
-def test_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path, messages: Any) -> None:
+def test_snapshot_has_the_last_seconds_and_latched_messages(tmp_path: Path, messages: Any) -> None:
     recorder = _Recorder(tmp_path / "bag", messages, snapshot_seconds=2.0)
     assert recorder.recording.snapshot() is None, "nothing came yet"
     recorder.clock(0)
@@ -192,7 +192,7 @@ def test_memory_of_snapshots_is_bounded(tmp_path: Path, messages: Any, caplog: p
     assert sum("snapshot_mb, 1 MB, is too little" in record.getMessage() for record in caplog.records) == 1
 
 
-def test_snapshot_after_a_reset_has_nothing_of_before(tmp_path: Path, messages: Any) -> None:
+def test_snapshot_after_a_reset_has_no_earlier_messages(tmp_path: Path, messages: Any) -> None:
     recorder = _Recorder(tmp_path / "bag", messages, snapshot_seconds=100.0)
     recorder.clock(7 * NS)
     recorder.say("room", topic="/scene")
@@ -203,7 +203,7 @@ def test_snapshot_after_a_reset_has_nothing_of_before(tmp_path: Path, messages: 
     assert _read(tmp_path / "bag_snapshot1", "/a", "/scene") == [("/scene", 0, "room"), ("/a", 0, "new")]
 
 
-def test_split_on_request_goes_on_in_the_next_file(tmp_path: Path, messages: Any) -> None:
+def test_split_on_request_continues_in_the_next_file(tmp_path: Path, messages: Any) -> None:
     recorder = _Recorder(tmp_path / "bag", messages)
     assert not recorder.recording.split()
     recorder.clock(1)
@@ -237,7 +237,7 @@ def test_compressed_database_is_refused() -> None:
         RecordConfig(output="bag", storage="sqlite3", compression="zstd")
 
 
-def test_report_names_what_was_lost_loudly() -> None:
+def test_report_marks_losses() -> None:
     summary = {
         "bags": ["/tmp/bag"], "messages": {"/a": 3, "/odom": 40, "/tf": 2}, "bytes": {"/a": 1_500_000, "/odom": 2000, "/tf": 9},
         "lost": {"/a": 2, "/odom": 0}, "message_lost": {"/tf": 1}, "error": "",

@@ -20,7 +20,7 @@ STRING = "std_msgs/msg/String"
 
 @pytest.fixture(params=["none", "zstd"])
 def bag(request: pytest.FixtureRequest, tmp_path: Path, messages: Any) -> Path:
-    """20 messages in chunks of two; the second topic appears in the third chunk."""
+    """20 messages in chunks of two; the second topic starts in the third chunk."""
     folder = tmp_path / "bag"
     with BagWriter(folder, reserve_bytes=0, chunk_bytes=2050, compression=request.param) as writer:
         writer.add_topic("/a", STRING, TopicQos.latched())
@@ -60,7 +60,7 @@ def test_bag_cut_at_any_byte_is_readable_up_to_its_last_whole_chunk(bag: Path, p
     assert _read(bag) == WHOLE[: 2 * whole_chunks]
 
 
-def test_bytes_around_the_end_of_the_last_chunk_can_be_the_last(bag: Path) -> None:
+def test_bag_cut_near_the_end_of_its_last_chunk_is_readable(bag: Path) -> None:
     file = bag / "bag_0.mcap"
     content = file.read_bytes()
     ends = _chunk_ends(file)
@@ -86,7 +86,7 @@ def test_repaired_bag_has_the_metadata_of_the_whole_one(bag: Path) -> None:
 
 
 def test_index_of_a_repaired_bag_leads_to_its_messages(bag: Path) -> None:
-    """Mcap's own reader goes by the index; the cut falls between the last chunk and its message index."""
+    """The mcap library's reader uses the index; the cut is between the last chunk and its message index."""
     file = bag / "bag_0.mcap"
     os.truncate(file, _chunk_ends(file)[6] + 3)
     repair(bag)
@@ -104,7 +104,7 @@ def test_index_of_a_repaired_bag_leads_to_its_messages(bag: Path) -> None:
     assert [len(c.message_index_offsets) for c in summary.chunk_indexes] == [1, 1, 2, 2, 2, 2, 2]
 
 
-def test_damaged_chunk_costs_only_its_own_messages(bag: Path) -> None:
+def test_damaged_chunk_loses_only_its_own_messages(bag: Path) -> None:
     file = bag / "bag_0.mcap"
     content = bytearray(file.read_bytes())
     content[_chunk_ends(file)[3] - 60] ^= 0xFF
@@ -113,8 +113,8 @@ def test_damaged_chunk_costs_only_its_own_messages(bag: Path) -> None:
     assert _read(bag) == WHOLE[:6] + WHOLE[8:]
 
 
-def test_zeros_behind_the_data_are_cut_off(bag: Path) -> None:
-    """What a power cut leaves: the file has its length, but not its content."""
+def test_zeros_after_the_data_are_cut_off(bag: Path) -> None:
+    """As after a power cut: the file has its length, but not its content."""
     file = bag / "bag_0.mcap"
     content = file.read_bytes()[: _chunk_ends(file)[4]]
     file.write_bytes(content + bytes(5000))
@@ -129,7 +129,7 @@ def test_whole_bag_is_left_alone(bag: Path) -> None:
     assert {p.name: p.read_bytes() for p in bag.iterdir()} == before
 
 
-def test_missing_metadata_file_is_written_anew(bag: Path) -> None:
+def test_missing_metadata_file_is_rewritten(bag: Path) -> None:
     (bag / "metadata.yaml").unlink()
     repair(bag)
     assert _read(bag) == WHOLE

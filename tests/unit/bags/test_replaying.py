@@ -1,4 +1,4 @@
-"""What of a bag a run is repeated from, and when which input is handed out."""
+"""The run that a replay reads from a bag, and the schedule of its inputs."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class Bags:
             self._bag.add_topic(topic, type_name)
         self._bag.write(topic, data, ns, ns)
 
-    def take(self, type_name: str, topic: str, ns: int, **fields: Any) -> None:
+    def write_message(self, type_name: str, topic: str, ns: int, **fields: Any) -> None:
         message = self._types[type_name](header=self._messages.header(ns, ""), **fields)
         self.write(topic, type_name, self._messages.cdr(message), ns)
 
     def input(self, item: RecordedInput, ns: int) -> None:
-        self.take(
+        self.write_message(
             "gibson_msgs/msg/Input", "/inputs", ns,
             epoch=item.epoch, step=item.step, name=item.name, type=item.type_name, data=np.frombuffer(item.data, np.uint8),
         )  # fmt: skip
@@ -57,10 +57,12 @@ class Bags:
     def digest(self, epoch: int, step: int, ns: int, **digests: int) -> None:
         numbers = np.array(list(digests.values()), dtype=np.uint64)
         topics = [f"/{name}" for name in digests]
-        self.take("gibson_msgs/msg/TickDigest", "/tick_digest", ns, epoch=epoch, step=step, topics=topics, digests=numbers)
+        self.write_message(
+            "gibson_msgs/msg/TickDigest", "/tick_digest", ns, epoch=epoch, step=step, topics=topics, digests=numbers
+        )
 
     def info(self, kind: str, settings: dict[str, Any]) -> None:
-        self.take(
+        self.write_message(
             "gibson_msgs/msg/RunInfo", "/run_info", 0,
             kind=kind, node=f"/{kind}", version="0.1.0", settings=yaml.safe_dump(settings), platform="{numpy: '2'}",
         )  # fmt: skip
@@ -69,7 +71,7 @@ class Bags:
         self.write(topic, TWIST, self._messages.cdr(self._twist(linear)), ns)
 
     def stamped(self, topic: str, ns: int, linear: float) -> None:
-        self.take(STAMPED, topic, ns, twist=self._twist(linear))
+        self.write_message(STAMPED, topic, ns, twist=self._twist(linear))
 
     def _twist(self, linear: float) -> Any:
         vector = self._types["geometry_msgs/msg/Vector3"]
@@ -94,13 +96,13 @@ def test_settings_journal_and_digests_of_a_run_are_read(messages: Any, tmp_path:
     assert (facts.has_journal, facts.has_digests, facts.has_commands) == (True, True, False)
 
 
-def test_recording_that_went_on_in_other_bags_after_resets_is_one_run(messages: Any, tmp_path: Path) -> None:
+def test_recording_continued_in_other_bags_after_resets_is_one_run(messages: Any, tmp_path: Path) -> None:
     reset = _input(0, 9, "/reset_simulation")
     with Bags(messages, tmp_path / "bag") as bag:
         bag.digest(0, 8, 8, scene_state=1)
         bag.input(reset, 9)
     with Bags(messages, tmp_path / "bag_epoch1") as later:
-        later.input(reset, 0)  # latched, so it comes again
+        later.input(reset, 0)  # latched, so it is received again
         later.digest(0, 8, 0, scene_state=1)
         later.digest(1, 4, 4, scene_state=1)
         later.input(_input(1, 4), 4)
@@ -109,7 +111,7 @@ def test_recording_that_went_on_in_other_bags_after_resets_is_one_run(messages: 
     assert run.end(240, 60) == (1, 4)
 
 
-def test_bag_that_begins_behind_a_reset_names_the_remedy(messages: Any, tmp_path: Path) -> None:
+def test_bag_that_starts_after_a_reset_names_the_remedy(messages: Any, tmp_path: Path) -> None:
     with Bags(messages, tmp_path / "bag_epoch1") as bag:
         bag.digest(1, 4, 4, scene_state=1)
     with pytest.raises(RecordError, match="begins in epoch 1, after a reset: replay the bag that the recording began with"):
@@ -133,7 +135,7 @@ def test_commands_without_a_journal_become_inputs_at_the_steps_of_their_times(me
     assert run.end(240, 60) == (0, 240)
 
 
-def test_commands_that_a_recorder_left_out_are_taken_from_what_was_applied(messages: Any, tmp_path: Path) -> None:
+def test_applied_commands_replace_commands_that_were_not_recorded(messages: Any, tmp_path: Path) -> None:
     with Bags(messages, tmp_path / "bag") as bag:
         bag.stamped("/left/cmd_vel_applied", 0, 0.1)
         bag.stamped("/left/cmd_vel_applied", NS, 0.2)
@@ -147,7 +149,7 @@ def test_commands_that_a_recorder_left_out_are_taken_from_what_was_applied(messa
     ]
 
 
-def test_time_of_commands_begins_at_the_first_clock(messages: Any, tmp_path: Path) -> None:
+def test_time_of_commands_starts_at_the_first_clock(messages: Any, tmp_path: Path) -> None:
     clock = messages.types["rosgraph_msgs/msg/Clock"]
     with Bags(messages, tmp_path / "bag") as bag:
         bag.twist("/cmd_vel", 1 * NS, 0.1)
@@ -164,14 +166,14 @@ def test_bag_without_digests_ends_at_its_last_state(messages: Any, tmp_path: Pat
     assert read_run(bag.folder).end(240, 60) == (0, 12)
 
 
-def test_recording_that_began_in_the_middle_is_known(messages: Any, tmp_path: Path) -> None:
+def test_recording_that_started_in_the_middle_is_detected(messages: Any, tmp_path: Path) -> None:
     with Bags(messages, tmp_path / "bag") as bag:
         bag.digest(0, 400, 1, scene_state=1)
         bag.input(_input(0, 401), 2)
     assert read_run(bag.folder).begins_late
 
 
-def test_bag_of_no_time_has_no_end(messages: Any, tmp_path: Path) -> None:
+def test_bag_without_time_has_no_end(messages: Any, tmp_path: Path) -> None:
     with Bags(messages, tmp_path / "bag") as bag:
         bag.twist("/cmd_vel", NS, 0.1)
     with pytest.raises(RecordError, match="less than one tick"):
@@ -183,7 +185,7 @@ def test_reset_is_the_last_of_its_step_whenever_it_was_written() -> None:
     assert in_order([reset, spawn, _input(1, 0), early]) == [early, spawn, reset, _input(1, 0)]
 
 
-def test_a_stopped_world_is_started_again_and_needless_starts_are_left_out() -> None:
+def test_a_stopped_world_is_started_again_and_redundant_starts_are_dropped() -> None:
     stop, play = _input(0, 9, "/sim/set_simulation_state", STOP), _input(0, 4, "/sim/set_simulation_state", PLAY)
     found = with_starts([play, stop, _input(1, 3)])
     assert found == (stop, _input(1, 0, "/sim/set_simulation_state", PLAY), _input(1, 3))
@@ -194,11 +196,11 @@ def test_a_loaded_world_is_started() -> None:
     assert with_starts([load]) == (load, _input(1, 0, "/sim/set_simulation_state", PLAY))
 
 
-def test_a_run_without_inputs_hands_out_nothing() -> None:
+def test_a_run_without_inputs_has_nothing_due() -> None:
     assert not InputSchedule([]).pop_due(3, 7, 8)
 
 
-def test_inputs_are_handed_out_once_and_some_steps_ahead() -> None:
+def test_inputs_are_due_once_and_some_steps_ahead() -> None:
     inputs = [_input(0, step) for step in (0, 7, 8, 20)]
     schedule = InputSchedule(inputs)
     assert schedule.pop_due(0, 0, 8) == inputs[:2]
@@ -207,7 +209,7 @@ def test_inputs_are_handed_out_once_and_some_steps_ahead() -> None:
     assert schedule.left == 1
 
 
-def test_inputs_behind_a_reset_count_from_it() -> None:
+def test_inputs_after_a_reset_count_from_it() -> None:
     inputs = [_input(0, 10, "/reset_simulation"), _input(1, 0), _input(1, 3), _input(1, 12)]
     schedule = InputSchedule(inputs)
     assert schedule.pop_due(0, 4, 8) == inputs[:2], "the reset is 6 steps away, and step 0 behind it as well"

@@ -1,4 +1,4 @@
-"""Bags of several files: when the next one begins, what each holds, and what a crash leaves of them."""
+"""Bags of several files: splitting, the content of each file, and recovery after a crash."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _information(folder: Path) -> dict[str, Any]:
 
 
 def _read(folder: Path) -> list[int]:
-    """Returns the numbers in the messages, having compared their count with the metadata."""
+    """Returns the numbers in the messages, after comparing their count with the metadata."""
     with AnyReader([folder]) as reader:
         numbers = [int(raw[8:-1]) for _, _, raw in reader.messages()]
         assert len(numbers) == reader.message_count == sum(c.msgcount for c in reader.connections)
@@ -43,7 +43,7 @@ def _read(folder: Path) -> list[int]:
 
 
 @STORAGES
-def test_file_ends_before_the_message_that_lies_too_far_from_its_first(tmp_path: Path, messages: Any, storage: Storage) -> None:
+def test_file_ends_before_a_message_beyond_the_duration(tmp_path: Path, messages: Any, storage: Storage) -> None:
     _write(tmp_path / "bag", messages, storage, max_file_ns=NS)
     files = _information(tmp_path / "bag")["files"]
     assert [f["path"] for f in files] == [f"bag_{i}.{SUFFIX[storage]}" for i in range(3)]
@@ -54,7 +54,7 @@ def test_file_ends_before_the_message_that_lies_too_far_from_its_first(tmp_path:
 
 
 @STORAGES
-def test_file_ends_when_it_has_its_size(tmp_path: Path, messages: Any, storage: Storage) -> None:
+def test_file_ends_at_its_size(tmp_path: Path, messages: Any, storage: Storage) -> None:
     _write(tmp_path / "bag", messages, storage, max_file_bytes=8000)
     files = sorted((tmp_path / "bag").glob(f"*.{SUFFIX[storage]}"))
     assert len(files) == len(_information(tmp_path / "bag")["files"]) >= 3
@@ -91,10 +91,10 @@ def test_crash_in_the_last_of_several_files_can_be_repaired(tmp_path: Path, mess
     for i in range(25):
         bag.write("/a", messages.text(str(i)), i * NS // 10, i)
     bag.flush()
-    bag.write("/a", messages.text("25"), 3 * NS, 25)  # begins the fourth file, and is not flushed
+    bag.write("/a", messages.text("25"), 3 * NS, 25)  # starts the fourth file, and is not flushed
     copy = tmp_path / "copy"
     copy.mkdir()
-    for path in (tmp_path / "bag").iterdir():  # what a killed writer leaves
+    for path in (tmp_path / "bag").iterdir():  # as after a killed writer
         (copy / path.name).write_bytes(path.read_bytes())
     bag.close()
     result = repair(copy)
@@ -111,7 +111,7 @@ def test_tenth_file_follows_the_ninth_in_a_repaired_bag(tmp_path: Path, messages
     assert _information(tmp_path / "bag")["relative_file_paths"] == [f"bag_{i}.mcap" for i in range(13)]
 
 
-def test_file_that_never_got_its_first_record_is_left_out(tmp_path: Path, messages: Any) -> None:
+def test_file_without_any_record_is_ignored(tmp_path: Path, messages: Any) -> None:
     _write(tmp_path / "bag", messages, max_file_ns=NS)
     os.truncate(tmp_path / "bag/bag_2.mcap", 8)
     assert repair(tmp_path / "bag").messages == 20

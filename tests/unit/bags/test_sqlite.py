@@ -1,4 +1,4 @@
-"""Storage sqlite3: the tables that rosbag2 has, what readers get, and what a crash or a full disk leaves."""
+"""Storage sqlite3: the tables of rosbag2, reading, and recovery after a crash or a full disk."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_database_carries_the_metadata_of_its_file(tmp_path: Path, messages: Any
     assert outside["storage_identifier"] == "sqlite3"
 
 
-def test_folder_holds_nothing_but_the_bag(tmp_path: Path, messages: Any) -> None:
+def test_folder_contains_only_the_bag(tmp_path: Path, messages: Any) -> None:
     _write(tmp_path / "bag", messages)
     assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.db3", "metadata.yaml"]
 
@@ -111,7 +111,7 @@ def test_file_that_is_no_database_is_refused_and_left_alone(tmp_path: Path) -> N
     assert (tmp_path / "a.db3").read_bytes() == b"something else" * 100
 
 
-def test_full_disk_loses_no_message_that_was_taken(small_disk: Path, messages: Any) -> None:
+def test_full_disk_loses_no_accepted_message(small_disk: Path, messages: Any) -> None:
     bag = BagWriter(small_disk / "bag", reserve_bytes=0, storage="sqlite3")
     bag.add_topic("/a", STRING)
     with pytest.raises(DiskFullError, match="make room"):
@@ -120,7 +120,7 @@ def test_full_disk_loses_no_message_that_was_taken(small_disk: Path, messages: A
     with AnyReader([small_disk / "bag"]) as reader:
         times = [t for _, t, _ in reader.messages()]
         assert len(times) == reader.message_count
-    # What waited when the disk was full lies where the emergency file was.
+    # Messages pending when the disk was full are where the emergency file was.
     assert times == list(range(taken))
     assert taken > 10_000_000 // 300_000
 

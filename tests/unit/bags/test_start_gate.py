@@ -1,4 +1,4 @@
-"""The message with which a recording starts: free-running, in lockstep from the start, and in lockstep when time was running already."""
+"""The first recorded message: free-running, in lockstep from the start, and in lockstep while time is running."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_late_recorder_starts_with_the_clock_after_all_publishers_are_matched() 
     assert gate.is_open
 
 
-def test_while_time_stands_it_starts_when_time_continues() -> None:
+def test_in_a_paused_simulation_it_starts_when_time_continues() -> None:
     gate = _gate()
     gate.release([("/room", b"walls")])
     gate.open_at_next_clock()

@@ -31,7 +31,7 @@ def _frames(path: Path) -> tuple[list[np.ndarray], float]:
 
 @pytest.fixture
 def write_images(messages: Any, tmp_path: Path) -> Callable[..., Path]:
-    """Returns a function that writes colour images at ticks, (red, green, blue) each, 64 pixels wide and 48 high."""
+    """Returns a function that writes colour images of 64 x 48 pixels at ticks, each of one (red, green, blue)."""
 
     def write(images: dict[int, tuple[int, int, int]], depth: dict[int, float] | None = None) -> Path:
         with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
@@ -55,7 +55,7 @@ RED, GREEN, BLUE = (200, 0, 0), (0, 200, 0), (0, 0, 200)
 
 
 def _is(frame: np.ndarray, rgb: tuple[int, int, int]) -> bool:
-    """True if the middle of the left half, BGR, has about that colour; compression blurs a little."""
+    """Returns whether the middle of the left half has about this colour, BGR; compression changes it a little."""
     return bool(np.abs(frame[24, 32, ::-1].astype(int) - rgb).max() < 40)
 
 
@@ -67,7 +67,7 @@ def test_video_decodes_to_the_frames_of_the_bag(write_images: Callable[..., Path
     assert frames[0].shape == (48, 64, 3)
 
 
-def test_depth_stands_to_the_right_of_colour(write_images: Callable[..., Path], tmp_path: Path) -> None:
+def test_depth_is_to_the_right_of_colour(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images({0: GREEN, 1: GREEN}, {0: 0.8, 1: np.inf})
     frames, _ = _frames(write_video(folder, tmp_path / "a.mp4"))
     assert frames[0].shape == (48, 128, 3)
@@ -77,7 +77,7 @@ def test_depth_stands_to_the_right_of_colour(write_images: Callable[..., Path], 
     assert frames[1][24, 96].max() < 30
 
 
-def test_depth_is_paired_by_stamp_also_if_it_comes_later(messages: Any, tmp_path: Path) -> None:
+def test_depth_that_arrives_later_is_paired_by_stamp(messages: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         for topic in ("/camera/image_raw", "/camera/depth/image_raw"):
             bag.add_topic(topic, "sensor_msgs/msg/Image")
@@ -90,13 +90,13 @@ def test_depth_is_paired_by_stamp_also_if_it_comes_later(messages: Any, tmp_path
     assert [int(f[24, 96].max()) > 100 for f in frames] == [False, True, False]
 
 
-def test_lost_depth_image_is_black_and_holds_nothing_up(write_images: Callable[..., Path], tmp_path: Path) -> None:
+def test_lost_depth_image_is_black_and_delays_nothing(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images(dict.fromkeys(range(4), RED), {0: 1.0, 1: 1.0, 3: 1.0})
     frames, _ = _frames(write_video(folder, tmp_path / "a.mp4"))
     assert [int(f[24, 96].max()) > 100 for f in frames] == [True, True, False, True]
 
 
-def test_lost_frames_keep_the_time(write_images: Callable[..., Path], tmp_path: Path) -> None:
+def test_lost_frames_do_not_change_the_time(write_images: Callable[..., Path], tmp_path: Path) -> None:
     """Two of seven frames are lost: the frames beside the gap are shown longer."""
     folder = write_images({0: RED, 1: RED, 2: GREEN, 5: BLUE, 6: BLUE})
     frames, fps = _frames(write_video(folder, tmp_path / "a.mp4"))
@@ -110,7 +110,7 @@ def test_twice_the_speed_takes_half_the_time(write_images: Callable[..., Path], 
     assert (len(frames), fps) == (21, pytest.approx(20.0))
 
 
-def test_given_rate_leaves_frames_out(write_images: Callable[..., Path], tmp_path: Path) -> None:
+def test_given_rate_drops_frames(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images(dict.fromkeys(range(21), RED))
     frames, fps = _frames(write_video(folder, tmp_path / "a.mp4", fps=5.0))
     assert (len(frames), fps) == (11, pytest.approx(5.0))
@@ -149,18 +149,18 @@ def _codec(path: Path) -> str:
     return code.to_bytes(4, "little").decode()
 
 
-def test_folder_of_a_video_is_made(write_images: Callable[..., Path], tmp_path: Path) -> None:
+def test_folder_of_a_video_is_created(write_images: Callable[..., Path], tmp_path: Path) -> None:
     assert write_video(write_images({0: RED}), tmp_path / "new" / "a.mp4").stat().st_size > 0
 
 
-# The head of the file, its images, and its index, which is put before them last.
+# The header of the file, its images, and its index, which is moved before them at the end.
 @pytest.mark.parametrize("limit", [0, 700, 1100])
 def test_full_disk_ends_a_video_in_one_line(write_images: Callable[..., Path], tmp_path: Path, limit: int) -> None:
     folder = write_images({tick: RED for tick in range(10)})
     whole = write_video(folder, tmp_path / "whole.mp4").stat().st_size
     assert whole > limit
     (tmp_path / "out").mkdir()
-    # In a process of its own: FFmpeg ended it with SIGSEGV where it could not write the head.
+    # In a separate process: FFmpeg crashed with SIGSEGV when it could not write the header.
     command = [sys.executable, "-m", "gibson_sim.cli.main", "bag", "video", str(folder), str(tmp_path / "out/a.mp4")]
     done = subprocess.run(
         command,
@@ -221,12 +221,12 @@ def test_contact_sheet_puts_depth_below_colour_and_text_below_both(write_drive: 
     sheet = cv2.imread(str(write_contact_sheet(write_drive(), tmp_path / "a.png", columns=1, rows=1, width=320)))
     assert sheet.shape[:2] == (2 * 240 + 40, 320)
     assert sheet[120, 160].tolist() == [0, 100, 200]
-    assert sheet[240 + 10, 160].max() == 0  # the upper row sees nothing
+    assert sheet[240 + 10, 160].max() == 0  # the upper row has no depth
     assert sheet[240 + 120, 160].max() > 100
     assert sheet[480:, :].max() == 255  # text
 
 
-def test_stamps_that_span_years_are_refused_before_memory_is_asked_for(write_images: Callable[..., Path], tmp_path: Path) -> None:
+def test_stamps_that_span_years_are_refused_before_allocation(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images({0: RED, 1: GREEN, 20_000_000_000: BLUE})
     with pytest.raises(RecordError, match=r"the stamps of the images span 2e\+09 s, a video of more than 5,000,000 frames"):
         write_video(folder, tmp_path / "a.mp4")

@@ -45,18 +45,18 @@ def test_publish_time_is_kept_beside_log_time(tmp_path: Path, messages: Any) -> 
     assert times == [(1000 + i, 900 + i) for i in range(10)]
 
 
-def test_messages_lie_in_indexed_chunks(tmp_path: Path, messages: Any) -> None:
+def test_messages_are_in_indexed_chunks(tmp_path: Path, messages: Any) -> None:
     _write(tmp_path / "bag", messages)
     with _mcap(tmp_path / "bag").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    # Three messages of 1046 bytes each pass 2500 bytes.
+    # Three messages of 1046 bytes each exceed 2500 bytes.
     assert [len(c.message_index_offsets) for c in summary.chunk_indexes] == [1, 1, 1, 1]
     assert (summary.chunk_indexes[0].message_start_time, summary.chunk_indexes[-1].message_end_time) == (1000, 1009)
 
 
 def _written_apart(folder: Path, messages: Any) -> list[tuple[str, int]]:
-    """Writes small messages every 0.1 s and a large one after every third, each large one a chunk; returns topics and times."""
+    """Writes small messages every 0.1 s, and after every third a large one, which fills a chunk; returns topics and times."""
     written, large = [], messages.text("x" * 2 * LARGE_BYTES)
     with BagWriter(folder, reserve_bytes=0, chunk_bytes=LARGE_BYTES) as bag:
         for topic in ("/small", "/large"):
@@ -69,7 +69,7 @@ def _written_apart(folder: Path, messages: Any) -> list[tuple[str, int]]:
     return written
 
 
-def test_large_messages_stand_in_chunks_of_their_own(tmp_path: Path, messages: Any) -> None:
+def test_large_messages_are_in_chunks_of_their_own(tmp_path: Path, messages: Any) -> None:
     written = _written_apart(tmp_path / "bag", messages)
     with _mcap(tmp_path / "bag").open("rb") as file:
         reader = make_reader(file)
@@ -99,8 +99,8 @@ def test_small_messages_do_not_lag_behind_large_ones_by_more_than_a_second(tmp_p
             small_until = chunk.message_end_time
 
 
-def test_file_says_the_same_as_one_that_rosbags_wrote(tmp_path: Path, messages: Any) -> None:
-    """Rosbags is known to write what rosbag2 reads: profile, schema, channel and metadata record must agree with it."""
+def test_file_has_the_same_records_as_one_of_rosbags(tmp_path: Path, messages: Any) -> None:
+    """rosbag2 reads the files of rosbags: profile, schema, channel and metadata record must agree with them."""
     qos = TopicQos.latched()
     with BagWriter(tmp_path / "ours", reserve_bytes=0) as bag:
         bag.add_topic("/scene", STRING, qos)
@@ -142,7 +142,7 @@ def test_latched_topic_is_latched_in_the_file_and_in_the_metadata(tmp_path: Path
         bag.add_topic("/scene", STRING, TopicQos.latched())
         bag.write("/scene", messages.text("x"), 1, 1)
     with AnyReader([tmp_path / "bag"]) as reader:
-        # rosbags matches the two descriptions of a topic by their quality of service: a message proves that they agree.
+        # rosbags matches the two descriptions of a topic by their quality of service: a message shows that they agree.
         assert [c.ext.offered_qos_profiles[0].durability.name for c, _, _ in reader.messages()] == ["TRANSIENT_LOCAL"]
 
 
@@ -166,7 +166,7 @@ def test_bag_without_messages_can_be_opened(tmp_path: Path) -> None:
         assert reader.message_count == 0
 
 
-def test_folder_holds_nothing_but_the_bag(tmp_path: Path, messages: Any) -> None:
+def test_folder_contains_only_the_bag(tmp_path: Path, messages: Any) -> None:
     _write(tmp_path / "bag", messages)
     assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
 
@@ -240,7 +240,7 @@ def test_memoryview_is_accepted(tmp_path: Path, messages: Any) -> None:
 def test_interrupt_in_the_middle_of_a_write_leaves_a_bag_of_whole_chunks(
     tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch, call: int
 ) -> None:
-    """Ctrl-C raises KeyboardInterrupt anywhere: here when half of the bytes have reached the disk."""
+    """Ctrl-C raises KeyboardInterrupt anywhere: here after half of the bytes are on disk."""
     write, calls = sink_module.Sink.write, iter(range(100))
 
     def interrupted(sink: Any, data: bytes) -> int:
@@ -258,7 +258,7 @@ def test_interrupt_in_the_middle_of_a_write_leaves_a_bag_of_whole_chunks(
     with AnyReader([tmp_path / "bag"]) as reader:
         times = [t for _, t, _ in reader.messages()]
     assert times == list(range(len(times)))
-    # At most the chunk in hand, of three messages, is lost.
+    # At most the open chunk, of three messages, is lost.
     assert bag.message_count - 3 <= len(times)
     assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
 

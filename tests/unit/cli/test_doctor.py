@@ -1,4 +1,4 @@
-"""What ``gibson-sim doctor`` says of graphics: one line for each device, with a remedy where it does not draw."""
+"""Graphics in ``gibson-sim doctor``: one line per device, with a remedy if it cannot render."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Answers = Callable[[dict[str, tuple[bool, str]]], None]
 
 @pytest.fixture
 def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
-    """Sets what the programs answer that doctor runs, by a word in them."""
+    """Sets the answers of the programs that doctor runs, by a word in their text."""
 
     def set_answers(by_word: dict[str, tuple[bool, str]]) -> None:
         def answer(code: str) -> tuple[bool, str]:
@@ -45,7 +45,7 @@ def cuda(uuid: str) -> tuple[bool, str]:
     return True, json.dumps([{"ordinal": 3, "name": "NVIDIA GPU", "uuid": uuid}])
 
 
-def test_every_device_draws_for_itself(answers: Answers) -> None:
+def test_every_device_is_tested_on_its_own(answers: Answers) -> None:
     answers(
         {
             "list_devices": devices(device(0, vendor="Mesa"), device(1, vendor="Mesa")),
@@ -67,7 +67,7 @@ def test_a_device_that_cannot_be_opened_is_a_warning_and_is_not_drawn_with(answe
     assert "no right to open it" in found[1].detail
 
 
-def test_cuda_is_said_to_have_the_gpu_that_draws(answers: Answers) -> None:
+def test_cuda_on_the_rendering_gpu_is_reported(answers: Answers) -> None:
     answers({"list_devices": devices(device(1)), "self_test": (True, "drawn"), "CudaPython": cuda(UUID)})
     finding = list(doctor._graphics())[-1]
     assert (finding.what, finding.status, finding.detail) == ("CUDA", "ok", "cuda:3 NVIDIA GPU is EGL device 1")
@@ -88,7 +88,7 @@ def test_without_cuda_the_remedy_is_the_extra(answers: Answers) -> None:
     assert "gibson-sim[cuda]" in finding.remedy
 
 
-def test_nothing_is_said_of_cuda_where_no_nvidia_gpu_draws(answers: Answers) -> None:
+def test_cuda_is_not_mentioned_without_a_rendering_nvidia_gpu(answers: Answers) -> None:
     answers({"list_devices": devices(device(0, vendor="Mesa/X.org", software=True)), "self_test": (True, "drawn")})
     assert [f.what for f in doctor._graphics()] == ["EGL device 0"]
 

@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment of a process: no stack, and the documented exit code."""
+"""Ctrl-C at any moment of a process: no stack trace, and the documented exit code."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Interrupt:
 
 sys.meta_path.insert(0, Interrupt())
 """
-"""Interrupts the process that loads it in the middle of an import: as exact as no pause before a signal could be."""
+"""Interrupts the process that loads it in the middle of an import, more exactly than any delay before a signal could."""
 
 
 def _interrupted(tmp_path: Path, command: list[str], count_from: str, at: int) -> subprocess.CompletedProcess[str]:
@@ -55,8 +55,8 @@ def test_a_node_that_is_interrupted_while_it_loads_is_silent(tmp_path: Path, mod
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 
-def test_a_process_is_started_with_ctrl_c_held_back_until_it_is_ready_for_it() -> None:
-    """Before a program's first line Python has its own handler already, which prints a stack."""
+def test_a_process_starts_with_ctrl_c_blocked_until_it_is_ready() -> None:
+    """Python's own handler, which prints a stack trace, is active before the first line of a program."""
     begin = "import os, signal; from gibson_sim import interrupts; "
     child = (
         "import os, signal; os.kill(os.getpid(), signal.SIGINT); print('kept', flush=True); "

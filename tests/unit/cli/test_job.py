@@ -1,4 +1,4 @@
-"""In which order the nodes of a job start, and what is said where one refuses; the nodes are played."""
+"""The order in which the nodes of a job start, and the output if one fails, with fake nodes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from gibson_sim.standard.job_folder import LOADED
 MEASURED = {"scene": "flat", "wall_time_s": 1.0, "real_time_factor": 1.0, "commands": 0, "refused_commands": 0}
 
 
-class Played:
-    """A node that ends at once with a code, or leaves the note that it has loaded."""
+class FakeNode:
+    """A node that ends at once with a code, or reports that it has loaded."""
 
     started: tuple[str, ...] = ()
     stopped: tuple[str, ...] = ()
@@ -27,7 +27,7 @@ class Played:
     folder = Path()
 
     def __init__(self, name: str, *_: Any, silent: bool = False, **__: Any) -> None:
-        Played.started += (name,)
+        FakeNode.started += (name,)
         self.name, self.silent = name, silent
         if name == "physics" and name not in self.codes:
             (self.folder / LOADED).write_text(self.cameras)
@@ -45,7 +45,7 @@ class Played:
         pass
 
     def stop(self, **_: Any) -> int:
-        Played.stopped += (self.name,)
+        FakeNode.stopped += (self.name,)
         return 0
 
 
@@ -54,25 +54,25 @@ def _run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *options: str, cameras
     run.add_parser(parser.add_subparsers())
     args = parser.parse_args(["run", "--scene", "flat", "--record", str(tmp_path / "bag"), "--reserve-mb", "1", *options])
     job: Job = run._plan(args, tmp_path)
-    Played.started, Played.stopped, Played.codes, Played.cameras, Played.folder = (), (), codes, cameras, tmp_path
-    monkeypatch.setattr(job_module, "NodeProcess", Played)
+    FakeNode.started, FakeNode.stopped, FakeNode.codes, FakeNode.cameras, FakeNode.folder = (), (), codes, cameras, tmp_path
+    monkeypatch.setattr(job_module, "NodeProcess", FakeNode)
     return JobRun(job, {}).run()
 
 
-def test_scene_that_is_refused_starts_no_recording_and_says_one_line(
+def test_refused_scene_starts_no_recording_and_prints_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(tmp_path, monkeypatch, physics=1) == 1
-    assert Played.started == ("physics", "render")
+    assert FakeNode.started == ("physics", "render")
     assert capsys.readouterr().err == "error: physics refuses\n"
 
 
-def test_device_that_is_refused_starts_no_recording_and_says_one_line(
+def test_refused_device_starts_no_recording_and_prints_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(JobRun, "_accept", lambda *_: True)  # the device is looked for while the scene is read
+    monkeypatch.setattr(JobRun, "_accept", lambda *_: True)  # the device is opened while the scene is read
     assert _run(tmp_path, monkeypatch, render=1) == 1
-    assert Played.started == ("physics", "render")
+    assert FakeNode.started == ("physics", "render")
     assert capsys.readouterr().err == "error: render refuses\n"
 
 
@@ -83,48 +83,48 @@ def test_device_that_is_refused_starts_no_recording_and_says_one_line(
         (("--register-depth", "depth=camera"), "setting 'register_depth' has camera 'depth'; the scene has: camera, view_top"),
     ],
 )
-def test_camera_that_is_not_there_is_an_error_that_names_what_is(
+def test_unknown_camera_is_an_error_that_lists_the_cameras(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], said: str
 ) -> None:
     assert _run(tmp_path, monkeypatch, *options, cameras="camera\nview_top") == 1
-    assert "record" not in Played.started
+    assert "record" not in FakeNode.started
     assert capsys.readouterr().err == f"error: {said}\n"
 
 
-def test_recording_starts_once_the_scene_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_starts_once_the_scene_is_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert _run(tmp_path, monkeypatch, record=1) == 1
-    assert Played.started == ("physics", "render", "record")
+    assert FakeNode.started == ("physics", "render", "record")
 
 
 def test_time_ends_before_the_recorder_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert _run(tmp_path, monkeypatch, "--drive", "square", drive=0) == 0
-    assert Played.stopped == ("physics", "record", "render")
+    assert FakeNode.stopped == ("physics", "record", "render")
 
 
-def test_bag_of_a_recorder_that_was_killed_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(node: Played, **_: Any) -> int:
+def test_bag_of_a_killed_recorder_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(node: FakeNode, **_: Any) -> int:
         if node.name == "render":
             (tmp_path / "bag").mkdir()
         return 0
 
-    monkeypatch.setattr(Played, "stop", stop)
+    monkeypatch.setattr(FakeNode, "stop", stop)
     _run(tmp_path, monkeypatch, "--drive", "square", drive=0)
-    assert (tmp_path / "bag").is_dir(), "it left no note of what it recorded"
+    assert (tmp_path / "bag").is_dir(), "it left no summary of its recording"
 
 
 @pytest.mark.parametrize(("simulated", "code"), [(0.0, 130), (1.5, 0)])
 def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, simulated: float, code: int
 ) -> None:
-    class Asked:
+    class StopAfterRecorder:
         count = 0
 
         def close(self) -> None:
             pass
 
-    asked = Asked()
+    request = StopAfterRecorder()
 
-    def stop(node: Played, **_: Any) -> int:
+    def stop(node: FakeNode, **_: Any) -> int:
         if node.name == "physics":
             (tmp_path / "physics.json").write_text(json.dumps({**MEASURED, "simulation_time_s": simulated}))
         if node.name == "record":
@@ -132,12 +132,12 @@ def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
             (tmp_path / "record.json").write_text(json.dumps({"messages": {"clock": round(simulated)}, "lost": {}, "error": ""}))
         return 0
 
-    def poll(node: Played) -> None:
-        asked.count += node.name == "record"
+    def poll(node: FakeNode) -> None:
+        request.count += node.name == "record"
 
-    monkeypatch.setattr(job_module, "StopRequest", lambda: asked)
-    monkeypatch.setattr(Played, "stop", stop)
-    monkeypatch.setattr(Played, "poll", poll)
+    monkeypatch.setattr(job_module, "StopRequest", lambda: request)
+    monkeypatch.setattr(FakeNode, "stop", stop)
+    monkeypatch.setattr(FakeNode, "poll", poll)
     assert _run(tmp_path, monkeypatch) == code
     assert (tmp_path / "bag").exists() == bool(simulated)
 
@@ -148,7 +148,7 @@ def test_full_disk_is_refused_before_anything_starts(tmp_path: Path, monkeypatch
         _run(tmp_path, monkeypatch, "--reserve-mb", "130")
 
 
-def test_summary_that_cannot_be_written_keeps_nothing_else_from_it(
+def test_unwritable_summary_prevents_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made: list[Path] = []

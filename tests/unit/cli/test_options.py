@@ -19,7 +19,7 @@ def _parse(*argv: str) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def test_options_that_are_not_given_leave_the_defaults() -> None:
+def test_options_not_given_keep_the_defaults() -> None:
     assert settings_from_args(PhysicsConfig, _parse()) == PhysicsConfig()
 
 
@@ -28,7 +28,7 @@ def test_options_reach_the_settings_with_their_types() -> None:
     assert (config.scene, config.rate, config.step_hz, config.publish_map_tf) == ("flat", 0.0, 480, True)
 
 
-def test_impossible_option_fails_in_the_words_of_the_settings() -> None:
+def test_invalid_option_fails_with_the_message_of_the_settings() -> None:
     with pytest.raises(ConfigError, match="setting 'step_hz' is 7, must be 60 to 10000 Hz"):
         settings_from_args(PhysicsConfig, _parse("--step-hz", "7"))
 

@@ -1,4 +1,4 @@
-"""Leftovers and exit codes of the launcher."""
+"""Shared-memory leftovers and exit codes of the launcher."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import EnvironmentProblemError
 
 
-def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
+def test_dead_segments_are_removed_and_live_ones_stay(tmp_path: Path) -> None:
     dead = ["fastrtps_dead", "fastrtps_dead_el", "fastrtps_port7001", "fastrtps_port7001_el", "sem.fastrtps_port7001_mutex"]
     orphan = ["fastrtps_port7002", "sem.fastrtps_port7002_mutex"]
     alive = ["fastrtps_alive", "fastrtps_alive_el", "fastrtps_port7003", "fastrtps_port7003_el", "sem.fastrtps_port7003_mutex"]
@@ -26,7 +26,7 @@ def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
         fcntl.flock(a, fcntl.LOCK_EX)
         fcntl.flock(b, fcntl.LOCK_EX)
         remove_dead_segments(tmp_path)
-        # The lock file of a port is used again by the next who opens that port.
+        # The next process that opens a port reuses its lock file.
         assert {p.name for p in tmp_path.iterdir()} == {*alive, "fastrtps_port7001_el", "somebody_else_el"}
 
 
@@ -44,8 +44,8 @@ def test_folders_and_links_of_such_names_are_left_alone(tmp_path: Path, monkeypa
     assert precious.read_text() == "to be kept"
 
 
-def test_port_that_somebody_writes_to_stays_until_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who closes it last removes it by its name: by then that would be another one's port."""
+def test_port_with_a_writer_stays_until_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last process to close a port removes it by name: by then this could be the port of another process."""
     port, lock = tmp_path / "fastrtps_port7003", tmp_path / "fastrtps_port7003_el"
     port.write_bytes(bytes(4096))
     lock.touch()
@@ -55,8 +55,8 @@ def test_port_that_somebody_writes_to_stays_until_it_is_closed(tmp_path: Path, m
     assert remove_dead_segments(tmp_path) == [port]
 
 
-def test_locks_are_not_tried_while_somebody_may_be_taking_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who starts, and finds its lock taken for an instant, has no shared memory; whose lock file is gone, is taken for dead."""
+def test_locks_are_not_tried_while_a_process_may_acquire_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A starting process that finds its lock held for an instant gets no shared memory; one without a lock file counts as dead."""
     tried: list[Path] = []
     for name in ("fastrtps_port7003", "fastrtps_port7003_el", "fastrtps_new", "fastrtps_new_el"):
         (tmp_path / name).touch()
@@ -67,7 +67,7 @@ def test_locks_are_not_tried_while_somebody_may_be_taking_them(tmp_path: Path, m
     assert not tried
 
 
-def test_port_that_gets_its_lock_while_we_look_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_that_is_locked_during_the_check_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "fastrtps_port7002").touch()
     lock = tmp_path / "fastrtps_port7002_el"
     with lock.open("w") as held:
@@ -111,7 +111,7 @@ def test_bad_command_line_ends_with_one_line_on_stderr(argv: tuple[str, ...], co
     assert code == 2 or len(done.stderr.strip().splitlines()) == 1
 
 
-def test_record_into_a_folder_with_something_in_it_is_refused(tmp_path: Path) -> None:
+def test_record_into_a_folder_with_content_is_refused(tmp_path: Path) -> None:
     (tmp_path / "precious").touch()
     done = _cli("run", "--record", str(tmp_path))
     assert done.returncode == 1
@@ -119,7 +119,7 @@ def test_record_into_a_folder_with_something_in_it_is_refused(tmp_path: Path) ->
     assert (tmp_path / "precious").exists()
 
 
-def test_node_gets_an_enclave_of_its_own_where_security_is_on() -> None:
+def test_node_gets_its_own_enclave_with_security() -> None:
     assert enclave_variables({}, "render") == {}
     assert enclave_variables({"ROS_SECURITY_ENABLE": "true"}, "render") == {"ROS_SECURITY_ENCLAVE_OVERRIDE": "/gibson_sim/render"}
     chosen = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_ENCLAVE_OVERRIDE": "/mine"}
@@ -127,6 +127,6 @@ def test_node_gets_an_enclave_of_its_own_where_security_is_on() -> None:
 
 
 @pytest.mark.skipif(not in_wheels(), reason="SKIPPED: this ROS may be able to encrypt; that of pip cannot")
-def test_security_that_ros_from_pip_does_not_have_is_refused() -> None:
+def test_security_is_refused_with_ros_from_pip() -> None:
     with pytest.raises(EnvironmentProblemError, match="ROS_SECURITY_ENABLE is 'true', but ROS from pip cannot encrypt"):
         node_environment({"ROS_SECURITY_ENABLE": "true"})

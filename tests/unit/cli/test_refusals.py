@@ -1,4 +1,4 @@
-"""What a command line names and does not exist: refused before anything starts, with what does exist."""
+"""Names on the command line that do not exist: refused before anything starts, with a list of those that do."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("words", "code", "said"), WRONG, ids=lambda value: " ".join(value) if isinstance(value, tuple) else "")
-def test_it_is_refused_in_one_line_before_anything_starts(
+def test_unknown_names_are_refused_in_one_line_before_anything_starts(
     words: tuple[str, ...],
     code: int,
     said: str,
@@ -73,7 +73,7 @@ def test_it_is_refused_in_one_line_before_anything_starts(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_second_bag_of_a_comparison_is_looked_for_before_the_first_is_read(
+def test_the_second_bag_of_a_comparison_is_checked_before_the_first_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "real").mkdir()
@@ -122,7 +122,7 @@ def test_a_broken_robot_file_is_refused_by_the_launcher(tmp_path: Path, capsys: 
     assert "key 'urdff' is unknown; did you mean 'urdf'?" in capsys.readouterr().err
 
 
-def test_the_names_that_options_know_are_those_that_exist() -> None:
+def test_the_names_of_options_are_those_that_exist() -> None:
     assert tuple(TASKS) == TASK_NAMES
     known = {baseline for task in TASKS.values() for baseline in task.baselines}
     assert set(TaskConfig.__dataclass_fields__["baseline"].metadata["choices"]) == known

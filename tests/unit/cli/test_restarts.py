@@ -1,4 +1,4 @@
-"""Crashes of the render node: counted by time, reported by their cause."""
+"""Crashes of the render node: counted per time, reported with their cause."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gibson_sim.cli.processes import NodeProcess
 HOUR_S = 3600.0
 
 
-def test_renderer_that_crashes_once_an_hour_is_started_again_for_a_week() -> None:
+def test_renderer_that_crashes_once_an_hour_is_restarted_for_a_week() -> None:
     time_s = [0.0]
     restarts = Restarts(3, 600.0, lambda: time_s[0])
     for hour in range(7 * 24):
@@ -44,7 +44,7 @@ def test_fourth_crash_within_the_window_is_the_last() -> None:
 
 @pytest.fixture
 def ends_with(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A node that runs this program instead of its own."""
+    """Returns a node that runs the given program instead of its own."""
 
     def node(program: str) -> NodeProcess:
         monkeypatch.setattr(processes, "command_of", lambda module, *arguments: [sys.executable, "-c", program])
@@ -79,8 +79,8 @@ def test_exit_code_is_the_reason_where_no_error_was_reported(ends_with: Any) -> 
     assert ends_with("print('error: no such scene'); raise SystemExit(1)").reason() == "no such scene"
 
 
-def test_run_outlives_crashes_that_are_far_apart(ends_with: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The renderer crashes five times; the clock of the restarts says that an hour passes between two of them."""
+def test_run_survives_crashes_that_are_far_apart(ends_with: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The renderer crashes five times; by the clock of the restarts an hour passes between two crashes."""
     hours = iter(range(100))
     monkeypatch.setattr(job, "Restarts", lambda limit, window_s: Restarts(limit, window_s, lambda: next(hours) * HOUR_S))
     monkeypatch.setattr(job, "remove_dead_segments", lambda: [])

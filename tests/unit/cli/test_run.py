@@ -1,4 +1,4 @@
-"""The job that the options of ``gibson-sim run`` ask for."""
+"""The job of the options of ``gibson-sim run``."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def plan(folder: Path, *argv: str) -> Job:
 
 
 @pytest.mark.parametrize(("cmd_vel_type", "stamped"), [("both", False), ("twist", False), ("stamped", True)])
-def test_drive_sends_a_type_that_is_received(cmd_vel_type: str, stamped: bool, tmp_path: Path) -> None:
+def test_drive_sends_a_type_with_a_subscription(cmd_vel_type: str, stamped: bool, tmp_path: Path) -> None:
     job = plan(tmp_path, "--drive", "square", "--cmd-vel-type", cmd_vel_type)
     assert job.configs["drive"].stamped is stamped
     assert job.configs["physics"].cmd_vel_type == cmd_vel_type
 
 
-def test_drive_that_would_not_be_received_is_refused(tmp_path: Path) -> None:
+def test_drive_without_a_matching_subscription_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--stamped sends TwistStamped, which --cmd-vel-type twist does not receive"):
         plan(tmp_path, "--drive", "square", "--stamped", "--cmd-vel-type", "twist")

@@ -1,4 +1,4 @@
-"""Between ROS messages and the values of this package."""
+"""Conversions between ROS messages and the types of this package."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def time_msg(ns: int) -> Any:
 
 
 def translation_and_quat(transform: Any) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    """Returns what a Transform holds: metres, and a quaternion (x, y, z, w)."""
+    """Returns the translation, metres, and the quaternion (x, y, z, w) of a Transform."""
     t, r = transform.translation, transform.rotation
     return (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
 
 
 def pose_from(pose: Any) -> Pose2D:
-    """Returns the part of a Pose that lies in the plane.
+    """Returns the planar part of a Pose.
 
     Raises:
-        SettingError: it is no pose.
+        SettingError: a value is not finite, or the quaternion is 0.
     """
     p, q = pose.position, pose.orientation
     if not all(map(math.isfinite, (p.x, p.y, q.x, q.y, q.z, q.w))):
@@ -49,16 +49,16 @@ def pose_from(pose: Any) -> Pose2D:
 
 
 def grid_from(msg: Any) -> Grid:
-    """Returns the map of an OccupancyGrid.
+    """Returns the map in an OccupancyGrid.
 
     Raises:
-        MapError: it is empty, or its axes are not those of the map frame.
+        MapError: the map is empty, or its axes are not those of the map frame.
     """
     info = msg.info
     yaw = pose_from(info.origin).yaw
     if abs(yaw) > 1e-3:
         raise MapError(
-            f"map: its origin is turned by {math.degrees(yaw):.1f} degrees, must be 0; publish it along its frame's axes"
+            f"map: its origin is turned by {math.degrees(yaw):.1f} degrees, must be 0; publish it along the axes of its frame"
         )
     cells = np.asarray(msg.data, dtype=np.int8)
     if len(cells) != info.width * info.height:
@@ -78,7 +78,7 @@ def twist_msg(velocity: Velocity, ns: int, frame: str, *, stamped: bool) -> Any:
 
 
 def path_msg(path: F64, ns: int, frame: str) -> Any:
-    """Returns a Path; every fourth of the points (N, 2), and the last, each looking along the way."""
+    """Returns a Path of every fourth of the points (N, 2), and the last, each facing along the path."""
     msg = Path()
     msg.header.stamp, msg.header.frame_id = time_msg(ns), frame
     kept = [*range(0, len(path) - 1, 4), len(path) - 1] if len(path) else []

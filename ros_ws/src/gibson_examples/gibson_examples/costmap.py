@@ -1,4 +1,4 @@
-"""Where the robot may drive: the map, and what the lidar sees besides it. Knows no ROS."""
+"""The costmap: the static map, and obstacles that the lidar sees in addition. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from gibson_examples.grid import Grid, distance_to
 
 @dataclass(frozen=True, slots=True)
 class CostmapSettings:
-    """How near to things the robot may go, and what counts as a thing."""
+    """Clearance and cost around obstacles, and which hits of a scan count as obstacles."""
 
     robot_radius: float = 0.18
     """Metres."""
     margin: float = 0.05
-    """Kept free around the robot where paths are planned, metres."""
+    """Extra clearance around the robot for planning, metres."""
     inflation: float = 0.5
-    """Out to this distance from its rim the robot rather keeps away from obstacles, metres."""
+    """Distance from the robot's rim within which obstacles raise the cost, metres."""
     steepness: float = 6.0
-    """How fast that wish fades with distance, 1/m."""
+    """Exponential decay of this cost with distance, 1/m."""
     weight: float = 4.0
-    """How many metres of detour a metre along an obstacle is worth."""
+    """Cost at the smallest clearance: metres of detour that a metre along an obstacle is worth."""
     range: float = 3.5
-    """Obstacles are taken from the scan up to this distance, metres."""
+    """Obstacles come from the scan up to this distance, metres."""
     map_tolerance: float = 0.2
-    """A hit this near to an obstacle of the map is that obstacle: errors of the localisation must not close doorways. Metres."""
+    """A hit within this distance of an obstacle of the map is that obstacle: localisation errors must not close doorways. Metres."""
     persistence_s: float = 8.0
-    """An obstacle that is not seen again is forgotten after so many seconds."""
+    """Lifetime of an obstacle since it was last seen, seconds."""
 
     def __post_init__(self) -> None:
         for name in ("robot_radius", "inflation", "range", "steepness"):
@@ -41,7 +41,7 @@ class CostmapSettings:
 
 
 class Costmap:
-    """A static layer from the map, an obstacle layer from scans, and the distance to the nearest of both."""
+    """A static layer from the map, an obstacle layer from scans, and the distance to the nearest obstacle of either."""
 
     def __init__(self, grid: Grid, settings: CostmapSettings | None = None) -> None:
         self.grid = grid
@@ -54,7 +54,7 @@ class Costmap:
 
     @property
     def clearance(self) -> F64:
-        """(H, W), metres from the centre of a cell to the nearest obstacle, 0 in obstacles and in unknown cells. Do not change."""
+        """(H, W), metres from the centre of a cell to the nearest obstacle, 0 in obstacles and unknown cells. Do not modify."""
         return self._clearance
 
     def clearance_at(self, xy: ArrayLike) -> F64:
@@ -62,7 +62,7 @@ class Costmap:
         return self.grid.values(self._clearance, xy, 0.0)
 
     def obstacles(self, now_s: float) -> Bools:
-        """Returns (H, W): cells in which scans have seen something that the map lacks."""
+        """Returns (H, W): cells with obstacles of scans that are not in the map."""
         return np.asarray(self._seen_s >= now_s - self.settings.persistence_s)
 
     def forget_obstacles(self) -> None:
@@ -71,12 +71,12 @@ class Costmap:
         self._clearance = self._static_clearance
 
     def add_scan(self, sensor_xy: ArrayLike, ends_xy: ArrayLike, hits: Bools, now_s: float) -> None:
-        """Clears the cells that the beams went through and marks those in which they ended.
+        """Clears the cells along the beams and marks the cells at their hits.
 
         Args:
-            sensor_xy: (2,), where the beams begin, map frame, metres.
-            ends_xy: (N, 2), where they end: at a hit, or as far as they see.
-            hits: (N,), whether there is something at the end.
+            sensor_xy: (2,), origin of the beams, map frame, metres.
+            ends_xy: (N, 2), ends of the beams: at a hit, or at the maximum range.
+            hits: (N,), whether a beam ends at a hit.
             now_s: time of the scan, seconds.
         """
         sensor, ends = np.asarray(sensor_xy, dtype=np.float64), np.asarray(ends_xy, dtype=np.float64)
@@ -92,19 +92,19 @@ class Costmap:
         self._refresh(now_s)
 
     def _clear(self, sensor: F64, along: F64, length: F64) -> None:
-        """Forgets what was seen in the cells on the way, up to one cell before the end."""
+        """Removes obstacles from the cells along the beams, up to one cell before the end."""
         if not np.isfinite(self._seen_s).any():
             return
         step = self.grid.resolution
         distances = np.arange(0.0, self.settings.range, step)
-        shares = distances[None, :] / np.maximum(length, 1e-9)[:, None]
-        points = (sensor + shares[:, :, None] * along[:, None, :])[distances[None, :] < (length - 1.5 * step)[:, None]]
+        fractions = distances[None, :] / np.maximum(length, 1e-9)[:, None]
+        points = (sensor + fractions[:, :, None] * along[:, None, :])[distances[None, :] < (length - 1.5 * step)[:, None]]
         cells = self.grid.cells(points)
         cells = cells[self.grid.inside(cells)]
         self._seen_s[cells[:, 0], cells[:, 1]] = -np.inf
 
     def _refresh(self, now_s: float) -> None:
-        """Works out the clearance anew, in the part of the map that obstacles of the scans can change."""
+        """Recomputes the clearance in the part of the map that obstacles of scans can change."""
         obstacles = self.obstacles(now_s)
         cells = np.argwhere(obstacles)
         if not len(cells):
@@ -119,17 +119,14 @@ class Costmap:
         self._clearance = clearance
 
     def cost(self) -> F64:
-        """Returns (H, W): how much more than its length a way through a cell counts, 0 = nothing more, inf = no way."""
+        """Returns (H, W): cost of a path through a cell per metre, in addition to its length; inf = impassable."""
         s = self.settings
         beyond = self._clearance - (s.robot_radius + s.margin)
         cost = np.where(beyond < s.inflation, s.weight * np.exp(-s.steepness * np.maximum(beyond, 0.0)), 0.0)
         return np.where(beyond < 0.0, np.inf, cost)
 
     def nearest_passable(self, xy: tuple[float, float], within: float) -> I64 | None:
-        """Returns row and column, (2,), of the cell at a point if a path may use it, else of the nearest such cell.
-
-        None if there is none ``within`` so many metres.
-        """
+        """Returns row and column, (2,), of the passable cell nearest to a point; None if there is none ``within`` metres."""
         s, grid = self.settings, self.grid
         own = grid.cells(xy)
         if self.clearance_at(xy) >= s.robot_radius + s.margin:

@@ -1,4 +1,4 @@
-"""What may go wrong, each in one line that says what, which value, what is allowed and what to do."""
+"""Errors, each with a message of one line: what is wrong, the value, what is allowed, and the remedy."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class MapError(NavigationError):
 
 
 class PlanError(NavigationError):
-    """There is no way to the goal."""
+    """There is no path to the goal."""
 
 
 class TransformError(NavigationError):
-    """A transform is not known, or no longer."""
+    """A transform is unknown, or no longer in the buffer."""
 
 
 class TransformNotYetError(TransformError):

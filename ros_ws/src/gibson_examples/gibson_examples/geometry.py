@@ -1,4 +1,4 @@
-"""Poses in the plane, and matrices of transforms. Knows no ROS."""
+"""Planar poses and transform matrices. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def wrap_angles(angles: ArrayLike) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class Pose2D:
-    """A pose in a plane; as a transform T_a_b it takes coordinates in b to coordinates in a."""
+    """A planar pose; as a transform T_a_b it maps coordinates in b to coordinates in a."""
 
     x: float
     """Metres."""
@@ -53,15 +53,15 @@ class Pose2D:
         return np.column_stack([self.x + c * p[:, 0] - s * p[:, 1], self.y + s * p[:, 0] + c * p[:, 1]])
 
     def distance(self, other: Pose2D) -> float:
-        """Returns the distance of the origins, metres."""
+        """Returns the distance between the origins, metres."""
         return math.hypot(self.x - other.x, self.y - other.y)
 
 
 def parse_pose(text: str, what: str) -> Pose2D:
-    """Returns the pose that ``x,y`` or ``x,y,yaw_deg`` (metres, degrees) spells.
+    """Parses ``x,y`` or ``x,y,yaw_deg`` (metres, degrees).
 
     Raises:
-        SettingError: it is not that.
+        SettingError: ``text`` is neither.
     """
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -99,5 +99,5 @@ def invert(matrix: F64) -> F64:
 
 
 def planar(matrix: F64) -> Pose2D:
-    """Returns the part of a transform (4, 4) that lies in the x-y plane: where its x axis points decides the yaw."""
+    """Returns the planar part of a transform (4, 4): x, y, and the direction of its x axis as yaw."""
     return Pose2D(float(matrix[0, 3]), float(matrix[1, 3]), math.atan2(matrix[1, 0], matrix[0, 0]))

@@ -1,4 +1,4 @@
-"""The map as an array. Knows no ROS: what it takes is what ``nav_msgs/OccupancyGrid`` holds."""
+"""The map as an array, with the content of ``nav_msgs/OccupancyGrid``. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_examples.errors import MapError
 from gibson_examples.geometry import F64, I64, Bools
 
 OCCUPIED_FROM = 65
-"""Per cent: a cell of this occupancy or more is an obstacle."""
+"""Occupancy from which a cell is an obstacle, per cent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,16 +41,16 @@ class Grid:
 
     @property
     def occupied(self) -> Bools:
-        """(H, W): something stands here."""
+        """(H, W): obstacles."""
         return np.asarray(self.occupancy >= OCCUPIED_FROM)
 
     @property
     def unknown(self) -> Bools:
-        """(H, W): nobody knows what is here."""
+        """(H, W): cells of unknown occupancy."""
         return np.asarray(self.occupancy < 0)
 
     def cells(self, xy: ArrayLike) -> I64:
-        """Returns row and column, (..., 2), of points (..., 2) in the map frame; they may lie outside."""
+        """Returns row and column, (..., 2), of points (..., 2) in the map frame; they may be outside the grid."""
         points = np.asarray(xy, dtype=np.float64)
         return np.floor((points - self.origin) / self.resolution).astype(np.int64)[..., ::-1]
 
@@ -71,9 +71,9 @@ class Grid:
 
 
 def distance_to(blocked: Bools, resolution: float) -> F64:
-    """Returns (H, W): metres from the centre of a cell to the nearest blocked cell's near side, 0 in such cells, inf without any.
+    """Returns (H, W): metres from the centre of a cell to the rim of the nearest blocked cell; 0 in blocked cells, inf if there are none.
 
-    A blocked cell counts as a disc of half its edge, which is off by at most a fifth of the edge, at its corners.
+    A blocked cell counts as a disc with half its edge as radius: an error of at most a fifth of the edge, at the corners.
     """
     if not blocked.any():
         return np.full(blocked.shape, np.inf)

@@ -1,4 +1,4 @@
-"""What counts as a run that went well. Knows no ROS."""
+"""Criteria for a successful run. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -11,47 +11,47 @@ from gibson_examples.geometry import F64, Pose2D
 from gibson_examples.grid import Grid, distance_to
 
 REACHED_WITHIN = 0.25
-"""Metres, true position to goal."""
+"""Largest distance of the true position from a reached goal, metres."""
 BODY_RADIUS = 0.175
-"""Of gibson_bot, metres: with less than this to an obstacle of the map it may have touched something."""
+"""Radius of gibson_bot, metres: with less clearance it may have touched an obstacle of the map."""
 DOORWAYS = 2
+"""Fewest doorways of a run that counts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How one run went. Metres, seconds of simulation time, degrees."""
+    """Result of one run. Metres, seconds of simulation time, degrees."""
 
     goal: str
     status: str
-    """What the navigation said last."""
+    """Last status of the navigation node."""
     error: float
-    """True position to goal."""
+    """Distance of the true position from the goal."""
     heading_error_deg: float
     clearance: float
-    """Smallest true distance of the robot's centre to anything on the map."""
+    """Smallest true distance of the robot's centre from an obstacle of the map."""
     closest: tuple[float, float]
-    """Where that was, map frame."""
+    """Position of the smallest distance, map frame."""
     length: float
-    """Driven."""
+    """Distance driven."""
     duration: float
     doorways: tuple[str, ...]
-    """Those it drove through."""
+    """Doorways that the robot passed."""
     recoveries: int
-    """How often it had to get itself free."""
     localisation_error: float
     """Mean distance of the estimated position from the true one."""
     localisation_error_max: float
 
     @property
     def passed(self) -> bool:
-        """Whether it counts."""
+        """Whether the run was successful."""
         near = self.status.startswith("reached") and self.error <= REACHED_WITHIN
         return near and self.clearance >= BODY_RADIUS and len(self.doorways) >= DOORWAYS
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """All runs of one simulation, and what the navigation node cost."""
+    """All runs of one simulation, and the cost of the navigation node."""
 
     scene: str
     robot: str
@@ -59,18 +59,18 @@ class Trial:
     seed: int
     runs: tuple[Run, ...]
     real_time_factor: float
-    """Simulated seconds a second: what came of ``rate``."""
+    """Simulated seconds per second, as measured; ``rate`` was requested."""
     cpu_per_simulated_second: float
-    """Seconds of one core that the node used: at real time, its share of a core."""
+    """Seconds of processor time that the node used: at real time, its fraction of a core."""
 
     @property
     def passed(self) -> int:
-        """How many runs count."""
+        """Number of successful runs."""
         return sum(run.passed for run in self.runs)
 
 
 def describe(run: Run) -> str:
-    """Returns a run in one line."""
+    """Returns one line about a run."""
     return (
         f"{'ok  ' if run.passed else 'FAIL'} {run.goal:>16}  {run.error:.3f} m  {run.heading_error_deg:4.1f} deg  "
         f"{run.length:5.1f} m in {run.duration:5.1f} s  "
@@ -81,13 +81,13 @@ def describe(run: Run) -> str:
 
 
 def initial_error(seed: int, run: int) -> Pose2D:
-    """Returns how wrong the initial pose of a run is, in the robot's frame: 0.1 m and 5 degrees, one sigma, at most two."""
+    """Returns the error of a run's initial pose, in the robot's frame: sigma 0.1 m and 5 degrees, at most two sigma."""
     x, y, yaw = np.clip(np.random.default_rng((seed, run)).standard_normal(3), -2.0, 2.0)
     return Pose2D(0.1 * float(x), 0.1 * float(y), math.radians(5.0) * float(yaw))
 
 
 def track_clearance(grid: Grid, track: F64) -> tuple[float, tuple[float, float]]:
-    """Returns the smallest distance of a track's points (N, 2), metres, from anything on the map, and where that is."""
+    """Returns the smallest distance of a track's points (N, 2), metres, from an obstacle of the map, and the point."""
     distances = grid.values(distance_to(grid.occupied, grid.resolution), track, np.inf)
     nearest = int(distances.argmin())
     return float(distances[nearest]), (float(track[nearest, 0]), float(track[nearest, 1]))

@@ -1,4 +1,4 @@
-"""Where the robot is on a known map: Monte Carlo localisation with a likelihood field. Knows no ROS."""
+"""Monte Carlo localisation on a known map, with a likelihood field. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from gibson_examples.grid import Grid, distance_to
 
 @dataclass(frozen=True, slots=True)
 class FilterSettings:
-    """How far odometry and scans are to be believed."""
+    """Noise models of odometry and scans."""
 
     particles: int = 500
     beams: int = 60
-    """Beams used of each scan."""
+    """Beams used per scan."""
     rotation_from_rotation: float = 0.08
-    """Standard deviation of a turn, rad per rad turned."""
+    """Standard deviation of a rotation, rad per rad of rotation."""
     rotation_from_translation: float = 0.08
-    """rad per metre driven."""
+    """Standard deviation of a rotation, rad per metre of translation."""
     translation_from_translation: float = 0.08
-    """m per metre driven."""
+    """Standard deviation of a translation, m per metre of translation."""
     translation_from_rotation: float = 0.02
-    """m per rad turned."""
+    """Standard deviation of a translation, m per rad of rotation."""
     sigma_hit: float = 0.08
     """Standard deviation of a hit about the surface, metres: noise of the lidar, and the cells of the map."""
     random_share: float = 0.08
-    """How likely a beam that hits nothing of the map is, against one that hits it exactly: people, open doors."""
+    """Likelihood of a beam that hits nothing of the map, relative to an exact hit: people, open doors."""
     beam_weight: float = 0.25
-    """Neighbouring beams err together: each counts as so much of an independent one."""
+    """Weight of a beam relative to an independent one: errors of neighbouring beams are correlated."""
     min_distance: float = 0.03
-    """Scans are used where the robot has moved so far, metres, ..."""
+    """Translation since the last scan used from which a scan is used, metres, ..."""
     min_angle: float = 0.03
-    """... or turned so far, radians, since the last one."""
+    """... or rotation, radians."""
 
     def __post_init__(self) -> None:
         if self.particles < 2 or self.beams < 1:
@@ -51,12 +51,12 @@ class ParticleFilter:
     """Particles (x, y, yaw) in the map frame; every random number comes from ``rng``."""
 
     def __init__(self, grid: Grid, settings: FilterSettings, rng: np.random.Generator) -> None:
-        """Works out the likelihood of a hit in every cell of the map."""
+        """Computes the likelihood of a hit in every cell of the map."""
         self._grid, self._settings, self._rng = grid, settings, rng
         s = settings
         distance = distance_to(grid.occupied, grid.resolution)
         likelihood = np.exp(-0.5 * (distance / s.sigma_hit) ** 2) + s.random_share
-        # A rim of one cell stands for everything outside.
+        # A border of one cell represents everything outside the map.
         self._log_likelihood = np.pad(np.log(likelihood), 1, constant_values=math.log(s.random_share))
         self._particles = np.zeros((s.particles, 3))
         self._weights = np.full(s.particles, 1.0 / s.particles)
@@ -67,32 +67,32 @@ class ParticleFilter:
         return self._particles.copy()
 
     def initialise(self, pose: Pose2D, sigma_xy: float, sigma_yaw: float) -> None:
-        """Spreads the particles about a pose in the map frame; standard deviations in metres and radians."""
+        """Draws particles around a pose in the map frame; standard deviations in metres and radians."""
         spread = self._rng.standard_normal(self._particles.shape) * (sigma_xy, sigma_xy, sigma_yaw)
         self._particles = np.array([pose.x, pose.y, pose.yaw]) + spread
         self._weights.fill(1.0 / len(self._weights))
 
     def predict(self, before: Pose2D, after: Pose2D) -> None:
-        """Moves the particles as odometry says that the robot moved: two poses in the odom frame."""
+        """Moves the particles by the odometry, with noise: from pose ``before`` to ``after`` in the odom frame."""
         s, n = self._settings, len(self._particles)
         step = before.inverse() @ after
         distance = math.hypot(step.x, step.y)
         first = math.atan2(step.y, step.x) if distance > 1e-3 else 0.0
-        if abs(first) > math.pi / 2:  # it drove backwards
+        if abs(first) > math.pi / 2:  # the robot drove backwards
             first, distance = wrap_angle(first + math.pi), -distance
         second = wrap_angle(step.yaw - first)
         turned = abs(first) + abs(second)
         rotation = math.hypot(s.rotation_from_rotation * turned, s.rotation_from_translation * distance)
         translation = math.hypot(s.translation_from_translation * distance, s.translation_from_rotation * turned)
         turns = np.array([first, second])[:, None] + math.sqrt(0.5) * rotation * self._rng.standard_normal((2, n))
-        ways = distance + translation * self._rng.standard_normal(n)
+        distances = distance + translation * self._rng.standard_normal(n)
         heading = self._particles[:, 2] + turns[0]
-        self._particles[:, 0] += ways * np.cos(heading)
-        self._particles[:, 1] += ways * np.sin(heading)
+        self._particles[:, 0] += distances * np.cos(heading)
+        self._particles[:, 1] += distances * np.sin(heading)
         self._particles[:, 2] = wrap_angles(heading + turns[1])
 
     def correct(self, hits: F64) -> None:
-        """Weighs the particles by a scan's hits (B, 2), base frame, metres, and draws anew when few of them carry the weight."""
+        """Weights the particles by a scan's hits (B, 2), base frame, metres; resamples if the effective sample size is below half."""
         s = self._settings
         if not len(hits):
             return
@@ -104,7 +104,7 @@ class ParticleFilter:
             self._resample()
 
     def _log_likelihoods(self, hits: F64) -> F64:
-        """Returns (N,): the sum over the hits for each particle."""
+        """Returns (N,): the log likelihood of the hits, for each particle."""
         x, y, yaw = self._particles.T[:, :, None]
         c, s = np.cos(yaw), np.sin(yaw)
         scale = 1.0 / self._grid.resolution
@@ -116,7 +116,7 @@ class ParticleFilter:
         return np.asarray(self._log_likelihood[r, k].sum(axis=1))
 
     def _resample(self) -> None:
-        """Draws particles by their weights with one random number (low variance)."""
+        """Resamples the particles by their weights with one random number (low-variance sampling)."""
         n = len(self._weights)
         at = (self._rng.random() + np.arange(n)) / n
         chosen = np.minimum(np.searchsorted(np.cumsum(self._weights), at), n - 1)
@@ -135,18 +135,18 @@ class ParticleFilter:
 def scan_points(
     ranges: NDArray[np.float32], angle_min: float, angle_increment: float, range_min: float, range_max: float
 ) -> tuple[F64, Bools]:
-    """Returns where the beams of a scan end, and which of them hit something.
+    """Returns the ends of the beams of a scan, and which of them are hits.
 
     Args:
         ranges: (N,), metres; +inf = no return, -inf = too close (REP 117), NaN = a failed measurement.
-        angle_min: of the first beam, radians, counter-clockwise.
-        angle_increment: between beams, radians.
+        angle_min: angle of the first beam, radians, counter-clockwise.
+        angle_increment: angle between beams, radians.
         range_min: metres; nearer is no measurement.
         range_max: metres; farther is no return.
 
     Returns:
-        (M, 2), metres, in the plane of the scan, M <= N: beams without a return end at ``range_max``, those that measured
-        nothing are left out; and (M,), whether there was a return.
+        (M, 2), metres, in the plane of the scan, M <= N: beams without a return end at ``range_max``, failed
+        measurements are left out; and (M,), whether there was a return.
     """
     r = np.asarray(ranges, dtype=np.float64)
     angles = angle_min + angle_increment * np.arange(len(r))
@@ -158,7 +158,7 @@ def scan_points(
 
 
 class Localiser:
-    """The filter, odometry, and between them the transform from the odom frame to the map."""
+    """Estimates the transform from the odom frame to the map, with the particle filter and odometry."""
 
     def __init__(self, grid: Grid, settings: FilterSettings | None = None, seed: int = 0) -> None:
         self._settings = settings or FilterSettings()
@@ -179,18 +179,18 @@ class Localiser:
         return self._filter.particles
 
     def initialise(self, pose: Pose2D, sigma_xy: float, sigma_yaw: float, odom: Pose2D) -> None:
-        """Begins anew at T_map_base ``pose`` with odometry T_odom_base; standard deviations in metres and radians."""
+        """Starts at T_map_base ``pose`` with odometry T_odom_base ``odom``; standard deviations in metres and radians."""
         self._filter.initialise(pose, sigma_xy, sigma_yaw)
         self._odom = None
         self.covariance = np.diag([sigma_xy**2, sigma_xy**2, sigma_yaw**2])
         self._map_from_odom = pose @ odom.inverse()
 
     def forget(self) -> None:
-        """Goes back to before the first pose."""
+        """Returns to the state before the first pose."""
         self._odom = self._map_from_odom = None
 
     def update(self, odom: Pose2D, hits: F64) -> bool:
-        """Takes odometry T_odom_base at the time of a scan, and its hits (B, 2) in the base frame; returns whether it used them."""
+        """Processes odometry T_odom_base at the time of a scan and its hits (B, 2), base frame; returns whether the scan was used."""
         s, last = self._settings, self._odom
         if self._map_from_odom is None:
             return False

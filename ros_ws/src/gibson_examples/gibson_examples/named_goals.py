@@ -1,4 +1,4 @@
-"""Sends a robot to places of the scene that have a name: asks ``get_named_poses`` of simulation_interfaces, then Nav2's NavigateToPose.
+"""Sends a robot to named poses of the scene: ``get_named_poses`` of simulation_interfaces, then Nav2's NavigateToPose.
 
 python -m gibson_examples.named_goals --tag room --goals 10
 """
@@ -19,17 +19,17 @@ from rclpy.node import Node
 
 from gibson_examples.errors import NavigationError
 
-PATIENCE_S = 30.0
-"""Wall seconds that the simulator and Nav2 get to appear."""
+TIMEOUT_S = 30.0
+"""Time that the simulator and Nav2 have to appear, wall time."""
 SUCCEEDED = 4
-"""action_msgs/GoalStatus."""
+"""``STATUS_SUCCEEDED`` of action_msgs/GoalStatus."""
 
 
 def goals_of(poses: Sequence[Any], tag: str, floor: str, count: int) -> list[Any]:
-    """Returns ``count`` of the named poses with both tags, by name, from the first again after the last.
+    """Returns ``count`` of the named poses with both tags, sorted by name and repeated cyclically.
 
     Raises:
-        NavigationError: there are none.
+        NavigationError: no pose has both tags.
     """
     found = sorted((pose for pose in poses if {tag, floor} <= set(pose.tags)), key=lambda pose: str(pose.name))
     if not found:
@@ -39,10 +39,10 @@ def goals_of(poses: Sequence[Any], tag: str, floor: str, count: int) -> list[Any
 
 
 def interface(package: str, kind: str, name: str, remedy: str) -> Any:
-    """Returns a message type of a package that not every installation has.
+    """Returns a message type of an optional package.
 
     Raises:
-        NavigationError: it is not installed.
+        NavigationError: the package is not installed.
     """
     try:
         return getattr(importlib.import_module(f"{package}.{kind}"), name)
@@ -51,17 +51,17 @@ def interface(package: str, kind: str, name: str, remedy: str) -> Any:
 
 
 class NamedGoals(Node):
-    """Asks for places and sends them to Nav2, one after the other."""
+    """Requests named poses and sends them to Nav2, one after the other."""
 
     def __init__(self) -> None:
         super().__init__("named_goals")
         self._odometry: Odometry | None = None
 
-    def places(self) -> Sequence[Any]:
+    def named_poses(self) -> Sequence[Any]:
         """Returns the named poses of the scene."""
         kind = interface("simulation_interfaces", "srv", "GetNamedPoses", "see docs/simulation_interfaces.md")
         client = self.create_client(kind, "get_named_poses")
-        if not client.wait_for_service(PATIENCE_S):
+        if not client.wait_for_service(TIMEOUT_S):
             raise NavigationError(
                 "no service get_named_poses: start gibson-sim run; with --service-prefix, remap get_named_poses"
             )
@@ -70,17 +70,17 @@ class NamedGoals(Node):
         poses: Sequence[Any] = future.result().poses
         return poses
 
-    def tell_where_it_is(self) -> None:
-        """Publishes the true pose on ``initialpose``, which AMCL waits for."""
-        subscription = self.create_subscription(Odometry, "ground_truth/odom", self._keep, 1)
+    def publish_initial_pose(self) -> None:
+        """Publishes the true pose on ``initialpose`` for AMCL."""
+        subscription = self.create_subscription(Odometry, "ground_truth/odom", self._on_odometry, 1)
         publisher = self.create_publisher(PoseWithCovarianceStamped, "initialpose", 1)
-        for _ in range(round(PATIENCE_S / 0.1)):
+        for _ in range(round(TIMEOUT_S / 0.1)):
             rclpy.spin_once(self, timeout_sec=0.1)
             if self._odometry is not None and publisher.get_subscription_count():
                 break
         else:
             raise NavigationError(
-                "no ground_truth/odom, or no subscriber of initialpose: is AMCL running? --no-initial-pose leaves this out"
+                "no ground_truth/odom, or no subscriber of initialpose: is AMCL running? --no-initial-pose skips this step"
             )
         message = PoseWithCovarianceStamped(header=self._odometry.header)
         message.header.frame_id = "map"
@@ -90,18 +90,18 @@ class NamedGoals(Node):
         publisher.publish(message)
         self.destroy_subscription(subscription)
 
-    def _keep(self, message: Odometry) -> None:
+    def _on_odometry(self, message: Odometry) -> None:
         self._odometry = message
 
-    def go(self, goals: Sequence[Any]) -> int:
-        """Sends the goals one after the other; returns how many were reached."""
+    def drive_to(self, goals: Sequence[Any]) -> int:
+        """Sends the goals one after the other; returns the number of goals reached."""
         kind = interface("nav2_msgs", "action", "NavigateToPose", "install Nav2: apt install ros-jazzy-navigation2")
         client = ActionClient(self, kind, "navigate_to_pose")
-        if not client.wait_for_server(PATIENCE_S):
+        if not client.wait_for_server(TIMEOUT_S):
             raise NavigationError("no action navigate_to_pose: ros2 launch gibson_examples nav2.launch.py")
         reached = 0
         for number, place in enumerate(goals, 1):
-            # A stamp of 0: by the newest transform.
+            # A stamp of 0 stands for the newest transform.
             goal = PoseStamped()
             goal.header.frame_id, goal.pose = "map", place.pose
             sent = client.send_goal_async(kind.Goal(pose=goal))
@@ -113,8 +113,8 @@ class NamedGoals(Node):
                 rclpy.spin_until_future_complete(self, result)
                 status = result.result().status
             reached += status == SUCCEEDED
-            words = "reached" if status == SUCCEEDED else "refused" if status is None else f"failed (status {status})"
-            self.get_logger().info(f"{number} of {len(goals)}: {place.name}, {place.description}: {words}")
+            outcome = "reached" if status == SUCCEEDED else "refused" if status is None else f"failed (status {status})"
+            self.get_logger().info(f"{number} of {len(goals)}: {place.name}, {place.description}: {outcome}")
         return reached
 
 
@@ -123,24 +123,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="named_goals", description=__doc__.splitlines()[0])
     parser.add_argument("--tag", default="room", help="room, door, free or start, or a class such as bedroom (default: room)")
     parser.add_argument("--floor", default="floor_0", help="tag of the floor (default: floor_0)")
-    parser.add_argument("--goals", type=int, default=10, help="how many (default: 10)")
+    parser.add_argument("--goals", type=int, default=10, help="number of goals (default: 10)")
     parser.add_argument(
-        "--initial-pose", action=argparse.BooleanOptionalAction, default=True, help="tell AMCL the true pose first"
+        "--initial-pose", action=argparse.BooleanOptionalAction, default=True, help="first send AMCL the true pose"
     )
     parser.add_argument("--list", action="store_true", help="print the goals, send none")
     args, ros_args = parser.parse_known_args(argv)
     rclpy.init(args=ros_args)
     node = NamedGoals()
     try:
-        goals = goals_of(node.places(), args.tag, args.floor, args.goals)
+        goals = goals_of(node.named_poses(), args.tag, args.floor, args.goals)
         if args.list:
             for goal in goals:
                 position = goal.pose.position
                 print(f"{goal.name}: {position.x:.2f} {position.y:.2f} ({goal.description})")
             return 0
         if args.initial_pose:
-            node.tell_where_it_is()
-        return 0 if node.go(goals) == len(goals) else 1
+            node.publish_initial_pose()
+        return 0 if node.drive_to(goals) == len(goals) else 1
     except NavigationError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""``python -m gibson_examples.navigate``: runs the navigation node until Ctrl-C, or until its goal with ``exit_at_goal``."""
+"""``python -m gibson_examples.navigate``: runs the navigation node until Ctrl-C or, with ``exit_at_goal``, until its goal."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from gibson_examples.node import NavigateNode, configure_logging
 
 
 def _end(number: int, frame: object) -> NoReturn:
-    """Ends on SIGTERM as on Ctrl-C."""
+    """Ends the program on SIGTERM as on Ctrl-C."""
     raise KeyboardInterrupt
 
 
 def main(args: list[str] | None = None) -> None:
-    """Runs the node; ends with 0, or with 1 and one line on stderr where a parameter is wrong or the goal has failed."""
+    """Runs the node; exits with 0, or with 1 and one line on stderr if a parameter is invalid or the goal failed."""
     configure_logging()
     signal.signal(signal.SIGTERM, _end)
-    # Our own handling of Ctrl-C: the context must live long enough to tell the robot to stop.
+    # No signal handlers of rclpy: the context must stay valid until the robot has been stopped.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node, code = None, 0
     try:

@@ -1,4 +1,4 @@
-"""From goals, poses and a costmap to velocities: plan, follow, get free again, say how it went. Knows no ROS."""
+"""Drives to goals on a costmap: plans, follows the path, recovers, and reports the result. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ logger = logging.getLogger(__name__)
 State = Literal["idle", "driving", "recovering", "reached", "failed"]
 
 BACK_SPEED = 0.12
-"""m/s."""
+"""Speed of backing up, m/s."""
 BRAKING_S = 0.8
-"""So far ahead in time a command must be free of collisions, seconds."""
+"""Time ahead in which a command must be free of collisions, seconds."""
 DEVIATION = 0.35
-"""Farther from its path than this the robot plans anew, metres."""
+"""Distance of the robot from its path from which it replans, metres."""
 PATH_MARGIN = 0.01
-"""A path is blocked where obstacles leave less than the robot and this, metres."""
-LATEST_CHECK_S = 0.2
-"""A longer gap between steps (a simulation that was paused) counts as so many seconds."""
+"""A path with less clearance than the robot's radius plus this is blocked, metres."""
+MAX_STEP_S = 0.2
+"""Upper bound of the time between steps, seconds: longer if the simulation was paused."""
 
 
 @dataclass(frozen=True, slots=True)
 class NavigatorSettings:
-    """When a goal counts as reached, and what to do when nothing moves."""
+    """Tolerances of a goal, and the recovery of a stuck robot."""
 
     goal_distance: float = 0.10
     """Metres."""
     goal_angle: float = math.radians(10.0)
     """Radians."""
     settle_s: float = 0.4
-    """Standing at the goal for so many seconds."""
+    """Time within both tolerances from which a goal is reached, seconds."""
     replan_s: float = 2.0
-    """How often the way is looked over, seconds."""
+    """Period of checking the path, seconds."""
     stuck_s: float = 4.0
-    """Without progress for so many seconds the robot is stuck."""
+    """Time without progress from which the robot is stuck, seconds."""
     recoveries: int = 6
-    """So many attempts to get free, then the goal has failed."""
+    """Recovery attempts before a goal fails."""
 
 
 class Navigator:
-    """Drives to one goal at a time. Time is given: seconds on any clock that rises."""
+    """Drives to one goal at a time. The caller passes the time, in seconds of any monotonic clock."""
 
     def __init__(
         self, costmap: Costmap, settings: NavigatorSettings | None = None, pursuit: PursuitSettings | None = None
@@ -63,7 +63,7 @@ class Navigator:
         self._follower: PurePursuit | None = None
         self.state: State = "idle"
         self.reason = ""
-        """Why it failed, or what it recovers from."""
+        """Cause of the failure or of the recovery."""
         self._last_s = self._planned_s = self._progress_s = -math.inf
         self._progress_pose = Pose2D(0.0, 0.0, 0.0)
         self._recoveries = 0
@@ -73,7 +73,7 @@ class Navigator:
 
     @property
     def active(self) -> bool:
-        """Whether it is on the way."""
+        """Whether the robot is driving or recovering."""
         return self.state in ("driving", "recovering")
 
     @property
@@ -82,15 +82,15 @@ class Navigator:
         return np.zeros((0, 2)) if self._follower is None else self._follower.path
 
     def set_goal(self, goal: Pose2D) -> None:
-        """Drops what it did and drives to a pose in the map frame."""
+        """Replaces the goal, a pose in the map frame."""
         self._goal, self._routes, self._follower = goal, None, None
         self.state, self.reason = "driving", ""
         self._recoveries, self._recovery, self._aligning, self._there_s = 0, [], False, 0.0
         self._progress_s = -math.inf
 
     def step(self, pose: Pose2D, now_s: float) -> Velocity | None:
-        """Returns what to do at a pose in the map frame; None where there is nothing to do."""
-        dt = min(max(now_s - self._last_s, 0.0), LATEST_CHECK_S)
+        """Returns the command at a pose in the map frame; None without an active goal."""
+        dt = min(max(now_s - self._last_s, 0.0), MAX_STEP_S)
         self._last_s = now_s
         if self._goal is None or not self.active:
             return None
@@ -108,11 +108,11 @@ class Navigator:
     def _follow(self, follower: PurePursuit, goal: Pose2D, pose: Pose2D, dt: float) -> Velocity:
         end = follower.path[-1]
         distance = math.hypot(end[0] - pose.x, end[1] - pose.y)
-        # Turning at the goal moves the robot a little: it need not go back for that.
+        # Turning at the goal moves the robot a little: a larger tolerance keeps it from driving back.
         self._aligning = distance < self._settings.goal_distance * (2.0 if self._aligning else 1.0)
         if self._aligning:
             if abs(wrap_angle(goal.yaw - pose.yaw)) < self._settings.goal_angle:
-                # Commands take effect late: only a robot that still is there after a while has arrived.
+                # Commands take effect late: the robot has arrived only if it stays there.
                 self._there_s += dt
                 if self._there_s >= self._settings.settle_s:
                     self.state = "reached"
@@ -125,7 +125,7 @@ class Navigator:
         return command
 
     def _plan(self, pose: Pose2D, now_s: float) -> PurePursuit:
-        """Returns who follows the path; plans anew where the path is blocked or far, or it is time to look."""
+        """Returns the follower of the path; checks the path periodically, and replans if it is blocked or far from the robot."""
         assert self._goal is not None
         follower = self._follower
         if follower is not None and now_s - self._planned_s < self._settings.replan_s and follower.deviation(pose) < DEVIATION:
@@ -139,33 +139,33 @@ class Navigator:
         return follower
 
     def _blocked(self, follower: PurePursuit) -> bool:
-        """Whether obstacles now stand on the way, beyond the place where the robot is."""
+        """Returns whether obstacles block the path ahead of the robot."""
         ahead = follower.ahead[3:]
         return bool((self._costmap.clearance_at(ahead) < self._costmap.settings.robot_radius + PATH_MARGIN).any())
 
-    def _without_collision(self, pose: Pose2D, wanted: Velocity) -> Velocity:
-        """Returns the wanted velocity, slower or without its forward part where it would hit something."""
-        if wanted.linear == 0.0:
-            return wanted
+    def _without_collision(self, pose: Pose2D, requested: Velocity) -> Velocity:
+        """Returns the requested velocity, slowed down, or without its linear part, to avoid a collision."""
+        if requested.linear == 0.0:
+            return requested
         here = float(self._costmap.clearance_at((pose.x, pose.y)))
-        # Where the robot already is too near, it may go on if that leads away.
+        # A robot that is too near already may drive if this leads away.
         enough = min(self._costmap.settings.robot_radius, here - 0.01)
-        for share in (1.0, 0.6, 0.3):
-            command = Velocity(share * wanted.linear, share * wanted.angular)
+        for scale in (1.0, 0.6, 0.3):
+            command = Velocity(scale * requested.linear, scale * requested.angular)
             if float(self._costmap.clearance_at(arc(pose, command, BRAKING_S, 8)).min()) >= enough:
                 return command
         self._planned_s = min(self._planned_s, self._last_s - self._settings.replan_s + 0.5)
-        return Velocity(0.0, wanted.angular)
+        return Velocity(0.0, requested.angular)
 
     def _stuck(self, pose: Pose2D, now_s: float) -> bool:
-        """Whether the pose has stayed where it is for too long."""
+        """Returns whether the robot has made no progress for too long."""
         moved = pose.distance(self._progress_pose) > 0.1 or abs(wrap_angle(pose.yaw - self._progress_pose.yaw)) > 0.3
         if moved or self._progress_s == -math.inf or now_s < self._progress_s:
             self._progress_pose, self._progress_s = pose, now_s
         return now_s - self._progress_s > self._settings.stuck_s
 
     def _begin_recovery(self, reason: str, pose: Pose2D, now_s: float) -> Velocity:
-        """Backs up, then looks round, each time to the other side; gives up after too many."""
+        """Backs up, then turns, to alternating sides; fails after too many attempts."""
         self.reason = reason
         self._recoveries += 1
         if self._recoveries > self._settings.recoveries:
@@ -178,10 +178,10 @@ class Navigator:
         return self._recover(pose, 0.0, now_s)
 
     def _recover(self, pose: Pose2D, dt: float, now_s: float) -> Velocity:
-        """Goes on with what gets the robot free; plans anew when it is done."""
-        left, command = self._recovery[0]
-        self._recovery[0] = (left - dt, command)
-        if left - dt <= 0.0 or (command.linear < 0.0 and self._without_collision(pose, command).linear == 0.0):
+        """Continues the recovery; replans at its end."""
+        remaining, command = self._recovery[0]
+        self._recovery[0] = (remaining - dt, command)
+        if remaining - dt <= 0.0 or (command.linear < 0.0 and self._without_collision(pose, command).linear == 0.0):
             self._recovery.pop(0)
         if self._recovery:
             return self._recovery[0][1]

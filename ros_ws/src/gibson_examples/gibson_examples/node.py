@@ -1,4 +1,4 @@
-"""The navigation node: localises the robot on a map and drives it to goals. A thin shell about the modules beside it."""
+"""The navigation node: localises the robot on a map and drives it to goals. A thin layer over the other modules of this package."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from gibson_examples.transforms import NS_PER_S, TransformBuffer
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SENSOR_TIMEOUT_S = 0.6
-"""Without a scan or odometry for so long, in the robot's time, it is told to stop."""
+"""Age of the last scan or odometry, in the robot's time, from which the node stops the robot, seconds."""
 _NEVER = 1 << 62
 
 
 class NavigateNode(Node):
-    """Localises, plans, follows.
+    """Localises the robot, plans paths and follows them.
 
-    Everything is driven by messages, not by timers: a scan localises, a transform odom -> base makes a command. So it works the
-    same at any rate of the simulation, and stands still where that is paused.
+    Messages drive everything, not timers: a scan updates the localisation, a transform odom -> base triggers a command. The node
+    therefore behaves the same at any rate of the simulation, and pauses with it.
 
     Parameters: the fields of ``gibson_examples.settings.NavigationSettings``.
 
@@ -59,7 +59,7 @@ class NavigateNode(Node):
             SettingError: a parameter cannot be used.
         """
         super().__init__("navigate", **kwargs)
-        # Any type is let in here, so that the settings refuse a wrong one in their own words.
+        # Any type is accepted here, so that the settings reject a wrong one with their own message.
         any_type = ParameterDescriptor(dynamic_typing=True, read_only=True)
         values = {f.name: self.declare_parameter(f.name, f.default, any_type).value for f in fields(NavigationSettings)}
         self._settings = s = NavigationSettings(**values)
@@ -72,16 +72,17 @@ class NavigateNode(Node):
         self._initial_sigma = (s.initial_sigma_xy, math.radians(s.initial_sigma_yaw_deg))
         self._goal = parse_pose(s.goal, "parameter goal") if s.goal else None
         self._scans: deque[Any] = deque(maxlen=10)
-        """Those that wait for the transforms of their time: on a busy machine /tf comes later than they do."""
+        """Scans that wait for the transforms of their time: on a busy machine /tf arrives later."""
         self._newest_scan_ns = self._scanned_ns = self._odometry_ns = self._commanded_ns = -_NEVER
-        self._said = ""
+        self._status = ""
+        """Last status published."""
         self._planned: Any = None
-        """The path that was last published."""
+        """Last path published."""
         self.exit_code: int | None = None
-        """Set where ``exit_at_goal`` ends the node."""
+        """Set when ``exit_at_goal`` ends the node."""
         self._make_publishers()
         self._make_subscriptions()
-        self._say("waiting for the map")
+        self._report("waiting for the map")
 
     def _make_publishers(self) -> None:
         self._cmd_pub = self.create_publisher(TwistStamped if self._settings.stamped else Twist, "cmd_vel", 1)
@@ -94,7 +95,7 @@ class NavigateNode(Node):
         self.create_subscription(OccupancyGrid, "map", self._on_map, LATCHED)
         self.create_subscription(LaserScan, "scan", self._on_scan, qos_profile_sensor_data)
         self.create_subscription(Odometry, "odom", self._on_odometry, 1)
-        # A short queue: on a busy machine a command made from the newest transform is worth more than every old one.
+        # A short queue: on a busy machine, a command from the newest transform matters more than one from each old transform.
         self.create_subscription(TFMessage, "/tf", self._on_tf, 10)
         self.create_subscription(
             TFMessage, "/tf_static", self._on_tf_static, QoSProfile(depth=100, durability=LATCHED.durability)
@@ -151,7 +152,7 @@ class NavigateNode(Node):
 
     def _on_tf(self, msg: Any) -> None:
         for t in msg.transforms:
-            if t.header.frame_id != self._settings.map_frame:  # that one is ours
+            if t.header.frame_id != self._settings.map_frame:  # this node publishes that one
                 translation, quat = conversions.translation_and_quat(t.transform)
                 self._tf.add(conversions.stamp_ns(t.header.stamp), t.header.frame_id, t.child_frame_id, translation, quat)
         self._localise()
@@ -163,7 +164,7 @@ class NavigateNode(Node):
     def _on_scan(self, msg: Any) -> None:
         ns = conversions.stamp_ns(msg.header.stamp)
         if ns < self._newest_scan_ns:
-            self._begin_anew()
+            self._reset()
         self._newest_scan_ns = ns
         self._scans.append(msg)
         self._localise()
@@ -173,7 +174,7 @@ class NavigateNode(Node):
         return planar(self._tf.lookup(self._settings.odom_frame, self._settings.base_frame, ns))
 
     def _localise(self) -> None:
-        """Takes the newest scan whose transforms are known, and drops the older ones."""
+        """Processes the newest scan whose transforms are known, and drops older scans."""
         if self._localiser is None or self._costmap is None:
             return
         s = self._settings
@@ -186,16 +187,18 @@ class NavigateNode(Node):
             except TransformNotYetError:
                 continue
             except TransformError as error:
-                self.get_logger().warning(f"scan left out: {error}", throttle_duration_sec=5.0)
+                self.get_logger().warning(f"scan dropped: {error}", throttle_duration_sec=5.0)
                 scan = None
             for _ in range(i + 1):
                 self._scans.popleft()
             if scan is not None:
-                self._take_scan(self._localiser, self._costmap, scan, ns, odom, base_from_scan)
+                self._process_scan(self._localiser, self._costmap, scan, ns, odom, base_from_scan)
             return
 
-    def _take_scan(self, localiser: Localiser, costmap: Costmap, scan: Any, ns: int, odom: Pose2D, base_from_scan: F64) -> None:
-        """Localises by a scan and enters it into the costmap: T_odom_base and T_base_scan, (4, 4), at its time."""
+    def _process_scan(
+        self, localiser: Localiser, costmap: Costmap, scan: Any, ns: int, odom: Pose2D, base_from_scan: F64
+    ) -> None:
+        """Updates localisation and costmap with a scan; T_odom_base ``odom`` and T_base_scan (4, 4) are those of its stamp."""
         self._scanned_ns = ns
         if self._initial is not None:
             localiser.initialise(self._initial, *self._initial_sigma, odom)
@@ -204,16 +207,16 @@ class NavigateNode(Node):
         ends = ends @ base_from_scan[:2, :2].T + base_from_scan[:2, 3]
         localiser.update(odom, ends[hits])
         if localiser.map_from_odom is None:
-            self._say("waiting for initialpose")
+            self._report("waiting for initialpose")
             return
         pose = localiser.map_from_odom @ odom
         sensor = pose.transform(base_from_scan[None, :2, 3])[0]
         costmap.add_scan(sensor, pose.transform(ends), hits, ns / NS_PER_S)
         self._publish_pose(pose, localiser.map_from_odom, ns)
 
-    def _begin_anew(self) -> None:
-        """Forgets where the robot was: time has jumped back, so the simulation was reset, and the odometry with it."""
-        self.get_logger().warning("time has jumped back: the robot must be localised anew")
+    def _reset(self) -> None:
+        """Discards the localisation after time has jumped back: the simulation was reset, and the odometry with it."""
+        self.get_logger().warning("time has jumped back: the robot must be localised again")
         self._scans.clear()
         self._odometry_ns = self._scanned_ns = -_NEVER
         if self._localiser is not None and self._costmap is not None:
@@ -230,7 +233,7 @@ class NavigateNode(Node):
         self._pose_pub.publish(conversions.pose_with_covariance_msg(pose, self._localiser.covariance, ns, s.map_frame))
 
     def _control(self) -> None:
-        """Makes the next command, where it is time for one."""
+        """Publishes the next command if it is due."""
         if self._navigator is None or self._localiser is None or self._localiser.map_from_odom is None or self._goal is None:
             return
         ns = self._tf.newest_ns(self._settings.base_frame)
@@ -256,7 +259,7 @@ class NavigateNode(Node):
         self._cmd_pub.publish(conversions.twist_msg(command, ns, s.base_frame, stamped=s.stamped))
 
     def _publish_progress(self, ns: int) -> None:
-        """Publishes the plan and the state, each where it has changed."""
+        """Publishes the plan and the state, each if it has changed."""
         navigator = self._navigator
         assert navigator is not None
         assert self._goal is not None
@@ -264,23 +267,23 @@ class NavigateNode(Node):
         if path is not self._planned and len(path):
             self._planned = path
             self._plan_pub.publish(conversions.path_msg(path, ns, self._settings.map_frame))
-        why = f": {navigator.reason}" if navigator.state in ("recovering", "failed") else ""
-        self._say(f"{navigator.state} {format_pose(self._goal)}{why}")
+        reason = f": {navigator.reason}" if navigator.state in ("recovering", "failed") else ""
+        self._report(f"{navigator.state} {format_pose(self._goal)}{reason}")
         if self._settings.exit_at_goal and navigator.state in ("reached", "failed"):
             self.exit_code = 0 if navigator.state == "reached" else 1
 
-    def _say(self, status: str) -> None:
-        if status != self._said:
-            self._said = status
+    def _report(self, status: str) -> None:
+        if status != self._status:
+            self._status = status
             self._status_pub.publish(String(data=status))
             self.get_logger().info(status)
 
     def stop(self) -> None:
-        """Tells the robot to stand still."""
+        """Stops the robot."""
         if self._goal is not None and self._navigator is not None:
             self._send(STOP, max(self._commanded_ns, 0))
 
 
 def configure_logging() -> None:
-    """Lets what the pure modules log appear on stderr."""
+    """Prints the log of the modules without ROS to stderr."""
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")

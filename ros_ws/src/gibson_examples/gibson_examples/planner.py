@@ -1,4 +1,4 @@
-"""The cheapest way on a costmap, as few straight lines as it can be. Knows no ROS."""
+"""Shortest paths on a costmap, simplified to few straight lines. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gibson_examples.errors import PlanError
 from gibson_examples.geometry import F64, I64
 
 SNAP = 0.4
-"""A start that is too near to an obstacle moves to the nearest place at most so far away, metres."""
+"""Largest distance by which a start too near to an obstacle is moved, metres."""
 GOAL_SNAP = 0.15
-"""The same for a goal."""
+"""Largest distance by which a goal too near to an obstacle is moved, metres."""
 SPACING = 0.05
-"""Between the points of a path, metres."""
+"""Distance between the points of a path, metres."""
 _DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Rows, columns to four of the eight neighbours: the graph is undirected."""
 
 
 class RoutePlanner:
-    """Dijkstra's tree of cheapest ways from everywhere to one goal: a way from another start costs nothing more."""
+    """Dijkstra's tree of the shortest paths to one goal: a path from another start needs no new search."""
 
     def __init__(self, costmap: Costmap, goal_xy: tuple[float, float]) -> None:
-        """Plans with the costmap as it is now.
+        """Plans on the present costmap.
 
         Raises:
-            PlanError: the goal is no place for the robot.
+            PlanError: the robot does not fit at the goal.
         """
         self._costmap = costmap
         cell = costmap.nearest_passable(goal_xy, GOAL_SNAP)
@@ -44,17 +44,17 @@ class RoutePlanner:
         row, column = (int(v) for v in cell)
         x, y = (float(v) for v in costmap.grid.centers(cell))
         self.end = goal_xy if (row, column) == tuple(costmap.grid.cells(goal_xy).tolist()) else (x, y)
-        """Where the paths end, map frame, metres: the goal, or the place for the robot beside it."""
+        """End of the paths, map frame, metres: the goal, or the passable place nearest to it."""
         graph = _graph(self._cost, costmap.grid.resolution)
         self._to_goal, self._next = dijkstra(
             graph, directed=False, indices=row * self._columns + column, return_predecessors=True
         )
 
     def path(self, start_xy: tuple[float, float]) -> F64:
-        """Returns the way from a start to the goal: (N, 2), map frame, metres, points about ``SPACING`` apart.
+        """Returns the path from a start to the goal: (N, 2), map frame, metres, points about ``SPACING`` apart.
 
         Raises:
-            PlanError: there is none.
+            PlanError: there is no path.
         """
         cell = self._costmap.nearest_passable(start_xy, SNAP)
         if cell is None:
@@ -63,7 +63,7 @@ class RoutePlanner:
         if not math.isfinite(self._to_goal[node]):
             raise PlanError(
                 f"no way from {start_xy[0]:.2f},{start_xy[1]:.2f} to {self.end[0]:.2f},{self.end[1]:.2f}: "
-                "obstacles close every one"
+                "obstacles block all of them"
             )
         nodes = [node]
         while (node := int(self._next[node])) >= 0:
@@ -73,7 +73,7 @@ class RoutePlanner:
         return resample(np.vstack([start_xy, between, self.end]), SPACING)
 
     def _shortcut(self, cells: I64) -> list[int]:
-        """Returns which cells of a way to keep: straight lines between them cost no more than the way did."""
+        """Returns the cells of a path to keep: straight lines between them cost no more than the path."""
         steps = np.hypot(*np.diff(cells, axis=0).T)
         at = self._cost[cells[:, 0], cells[:, 1]]
         spent = np.concatenate([[0.0], np.cumsum(steps * (1.0 + (at[1:] + at[:-1]) / 2))])
@@ -87,10 +87,10 @@ class RoutePlanner:
         return kept
 
     def _line_cost(self, a: I64, b: I64) -> float:
-        """Returns what the straight line between two cells costs, in cells."""
+        """Returns the cost of the straight line between two cells, in cells."""
         length = float(np.hypot(*(b - a)))
-        shares = np.linspace(0.0, 1.0, max(2, math.ceil(2 * length) + 1))
-        points = np.rint(a + shares[:, None] * (b - a)).astype(np.int64)
+        fractions = np.linspace(0.0, 1.0, max(2, math.ceil(2 * length) + 1))
+        points = np.rint(a + fractions[:, None] * (b - a)).astype(np.int64)
         along = self._cost[points[:, 0], points[:, 1]]
         return length * (1.0 + float((along[1:] + along[:-1]).mean()) / 2)
 

@@ -1,4 +1,4 @@
-"""Following a path: regulated pure pursuit for a robot that turns in place. Knows no ROS."""
+"""Regulated pure pursuit for a robot that turns in place. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_examples.planner import SPACING
 
 @dataclass(frozen=True, slots=True)
 class Velocity:
-    """What the base is asked to do, in its own frame."""
+    """Commanded velocity of the base, in its own frame."""
 
     linear: float
     """m/s, forward."""
@@ -27,34 +27,34 @@ STOP = Velocity(0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class PursuitSettings:
-    """How fast, and how closely to the path."""
+    """Speeds, and the distances that regulate them."""
 
     max_linear: float = 0.45
     """m/s."""
     max_angular: float = 1.2
     """rad/s."""
     min_linear: float = 0.06
-    """m/s: slower than this it would never arrive."""
+    """m/s; keeps the robot from slowing down for ever before the goal."""
     acceleration: float = 0.6
-    """m/s^2, speeding up."""
+    """Largest increase of the speed, m/s^2."""
     approach_s: float = 0.8
-    """Towards the end its speed is the way that is left in so many seconds: a command that takes effect late does little harm."""
+    """Time constant of the approach, seconds: the speed near the end is the remaining distance divided by it. Late commands do little harm."""
     lookahead_s: float = 0.9
-    """The point aimed at is so many seconds ahead, ..."""
+    """Lookahead time, seconds."""
     min_lookahead: float = 0.22
-    """... but at least so many metres."""
+    """Smallest lookahead distance, metres."""
     turn_from: float = math.radians(60.0)
-    """From this error of the heading on the robot turns in place, ..."""
+    """Heading error from which the robot turns in place, radians."""
     turn_until: float = math.radians(10.0)
-    """... and until this one. Radians."""
+    """Heading error down to which it turns in place, radians."""
     turn_gain: float = 2.0
-    """Yaw rate per error, 1/s."""
+    """Yaw rate per heading error, 1/s."""
     max_lateral_acceleration: float = 0.4
-    """m/s^2: bends are taken more slowly."""
+    """m/s^2; limits the speed in bends."""
     slow_within: float = 0.3
-    """Where obstacles are nearer than this to the robot's rim it slows down, metres, ..."""
+    """Clearance from the robot's rim below which it slows down, metres."""
     slowest_share: float = 0.35
-    """... to this share of its speed at the obstacle."""
+    """Factor of the speed at clearance 0."""
 
     def __post_init__(self) -> None:
         for name in ("max_linear", "max_angular", "acceleration", "min_lookahead", "turn_gain", "slow_within"):
@@ -63,10 +63,10 @@ class PursuitSettings:
 
 
 class PurePursuit:
-    """Follows one path: aims at a point ahead on it; slows in bends, near obstacles and near the end; turns in place to start."""
+    """Follows one path: aims at a point ahead on it, slows down in bends, near obstacles and near the end, turns in place to start."""
 
     def __init__(self, path: F64, settings: PursuitSettings | None = None, speed: float = 0.0) -> None:
-        """Takes a path (N, 2), metres, N >= 2, points about ``SPACING`` apart, and the robot's present speed, m/s."""
+        """Starts on a path (N, 2), metres, N >= 2, with points about ``SPACING`` apart, at the robot's present speed, m/s."""
         self.path = path
         self._settings = settings or PursuitSettings()
         self._at = 0
@@ -80,18 +80,18 @@ class PurePursuit:
 
     @property
     def speed(self) -> float:
-        """The forward speed last asked for, m/s."""
+        """Last commanded forward speed, m/s."""
         return self._speed
 
     def deviation(self, pose: Pose2D) -> float:
-        """Returns the distance of the robot from its place on the path, metres."""
+        """Returns the distance of the robot from its position on the path, metres."""
         return math.hypot(*(self.path[self._at] - (pose.x, pose.y)))
 
     def command(self, pose: Pose2D, clearance: float, dt: float) -> Velocity:
-        """Returns what to do now.
+        """Returns the next velocity.
 
         Args:
-            pose: of the robot, in the frame of the path.
+            pose: the robot's, in the frame of the path.
             clearance: metres from the robot's rim to the nearest obstacle.
             dt: seconds since the last command.
         """
@@ -114,7 +114,7 @@ class PurePursuit:
         return Velocity(0.0, _limit(self._settings.turn_gain * wrap_angle(yaw - pose.yaw), self._settings.max_angular))
 
     def limit(self, linear: float) -> None:
-        """Notes that somebody else has slowed the robot to so many m/s."""
+        """Records that the caller has limited the speed to ``linear``, m/s."""
         self._speed = min(self._speed, max(linear, 0.0))
 
     def _regulated(self, curvature: float, clearance: float, pose: Pose2D) -> float:
@@ -126,22 +126,22 @@ class PurePursuit:
             speed = min(speed, math.sqrt(s.max_lateral_acceleration / abs(curvature)), 0.5 * s.max_angular / abs(curvature))
         near = min(max(clearance / s.slow_within, 0.0), 1.0)
         speed *= s.slowest_share + (1.0 - s.slowest_share) * near
-        left = math.hypot(*(self.path[-1] - (pose.x, pose.y)))
-        return max(min(speed, left / s.approach_s), s.min_linear)
+        remaining = math.hypot(*(self.path[-1] - (pose.x, pose.y)))
+        return max(min(speed, remaining / s.approach_s), s.min_linear)
 
     def _advance(self, pose: Pose2D) -> None:
-        """Moves the place on the path to the nearest point of the next 1.5 metres."""
+        """Moves the position on the path to the nearest point of the next 1.5 metres."""
         window = self.path[self._at : self._at + round(1.5 / SPACING)]
         offsets = window - (pose.x, pose.y)
         self._at += int(np.argmin((offsets * offsets).sum(axis=1)))
 
     def _aim(self, distance: float) -> F64:
-        """Returns the point of the path so many metres on; beyond the end, the end."""
+        """Returns the point of the path ``distance`` metres ahead; at most its end."""
         return np.asarray(self.path[min(self._at + max(1, round(distance / SPACING)), len(self.path) - 1)])
 
 
 def arc(pose: Pose2D, velocity: Velocity, seconds: float, count: int) -> F64:
-    """Returns ``count`` points (N, 2) of the way that a constant velocity takes in so many seconds, without the first."""
+    """Returns ``count`` points (N, 2) of the arc that a constant velocity drives in ``seconds``, without its start."""
     t = np.linspace(seconds / count, seconds, count)
     half = velocity.angular * t / 2
     chord = velocity.linear * t * np.sinc(half / math.pi)

@@ -1,7 +1,7 @@
-"""Where the trials drive: two scenes, their doorways, and ten goals each. Knows no ROS.
+"""Courses of the trials: two scenes with their doorways, and ten goals each. Independent of ROS.
 
-A doorway is the straight line between two ends of walls; they were read off the map of each scene, and a trial checks that
-there is something at both ends and nothing right between them.
+A doorway is the straight line between the ends of two walls, read off the map of the scene. A trial checks that both ends are
+at obstacles and the middle is free.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from gibson_examples.geometry import F64, Pose2D, parse_pose
 from gibson_examples.grid import Grid, distance_to
 
 JAMB = 0.15
-"""An end of a doorway is at most so far from something of the map, metres."""
+"""Largest distance of a doorway's end from an obstacle of the map, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class Doorway:
-    """An opening between two ends of walls."""
+    """An opening between the ends of two walls."""
 
     name: str
     a: tuple[float, float]
     """One end, map frame, metres."""
     b: tuple[float, float]
-    """The other."""
+    """The other end."""
 
     @property
     def width(self) -> float:
@@ -35,35 +35,35 @@ class Doorway:
         return math.dist(self.a, self.b)
 
     def crossed_by(self, track: F64) -> bool:
-        """Whether a track (N, 2), metres, goes through."""
+        """Returns whether a track (N, 2), metres, passes the doorway."""
         a, along = np.asarray(self.a), np.subtract(self.b, self.a)
         offsets = track - a
         side = along[0] * offsets[:, 1] - along[1] * offsets[:, 0]
-        share = offsets @ along / float(along @ along)
+        fraction = offsets @ along / float(along @ along)
         change = side[1:] * side[:-1] < 0
-        between = (share[1:] + share[:-1]) / 2
+        between = (fraction[1:] + fraction[:-1]) / 2
         return bool((change & (between > 0) & (between < 1)).any())
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A scene to drive in: each goal is the next one's start."""
+    """Start and goals in a scene: each goal is the start of the next run."""
 
     start: str
     """x,y,yaw_deg."""
     doorways: tuple[Doorway, ...]
     goals: tuple[str, ...]
-    """x,y,yaw_deg each: between one and the next lie at least two doorways."""
+    """x,y,yaw_deg each; at least two doorways are between successive goals."""
 
     def poses(self) -> list[Pose2D]:
         """Returns the goals as poses in the map frame."""
         return [parse_pose(goal, "goal of a course") for goal in self.goals]
 
     def check(self, grid: Grid) -> None:
-        """Checks that the doorways are openings of this map.
+        """Checks that the doorways are openings in this map.
 
         Raises:
-            MapError: one of them is not.
+            MapError: a doorway is not.
         """
         distance = distance_to(grid.occupied, grid.resolution)
         for doorway in self.doorways:
@@ -120,14 +120,14 @@ COURSES = {
         ),
     ),
 }
-"""By the name of the scene."""
+"""Scene name -> course."""
 
 
 def course_of(scene: str) -> Course:
-    """Returns the course of a scene, given by its name or by its file.
+    """Returns the course of a scene, given by name or file.
 
     Raises:
-        SettingError: it has none.
+        SettingError: the scene has no course.
     """
     for name, course in COURSES.items():
         if name in scene:

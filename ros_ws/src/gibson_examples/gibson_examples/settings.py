@@ -1,4 +1,4 @@
-"""The settings of the navigation node, each with its unit. Knows no ROS: the node declares a parameter for every field."""
+"""Settings of the navigation node, each with its unit. Independent of ROS: the node declares a parameter for every field."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from gibson_examples.errors import SettingError
 
 @dataclass(frozen=True, slots=True)
 class NavigationSettings:
-    """What a user may choose."""
+    """Parameters of the navigation node."""
 
     goal: str = ""
-    """Where to drive: x,y or x,y,yaw_deg in the map frame, metres and degrees; empty = wait for ``goal_pose``."""
+    """Goal: x,y or x,y,yaw_deg in the map frame, metres and degrees; empty = wait for ``goal_pose``."""
     initial_pose: str = ""
-    """Where the robot is: x,y,yaw_deg in the map frame; empty = wait for ``initialpose``."""
+    """Initial pose: x,y,yaw_deg in the map frame, metres and degrees; empty = wait for ``initialpose``."""
     initial_sigma_xy: float = 0.15
-    """How well that is known: standard deviation, metres."""
+    """Standard deviation of the initial position, metres."""
     initial_sigma_yaw_deg: float = 8.0
-    """Degrees."""
+    """Standard deviation of the initial yaw, degrees."""
     map_frame: str = "map"
     odom_frame: str = "odom"
     base_frame: str = "base_footprint"
@@ -28,7 +28,7 @@ class NavigationSettings:
     exit_at_goal: bool = False
     """End when the goal is reached (exit code 0) or failed (1)."""
     control_hz: float = 20.0
-    """Commands a second of the robot's time."""
+    """Commands per second of the robot's time."""
     robot_radius: float = 0.18
     """Metres."""
     max_linear: float = 0.45
@@ -37,15 +37,15 @@ class NavigationSettings:
     """rad/s."""
     particles: int = 500
     seed: int = 0
-    """Of the particles."""
+    """Seed of the particles."""
     transform_tolerance: float = 0.2
-    """map -> odom is stamped so many seconds after the scan that it is from, so that others need not wait for the next one."""
+    """Offset of the stamp of map -> odom after its scan, seconds: other nodes need not wait for the next scan."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value, default = getattr(self, field.name), field.default
-            wanted = (int, float) if isinstance(default, float) else type(default)
-            if not isinstance(value, wanted) or (isinstance(value, bool) and not isinstance(default, bool)):
+            allowed = (int, float) if isinstance(default, float) else type(default)
+            if not isinstance(value, allowed) or (isinstance(value, bool) and not isinstance(default, bool)):
                 raise SettingError(
                     f"parameter {field.name} is {value!r}, must be of type {type(default).__name__}, such as {default or '1.5,-2,90'!r}"
                 )

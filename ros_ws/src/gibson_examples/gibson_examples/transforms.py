@@ -1,4 +1,4 @@
-"""A small tf buffer: who hangs on whom, and where at a time between two messages. Knows no ROS."""
+"""A small tf buffer: the tree of frames, and transforms interpolated in time. Independent of ROS."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Sample(NamedTuple):
 
 
 class TransformBuffer:
-    """Keeps transforms of the last ``seconds``; a stamp that jumps back (the simulation was reset) forgets what came after it."""
+    """Keeps transforms of the last ``seconds``; a stamp that jumps back (the simulation was reset) discards all later ones."""
 
     def __init__(self, seconds: float = 10.0) -> None:
         self._keep_ns = int(seconds * NS_PER_S)
@@ -33,7 +33,7 @@ class TransformBuffer:
     def set_static(
         self, parent: str, child: str, translation: tuple[float, float, float], quat_xyzw: tuple[float, float, float, float]
     ) -> None:
-        """Sets a transform T_parent_child that holds at all times (metres, unit quaternion)."""
+        """Sets a constant transform T_parent_child (metres, unit quaternion)."""
         self._parents[child] = parent
         self._static[child] = matrix_from(translation, quat_xyzw)
 
@@ -55,22 +55,22 @@ class TransformBuffer:
             samples.popleft()
 
     def newest_ns(self, child: str) -> int | None:
-        """Returns the stamp of the newest moving transform to ``child``; None if there is none."""
+        """Returns the stamp of the newest transform of ``child``; None if it has none, or a constant one."""
         samples = self._moving.get(child)
         return samples[-1].stamp_ns if samples else None
 
     def lookup(self, target: str, source: str, stamp_ns: int | None = None) -> F64:
-        """Returns T_target_source, (4, 4), at a time; None = the newest that each part of the chain has.
+        """Returns T_target_source, (4, 4), at a time; None = the newest transform of each link of the chain.
 
         Raises:
-            TransformNotYetError: a part of the chain is unknown, or has not reached that time.
-            TransformError: that time is forgotten.
+            TransformNotYetError: a link of the chain is unknown, or has not reached this time.
+            TransformError: this time is no longer in the buffer.
         """
         up_source, up_target = self._chain(source), self._chain(target)
         common = next((frame for frame in up_source if frame in up_target), None)
         if common is None:
             raise TransformNotYetError(
-                f"tf: {source!r} and {target!r} are not connected; {source!r} hangs on {' <- '.join(reversed(up_source))}"
+                f"tf: {source!r} and {target!r} are not connected; the frames above {source!r}: {' <- '.join(reversed(up_source))}"
             )
         return invert(self._product(up_target, common, stamp_ns)) @ self._product(up_source, common, stamp_ns)
 
@@ -84,7 +84,7 @@ class TransformBuffer:
         return chain
 
     def _product(self, chain: list[str], ancestor: str, stamp_ns: int | None) -> F64:
-        """Returns T_ancestor_frame, (4, 4), for the frame at the beginning of the chain."""
+        """Returns T_ancestor_frame, (4, 4), for the first frame of the chain."""
         matrix = np.eye(4)
         for frame in chain[: chain.index(ancestor)]:
             matrix = self._link(frame, stamp_ns) @ matrix
@@ -100,24 +100,24 @@ class TransformBuffer:
         after = bisect_left(samples, stamp_ns, key=lambda sample: sample.stamp_ns)
         if after == len(samples):
             raise TransformNotYetError(
-                f"tf: {child!r} is known up to {samples[-1].stamp_ns / NS_PER_S:.3f} s, asked for {stamp_ns / NS_PER_S:.3f} s"
+                f"tf: {child!r} is known up to {samples[-1].stamp_ns / NS_PER_S:.3f} s, requested at {stamp_ns / NS_PER_S:.3f} s"
             )
         b = samples[after]
         if b.stamp_ns == stamp_ns:
             return matrix_from(b.translation, b.quat_xyzw)
         if after == 0:
             raise TransformError(
-                f"tf: {child!r} is known from {b.stamp_ns / NS_PER_S:.3f} s on, asked for {stamp_ns / NS_PER_S:.3f} s"
+                f"tf: {child!r} is known from {b.stamp_ns / NS_PER_S:.3f} s on, requested at {stamp_ns / NS_PER_S:.3f} s"
             )
         return _between(samples[after - 1], b, stamp_ns)
 
 
 def _between(a: _Sample, b: _Sample, stamp_ns: int) -> F64:
-    """Returns the transform at a time between two samples: on the straight line, with the rotations blended."""
-    share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
+    """Interpolates between two samples: linearly, with normalised quaternions."""
+    fraction = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
     first, last = np.array(a.quat_xyzw), np.array(b.quat_xyzw)
     if first @ last < 0:
         last = -last
-    quat = (1 - share) * first + share * last
-    translation = (1 - share) * np.array(a.translation) + share * np.array(b.translation)
+    quat = (1 - fraction) * first + fraction * last
+    translation = (1 - fraction) * np.array(a.translation) + fraction * np.array(b.translation)
     return matrix_from(translation, quat / np.linalg.norm(quat))

@@ -1,7 +1,7 @@
-"""``python -m gibson_examples.trial``: starts a simulation and the navigation node, and judges by the truth how it drives.
+"""``python -m gibson_examples.trial``: starts a simulation and the navigation node, and judges the drives by ground truth.
 
-Every run begins where the last one ended, with an initial pose that is wrong by a seeded error. It counts as reached where the
-true position is within 0.25 m of the goal and the robot's disc has touched nothing of the map on the way (``judging.py``).
+Every run starts where the previous one ended, with an initial pose that has a seeded error. A run is successful if the true
+position is within 0.25 m of the goal and the robot's disc has touched no obstacle of the map (``judging.py``).
 """
 
 from __future__ import annotations
@@ -38,14 +38,15 @@ from gibson_examples.routes import Course, course_of
 from gibson_examples.transforms import NS_PER_S
 
 LIMIT_S = 240.0
-"""Simulation time that a run may take, seconds."""
-PATIENCE_S = 180.0
-"""Wall time in which something must happen, seconds."""
+"""Longest run, seconds of simulation time."""
+TIMEOUT_S = 180.0
+"""Longest wait without progress, seconds of wall time."""
 SETTLE_NS = NS_PER_S // 2
+"""Pause before and after a run, nanoseconds of simulation time."""
 
 
 class _Process:
-    """A program of its own, with what it says in a file."""
+    """A started program, with its output in a file."""
 
     def __init__(self, name: str, command: list[str], folder: Path) -> None:
         self.name, self._log = name, folder / f"{name}.log"
@@ -53,21 +54,21 @@ class _Process:
             self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
 
     def check(self) -> None:
-        """Raises NavigationError where it has ended."""
+        """Raises NavigationError if the program has ended."""
         if self._process.poll() is not None:
-            raise NavigationError(f"{self.name} ended with code {self._process.returncode}; it said last:\n{self.tail()}")
+            raise NavigationError(f"{self.name} ended with code {self._process.returncode}; its last output:\n{self.tail()}")
 
     def tail(self) -> str:
-        """Returns the last lines that it said."""
+        """Returns the last lines of the output."""
         return "\n".join(self._log.read_text(errors="replace").splitlines()[-15:])
 
     def cpu_s(self) -> float:
-        """Returns the seconds of a core that it has used."""
+        """Returns the processor time used so far, seconds."""
         fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def stop(self) -> None:
-        """Ends it as Ctrl-C does."""
+        """Ends the program as Ctrl-C does; kills it after 30 s."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
         try:
@@ -78,7 +79,7 @@ class _Process:
 
 
 class _Judge:
-    """Sends initial poses and goals, and keeps what is true."""
+    """Sends initial poses and goals, and records the ground truth."""
 
     def __init__(self, processes: list[_Process]) -> None:
         self._processes = processes
@@ -123,66 +124,66 @@ class _Judge:
             self.errors.append(conversions.pose_from(msg.pose.pose).distance(true))
 
     def wait_until(self, condition: Callable[[], bool], what: str) -> None:
-        """Works until the condition holds; time that stands still for too long is an error."""
-        deadline, seen_ns = time.monotonic() + PATIENCE_S, self.now_ns
+        """Spins until the condition holds; raises NavigationError after ``TIMEOUT_S`` without progress."""
+        deadline, seen_ns = time.monotonic() + TIMEOUT_S, self.now_ns
         while not condition():
             self._executor.spin_once(timeout_sec=0.05)
             for process in self._processes:
                 process.check()
             if self.now_ns != seen_ns and what == "end of a run":
-                deadline, seen_ns = time.monotonic() + PATIENCE_S, self.now_ns
+                deadline, seen_ns = time.monotonic() + TIMEOUT_S, self.now_ns
             if time.monotonic() > deadline:
                 last = "\n".join(f"{p.name}:\n{p.tail()}" for p in self._processes)
-                raise NavigationError(f"still no {what} after {PATIENCE_S:.0f} s; status {self.status!r}\n{last}")
+                raise NavigationError(f"still no {what} after {TIMEOUT_S:.0f} s; status {self.status!r}\n{last}")
 
     def settle(self) -> None:
-        """Lets half a second of simulation time pass."""
+        """Waits for half a second of simulation time."""
         until = self.now_ns + SETTLE_NS
         self.wait_until(lambda: self.now_ns >= until, "simulation time")
 
     def ready(self) -> bool:
-        """Whether the map and the truth are here, and somebody listens."""
-        listens = self._initial_pub.get_subscription_count() and self._goal_pub.get_subscription_count()
-        return self.grid is not None and self.now_ns >= 0 and bool(listens)
+        """Returns whether map and ground truth have arrived and the navigation node has subscribed."""
+        matched = self._initial_pub.get_subscription_count() and self._goal_pub.get_subscription_count()
+        return self.grid is not None and self.now_ns >= 0 and bool(matched)
 
     def send_initial_pose(self, pose: Pose2D) -> None:
-        """Says where the robot may be: 0.15 m and 8 degrees, one sigma."""
+        """Publishes an initial pose with standard deviations of 0.15 m and 8 degrees."""
         covariance = np.diag([0.15**2, 0.15**2, math.radians(8.0) ** 2])
         self._initial_pub.publish(conversions.pose_with_covariance_msg(pose, covariance, self.now_ns, "map"))
 
     def send_goal(self, pose: Pose2D) -> None:
-        """Asks for a drive."""
+        """Publishes a goal."""
         self._goal_pub.publish(conversions.goal_msg(pose, self.now_ns, "map"))
 
     def close(self) -> None:
-        """Frees the context."""
+        """Destroys the node and its context."""
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
 
 
 def _drive(judge: _Judge, course: Course, goal: Pose2D, error: Pose2D) -> Run:
-    """Drives to one goal and returns how it went."""
+    """Drives to one goal and returns the result."""
     assert judge.grid is not None
     judge.send_initial_pose(judge.truth @ error)
     judge.settle()
     judge.track.clear()
     judge.errors.clear()
     judge.recoveries.clear()
-    began_ns, wanted = judge.now_ns, format_pose(goal)
+    start_ns, goal_text = judge.now_ns, format_pose(goal)
     judge.send_goal(goal)
 
     def over() -> bool:
-        ended = judge.status.startswith((f"reached {wanted}", f"failed {wanted}"))
-        return ended or judge.now_ns - began_ns > LIMIT_S * NS_PER_S
+        ended = judge.status.startswith((f"reached {goal_text}", f"failed {goal_text}"))
+        return ended or judge.now_ns - start_ns > LIMIT_S * NS_PER_S
 
     judge.wait_until(over, "end of a run")
-    duration = (judge.now_ns - began_ns) / NS_PER_S
+    duration = (judge.now_ns - start_ns) / NS_PER_S
     judge.settle()
     track = np.array(judge.track)
     clearance, closest = track_clearance(judge.grid, track)
     return Run(
-        goal=wanted,
+        goal=goal_text,
         status=judge.status,
         error=judge.truth.distance(goal),
         heading_error_deg=abs(math.degrees(wrap_angle(judge.truth.yaw - goal.yaw))),
@@ -207,16 +208,16 @@ def run_trial(
     stamped: bool = False,
     report: Callable[[Run], None] = lambda run: None,
 ) -> Trial:
-    """Starts a simulation without pictures and the navigation node, drives to the first ``runs`` goals of the scene's course.
+    """Starts a simulation without images and the navigation node, and drives to the first ``runs`` goals of the scene's course.
 
     Args:
-        scene: what ``gibson-sim run --scene`` takes; it must have a course.
-        robot: what ``--robot`` takes.
+        scene: value of ``gibson-sim run --scene``; the scene must have a course.
+        robot: value of ``--robot``.
         runs: 1 to 10.
-        rate: of simulation time against wall time.
-        seed: of the errors of the initial poses and of the particles.
-        stamped: drive by TwistStamped.
-        report: is called after each run.
+        rate: speed of simulation time against wall time.
+        seed: seed of the errors of the initial poses and of the particles.
+        stamped: send TwistStamped.
+        report: called after each run.
 
     Raises:
         NavigationError: the scene has no course, or a program ended or hangs.
@@ -248,14 +249,14 @@ def run_trial(
             judge.wait_until(judge.ready, "map, truth and navigation")
             assert judge.grid is not None
             course.check(judge.grid)
-            began_ns, began_s, cpu_s = judge.now_ns, time.monotonic(), processes[1].cpu_s()
-            done = []
+            start_ns, start_s, cpu_s = judge.now_ns, time.monotonic(), processes[1].cpu_s()
+            results = []
             for i, goal in enumerate(course.poses()[:runs]):
-                done.append(_drive(judge, course, goal, initial_error(seed, i)))
-                report(done[-1])
-            simulated_s = (judge.now_ns - began_ns) / NS_PER_S
-            factor, cpu = simulated_s / (time.monotonic() - began_s), (processes[1].cpu_s() - cpu_s) / simulated_s
-            return Trial(scene, robot, rate, seed, tuple(done), factor, cpu)
+                results.append(_drive(judge, course, goal, initial_error(seed, i)))
+                report(results[-1])
+            simulated_s = (judge.now_ns - start_ns) / NS_PER_S
+            factor, cpu = simulated_s / (time.monotonic() - start_s), (processes[1].cpu_s() - cpu_s) / simulated_s
+            return Trial(scene, robot, rate, seed, tuple(results), factor, cpu)
         finally:
             if judge is not None:
                 judge.close()
@@ -264,15 +265,15 @@ def run_trial(
 
 
 def main(args: list[str] | None = None) -> None:
-    """Runs a trial and prints it; ends with 0 where every run counts."""
-    parser = argparse.ArgumentParser(description="Drives to goals through doorways and judges by the truth.")
+    """Runs a trial and prints it; exits with 0 if every run is successful."""
+    parser = argparse.ArgumentParser(description="Drives to goals through doorways and judges the drives by ground truth.")
     parser.add_argument("--scene", default="flat", help="name or file of a scene that has a course (default: flat)")
     parser.add_argument("--robot", default="gibson_bot_real", help="name or folder of the robot (default: gibson_bot_real)")
     parser.add_argument("--runs", type=int, default=10, choices=range(1, 11), metavar="N", help="1 to 10 (default: 10)")
-    parser.add_argument("--rate", type=float, default=3.0, help="simulation time against wall time (default: 3)")
-    parser.add_argument("--seed", type=int, default=0, help="of the initial errors and the particles (default: 0)")
-    parser.add_argument("--stamped", action="store_true", help="drive by TwistStamped")
-    parser.add_argument("--json", type=Path, help="write what was measured to this file as well")
+    parser.add_argument("--rate", type=float, default=3.0, help="speed of simulation time against wall time (default: 3)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the initial errors and the particles (default: 0)")
+    parser.add_argument("--stamped", action="store_true", help="send TwistStamped")
+    parser.add_argument("--json", type=Path, help="also write the results to this file")
     options = parser.parse_args(args)
     try:
         trial = run_trial(
@@ -288,8 +289,8 @@ def main(args: list[str] | None = None) -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
     print(
-        f"{trial.passed} of {len(trial.runs)}; {trial.real_time_factor:.1f} simulated seconds a second, "
-        f"each of which cost the node {trial.cpu_per_simulated_second:.2f} s of a core"
+        f"{trial.passed} of {len(trial.runs)}; {trial.real_time_factor:.1f} simulated seconds per second, "
+        f"{trial.cpu_per_simulated_second:.2f} s of processor time of the node for each"
     )
     if options.json:
         options.json.write_text(json.dumps(asdict(trial), indent=2) + "\n")

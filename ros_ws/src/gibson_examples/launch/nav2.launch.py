@@ -1,7 +1,7 @@
 """Starts Nav2 for a running simulation: ros2 launch gibson_examples nav2.launch.py localisation:=amcl
 
-The simulator publishes the map, so there is no map server. ``localisation``: ``amcl``; ``none`` where the simulator publishes map -> odom
-(``--publish-map-tf``) or slam_toolbox does.
+The simulator publishes the map, so there is no map server. ``localisation``: ``amcl``; ``none`` if the simulator (``--publish-map-tf``) or
+slam_toolbox publishes map -> odom.
 """
 
 import os
@@ -49,7 +49,7 @@ def generate_launch_description():
                 description="parameters of all nodes",
             ),
             DeclareLaunchArgument(
-                "localisation", default_value="amcl", choices=["amcl", "none"], description="who publishes map -> odom"
+                "localisation", default_value="amcl", choices=["amcl", "none"], description="node that publishes map -> odom"
             ),
             server("nav2_amcl", "amcl", condition=with_amcl),
             lifecycle_manager("lifecycle_manager_localization", ["amcl"], condition=with_amcl),

@@ -1,4 +1,4 @@
-"""Allan deviation of noise whose deviation is known in closed form."""
+"""Allan deviation of noise with a closed-form solution."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def walk(strength: float, seconds: float, seed: int = 2) -> np.ndarray:
 
 
 def test_two_levels_have_the_deviation_computed_by_hand() -> None:
-    # Means of two neighbours: 0, 0.5 (overlapping), 1; all pairs two apart differ by 1: sqrt(1 / 2).
+    # Means of two neighbours: 0, 0.5 (overlapping), 1; all pairs at a distance of two differ by 1: sqrt(1 / 2).
     assert overlapping_allan(np.array([0.0, 0.0, 1.0, 1.0]), 1.0, [2])[0] == pytest.approx(math.sqrt(0.5))
 
 
@@ -47,7 +47,7 @@ def test_too_short_a_signal_has_no_deviation() -> None:
     assert allan_curve([np.ones(5)], RATE_HZ) is None
 
 
-def test_density_and_walk_are_told_apart() -> None:
+def test_density_and_walk_are_separated() -> None:
     curve = allan_curve([white(0.003, 1200.0, seed) + walk(0.001, 1200.0, seed + 9) for seed in range(3)], RATE_HZ)
     assert curve is not None
     model = noise_model(curve)
@@ -64,7 +64,7 @@ def test_short_white_noise_shows_no_walk() -> None:
     assert model.walk == 0.0
 
 
-def test_segments_of_different_length_count_by_what_they_hold() -> None:
+def test_segments_are_weighted_by_their_length() -> None:
     curve = allan_curve([white(0.01, 300.0, 1), white(0.01, 2.0, 5)], RATE_HZ)
     assert curve is not None
     assert curve.deviation[0] == pytest.approx(0.1, rel=0.03)

@@ -32,7 +32,7 @@ def pictures(value: int) -> Pictures:
 
 
 def recording(name: str, late: float = 0.0, scale: float = 1.0, start: float = 0.0, value: int = 128) -> RecordedDrive:
-    """Returns a drive with two steps, whose odometry is late by ``late`` seconds and tells ``scale`` of the way."""
+    """Returns a drive with two steps, whose odometry lags by ``late`` seconds and has the scale ``scale``."""
     asked = np.where((SENT >= 2.0) & (SENT < 6.0), 0.3, 0.0)
     speed = 0.3 * (np.clip((T - 2.0 - late) * 3.0, 0.0, 1.0) - np.clip((T - 6.0 - late) * 3.0, 0.0, 1.0))
     zero, way = 0.0 * T, np.cumsum(speed) / 30
@@ -60,7 +60,7 @@ def test_equal_recordings_do_not_differ() -> None:
     assert not any(parameter.changes for parameter in same.parameters)
 
 
-def test_differences_are_sorted_by_how_notable_they_are(comparison: Comparison) -> None:
+def test_differences_are_sorted_by_weight(comparison: Comparison) -> None:
     weights = [one.weight for one in comparison.differing]
     assert weights == sorted(weights, reverse=True)
     assert row(comparison, "velocity, forward", "delay").difference == pytest.approx(100.0, abs=10.0)
@@ -71,17 +71,17 @@ def test_a_row_names_the_value_to_change(comparison: Comparison) -> None:
     assert row(comparison, "velocity, forward", "delay").change.startswith("drive.command_delay: 0 → 0.1")
 
 
-def test_a_figure_that_one_side_lacks_has_no_weight() -> None:
+def test_a_value_that_one_side_lacks_has_no_weight() -> None:
     assert Row("a", "b", "", math.nan, 1.0, 0.1).weight == 0.0
 
 
-def test_darker_pictures_at_the_same_poses_ask_for_less_exposure(comparison: Comparison) -> None:
+def test_darker_pictures_at_the_same_poses_suggest_less_exposure(comparison: Comparison) -> None:
     found = row(comparison, "images at the same poses", "brightness")
     assert (found.real, found.sim) == pytest.approx((100 / 255, 128 / 255))
     assert "effects.exposure_ev -0.76" in found.change
 
 
-def test_poses_are_seen_from_the_start_if_asked() -> None:
+def test_poses_are_relative_to_the_start_on_request() -> None:
     real, sim, robot = recording("a", start=5.0), recording("b"), load_robot("gibson_bot")
     assert compare(real, sim, robot).pictures is None
     moved = compare(real, sim, robot, align="start")
@@ -89,14 +89,14 @@ def test_poses_are_seen_from_the_start_if_asked() -> None:
     assert len(moved.pictures.pairs) == 2
 
 
-def test_recordings_that_have_next_to_nothing_are_compared(tmp_path: Path) -> None:
+def test_almost_empty_recordings_are_compared(tmp_path: Path) -> None:
     empty = RecordedDrive(Path("empty"), 0.0, {}, notes=("no odom",))
     found = compare(empty, empty, load_robot("gibson_bot"))
     assert (found.rows, found.parameters, draw_plots(found)) == ((), (), [])
     assert "no odom" in page(found, [], "gibson_bot")
 
 
-def test_page_escapes_what_comes_from_outside(comparison: Comparison) -> None:
+def test_page_escapes_text_of_the_bags(comparison: Comparison) -> None:
     text = page(replace(comparison, notes=("<script>",)), draw_plots(comparison), "gibson_bot")
     assert "<script" not in text
     assert "&lt;real&gt;" in text
@@ -104,7 +104,7 @@ def test_page_escapes_what_comes_from_outside(comparison: Comparison) -> None:
     assert "data:image/jpeg;base64," in text
 
 
-def test_figures_are_json_without_numbers_that_it_does_not_know(comparison: Comparison) -> None:
+def test_values_are_json_without_nan_and_infinity(comparison: Comparison) -> None:
     text = json.dumps(figures(comparison), allow_nan=False)
     assert "drive.command_delay" in text
 

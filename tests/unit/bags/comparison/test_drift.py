@@ -1,4 +1,4 @@
-"""Odometry made wrong by known amounts."""
+"""Drift of odometry with known errors."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_recordings_without_a_common_time_have_no_drift() -> None:
     assert drift(TRUTH, later) is None
 
 
-def test_variance_of_slip_over_a_piece_is_that_of_blocks() -> None:
+def test_variance_of_slip_over_a_segment_is_that_of_blocks() -> None:
     rng = np.random.default_rng(1)
     blocks = np.repeat(rng.standard_normal(20_000), 20) / 20
     for units in (0.5, 1.0, 3.0):
@@ -122,6 +122,6 @@ def test_random_errors_of_the_simulated_odometry_are_recovered() -> None:
     assert roots == pytest.approx([0.02, 0.01, 0.02, 0.01], rel=0.1)
 
 
-def test_a_short_drive_says_nothing_of_random_errors() -> None:
+def test_a_short_drive_does_not_determine_random_errors() -> None:
     short = PlanarTrack(T[:100], TRUTH.x[:100], TRUTH.y[:100], TRUTH.yaw[:100], TRUTH.linear[:100], TRUTH.angular[:100])
     assert fit_alphas(short, short) is None

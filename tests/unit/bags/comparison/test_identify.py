@@ -1,4 +1,4 @@
-"""The drive is recovered from odometry that the simulator's own model made."""
+"""The drive model is recovered from odometry of the simulator's own model."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ COMMANDS = Commands(SENT, *np.array([SCRIPT.command(t) for t in SENT.tolist()]).
 def odometry(
     spec: DifferentialSpec, gains: tuple[float, float] = (1.0, 1.0), ticks: int = 0, commands: Commands = COMMANDS
 ) -> PlanarTrack:
-    """Returns odometry at 60 Hz of a robot with this drive, delay included, whose odometry tells ``gains`` of the motion."""
+    """Returns odometry at 60 Hz of a robot with this drive, delay included, whose odometry has the scales ``gains``."""
     t, linear, angular = wanted_velocities(commands, 0.0, SCRIPT.duration, HZ, 0.5)
     linear, angular = limited_velocities(spec, linear, angular, 1.0 / HZ)
     if ticks:
@@ -68,7 +68,7 @@ def test_delay_limits_and_gains_are_recovered() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_is_found_is_within_its_uncertainty_where_commands_were_noted_by_ticks_of_a_clock(seed: int) -> None:
+def test_estimates_are_within_their_uncertainty_where_command_times_are_rounded_to_clock_ticks(seed: int) -> None:
     obeyed = SENT + np.random.default_rng(seed).uniform(0.0, 0.02, len(SENT))
     noted = replace(COMMANDS, t=np.floor(obeyed * 100.0) / 100.0)
     found = fit_drive(DRIVE, noted, odometry(DRIVE, commands=replace(COMMANDS, t=obeyed)))
@@ -92,7 +92,7 @@ def test_ticks_of_the_encoder_are_recovered() -> None:
     assert ticks.value == pytest.approx(1500, rel=0.1)
 
 
-def test_averaged_odometry_gets_ticks_that_make_as_much_noise() -> None:
+def test_averaged_odometry_gets_ticks_of_the_same_noise() -> None:
     track = odometry(DRIVE, ticks=1500)
     smooth = replace(
         track,
@@ -121,7 +121,7 @@ def test_an_instant_drive_has_no_acceleration_limit() -> None:
     assert fitted(DRIVE, track).linear_acceleration is None
 
 
-def test_a_robot_that_never_turns_says_nothing_of_turning() -> None:
+def test_a_robot_that_never_turns_does_not_determine_turning() -> None:
     straight = Commands(COMMANDS.t, COMMANDS.linear, np.zeros(len(SENT)))
     track = odometry(DRIVE)
     found = fit_drive(DRIVE, straight, replace(track, angular=np.zeros(len(track.t))))
@@ -130,12 +130,12 @@ def test_a_robot_that_never_turns_says_nothing_of_turning() -> None:
     assert found.angular_acceleration is None
 
 
-def test_no_commands_tell_nothing() -> None:
+def test_no_commands_determine_nothing() -> None:
     still = Commands(COMMANDS.t, np.zeros(len(SENT)), np.zeros(len(SENT)))
     assert fit_drive(DRIVE, still, odometry(DRIVE)) is None
 
 
-def test_the_model_is_what_the_drive_does_step_by_step() -> None:
+def test_the_model_equals_the_drive_step_by_step() -> None:
     linear, angular = np.array([0.3] * 40 + [-0.1] * 40), np.array([0.0] * 20 + [1.0] * 60)
     drive, out = make_drive(DRIVE), []
     for a, b in zip(linear.tolist(), angular.tolist(), strict=True):

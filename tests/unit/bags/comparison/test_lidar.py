@@ -1,4 +1,4 @@
-"""Scans of a square room, with errors that are known."""
+"""Scans of a square room with known errors."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def noisy(sigma: float, dropout: float = 0.0, step: float = 0.0) -> Scans:
     return scans(ranges)
 
 
-def test_noise_and_dropout_at_rest_are_those_put_in() -> None:
+def test_noise_and_dropout_at_rest_are_recovered() -> None:
     found = lidar_noise(noisy(0.012, 0.02), [(0.0, 10.0)])
     assert found.range_noise == pytest.approx(0.012, rel=0.03)
     assert found.dropout == pytest.approx(0.02, rel=0.1)
@@ -66,7 +66,7 @@ def test_noise_is_unknown_without_rest() -> None:
     assert math.isnan(lidar_noise(noisy(0.01), []).range_noise)
 
 
-def test_ranges_of_no_step_have_no_resolution() -> None:
+def test_continuous_ranges_have_no_resolution() -> None:
     assert resolution_of(noisy(0.01).ranges) == 0.0
 
 

@@ -42,11 +42,11 @@ def test_stamped_commands_are_read_like_plain_ones(folder: Path) -> None:
         bag.write("/cmd_vel", NS, bag.make("geometry_msgs/msg/TwistStamped", header=bag.header(NS // 2, "base"), twist=twist))
     found = load_recording(folder).commands
     assert found is not None
-    # They count from when they arrived.
+    # A command counts from its arrival.
     assert (found.t[0], found.linear[0], found.angular[0]) == pytest.approx((1.0, 0.3, -0.2))
 
 
-def test_arrivals_by_wall_time_are_brought_to_the_clock_of_the_stamps(folder: Path) -> None:
+def test_arrivals_by_wall_time_are_mapped_to_the_clock_of_the_stamps(folder: Path) -> None:
     with StandardBag(folder, latency_ns=WALL_NS) as bag:
         odometry(bag)
         bag.twist("/cmd_vel", 15 * NS // 10, 0.3, 0.0)
@@ -56,7 +56,7 @@ def test_arrivals_by_wall_time_are_brought_to_the_clock_of_the_stamps(folder: Pa
     assert any("different clocks" in note for note in found.notes)
 
 
-def test_localisation_by_tf_is_a_truth_where_there_is_no_better(folder: Path) -> None:
+def test_localisation_by_tf_is_the_truth_where_no_better_one_exists(folder: Path) -> None:
     with StandardBag(folder) as bag:
         odometry(bag)
         for i in range(3):
@@ -97,7 +97,7 @@ def test_lidar_is_where_the_fixed_transforms_put_it(folder: Path) -> None:
     found = load_recording(folder).scans
     assert found is not None
     assert found.mount == pytest.approx((0.3, 0.0, math.pi))
-    # What is out of range did not return.
+    # Ranges beyond the maximum are beams without a return.
     assert found.ranges[0].tolist() == [1.0, math.inf, math.inf, math.inf]
 
 
@@ -128,7 +128,7 @@ def test_map_has_walls_where_it_is_occupied(folder: Path) -> None:
     assert (found.resolution, found.origin) == (0.5, (-1.0, -2.0))
 
 
-def test_what_is_missing_is_said(folder: Path) -> None:
+def test_missing_topics_are_reported(folder: Path) -> None:
     with StandardBag(folder) as bag:
         odometry(bag)
     notes = load_recording(folder).notes
@@ -136,7 +136,7 @@ def test_what_is_missing_is_said(folder: Path) -> None:
     assert any(note.startswith("no imu") for note in notes)
 
 
-def test_wished_topic_that_is_missing_is_an_error(folder: Path) -> None:
+def test_requested_topic_that_is_missing_is_an_error(folder: Path) -> None:
     with StandardBag(folder) as bag:
         odometry(bag)
     with pytest.raises(ConfigError, match="no such topic"):

@@ -1,4 +1,4 @@
-"""Poses that are near each other."""
+"""Matching of nearby poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_unknown_poses_match_nothing() -> None:
     assert matches(np.full((2, 3), np.nan), np.zeros((1, 3))).shape == (0, 2)
 
 
-def test_a_pose_is_seen_from_the_start() -> None:
-    # From (1, 2), looking along y: what is 3 m further along y is 3 m ahead.
+def test_a_pose_is_relative_to_the_start() -> None:
+    # From (1, 2), facing along y: a point 3 m further along y is 3 m ahead.
     found = from_start(np.array([[1.0, 5.0, math.pi]]), np.array([1.0, 2.0, math.pi / 2]))
     assert found[0] == pytest.approx([3.0, 0.0, math.pi / 2])

@@ -1,4 +1,4 @@
-"""From the figures of two recordings to values of the robot.yaml, and into a copy of it."""
+"""Values of the robot.yaml from the measurements of two recordings, and a copy with them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOTHING = np.zeros(0)
 
 
 def measured(delay: float, acceleration: float, gains: tuple[float, float], scales: Scales | None) -> Measurements:
-    """Returns a recording that says this of its drive, exactly."""
+    """Returns a recording with exactly these measurements of the drive."""
     estimates = [Estimate(value, 0.0) for value in (delay, acceleration, 3 * acceleration, *gains)]
     fit = DriveFit(*estimates, 0.0, 0.0, NOTHING, NOTHING, NOTHING)
     drift = None if scales is None else Drift(10.0, 10.0, scales, 0.0, 0.0, {}, 0.0, 0.0)
@@ -53,14 +53,14 @@ def test_a_faster_real_robot_has_no_negative_delay(robot: RobotSpec) -> None:
     assert found["drive.command_delay"] == 0.0
 
 
-def test_limits_change_by_what_the_recordings_differ(robot: RobotSpec) -> None:
+def test_limits_change_by_the_difference_of_the_recordings(robot: RobotSpec) -> None:
     found = values(measured(0.0, 0.6, (1.0, 1.0), EXACT), measured(0.0, 1.2, (1.0, 1.0), EXACT), robot)
     # The file says 1 and 4.
     assert (found["drive.max_linear_acceleration"], found["drive.max_angular_acceleration"]) == pytest.approx((0.5, 2.0))
 
 
-def test_slip_is_what_the_truth_lacks_of_the_command(robot: RobotSpec) -> None:
-    # Odometry tells 1.02 of the command, and 1.02 / 0.95 of the truth.
+def test_slip_is_the_difference_of_truth_and_command(robot: RobotSpec) -> None:
+    # Scale of the odometry: 1.02 against the command, 1.02 / 0.95 against the truth.
     real = measured(0.0, 1.0, (1.02, 0.99), Scales(1.02 / 0.95, 0.99 / 0.92, 0.0))
     found = values(real, measured(0.0, 1.0, (1.0, 1.0), EXACT), robot)
     assert (found["drive.slip"], found["drive.turn_slip"]) == pytest.approx((0.05, 0.08))
@@ -111,12 +111,12 @@ def test_only_clear_differences_change(new: float, deviation: float, changes: bo
         ("lidar", "range_noise", 1e-3, True),
     ],
 )
-def test_what_a_robot_without_errors_shows_at_rest_is_no_error(section: str, key: str, new: float, changes: bool) -> None:
-    """The small ones are what an exact robot measured, each known to a thousandth of itself."""
+def test_values_of_an_exact_robot_at_rest_are_no_errors(section: str, key: str, new: float, changes: bool) -> None:
+    """The small values are those of an exact robot, each with an uncertainty of a thousandth."""
     assert Parameter(section, key, 0, 0.0, new, "", 1e-3 * new, "").changes == changes
 
 
-def test_copy_keeps_comments_and_says_what_it_changed(tmp_path: Path) -> None:
+def test_copy_keeps_comments_and_marks_its_changes(tmp_path: Path) -> None:
     delay = replace(PARAMETER, key="command_delay", old=0.0, new=0.1)
     path = write_fitted(robot_file("gibson_bot"), [PARAMETER, delay], tmp_path / "out" / "fitted.yaml")
     text = path.read_text(encoding="utf-8")
@@ -127,7 +127,7 @@ def test_copy_keeps_comments_and_says_what_it_changed(tmp_path: Path) -> None:
     assert (drive.max_linear_acceleration, drive.command_delay, drive.max_linear) == (0.6123, 0.1, 0.5)
 
 
-def test_section_that_was_not_there_is_made(tmp_path: Path) -> None:
+def test_missing_section_is_created(tmp_path: Path) -> None:
     ticks = replace(PARAMETER, section="wheel_odometry", key="encoder_ticks", old=0.0, new=2048.3)
     path = write_fitted(robot_file("gibson_bot"), [ticks], tmp_path / "fitted.yaml")
     assert load_robot(path).sensors.wheel_odometry.encoder_ticks == 2048

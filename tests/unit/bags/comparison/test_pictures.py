@@ -1,4 +1,4 @@
-"""Statistics of pictures made by rule."""
+"""Statistics of synthetic pictures."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_contrast_of_two_halves_is_half_their_difference() -> None:
     assert statistic(rgb, "contrast") == pytest.approx(0.5)
 
 
-def test_noise_is_that_put_in_whatever_the_slope_below() -> None:
+def test_noise_is_recovered_on_any_gradient() -> None:
     slope = np.linspace(60, 180, 256)[None, :, None] * np.ones((256, 256, 1))
     noise = 6.0 * np.random.default_rng(1).standard_normal((256, 256, 1))
     rgb = np.clip(np.rint(slope + noise), 0, 255).astype(np.uint8).repeat(3, axis=2)
@@ -58,7 +58,7 @@ def test_red_is_saturated() -> None:
     assert (statistic(rgb, "red"), statistic(rgb, "blue"), statistic(rgb, "saturation")) == pytest.approx((1.0, 0.0, 1.0))
 
 
-def test_distance_of_histograms_is_how_far_brightness_must_be_carried() -> None:
+def test_distance_of_histograms_is_the_earth_movers_distance() -> None:
     black, white, middle = (picture_statistics(flat(value))[1] for value in (0, 255, 128))
     assert histogram_distance(black, black) == 0.0
     assert histogram_distance(black, white) == pytest.approx(1.0)
@@ -66,7 +66,7 @@ def test_distance_of_histograms_is_how_far_brightness_must_be_carried() -> None:
 
 
 def test_twice_the_light_is_one_stop() -> None:
-    # sRGB 0.5 is 0.214 of the light, 0.6858 is twice that.
+    # sRGB 0.5 is 0.214 of the full light, 0.6858 twice that.
     assert exposure_stops(0.6858, 0.5) == pytest.approx(1.0, abs=0.01)
 
 

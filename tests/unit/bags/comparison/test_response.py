@@ -1,4 +1,4 @@
-"""Steps and models of velocities that were made by a known system."""
+"""Step responses of known systems."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ T = np.arange(0.0, 20.0, 1 / 60)
 COMMAND_T = np.arange(0.0, 20.0, 0.05)
 COMMAND = np.where((COMMAND_T >= 2.0) & (COMMAND_T < 6.0), 0.4, np.where((COMMAND_T >= 9.0) & (COMMAND_T < 13.0), -0.2, 0.0))
 EDGES = ((2.0, 0.4), (6.0, -0.4), (9.0, -0.2), (13.0, 0.2))
-"""(time, height) of the steps; the command is sent every 50 ms and changes at one of its times."""
+"""(time, height) of the steps; commands are sent every 50 ms, and steps are at their times."""
 
 
 def respond(shape: object, delay: float = 0.1) -> np.ndarray:
-    """Returns the sum of the answers to all edges; ``shape`` takes seconds since the edge to a part of it."""
+    """Returns the sum of the answers to all edges; ``shape`` maps seconds since the edge to a fraction of its height."""
     return np.asarray(sum(height * shape(T - edge - delay) for edge, height in EDGES))  # type: ignore[operator]
 
 
@@ -86,7 +86,7 @@ def test_command_that_never_changes_has_no_response() -> None:
     assert math.isnan(found.delay)
 
 
-def test_steps_too_close_to_each_other_do_not_count() -> None:
+def test_steps_too_close_to_each_other_are_ignored() -> None:
     busy = np.where(COMMAND_T % 1.0 < 0.5, 0.3, 0.0)
     assert find_steps(COMMAND_T, busy, T, np.zeros_like(T), least=0.05) == []
 

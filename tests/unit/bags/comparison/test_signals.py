@@ -1,4 +1,4 @@
-"""Holds, stretches, rest."""
+"""Held values, runs of true, rest."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOVES = (T > 10.0) & (T < 20.0)
 
 
 def imu(gyro_noise: float = 1e-3, bias: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ImuSamples:
-    """Returns 30 s of samples at 100 Hz: the robot shakes and turns from 10 s to 20 s."""
+    """Returns 30 s of samples at 100 Hz; the robot shakes and turns from 10 s to 20 s."""
     rng = np.random.default_rng(0)
     gyro = gyro_noise * rng.standard_normal((len(T), 3)) + bias
     accel = 0.02 * rng.standard_normal((len(T), 3)) + (0.0, 0.0, 9.81)
@@ -35,14 +35,14 @@ def test_last_value_is_held_until_its_time_out() -> None:
     assert found.tolist() == [0.0, 5.0, 0.0, 6.0, 0.0]
 
 
-def test_holding_is_what_a_robot_does_with_its_commands() -> None:
+def test_holding_equals_a_robots_handling_of_commands() -> None:
     for now in (0.3, 1.0, 1.2, 1.5, 1.6):
         command = VelocityCommand((0.4, 0.0, 0.0), (0.0, 0.0, 0.0), NS_PER_S) if now >= 1.0 else None
         wanted = active_command(command, round(now * NS_PER_S), NS_PER_S // 2).linear
         assert held(np.array([1.0]), np.array([0.4]), np.array([now]), 0.5)[0] == wanted
 
 
-def test_stretches_are_runs_of_true() -> None:
+def test_intervals_are_runs_of_true() -> None:
     assert stretches(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
 
 
@@ -62,7 +62,7 @@ def test_commanded_robot_does_not_rest() -> None:
     assert rests(imu(), track(), Commands(T, asked, 0 * asked)) == []
 
 
-def test_noise_and_bias_at_rest_are_those_put_in() -> None:
+def test_noise_and_bias_at_rest_are_recovered() -> None:
     samples = imu(gyro_noise=2e-3, bias=(0.01, -0.02, 0.03))
     found = imu_noise(samples, rests(samples, track()))
     assert found is not None

@@ -1,4 +1,4 @@
-"""Rates, gaps and latencies of stamps made by rule."""
+"""Rates, gaps and latencies of synthetic stamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which topic plays which role."""
+"""Assignment of topics to roles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_usual_names_are_found() -> None:
     assert found == {"cmd_vel": "/cmd_vel", "odom": "/odom", "truth": "/ground_truth/odom"}
 
 
-def test_commands_that_a_recorder_left_out_are_those_that_were_applied() -> None:
+def test_applied_commands_replace_commands_that_were_not_recorded() -> None:
     stamped = "geometry_msgs/msg/TwistStamped"
     topics = infos(cmd_vel_applied=stamped, arm_servo__delta_twist_cmds=stamped)
     assert find_topics(topics, {}, "bag") == {"cmd_vel": "/cmd_vel_applied"}
@@ -34,7 +34,7 @@ def test_names_in_a_namespace_are_found() -> None:
     assert find_topics(infos(robot1__odom=ODOMETRY), {}, "bag") == {"odom": "/robot1/odom"}
 
 
-def test_the_only_topic_of_a_type_is_taken() -> None:
+def test_the_only_topic_of_a_type_is_used() -> None:
     assert find_topics(infos(front__laser=SCAN), {}, "bag") == {"scan": "/front/laser"}
 
 
@@ -42,21 +42,21 @@ def test_two_unusual_topics_are_not_guessed() -> None:
     assert find_topics(infos(left=SCAN, right=SCAN), {}, "bag") == {}
 
 
-def test_a_wish_wins() -> None:
+def test_an_option_overrides_the_usual_name() -> None:
     assert find_topics(infos(odom=ODOMETRY, ekf=ODOMETRY), {"odom": "/ekf"}, "bag")["odom"] == "/ekf"
 
 
-def test_a_wish_that_is_not_there_names_what_is() -> None:
+def test_a_requested_topic_that_is_missing_lists_the_topics() -> None:
     with pytest.raises(ConfigError, match=r"odom=/ekf: bag has no such topic; it has /odom"):
         find_topics(infos(odom=ODOMETRY), {"odom": "/ekf"}, "bag")
 
 
-def test_a_wish_of_another_type_is_an_error() -> None:
+def test_a_requested_topic_of_another_type_is_an_error() -> None:
     with pytest.raises(ConfigError, match=r"it is sensor_msgs/msg/LaserScan, must be nav_msgs/msg/Odometry"):
         find_topics(infos(scan=SCAN), {"odom": "/scan"}, "bag")
 
 
-def test_options_are_for_one_bag_or_both() -> None:
+def test_options_apply_to_one_bag_or_both() -> None:
     found = topic_options(["odom=/a", "real:imu=b", "sim:imu=/c"])
     assert found == {"real": {"odom": "/a", "imu": "/b"}, "sim": {"odom": "/a", "imu": "/c"}}
 
