@@ -245,7 +245,7 @@ def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
     if (stamps[-1] - stamps[0]) / step_ns > MOST_FRAMES:
         raise RecordError(
             f"the stamps of the images span {seconds:.4g} s, a video of more than {MOST_FRAMES:,} frames: "
-            "look whether they are right (gibson-sim bag check), choose a smaller --fps or a higher --speed"
+            "check them (gibson-sim bag check), choose a smaller --fps or a higher --speed"
         )
     count = int(np.floor((stamps[-1] - stamps[0]) / step_ns + 0.5)) + 1
     times = (np.arange(count) * step_ns).astype(np.float64)

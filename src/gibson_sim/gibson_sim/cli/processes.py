@@ -29,7 +29,13 @@ _ERROR = re.compile(
 
 def command_of(module: str, *arguments: str) -> list[str]:
     """Returns the command line that runs a module of ``gibson_sim.ros.nodes`` in a process of its own."""
-    return [sys.executable, "-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.nodes.{module}", *arguments]
+    return [
+        sys.executable,
+        "-m",
+        "gibson_sim.ros.nodes.start",
+        f"gibson_sim.ros.{module if '.' in module else f'nodes.{module}'}",
+        *arguments,
+    ]
 
 
 def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> NoReturn:

@@ -7,7 +7,7 @@ from gibson_sim.web.requests import Drive
 DEADLINE_S = 0.3
 """Seconds of wall time that a command holds; a page repeats its command every 0.1 s while a key is down."""
 STOPS = 3
-"""Zero commands that are sent once nobody drives: one may be lost."""
+"""Number of zero commands after the last page let go: one may be lost."""
 STANDING = Drive(0.0, 0.0, 0.0)
 
 

@@ -20,7 +20,7 @@ from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import SceneState
 
 MOST_TRIANGLES = 400_000
-"""Of a model; a larger scene is simplified, each part to its share."""
+"""Greatest number of triangles of a model; the parts of a larger scene are simplified in proportion."""
 _TEXTURE_PX = 1024
 """Longest edge of a texture."""
 _VERTEX = np.dtype([("position", "<f4", 3), ("uv", "<f4", 2), ("normal", "i1", 4), ("color", "u1", 4)])

@@ -281,7 +281,7 @@ def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
     if stamps[-1] - stamps[0] > LONGEST_S * NS_PER_S:
         raise RecordError(
             f"the stamps of a topic span {(stamps[-1] - stamps[0]) / NS_PER_S:.4g} s, at most {LONGEST_S:,} s are compared: "
-            "look whether they are right (gibson-sim bag check)"
+            "check them (gibson-sim bag check)"
         )
     return (stamps - begin) / NS_PER_S, np.array([rows[i][1:] for i in first], dtype=np.float64)
 

@@ -19,7 +19,7 @@ from gibson_sim.web.videos import Image as PageImage
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches whatever is offered, and holds no publisher up."""
 _QUALITY = 80
-"""Of JPEG, 0 to 100."""
+"""JPEG quality, 0 to 100."""
 _FAR_M = 8.0
 """Depth that is drawn as the farthest, metres."""
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

@@ -1,0 +1,1 @@
+"""What ``gibson-sim topic``, ``service``, ``param`` and the short verbs do: the tools of ``ros2`` for machines without them."""

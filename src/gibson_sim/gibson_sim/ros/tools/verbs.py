@@ -1,0 +1,155 @@
+"""The short verbs of ``gibson-sim``: spawn, move, delete, pause, play, step, reset, load, goal. Each calls one standard service."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import (
+    DeleteEntity,
+    GetEntities,
+    GetSpawnables,
+    LoadWorld,
+    ResetSimulation,
+    SetEntityState,
+    SetSimulationState,
+    SpawnEntity,
+    StepSimulation,
+)
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import quoted
+from gibson_sim.ros.tools.main import Tool
+from gibson_sim.ros.topics import names
+from gibson_sim.ros.web.simulation_client import flat_pose
+from gibson_sim.settings import nearest
+from gibson_sim.types import WORLD_FRAME
+
+_OK = 1
+_DROP_M = 0.02
+"""Height above the floor at which a spawned or moved entity begins, m."""
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_SUBSCRIBER_S = 2.0
+"""Wall time to wait for a subscriber of a goal, s."""
+
+
+def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
+    """Puts a thing on the floor; returns what to print."""
+    request = SpawnEntity.Request(name=name, allow_renaming=True)
+    if hasattr(request, "entity_resource"):  # 2.x
+        request.entity_resource.uri = uri
+    else:
+        request.uri = uri
+    request.initial_pose.header.frame_id = WORLD_FRAME
+    request.initial_pose.pose = flat_pose(at[0], at[1], _floor_z(tool) + _DROP_M, at[2])
+    response = tool.call("spawn_entity", SpawnEntity, request)
+    if response.result.result != _OK:
+        known = [each.uri for each in tool.call("get_spawnables", GetSpawnables, GetSpawnables.Request()).spawnables]
+        hint = "" if uri in known else nearest(uri, known)
+        raise GibsonSimError(
+            response.result.error_message + (f"; {hint}" if hint and "did you mean" not in response.result.error_message else "")
+        )
+    return f"spawned {response.entity_name} at {at[0]:g},{at[1]:g}"
+
+
+def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
+    """Puts an entity elsewhere on the floor, at rest; returns what to print."""
+    request = SetEntityState.Request(entity=name)
+    request.state.header.frame_id = WORLD_FRAME
+    request.state.pose = flat_pose(at[0], at[1], _floor_z(tool) + _DROP_M, at[2])
+    for flag in ("set_pose", "set_twist"):  # 2.x
+        if hasattr(request, flag):
+            setattr(request, flag, True)
+    _checked(tool, tool.call("set_entity_state", SetEntityState, request), name)
+    return f"moved {name} to {at[0]:g},{at[1]:g}"
+
+
+def delete(tool: Tool, name: str) -> str:
+    """Removes an entity; returns what to print."""
+    _checked(tool, tool.call("delete_entity", DeleteEntity, DeleteEntity.Request(entity=name)), name)
+    return f"deleted {name}"
+
+
+def pause(tool: Tool) -> str:
+    """Pauses the simulation; returns what to print."""
+    return _set_state(tool, SimulationState.STATE_PAUSED, "paused")
+
+
+def play(tool: Tool) -> str:
+    """Lets time pass; returns what to print."""
+    return _set_state(tool, SimulationState.STATE_PLAYING, "playing")
+
+
+def step(tool: Tool, steps: int) -> str:
+    """Makes physics steps of a paused simulation; returns what to print."""
+    _checked(tool, tool.call("step_simulation", StepSimulation, StepSimulation.Request(steps=steps)))
+    return f"made {steps} step{'s' * (steps != 1)}"
+
+
+def reset(tool: Tool) -> str:
+    """Resets the simulation; returns what to print."""
+    _checked(tool, tool.call("reset_simulation", ResetSimulation, ResetSimulation.Request()))
+    return "reset: time, poses and spawned entities"
+
+
+def load(tool: Tool, world: str) -> str:
+    """Loads another scene; returns what to print."""
+    request = LoadWorld.Request()
+    if hasattr(request, "world_resource"):  # 2.x
+        request.world_resource.uri = world
+    else:
+        request.uri = world
+    _checked(tool, tool.call("load_world", LoadWorld, request))
+    return f"loaded {world}"
+
+
+def goal(tool: Tool, at: tuple[float, float, float]) -> str:
+    """Publishes ``goal_pose`` for a navigation stack; returns what to print."""
+    publisher = tool.create_publisher(PoseStamped, "goal_pose", 1)
+    if not tool.work(_SUBSCRIBER_S, lambda: publisher.get_subscription_count() > 0):
+        raise GibsonSimError("goal_pose has no subscriber: start a navigation stack, such as Nav2 or the one of gibson_examples")
+    message = PoseStamped(pose=flat_pose(*at[:2], 0.0, at[2]))
+    message.header.frame_id = WORLD_FRAME
+    publisher.publish(message)
+    publisher.wait_for_all_acked()
+    return f"sent goal {at[0]:g},{at[1]:g}"
+
+
+def _set_state(tool: Tool, state: int, text: str) -> str:
+    response = tool.call(
+        "set_simulation_state", SetSimulationState, SetSimulationState.Request(state=SimulationState(state=state))
+    )
+    if response.result.result == SetSimulationState.Response.ALREADY_IN_TARGET_STATE:
+        return f"already {text}"
+    _checked(tool, response)
+    return text
+
+
+def _checked(tool: Tool, response: Any, entity: str = "") -> None:
+    if response.result.result == _OK:
+        return
+    text = response.result.error_message or f"it failed with code {response.result.result}"
+    if entity and "did you mean" not in text:
+        known = list(tool.call("get_entities", GetEntities, GetEntities.Request()).entities)
+        hint = "" if entity in known else nearest(entity, known)
+        text += f"; {hint}" if hint else ""
+    raise GibsonSimError(text or quoted(entity))
+
+
+def _floor_z(tool: Tool) -> float:
+    """Returns the height of the floor that the map shows; 0 where there is no map."""
+    got: list[float] = []
+    tool.create_subscription(OccupancyGrid, names.MAP, lambda msg: got.append(float(msg.info.origin.position.z)), _LATCHED)
+    begin = time.monotonic()
+    tool.work(2.0, lambda: bool(got) or (time.monotonic() - begin > 1.0 and not tool.count_publishers(names.MAP)))
+    return got[0] if got else 0.0
+
+
+VERBS: dict[str, Callable[..., str]] = {
+    each.__name__: each for each in (spawn, move, delete, pause, play, step, reset, load, goal)
+}

@@ -1,0 +1,180 @@
+"""Messages as YAML text, as ``ros2 topic echo`` prints them, and messages from YAML values, as ``ros2 service call`` takes them."""
+
+from __future__ import annotations
+
+import array
+import difflib
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import quoted
+
+SHORT = 128
+"""Elements of an array or characters of a text that are printed; what follows is ``...``, unless all is asked for."""
+_ARRAY = re.compile(r"(?:sequence<(?P<of>[^,>]+)(?:, (?P<bound>\d+))?>|(?P<item>.+)\[(?P<size>\d+)\])$")
+_INTEGER = re.compile(r"(?P<unsigned>u)?int(?P<bits>8|16|32|64)")
+_FLOATS = ("float", "double", "float32", "float64")
+
+
+class MessageValueError(GibsonSimError):
+    """A value does not fit a field of a message."""
+
+
+def yaml_text(message: Any, *, whole: bool = False) -> str:
+    """Returns a message as YAML, one field a line.
+
+    Args:
+        message: any message, request or response.
+        whole: print arrays and texts to their end.
+    """
+    return "".join(f"{line}\n" for line in _lines(message, "", whole))
+
+
+def field_of(message: Any, path: str) -> Any:
+    """Returns a field, such as ``pose.pose.position.x`` or ``transforms[0]``.
+
+    Raises:
+        MessageValueError: there is none; the known ones are named.
+    """
+    found = message
+    for part in re.findall(r"[^.\[\]]+", path):
+        if part.isdigit():
+            if int(part) >= len(found):
+                raise MessageValueError(f"{path}: there are {len(found)} elements, no number {part}")
+            found = found[int(part)]
+            continue
+        fields = found.get_fields_and_field_types() if hasattr(found, "get_fields_and_field_types") else {}
+        if part not in fields:
+            raise MessageValueError(f"{path}: there is no field {quoted(part)}; known: {', '.join(fields) or 'none'}")
+        found = getattr(found, part)
+    return found
+
+
+def value_text(value: Any, *, whole: bool = False) -> str:
+    """Returns the value of one field as YAML."""
+    return yaml_text(value, whole=whole) if hasattr(value, "get_fields_and_field_types") else f"{_scalar(_plain(value), whole)}\n"
+
+
+def fill(message: Any, values: Any, where: str = "") -> Any:
+    """Sets fields of a message from YAML values, and returns the message.
+
+    Args:
+        message: is changed; fields that are not named keep their defaults.
+        values: a mapping, as from YAML.
+        where: path of the message, for errors.
+
+    Raises:
+        MessageValueError: a field does not exist, or its value has another type.
+    """
+    types = message.get_fields_and_field_types()
+    if values in (None, ""):
+        return message
+    if not isinstance(values, dict):
+        raise MessageValueError(
+            f"{where or 'the message'} is {quoted(values)}, must be a mapping with {', '.join(types) or 'no fields'}"
+        )
+    for name, value in values.items():
+        if name not in types:
+            near = difflib.get_close_matches(str(name), types, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(types) or 'none'}"
+            raise MessageValueError(f"{where}{name}: there is no such field; {hint}")
+        path = f"{where}{name}"
+        try:
+            setattr(message, name, _converted(value, types[name], getattr(message, name), path))
+        except ValueError as error:
+            raise MessageValueError(f"{path} is {quoted(value)}, must be of type {types[name]}") from error
+    return message
+
+
+def _converted(value: Any, type_name: str, current: Any, path: str) -> Any:
+    """Returns a value as a field takes it. rclpy checks no values unless it is told to, and a wrong one would end the process."""
+    match = _ARRAY.match(type_name)
+    if match:
+        size, bound = match["size"], match["bound"]
+        if not isinstance(value, list) or (size and len(value) != int(size)) or (bound and len(value) > int(bound)):
+            raise ValueError
+        item = match["of"] or match["item"]
+        if "/" in item:
+            make = _class_of(item)
+            return [fill(make(), each, f"{path}[{k}].") for k, each in enumerate(value)]
+        return [_checked(each, item) for each in value]
+    if hasattr(current, "get_fields_and_field_types"):
+        return fill(current, value, f"{path}.")
+    return _checked(value, type_name)
+
+
+def _checked(value: Any, type_name: str) -> Any:
+    """Returns a value of a primitive type, or raises ValueError."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if type_name in _FLOATS and number:
+        return float(value)
+    if type_name == "boolean" and isinstance(value, bool):
+        return value
+    if type_name.startswith(("string", "wstring")) and isinstance(value, str):
+        return value
+    integer = _INTEGER.fullmatch(type_name)
+    if type_name == "octet" and isinstance(value, int) and 0 <= value < 256:
+        return bytes([value])
+    if integer and isinstance(value, int) and not isinstance(value, bool):
+        bits, low = int(integer["bits"]), 0 if integer["unsigned"] else -(2 ** (int(integer["bits"]) - 1))
+        if low <= value < low + 2**bits:
+            return value
+    raise ValueError
+
+
+def _class_of(type_name: str) -> Any:
+    from gibson_sim.ros.wire.message_types import message_class
+
+    package, name = type_name.split("/")
+    return message_class(f"{package}/msg/{name}")
+
+
+def _lines(message: Any, indent: str, whole: bool) -> Iterator[str]:
+    fields = message.get_fields_and_field_types()
+    if not fields:
+        yield f"{indent}{{}}"
+    for name in fields:
+        value = _plain(getattr(message, name))
+        if hasattr(value, "get_fields_and_field_types"):
+            yield f"{indent}{name}:"
+            yield from _lines(value, indent + "  ", whole)
+        elif isinstance(value, list) and value and hasattr(value[0], "get_fields_and_field_types"):
+            yield f"{indent}{name}:"
+            for item in value if whole else value[:SHORT]:
+                first, *rest = _lines(item, indent + "  ", whole)
+                yield f"{indent}- {first.strip()}"
+                yield from rest
+            if not whole and len(value) > SHORT:
+                yield f"{indent}- '...'"
+        elif isinstance(value, list) and value:
+            yield f"{indent}{name}:"
+            for item in value if whole else value[:SHORT]:
+                yield f"{indent}- {_scalar(item, whole)}"
+            if not whole and len(value) > SHORT:
+                yield f"{indent}- '...'"
+        else:
+            yield f"{indent}{name}: {_scalar(value, whole)}"
+
+
+def _plain(value: Any) -> Any:
+    """Returns arrays as lists."""
+    if isinstance(value, np.ndarray | array.array | tuple):
+        return list(value) if isinstance(value, tuple) else value.tolist()
+    if isinstance(value, bytes):
+        return value[0] if len(value) == 1 else list(value)
+    return value
+
+
+def _scalar(value: Any, whole: bool) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return {"nan": ".nan", "inf": ".inf", "-inf": "-.inf"}.get(str(value), str(value))
+    if isinstance(value, str):
+        text = value if whole or len(value) <= SHORT else value[:SHORT] + "..."
+        return text if re.fullmatch(r"[A-Za-z_/][\w/ .-]*", text) else "'" + text.replace("'", "''").replace("\n", "\\n") + "'"
+    return str(value)

@@ -1,0 +1,101 @@
+"""The command line for machines without ``ros2``, against a running simulation."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from support.simulation import Launched, require
+
+require("rclpy", "gibson_msgs")
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module", autouse=True)
+def simulation(ros_domain: int) -> Iterator[Launched]:
+    launched = Launched("run", "--no-render")
+    launched.wait_for_line("is ready")
+    yield launched
+    launched.stop()
+
+
+def _run(*words: str) -> tuple[int, str]:
+    """Returns the exit code and all that is printed."""
+    done = subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", *words], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_topics_are_listed_described_and_echoed() -> None:
+    assert {"/odom", "/scan", "/clock"} <= set(_run("topic", "list")[1].split())
+    assert "/odom [nav_msgs/msg/Odometry]\n" in _run("topic", "list", "-t")[1]
+    assert _run("topic", "info", "odom") == (0, "Type: nav_msgs/msg/Odometry\nPublisher count: 1\nSubscription count: 0\n")
+    code, text = _run("topic", "echo", "--once", "--field", "header.frame_id", "/odom")
+    assert (code, text) == (0, "odom\n---\n")
+
+
+def test_latched_topics_are_echoed_to_who_comes_late() -> None:
+    code, text = _run("topic", "echo", "--once", "/map")
+    assert code == 0 and "  frame_id: map\n" in text
+
+
+def test_rate_bandwidth_and_delay_are_measured() -> None:
+    code, text = _run("topic", "hz", "/odom", "--seconds", "2")
+    assert code == 0 and re.search(r"average rate: \d+\.\d{3}\n\tmin: \d", text)
+    assert re.search(r"KB/s from \d+ messages\n\tMessage size mean: ", _run("topic", "bw", "/scan", "--seconds", "2")[1])
+    assert "average delay: " in _run("topic", "delay", "/odom", "--seconds", "2")[1]
+    code, text = _run("topic", "delay", "/clock", "--seconds", "1")
+    assert code == 1 and "have no header" in text
+
+
+def test_a_name_that_does_not_exist_is_one_line_with_the_nearest() -> None:
+    code, text = _run("topic", "echo", "/odm")
+    assert (code, text.count("\n")) == (1, 1) and "did you mean '/odom'?" in text
+
+
+def test_services_are_listed_and_called() -> None:
+    assert "/spawn_entity [simulation_interfaces/srv/SpawnEntity]\n" in _run("service", "list", "-t")[1]
+    assert _run("service", "type", "/get_entities")[1] == "simulation_interfaces/srv/GetEntities\n"
+    code, text = _run("service", "call", "/get_entities")
+    assert code == 0 and "response:\n" in text and "- robot\n" in text
+    code, text = _run("service", "call", "/delete_entity", "simulation_interfaces/srv/DeleteEntity", "{entity: nothing}")
+    assert code == 1 and "'nothing'" in text
+    assert "did you mean 'entity'?" in _run("service", "call", "/delete_entity", "", "{entty: x}")[1]
+
+
+def test_parameters_are_read_and_changed() -> None:
+    assert "  rate\n" in _run("param", "list", "/physics")[1]
+    assert _run("param", "set", "/physics", "rate", "2")[1] == "Set parameter successful\n"
+    assert _run("param", "get", "/physics", "rate")[1] == "Double value is: 2.0\n"
+    code, text = _run("param", "set", "/physics", "rate", "fast")
+    assert code == 1 and "must be a value of type double" in text
+    code, text = _run("param", "set", "/physics", "step_hz", "1000")
+    assert code == 1 and "Setting parameter failed" in text
+    _run("param", "set", "/physics", "rate", "1.0")
+
+
+def test_an_action_makes_steps() -> None:
+    _run("pause")
+    words = ("action", "send_goal", "/simulate_steps", "simulation_interfaces/action/SimulateSteps", "{steps: 5}")
+    code, text = _run(*words)
+    assert code == 0 and "Goal finished with status: SUCCEEDED" in text
+    _run("play")
+
+
+def test_the_short_verbs_do_what_they_say() -> None:
+    assert _run("spawn", "bottle_water", "--at", "2,4", "--name", "drink") == (0, "spawned drink at 2,4\n")
+    assert _run("move", "drink", "--at", "2.2,4.1,90") == (0, "moved drink to 2.2,4.1\n")
+    code, text = _run("delete", "drnk")
+    assert code == 1 and "did you mean 'drink'?" in text
+    assert _run("delete", "drink") == (0, "deleted drink\n")
+    assert [_run(*words)[1] for words in (("pause",), ("pause",), ("step", "10"), ("play",), ("reset",))] == [
+        "paused\n", "already paused\n", "made 10 steps\n", "playing\n", "reset: time, poses and spawned entities\n",
+    ]  # fmt: skip
+    code, text = _run("spawn", "bottel_water", "--at", "1,1")
+    assert code == 1 and "did you mean" in text
+    assert "goal_pose has no subscriber" in _run("goal", "1,2")[1]
+    assert _run("spawn", "ball", "--at", "here")[0] == 2

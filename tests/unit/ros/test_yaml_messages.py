@@ -1,0 +1,73 @@
+"""Messages as YAML and back."""
+
+from __future__ import annotations
+
+import pytest
+
+from support.simulation import require
+
+require("rclpy", "gibson_msgs")
+
+import yaml  # noqa: E402
+from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
+from sensor_msgs.msg import JointState, LaserScan  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from gibson_sim.ros.tools.yaml_messages import (  # noqa: E402
+    SHORT,
+    MessageValueError,
+    field_of,
+    fill,
+    value_text,
+    yaml_text,
+)
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_message_is_one_field_a_line() -> None:
+    message = fill(JointState(), {"header": {"frame_id": "base", "stamp": {"sec": 3}}, "name": ["a", "b"], "position": [1, 2.5]})
+    assert yaml_text(message) == (
+        "header:\n  stamp:\n    sec: 3\n    nanosec: 0\n  frame_id: base\nname:\n- a\n- b\nposition:\n- 1.0\n- 2.5\nvelocity: []\neffort: []\n"
+    )
+
+
+def test_what_is_printed_is_yaml_that_fills_the_same_message() -> None:
+    given = {"transforms": [{"child_frame_id": "it's", "transform": {"rotation": {"w": 0.5}}}, {"header": {"frame_id": "a: b"}}]}
+    message = fill(TFMessage(), given)
+    assert fill(TFMessage(), yaml.safe_load(yaml_text(message, whole=True))) == message
+
+
+def test_special_numbers_are_those_of_yaml() -> None:
+    scan = LaserScan(ranges=[float("inf"), float("-inf"), float("nan")])
+    assert value_text(field_of(scan, "ranges")) == "[inf, -inf, nan]\n"
+    assert "ranges:\n- .inf\n- -.inf\n- .nan\n" in yaml_text(scan)
+
+
+def test_long_arrays_are_cut_unless_all_is_asked_for() -> None:
+    scan = LaserScan(ranges=[1.0] * (SHORT + 5))
+    assert yaml_text(scan).count("- 1.0\n") == SHORT and "- '...'\n" in yaml_text(scan)
+    assert yaml_text(scan, whole=True).count("- 1.0\n") == SHORT + 5
+
+
+def test_a_field_is_found_by_its_path() -> None:
+    message = fill(PoseWithCovarianceStamped(), {"pose": {"pose": {"position": {"x": 2}}}})
+    assert value_text(field_of(message, "pose.pose.position.x")) == "2.0\n"
+    assert value_text(field_of(message, "pose.covariance[3]")) == "0.0\n"
+    with pytest.raises(MessageValueError, match="there is no field 'poze'; known: header, pose"):
+        field_of(message, "poze")
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"heder": {}}, "heder: there is no such field; did you mean 'header'?"),
+        ({"pose": {"pose": {"position": {"x": "far"}}}}, "pose.pose.position.x is 'far', must be of type double"),
+        ({"pose": {"covariance": [1.0]}}, "pose.covariance is"),
+        ([1], "must be a mapping with header, pose"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_named(values: object, text: str) -> None:
+    with pytest.raises(MessageValueError) as error:
+        fill(PoseWithCovarianceStamped(), values)
+    assert text in str(error.value)
