@@ -46,7 +46,10 @@ test: setup
 	@'$(BIN)/python' -m pytest $(PYTEST_ARGS)
 endif
 
+# The page is tested in a real browser: as root the check installs one, elsewhere its tests say what is missing.
 check: lint
+	@if ! command -v chromium >/dev/null && command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ]; then \
+	  apt-get -qq update && apt-get -qq install -y --no-install-recommends chromium >/dev/null || echo 'no Chromium could be installed'; fi
 	@GIBSON_SIM_STRICT=1 $(MAKE) test
 
 fuzz: setup

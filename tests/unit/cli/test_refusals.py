@@ -37,7 +37,7 @@ WRONG = [
     (("run", "--rate", "fast"), 2, "argument --rate: 'fast' is neither a number nor max"),
     (("run", "--video", "new.webm"), 1, "--video 'new.webm': the name must end in .mp4"),
     (("run", "--recrod", "x"), 2, "unrecognized arguments: --recrod x; did you mean '--record'?"),
-    (("runn",), 2, "command 'runn' is unknown; did you mean 'run'? known: bag, bench"),
+    (("runn",), 2, "command 'runn' is unknown; did you mean 'run'? known: action, bag"),
     (("bag", "chek", "x"), 2, "'chek' is unknown; did you mean 'check'? known: check, repair"),
     (("export", "a", "b", "--to", "tumm"), 2, "argument --to: 'tumm' is unknown; did you mean 'tum'? known: tum, nerfstudio, lerobot, png"),
     (("demo", "opendoor"), 1, "demo 'opendoor' is unknown; did you mean 'open-door'?"),
