@@ -46,13 +46,20 @@ def alone(root: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str
 
 def _run(environment: dict[str, str], folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "gibson_sim.cli.main", *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "gibson_sim.cli.main", *words],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
 def test_it_runs_drives_and_records(alone: dict[str, str], tmp_path: Path, ros_domain: int) -> None:
     bag = tmp_path / "drive"
-    done = _run(alone, tmp_path, "run", "--scene", "flat", "--drive", "tour", "--duration", "2", "--record", str(bag), "--lockstep")
+    done = _run(
+        alone, tmp_path, "run", "--scene", "flat", "--drive", "tour", "--duration", "2", "--record", str(bag), "--lockstep"
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     where = "import gibson_sim; print(gibson_sim.__file__)"
     found = subprocess.run([sys.executable, "-c", where], cwd=tmp_path, env=alone, capture_output=True, text=True, check=True)

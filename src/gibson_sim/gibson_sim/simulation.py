@@ -286,7 +286,7 @@ class Simulation:
 
     # Time
 
-    def step(self, seconds: float | None = None, *, steps: int | None = None) -> SceneState:
+    def step(self, *, seconds: float | None = None, steps: int | None = None) -> SceneState:
         """Makes physics steps, and returns the state after them. Sensors measure at each step at which they are due.
 
         Args:

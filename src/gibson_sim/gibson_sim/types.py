@@ -265,13 +265,13 @@ class SceneState:
     """Physics steps since load."""
     revision: int
     """Revision of the scene with these links; a renderer refuses a state of another revision."""
-    links: tuple[str, ...]
+    links: tuple[str, ...] = field(repr=False)
     """Names ``<body>/<link>``, one for each row."""
-    positions: NDArray[np.float64]
+    positions: NDArray[np.float64] = field(repr=False)
     """(N, 3), metres: origins of the URDF link frames (not centres of mass)."""
-    quats_xyzw: NDArray[np.float64]
+    quats_xyzw: NDArray[np.float64] = field(repr=False)
     """(N, 4), unit quaternions."""
-    twists: NDArray[np.float64]
+    twists: NDArray[np.float64] = field(repr=False)
     """(N, 6), world frame: linear velocity of the link frame's origin (m/s), then angular velocity (rad/s)."""
 
     def __post_init__(self) -> None:

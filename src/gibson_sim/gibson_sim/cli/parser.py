@@ -37,6 +37,11 @@ MEANING = {
     ExitCode.REPLAY_DIFFERS: "replay --verify: the run differs from the recorded one; the report names the first tick and topics",
     ExitCode.INTERRUPTED: "Ctrl-C ended the command before it was done or while it started (the process dies of SIGINT, as shells expect)",
 }
+_MISTAKEN = {
+    "--headless": "leave it out: there is no window; --no-render makes no images",
+    "--gui": "leave it out: --web serves a page for your browser",
+}
+"""Options of other simulators, with what to do here."""
 _NEGATIVE = re.compile(r"-([xyz]$|[0-9.])")
 """Axes and numbers, also lists of them with commas."""
 
@@ -56,7 +61,9 @@ class Parser(argparse.ArgumentParser):
         if rest:
             known = [flag for flag in self._option_string_actions if flag.startswith("--")]
             word = rest[0].partition("=")[0]
-            hint = nearest(word, known) if word.startswith("-") else ""
+            hint = _MISTAKEN.get(word) or (nearest(word, known) if word.startswith("-") else "")
+            if not hint and "--scene" in known and not word.startswith("-"):
+                hint = f"is it a scene? --scene {word}"
             self.error(f"unrecognized arguments: {' '.join(rest)}" + (f"; {hint}" if hint else ""))
         return found, rest
 

@@ -79,7 +79,7 @@ class PointLight:
 
 @dataclass(frozen=True, slots=True)
 class LightSpec:
-    """The light on surfaces without baked light.
+    """The light on surfaces without baked light: all of ``flat``, but of the baked homes only robots and things that move.
 
     With a sun and ambient light alone, the sun also brightens surfaces that face away from it, in place of the light that a real room
     reflects. With shadows, lamps or an environment it lights only the surfaces that it reaches.

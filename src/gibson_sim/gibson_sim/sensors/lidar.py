@@ -7,7 +7,7 @@ resolution, limits of range, dropouts.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -42,7 +42,7 @@ class Scan:
     range_min: float
     range_max: float
     """Metres."""
-    ranges: NDArray[np.float32]
+    ranges: NDArray[np.float32] = field(repr=False)
     """(beams,) float32, metres; +inf = no return, -inf = nearer than range_min (REP 117)."""
     name: str = "scan"
     """Name of the lidar."""

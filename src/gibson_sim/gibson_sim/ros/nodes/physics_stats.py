@@ -35,12 +35,16 @@ class PhysicsStats:
         self._config, self._simulator, self._pacer, self._journal, self._gate = config, simulator, pacer, journal, gate
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
+        self._earlier_ns = 0
+        """Simulation time of the epochs before this one: a reset may begin it at 0 again."""
         self._factor_pub = node.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
         self._diagnostics_pub = node.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
 
     def begin_step(self, now_ns: int, stamp_ns: int) -> None:
         """Notes the start of a step, at ``now_ns`` of a steady clock, in a world at ``stamp_ns``."""
         self._first_step = self._first_step or (now_ns, stamp_ns)
+        if stamp_ns < self._last_step[1]:  # time was reset
+            self._earlier_ns += self._last_step[1] - stamp_ns
 
     def end_step(self, stamp_ns: int) -> None:
         """Notes that a step is made and published."""
@@ -86,7 +90,8 @@ class PhysicsStats:
     def summary(self, robots: Iterable[RobotInterface]) -> dict[str, Any]:
         """Returns the measurements since the first step."""
         first = self._first_step or self._last_step
-        wall_s, sim_s = ((last - start) / NS_PER_S for start, last in zip(first, self._last_step, strict=True))
+        wall_s = (self._last_step[0] - first[0]) / NS_PER_S
+        sim_s = (self._last_step[1] + self._earlier_ns - first[1]) / NS_PER_S
         world, robots = self._simulator.world, tuple(robots)
         return {
             "scene": self._simulator.scene.name,

@@ -164,7 +164,16 @@ class WebNode(Node):
             topic = "goal_pose" if request.kind == "goal" else "initialpose"
             answer(heard > 0, f"sent to {topic}" if heard else f"{topic} has no subscriber: no navigation stack runs")
         else:
-            self._simulation.ask(request, self._floor_z, answer)
+            self._simulation.ask(request, self._floor_z, partial(self._answered, answer))
+
+    def _answered(self, answer: Callable[[bool, str], None], ok: bool, text: str) -> None:
+        """Answers a page, and shows what has become of the simulation without waiting for the next look."""
+        answer(ok, text)
+        self._simulation.get("get_simulation_state", GetSimulationState.Request(), self._on_new_state)
+
+    def _on_new_state(self, response: Any) -> None:
+        self._on_state(response)
+        self._tell_status()
 
     # Messages
 
@@ -225,9 +234,18 @@ class WebNode(Node):
             if T_map_base is None:
                 continue
             yaw = math.atan2(T_map_base[1, 0], T_map_base[0, 0])
-            found.append({"name": name or "robot", "x": T_map_base[0, 3], "y": T_map_base[1, 3], "yaw": yaw, "radius": 0.25})
+            found.append(
+                {
+                    "name": name or "robot",
+                    "x": T_map_base[0, 3],
+                    "y": T_map_base[1, 3],
+                    "yaw": yaw,
+                    "radius": 0.25,
+                    "speed": robot.speed,
+                }
+            )
             points += robot.scan_points(self._tree, T_map_base)
-        self._server.tell("robots", [r for r in found if all(math.isfinite(r[k]) for k in ("x", "y", "yaw"))])
+        self._server.tell("robots", [r for r in found if all(math.isfinite(r[k]) for k in ("x", "y", "yaw", "speed"))])
         self._server.tell("scan", _finite(points))
 
     def _look(self) -> None:
@@ -381,6 +399,15 @@ class _Robot:
             return T_map_base
         return _matrix((self._truth or self._odometry).pose.pose)
 
+    @property
+    def speed(self) -> float:
+        """Speed by its odometry, m/s."""
+        return (
+            0.0
+            if self._odometry is None
+            else math.hypot(self._odometry.twist.twist.linear.x, self._odometry.twist.twist.linear.y)
+        )
+
     def scan_points(self, tree: TransformTree, T_map_base: Mat4) -> list[tuple[float, float]]:
         """Returns where the rays of the newest scan end, on the map."""
         scan, odometry = self._scan, self._odometry
@@ -394,9 +421,8 @@ class _Robot:
         angles = (scan.angle_min + scan.angle_increment * np.arange(len(ranges)))[::step]
         ranges = ranges[::step]
         good = np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges <= scan.range_max)
-        points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros_like(ranges), np.ones_like(ranges)])[
-            :, good
-        ]
+        ranges, angles = ranges[good], angles[good]
+        points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros_like(ranges), np.ones_like(ranges)])
         placed = (T_map_base @ T_base_scan @ points)[:2].T
         return [(round(x, 3), round(y, 3)) for x, y in placed.tolist()]
 

@@ -109,7 +109,11 @@ const on = {
     }));
   },
   map(value) { floor.setMap(value); },
-  robots(value) { floor.robots = value; floor.draw(); if (!$('scene3d').hidden) scene.setRobots(value); },
+  robots(value) {
+    const r = value[0];
+    $('pose').textContent = r ? `x ${r.x.toFixed(2)}  y ${r.y.toFixed(2)} m  ${(r.yaw * 180 / Math.PI).toFixed(0)}°  ${r.speed.toFixed(2)} m/s` : '';
+    floor.robots = value; floor.draw(); if (!$('scene3d').hidden) scene.setRobots(value);
+  },
   scene(value) { scene.load(value.version); },
   scan(value) { floor.scan = value; floor.draw(); },
   path(value) { floor.path = value; floor.draw(); },
@@ -155,6 +159,7 @@ $('three').onclick = () => {
   if (shown && !scene.gl) return note('This browser has no WebGL 2.', true);
   $('scene3d').hidden = !shown; $('map').hidden = shown; $('follow').hidden = !shown; $('fit').hidden = shown;
   $('three').setAttribute('aria-pressed', shown);
+  document.querySelectorAll('.mode').forEach((b) => { b.disabled = shown; b.title = shown ? 'on the map: leave 3-D first' : ''; });
   watch();
 };
 $('follow').onclick = () => { scene.follow = !scene.follow; $('follow').setAttribute('aria-pressed', scene.follow); };
