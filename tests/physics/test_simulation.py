@@ -128,7 +128,7 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
         (lambda sim: sim.command_joints({"elbow": 1.0}), "'elbow'"),
         (lambda sim: sim.command_joints([1.0]), "positions is .*, must map names of joints to radians or metres"),
         (lambda sim: sim.command("0.3"), "linear is '0.3', must be a number"),
-        (lambda sim: sim.step("1"), "seconds is '1', must be a number"),
+        (lambda sim: sim.step(seconds="1"), "seconds is '1', must be a number"),
         (lambda sim: sim.move("robot", (1.0, 2.0)), "position is .*, must be three numbers: x, y and z in metres"),
         (lambda sim: sim.spawn("ball", "a b/c"), "name is 'a b/c', must be letters, digits and _"),
         (lambda sim: sim.spawn("ball", None), "name is None, must be letters"),
@@ -174,8 +174,10 @@ def test_a_start_may_be_numbers_and_a_saved_run_fits_equal_arguments_alone() -> 
     with gs.Simulation("flat", start=(3.95, 1.75, 150.0)) as sim, gs.Simulation("flat", step_hz=480) as other:
         assert sim.robot.pose.position[:2] == pytest.approx((3.95, 1.75), abs=1e-6)
         assert sim.robot.yaw == pytest.approx(np.radians(150.0), abs=1e-6)
-        other.step(0.5)
-        with pytest.raises(gs.ConfigError, match="belongs to another simulation: scene, robots, step_hz and seed must be equal"):
+        other.step(seconds=0.5)
+        with pytest.raises(
+            gs.ConfigError, match="belongs to another simulation: scene, robots, step_hz, cmd_vel_timeout and seed must be equal"
+        ):
             other.restore(sim.save())
         assert other.time == 0.5, "nothing has changed"
 

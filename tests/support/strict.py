@@ -14,10 +14,10 @@ VARIABLE = "GIBSON_SIM_STRICT"
 FLAKY_LIST = Path(__file__).resolve().parents[1] / "flaky.txt"
 MAY_BE_MISSING = {
     "graphics card": r"\bGPU\b|CUDA|graphics card|nvidia|UUIDs of their own",
-    "PyTorch, CuPy and JAX": r"\b(torch|PyTorch|cupy|CuPy|jax|JAX)\b",
+    "PyTorch, CuPy and JAX": r"no (PyTorch|CuPy|JAX)\b|could not import '(torch|cupy|jax)'",
     "optional tools, which the package index has": r"Blender|Open3D|usd-core|coacd|mujoco|pyrender",
     "worlds of others": r"no real worlds|GIBSON_SIM_TEST_DATA|not among the worlds",
-    "rights of root": r"by root alone|needs? root|network namespace|unshare",
+    "rights of root": r"by root alone|needs? root\b|network namespace|unshare",
 }
 """What a machine may lack -> how a skip names it. All else is installed by ``make setup``."""
 
@@ -30,7 +30,9 @@ def refused_skip(reason: str) -> bool:
 def known_flaky() -> dict[str, str]:
     """Returns the tests that may need a second attempt, each with the reason: lines ``<node id>  # <reason>`` of ``tests/flaky.txt``."""
     lines = (line.partition("  # ") for line in FLAKY_LIST.read_text(encoding="utf-8").splitlines())
-    return {test.strip(): reason.strip() for test, _, reason in lines if test.strip() and not test.startswith("#")}
+    found = {test.strip(): reason.strip() for test, _, reason in lines if test.strip() and not test.startswith("#")}
+    assert all(found.values()), f"each line of {FLAKY_LIST.name} needs its reason: <node id>  # <reason>"
+    return found
 
 
 def faults(stats: dict[str, list[Any]]) -> list[str]:

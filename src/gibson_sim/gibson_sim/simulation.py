@@ -225,6 +225,7 @@ class Simulation:
         self._inputs: list[tuple[int, str, tuple[Any, ...]]] = []
         self._closed = False
         timeout = _NEVER_S if cmd_vel_timeout is None else cmd_vel_timeout
+        self._command_timeout = timeout
         self.world = PhysicsWorld(loaded, step_hz=step_hz, cmd_vel_timeout=timeout, seed=seed)
         """The physics world, for what this class does not cover: grasping, rays, joint efforts, attachments."""
         try:
@@ -297,6 +298,14 @@ class Simulation:
             ConfigError: both are given, or the number of steps is not a whole number, 0 or more; the message names the nearest ones.
         """
         count = self._steps(seconds, steps)
+        try:
+            return self._made(count)
+        except SystemError as error:  # Ctrl-C inside of a compiled loop
+            if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+                raise KeyboardInterrupt from error
+            raise
+
+    def _made(self, count: int) -> SceneState:
         world = self.world
         for _ in range(count):
             world.step(1)
@@ -355,7 +364,9 @@ class Simulation:
         if not isinstance(saved, SavedRun):
             raise ConfigError(f"restore takes what save returned, not {quoted(saved)}")
         if saved.of != self._identity():
-            raise ConfigError("what was saved belongs to another simulation: scene, robots, step_hz and seed must be equal")
+            raise ConfigError(
+                "what was saved belongs to another simulation: scene, robots, step_hz, cmd_vel_timeout and seed must be equal"
+            )
         self.reset()
         for step, method, arguments in saved.inputs:
             self.step(steps=step - self.world.step_count)
@@ -601,8 +612,7 @@ class Simulation:
     def _identity(self) -> tuple[Any, ...]:
         """Returns what a saved run depends on besides its inputs."""
         scene = self._initial
-        robots = tuple((robot.name, str(robot.urdf), robot.start) for robot in scene.robots)
-        return scene.name, scene.content_hash, robots, self.world.step_hz, self._tick_hz, self._seed
+        return scene.name, scene.content_hash, scene.robots, self.world.step_hz, self._tick_hz, self._seed, self._command_timeout
 
     def _robot_name(self, name: str | None) -> str:
         names = [robot.name for robot in self.world.scene.robots]

@@ -45,6 +45,7 @@ def server(backend: Backend) -> Iterator[PageServer]:
     server = PageServer(backend)
     yield server
     server.close()
+    server.join()
 
 
 def _get(url: str, **headers: str) -> tuple[int, str]:
@@ -108,6 +109,7 @@ def test_another_address_needs_a_token(backend: Backend) -> None:
             assert _get(f"http://127.0.0.1:{server.port}/{query}")[0] == status
     finally:
         server.close()
+        server.join()
 
 
 def test_a_port_that_is_taken_is_one_line(server: PageServer, backend: Backend) -> None:
@@ -152,6 +154,28 @@ def test_a_lost_connection_stops_the_robot(server: PageServer, backend: Backend)
     _talk(server, talk)
     _until(lambda: Drive(0.0, 0.0, 0.0) in backend.commands)
     assert backend.commands[0] == Drive(0.5, 0.0, 0.0)
+
+
+def test_a_server_that_ends_stops_the_robot_before_it_closes_connections(backend: Backend) -> None:
+    server = PageServer(backend)
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> int:
+        await socket.send_json({"type": "drive", "linear": 0.5})
+        while not backend.commands:
+            await asyncio.sleep(0.005)
+        server.close()
+        return backend.commands[-3:].count(Drive(0.0, 0.0, 0.0))
+
+    assert _talk(server, talk) == 3
+    server.join()
+
+
+@pytest.mark.parametrize("headers", [{"Cookie": "gibson_sim_token=\xff"}, {"Host": "[::1"}, {"Origin": "http://[::1"}])
+def test_odd_headers_are_refused(backend: Backend, headers: dict[str, str]) -> None:
+    server = PageServer(backend, "0.0.0.0", token="correct-horse")
+    assert _get(f"http://127.0.0.1:{server.port}/", **headers)[0] in (400, 403)
+    server.close()
+    server.join()
 
 
 def test_a_second_page_cannot_take_the_robot(server: PageServer, backend: Backend) -> None:

@@ -159,6 +159,8 @@ class JobRun:
                 remove_dead_segments()
                 say(f"{node.ending()}; starting it again")
                 self._start(name)
+            elif name == "web" and code != USER_ERROR:
+                say(f"{node.ending()}; the simulation goes on without its page: `gibson-sim web` serves it again")
             elif name == "record" and code != USER_ERROR:
                 say(f"error: the recording ended early: {node.reason()}; the simulation goes on")
                 self._code = ExitCode.RECORDING_ENDED_EARLY

@@ -266,7 +266,10 @@ class Renderer:
         if self._camera_images is None or self._context is None:
             raise RenderError("the renderer is closed; make a new one")
         if os.getpid() != self._process:
-            raise RenderError("the renderer belongs to the process that was forked: make one here, or start processes by `spawn`")
+            raise RenderError(
+                "the renderer belongs to the process that was forked, and no drawing works after a fork: start processes by `spawn`, "
+                "and make a renderer in each"
+            )
         if threading.get_ident() != self._thread:
             raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
 

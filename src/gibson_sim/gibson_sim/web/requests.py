@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -139,16 +138,16 @@ class _Fields:
         """Returns a finite number between ``low`` (-limit) and ``limit``."""
         value = self._values.get(key, 0.0)
         least = -limit if low is None else low
-        good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not good or not least <= value <= limit:
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        if not good or not least <= value <= limit:  # NaN and infinity are not between them
             raise PageRequestError(f"{key} is {quoted(value)}, must be a number from {least:g} to {limit:g}")
         return float(value)
 
     def text(self, key: str) -> str:
         """Returns a text that is not empty."""
         value = self._values.get(key)
-        if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT:
-            raise PageRequestError(f"{key} is {quoted(value)}, must be a text of 1 to {MAX_TEXT} characters")
+        if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT or not value.isprintable():
+            raise PageRequestError(f"{key} is {quoted(value)}, must be a text of 1 to {MAX_TEXT} printable characters")
         return value
 
     def texts(self, key: str, most: int) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import contextlib
 import hmac
 import json
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -95,7 +96,7 @@ class PageServer:
         self._blobs: dict[str, bytes] = {}
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, args=(port,), name="page-server", daemon=True)
-        self._ready = threading.Event()
+        self._ready, self._released = threading.Event(), threading.Event()
         self._error: OSError | None = None
         self.port = port
         self._thread.start()
@@ -106,7 +107,7 @@ class PageServer:
     @property
     def url(self) -> str:
         """The address for a browser."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
+        host = socket.gethostname() if self._host in ("0.0.0.0", "::") else f"[{self._host}]" if ":" in self._host else self._host
         return f"http://{host}:{self.port}/" + (f"?token={self._token}" if self._token else "")
 
     def tell(self, kind: str, values: Any, *, keep: bool = False) -> None:
@@ -129,10 +130,19 @@ class PageServer:
         self._call(self._blobs.__setitem__, name, data)
 
     def close(self) -> None:
-        """Ends the server; the robot stops if a page drove it."""
+        """Ends the server. The backend is told to stop the robot, if a page drove it, before connections are closed, which may take seconds."""
         if self._loop.is_running():
             self._loop.call_soon_threadsafe(self._loop.stop)
+            self._released.wait(timeout=5.0)
+
+    def join(self) -> None:
+        """Waits until the connections are closed, after ``close``."""
         self._thread.join(timeout=5.0)
+
+    @property
+    def _cookie(self) -> str:
+        """The cookie with the token: browsers share cookies between the ports of a host."""
+        return f"gibson_sim_token_{self.port}"
 
     # All below runs in the server's thread.
 
@@ -163,8 +173,9 @@ class PageServer:
             ticking.cancel()
             for page in list(self._pages):
                 self._dead_man.release(page)
-            if (command := self._dead_man.due(time.monotonic())) is not None:
+            while (command := self._dead_man.due(time.monotonic())) is not None:
                 self._backend.drive(command)
+            self._released.set()
             self._loop.run_until_complete(runner.cleanup())
             self._loop.close()
 
@@ -183,14 +194,18 @@ class PageServer:
     @web.middleware
     async def _guard(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
         """Refuses other hosts, other origins and, where there is a token, who does not know it."""
-        host = urlsplit(f"//{request.host}").hostname or ""
+        try:
+            host = urlsplit(f"//{request.host}").hostname or ""
+            origin = request.headers.get("Origin")
+            foreign = origin is not None and urlsplit(origin).netloc != request.host
+        except ValueError as error:
+            raise web.HTTPForbidden(text="Host or Origin is no address") from error
         if self._host in LOOPBACK and host not in LOOPBACK:
             raise web.HTTPForbidden(text="this server answers to localhost alone")
-        origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != request.host:
+        if foreign:
             raise web.HTTPForbidden(text="pages of other web sites are refused")
-        given = request.query.get("token") or request.cookies.get("gibson_sim_token", "")
-        if self._token and not hmac.compare_digest(given.encode(), self._token.encode()):
+        given = request.query.get("token") or request.cookies.get(self._cookie, "")
+        if self._token and not hmac.compare_digest(given.encode(errors="replace"), self._token.encode()):
             raise web.HTTPForbidden(text="the token is missing or wrong: open the address that `gibson-sim` printed")
         response: web.StreamResponse = await handler(request)
         if not response.prepared:
@@ -199,7 +214,7 @@ class PageServer:
             response.headers["Cache-Control"] = "no-store"
             if self._token and "token" in request.query:
                 assert isinstance(response, web.Response)
-                response.set_cookie("gibson_sim_token", self._token, httponly=True, samesite="Strict")
+                response.set_cookie(self._cookie, self._token, httponly=True, samesite="Strict")
         return response
 
     async def _file(self, request: web.Request) -> web.Response:

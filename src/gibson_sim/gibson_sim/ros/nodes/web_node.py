@@ -25,7 +25,9 @@ from tf2_msgs.msg import TFMessage
 
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.client_config import WebConfig
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.topics import names
@@ -34,7 +36,7 @@ from gibson_sim.ros.web.simulation_client import STATES, SimulationClient, flat_
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_topics, label_of
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
-from gibson_sim.web.requests import Drive, Goal, Request
+from gibson_sim.web.requests import Drive, Goal, Request, Spawn
 from gibson_sim.web.server import LOOPBACK, PageServer
 from gibson_sim.web.videos import SCENE
 
@@ -73,6 +75,7 @@ class WebNode(Node):
         config = config_from_parameters(self, WebConfig)
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         """What the server's thread wants to be done here."""
+        self._warned: set[str] = set()
         self._tree = TransformTree()
         self._robots: dict[str, _Robot] = {}
         self._known: dict[str, str] = {}
@@ -89,13 +92,13 @@ class WebNode(Node):
         self._simulation = SimulationClient(self)
         self._goal = self.create_publisher(PoseStamped, "goal_pose", 1)
         self._estimate = self.create_publisher(PoseWithCovarianceStamped, "initialpose", 1)
-        self.create_subscription(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
-        self.create_subscription(OccupancyGrid, names.MAP, self._on_map, _LATCHED)
-        self.create_subscription(TFMessage, names.TF, self._on_tf, _MANY)
-        self.create_subscription(TFMessage, names.TF_STATIC, self._on_tf, _LATCHED_MANY)
-        self.create_subscription(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
-        self.create_subscription(Path, "plan", self._on_path, _NEWEST)
-        self.create_subscription(PoseWithCovarianceStamped, "amcl_pose", self._on_estimate, _LATCHED)
+        self.subscribe(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
+        self.subscribe(OccupancyGrid, names.MAP, self._on_map, _LATCHED)
+        self.subscribe(TFMessage, names.TF, self._on_tf, _MANY)
+        self.subscribe(TFMessage, names.TF_STATIC, self._on_tf, _LATCHED_MANY)
+        self.subscribe(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _MANY)
+        self.subscribe(Path, "plan", self._on_path, _NEWEST)
+        self.subscribe(PoseWithCovarianceStamped, "amcl_pose", self._on_estimate, _LATCHED)
         token = "" if config.host in LOOPBACK else config.token or secrets.token_urlsafe(16)
         self._server = PageServer(_Backend(self), config.host, config.port, token)
         self._videos = VideoSubscriptions(self, self._server.show)
@@ -110,14 +113,14 @@ class WebNode(Node):
         while is_running():
             executor.spin_once(timeout_sec=0.02)
             while not self._asked.empty():
-                self._asked.get()()
+                self.guarded("a request of a page", self._asked.get())
             now = time.monotonic()
             if now >= fast:
                 fast = now + _FAST_S
-                self._tell_poses()
+                self.guarded("the pose of a robot", self._tell_poses)
             if now >= slow:
                 slow = now + _SLOW_S
-                self._look()
+                self.guarded("the graph", self._look)
         return 0
 
     def close(self) -> None:
@@ -125,6 +128,22 @@ class WebNode(Node):
         self._server.close()
         while not self._asked.empty():
             self._asked.get()()
+        self._server.join()
+
+    def guarded(self, what: str, function: Callable[[], None]) -> None:
+        """Calls a function; a message that cannot be shown is left out, with one warning: anybody may publish anything, and the page lives on."""
+        try:
+            function()
+        except (GibsonSimError, ValueError, ArithmeticError, cv2.error) as error:
+            if what not in self._warned:
+                self._warned.add(what)
+                self.get_logger().warning(f"{what} cannot be shown: {str(error).splitlines()[0]}")
+
+    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any, *, raw: bool = False) -> Any:
+        """Subscribes; a message that cannot be shown is left out with one warning for each topic."""
+        return self.create_subscription(
+            kind, topic, lambda msg: self.guarded(f"a message on {topic}", lambda: callback(msg)), profile, raw=raw
+        )
 
     def do_soon(self, function: Callable[[], None]) -> None:
         """Has a function called in the node's thread; may be called from any."""
@@ -163,6 +182,8 @@ class WebNode(Node):
                 heard = self._estimate.get_subscription_count()
             topic = "goal_pose" if request.kind == "goal" else "initialpose"
             answer(heard > 0, f"sent to {topic}" if heard else f"{topic} has no subscriber: no navigation stack runs")
+        elif isinstance(request, Spawn) and request.uri not in {thing["uri"] for thing in self._told.get("catalogue", ())}:
+            answer(False, f"{quoted(request.uri)} is not in the catalogue")
         else:
             self._simulation.ask(request, self._floor_z, partial(self._answered, answer))
 
@@ -227,31 +248,35 @@ class WebNode(Node):
     # What pages are told
 
     def _tell_poses(self) -> None:
-        found = []
+        found: list[dict[str, Any]] = []
         points: list[tuple[float, float]] = []
         for name, robot in self._robots.items():
-            T_map_base = robot.pose(self._tree)
-            if T_map_base is None:
-                continue
-            yaw = math.atan2(T_map_base[1, 0], T_map_base[0, 0])
-            found.append(
-                {
-                    "name": name or "robot",
-                    "x": T_map_base[0, 3],
-                    "y": T_map_base[1, 3],
-                    "yaw": yaw,
-                    "radius": 0.25,
-                    "speed": robot.speed,
-                }
-            )
-            points += robot.scan_points(self._tree, T_map_base)
-        self._server.tell("robots", [r for r in found if all(math.isfinite(r[k]) for k in ("x", "y", "yaw", "speed"))])
+            self.guarded(f"robot {name or 'robot'}", partial(self._add_robot, name, robot, found, points))
+        self._server.tell("robots", found)
         self._server.tell("scan", _finite(points))
+
+    def _add_robot(self, name: str, robot: _Robot, found: list[dict[str, Any]], points: list[tuple[float, float]]) -> None:
+        """Adds what a page shows of a robot."""
+        T_map_base = robot.pose(self._tree)
+        if T_map_base is None:
+            return
+        values = {
+            "x": float(T_map_base[0, 3]),
+            "y": float(T_map_base[1, 3]),
+            "yaw": math.atan2(T_map_base[1, 0], T_map_base[0, 0]),
+            "radius": 0.25,
+            "speed": robot.speed,
+        }
+        if all(map(math.isfinite, values.values())):
+            found.append({"name": name or "robot", **values})
+            points += robot.scan_points(self._tree, T_map_base)
 
     def _look(self) -> None:
         """Looks at the graph and asks the simulation how it is."""
         graph = self.get_topic_names_and_types()
         self._update_robots(graph)
+        if not self.count_publishers(names.CLOCK):
+            self._clock_ns = self._began = self._factor = None  # a simulation has ended; a robot has its own time
         known = dict(image_topics(graph))
         if known != self._known:
             self._known = known
@@ -285,14 +310,17 @@ class WebNode(Node):
             for name, types in graph
             if _ODOMETRY in types and name.endswith("/" + names.ODOM)
         }
-        found = {name for name in found if not name.endswith("ground_truth")}
+        found = {
+            name
+            for name in found
+            if not name.endswith("ground_truth") and self.count_publishers(f"/{name}/{names.ODOM}" if name else f"/{names.ODOM}")
+        }
         for name in set(self._robots) - found:
             self._robots.pop(name).close()
         for name in sorted(found - set(self._robots)):
             self._robots[name] = _Robot(self, name)
-        types = dict(graph)
         for robot in self._robots.values():
-            robot.choose_type(types)
+            robot.choose_type()
 
     def _on_state(self, response: Any) -> None:
         self._state = STATES.get(response.state.state, "unknown")
@@ -356,9 +384,9 @@ class _Robot:
         self._stamped = False
         self._publisher: Any = None
         self._subscriptions = [
-            node.create_subscription(Odometry, self._prefix + names.ODOM, partial(setattr, self, "_odometry"), _NEWEST),
-            node.create_subscription(Odometry, self._prefix + names.GROUND_TRUTH, partial(setattr, self, "_truth"), _NEWEST),
-            node.create_subscription(LaserScan, self._prefix + names.SCAN, partial(setattr, self, "_scan"), _NEWEST),
+            node.subscribe(Odometry, self._prefix + names.ODOM, partial(setattr, self, "_odometry"), _NEWEST),
+            node.subscribe(Odometry, self._prefix + names.GROUND_TRUTH, partial(setattr, self, "_truth"), _NEWEST),
+            node.subscribe(LaserScan, self._prefix + names.SCAN, partial(setattr, self, "_scan"), _NEWEST),
         ]
 
     def close(self) -> None:
@@ -368,9 +396,10 @@ class _Robot:
         if self._publisher is not None:
             self._node.destroy_publisher(self._publisher)
 
-    def choose_type(self, types: dict[str, list[str]]) -> None:
-        """Sends TwistStamped where that is the only type that the topic of commands has."""
-        stamped = types.get(self._prefix + names.CMD_VEL) == ["geometry_msgs/msg/TwistStamped"]
+    def choose_type(self) -> None:
+        """Sends TwistStamped where all subscribers of the topic of commands want it."""
+        wanted = {info.topic_type for info in self._node.get_subscriptions_info_by_topic(self._prefix + names.CMD_VEL)}
+        stamped = wanted == {"geometry_msgs/msg/TwistStamped"}
         if stamped != self._stamped and self._publisher is not None:
             self._node.destroy_publisher(self._publisher)
             self._publisher = None

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
@@ -56,6 +55,16 @@ def label_of(topic: str) -> str:
     return "/".join(parts) or topic
 
 
+class Subscriber(Protocol):
+    """A node that leaves out what cannot be shown."""
+
+    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any) -> Any:
+        """Subscribes to a topic, and returns the subscription."""
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """Ends a subscription."""
+
+
 class VideoSubscriptions:
     """The subscriptions of the videos that any page watches.
 
@@ -64,7 +73,7 @@ class VideoSubscriptions:
         show: is called with each image.
     """
 
-    def __init__(self, node: Node, show: Callable[[PageImage], None]) -> None:
+    def __init__(self, node: Subscriber, show: Callable[[PageImage], None]) -> None:
         self._node, self._show = node, show
         self._subscriptions: dict[str, Any] = {}
 
@@ -80,14 +89,16 @@ class VideoSubscriptions:
         for topic in watched - set(self._subscriptions):
             kind = known.get(topic)
             if kind == _COMPRESSED:
-                self._subscriptions[topic] = self._node.create_subscription(
+                self._subscriptions[topic] = self._node.subscribe(
                     CompressedImage, topic, partial(self._on_compressed, topic), _NEWEST
                 )
             elif kind == _IMAGE:
-                self._subscriptions[topic] = self._node.create_subscription(Image, topic, partial(self._on_image, topic), _NEWEST)
+                self._subscriptions[topic] = self._node.subscribe(Image, topic, partial(self._on_image, topic), _NEWEST)
 
     def _on_compressed(self, topic: str, msg: CompressedImage) -> None:
         data = bytes(msg.data)
+        if not data:
+            return
         if not data.startswith(b"\xff\xd8"):  # a PNG
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
             if pixels is None:
@@ -96,8 +107,10 @@ class VideoSubscriptions:
         self._show(PageImage(topic, _stamp_s(msg), data))
 
     def _on_image(self, topic: str, msg: Image) -> None:
-        pixels = picture_of(msg)
-        if pixels is not None:
+        pixels = picture_of(msg, is_depth="depth" in topic)
+        if pixels is None:
+            raise ValueError(f"images of {msg.width}x{msg.height} with encoding {msg.encoding[:40]!r} are not drawn")
+        if pixels.size:
             self._show(PageImage(topic, _stamp_s(msg), _jpeg(pixels)))
 
 
@@ -118,16 +131,17 @@ _CHANNELS = {
 """Encoding -> type and number of channels."""
 
 
-def picture_of(msg: Image) -> NDArray[np.uint8] | None:
+def picture_of(msg: Image, *, is_depth: bool = False) -> NDArray[np.uint8] | None:
     """Returns an image as (H, W, 3) uint8 BGR: colours as they are, depth and labels in false colours; None for an encoding that is not known.
 
-    32FC1 and 16UC1 named depth are metres and millimetres: near is bright, nothing is black. Other 16UC1 are labels. 32FC3 are normals (-1 to 1).
+    32FC1 is depth in metres, 16UC1 depth in millimetres if ``is_depth``, else labels: near is bright, nothing is black. mono16 is grey, scaled to
+    its brightest pixel. 32FC3 are normals (-1 to 1).
     """
     if msg.encoding not in _CHANNELS:
         return None
     kind, channels = _CHANNELS[msg.encoding]
     size = np.dtype(kind).itemsize
-    if msg.width < 1 or msg.step < msg.width * channels * size or len(msg.data) < msg.step * msg.height:
+    if msg.width < 1 or msg.height < 1 or msg.step < msg.width * channels * size or len(msg.data) < msg.step * msg.height:
         return None
     rows = np.frombuffer(msg.data, np.uint8)[: msg.step * msg.height].reshape(msg.height, msg.step)[
         :, : msg.width * channels * size
@@ -140,6 +154,11 @@ def picture_of(msg: Image) -> NDArray[np.uint8] | None:
     if msg.encoding == "32FC1":
         return _depth(pixels[:, :, 0])
     if kind is np.uint16:
+        if is_depth:
+            return _depth(pixels[:, :, 0].astype(np.float32) / np.float32(1000.0))
+        if msg.encoding == "mono16":
+            grey = pixels[:, :, :1].astype(np.float32) * (255.0 / max(1, int(pixels.max(initial=0))))
+            return np.repeat(grey.astype(np.uint8), 3, axis=2)
         return _labels(pixels[:, :, 0])
     out = np.zeros((msg.height, msg.width, 3), dtype=np.uint8)
     values = np.nan_to_num(pixels[:, :, :3], nan=0.0, posinf=0.0, neginf=0.0)

@@ -1,0 +1,161 @@
+"""The web node among messages that no page can show, and robots that come and go."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from support.simulation import Launched, Listener, require, wait_until
+
+require("rclpy", "gibson_msgs")
+
+import aiohttp  # noqa: E402
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped  # noqa: E402
+from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import Image, LaserScan  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+pytestmark = pytest.mark.ros
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture
+def web(ros_domain: int) -> Iterator[Launched]:
+    """The page beside a real robot: no simulation runs."""
+    launched = Launched("web", "--port", "0")
+    launched.wait_for_line("look: http://")
+    yield launched
+    launched.stop()
+
+
+def _talk(web: Launched, talk: Callable[[aiohttp.ClientWebSocketResponse], Any]) -> Any:
+    url = web.wait_for_line("look: http://").partition("look: ")[2] + "socket"
+
+    async def run() -> Any:
+        async with aiohttp.ClientSession() as session, session.ws_connect(url) as socket:
+            return await asyncio.wait_for(talk(socket), 100)
+
+    return asyncio.run(run())
+
+
+async def _robots(socket: aiohttp.ClientWebSocketResponse) -> list[Any]:
+    while True:
+        message = await socket.receive(timeout=60)
+        if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == "robots":
+            found: list[Any] = message.json()["value"]
+            return found
+
+
+def _bad_messages() -> list[tuple[type, str, Any, Any]]:
+    tf = TransformStamped()
+    tf.child_frame_id, tf.transform.rotation.w = "base", 0.0
+    odometry = Odometry(child_frame_id="base")
+    odometry.pose.pose.orientation.w = math.nan
+    grid = OccupancyGrid(data=[0])
+    grid.info.width, grid.info.height, grid.info.resolution = 1, 1, math.nan
+    estimate = PoseWithCovarianceStamped()
+    estimate.pose.covariance[0] = 1e308
+    scan = LaserScan(ranges=[math.nan, math.inf])
+    empty = Image(encoding="rgb8", width=640, height=0, step=1920)
+    return [
+        (TFMessage, "/tf", TFMessage(transforms=[tf]), 10), (Odometry, "/odom", odometry, 10), (OccupancyGrid, "/map", grid, LATCHED),
+        (PoseWithCovarianceStamped, "/amcl_pose", estimate, LATCHED), (LaserScan, "/scan", scan, 10), (Image, "/cam/image_raw", empty, 10),
+        (Image, "/cam2/image_raw", Image(encoding="yuv422", width=2, height=2, step=4, data=[0] * 8), 10),
+    ]  # fmt: skip
+
+
+def test_no_message_ends_it(web: Launched, listener: Listener) -> None:
+    node = listener.node
+    publishers = [(node.create_publisher(kind, topic, profile), message) for kind, topic, message, profile in _bad_messages()]
+    listener.spin_until(
+        lambda: all(p.get_subscription_count() for p, m in publishers if not isinstance(m, Image)), "subscriptions"
+    )
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        await socket.send_json({"type": "watch", "topics": ["/cam/image_raw", "/cam2/image_raw"]})
+        for _ in range(30):
+            for publisher, message in publishers:
+                publisher.publish(message)
+            await asyncio.sleep(0.1)
+        await socket.send_str(r'{"type": "delete", "name": "\ud800"}')
+        await socket.send_json({"type": "spawn", "uri": "/etc/passwd", "x": 0, "y": 0})
+        await _robots(socket)
+
+    _talk(web, talk)
+    assert web.process.poll() is None
+    wait_until(lambda: any("/tf cannot be shown" in line for line in web.lines), "warning of what cannot be shown")
+    assert sum("/tf cannot be shown" in line for line in web.lines) == 1
+    for publisher, _ in publishers:
+        node.destroy_publisher(publisher)
+
+
+@pytest.mark.parametrize("kind", [Twist, TwistStamped])
+def test_a_real_robot_is_driven_and_stopped_when_the_page_server_ends(
+    web: Launched, other_listener: Listener, kind: type
+) -> None:
+    listener, node = other_listener, other_listener.node  # one participant cannot know /cmd_vel under two types
+    odometry = node.create_publisher(Odometry, "/odom", 10)
+    idle = node.create_publisher(Twist, "/cmd_vel", 10) if kind is Twist else None  # another node that could drive
+    commands = listener.collect(kind, "/cmd_vel", 10)
+    message = Odometry(child_frame_id="base")
+    message.pose.pose.orientation.w = 1.0
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> float:
+        begin = time.monotonic()
+        while not commands:
+            assert time.monotonic() - begin < 60
+            odometry.publish(message)
+            await socket.send_json({"type": "drive", "linear": 0.3})
+            listener._executor.spin_once(timeout_sec=0.05)
+            await asyncio.sleep(0.05)
+        web.process.terminate()
+        begin = time.monotonic()
+        while not _is_zero(commands[-1]):
+            listener._executor.spin_once(timeout_sec=0.05)
+            await asyncio.sleep(0)
+            assert time.monotonic() - begin < 60
+        return begin
+
+    _talk(web, talk)
+    listener.spin_until(lambda: sum(map(_is_zero, commands)) >= 3, "three zero commands")
+    assert not all(map(_is_zero, commands))
+    for publisher in filter(None, (odometry, idle)):
+        node.destroy_publisher(publisher)
+
+
+def _is_zero(command: Any) -> bool:
+    return bool(getattr(command, "twist", command).linear.x == 0.0)
+
+
+def test_a_robot_that_has_gone_is_forgotten(web: Launched, listener: Listener) -> None:
+    message = Odometry(child_frame_id="base")
+    message.pose.pose.orientation.w = 1.0
+    publisher = listener.node.create_publisher(Odometry, "/left/odom", 10)
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> list[Any]:
+        while not [r for r in await _robots(socket) if r["name"] == "left"]:
+            publisher.publish(message)
+        listener.node.destroy_publisher(publisher)
+        while robots := await _robots(socket):
+            pass
+        return robots
+
+    assert _talk(web, talk) == []
+
+
+def test_a_page_that_is_killed_ends_no_simulation(ros_domain: int) -> None:
+    import os
+    import signal
+
+    launched = Launched("run", "--no-render", "--web-port", "0")
+    launched.wait_for_line("look: http://")
+    os.kill(launched.node_pid("web"), signal.SIGKILL)
+    launched.wait_for_line("the simulation goes on without its page")
+    assert launched.process.poll() is None
+    assert launched.stop() == 0
