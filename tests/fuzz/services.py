@@ -346,7 +346,7 @@ def _memory_mb(pid: int) -> float:
 def start(folder: Path) -> Launched:
     """Starts the simulation that a ``ServiceFuzzer`` takes."""
     sim = Launched("run", "--scene", str(write_room(folder / "room")), *OPTIONS)
-    sim.wait_for_line("visuals")
+    sim.wait_for_line("is ready")
     return sim
 
 

@@ -162,7 +162,7 @@ def test_commands_on_topics_are_applied_and_noted_so_that_a_run_can_be_repeated(
         while again.step_count < removed - STEPS:
             for _, name, message in [item for item in rig.inputs if item[0] == again.step_count]:
                 assert name in arms.command_topics
-                arms.receive(name, message)
+                arms.receive_command(name, message)
             arms.latch_commands()
             arms.apply_commands(again, _Nowhere())  # type: ignore[arg-type]
             again.step(STEPS)
