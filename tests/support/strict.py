@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def refused_skip(reason: str) -> bool:
 
 
 def known_flaky() -> dict[str, str]:
-    """Returns the tests that may need a second attempt, each with the reason: lines ``<node id>  # <reason>`` of ``tests/flaky.txt``."""
+    """Returns the tests that may need a second attempt, each with the reason: lines ``<node id or pattern>  # <reason>`` of ``tests/flaky.txt``."""
     lines = (line.partition("  # ") for line in FLAKY_LIST.read_text(encoding="utf-8").splitlines())
     found = {test.strip(): reason.strip() for test, _, reason in lines if test.strip() and not test.startswith("#")}
     assert all(found.values()), f"each line of {FLAKY_LIST.name} needs its reason: <node id>  # <reason>"
@@ -50,6 +51,6 @@ def faults(stats: dict[str, list[Any]]) -> list[str]:
     found += [
         f"{report.nodeid} needed a second attempt: mend it, or add it to tests/flaky.txt with the reason"
         for report in stats.get("rerun", ())
-        if report.nodeid not in flaky
+        if not any(fnmatchcase(report.nodeid, pattern) for pattern in flaky)
     ]
     return found
