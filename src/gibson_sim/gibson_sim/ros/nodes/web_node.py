@@ -62,7 +62,7 @@ class WebNode(Node):
 
     Subscribes:
         images (sensor_msgs/Image, CompressedImage): those that a page watches, while it does.
-        map, odom, scan, plan, amcl_pose, /tf, /tf_static, /clock, /diagnostics, real_time_factor.
+        map, odom, scan, plan, amcl_pose, /tf, /tf_static, /clock, /diagnostics; scene and scene_state while a page shows the scene in 3-D.
 
     Services used: those of ``simulation_interfaces``, where a simulation offers them; a real robot has none, and is shown and driven all the same.
 
@@ -131,7 +131,7 @@ class WebNode(Node):
         self._server.join()
 
     def guarded(self, what: str, function: Callable[[], None]) -> None:
-        """Calls a function; a message that cannot be shown is left out, with one warning: anybody may publish anything, and the page lives on."""
+        """Calls a function; a message that cannot be shown is left out, with one warning: any node may publish anything, and the page goes on."""
         try:
             function()
         except (GibsonSimError, ValueError, ArithmeticError, cv2.error) as error:

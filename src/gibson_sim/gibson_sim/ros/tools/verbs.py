@@ -26,13 +26,11 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.tools.main import Tool
 from gibson_sim.ros.topics import names
-from gibson_sim.ros.web.simulation_client import flat_pose
+from gibson_sim.ros.web.simulation_client import flat_pose, move_request, spawn_request
 from gibson_sim.settings import nearest
 from gibson_sim.types import WORLD_FRAME
 
 _OK = 1
-_DROP_M = 0.02
-"""Height above the floor at which a spawned or moved entity begins, m."""
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SUBSCRIBER_S = 2.0
 """Wall time to wait for a subscriber of a goal, s."""
@@ -40,14 +38,7 @@ _SUBSCRIBER_S = 2.0
 
 def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
     """Puts a thing on the floor; returns what to print."""
-    request = SpawnEntity.Request(name=name, allow_renaming=True)
-    if hasattr(request, "entity_resource"):  # 2.x
-        request.entity_resource.uri = uri
-    else:
-        request.uri = uri
-    request.initial_pose.header.frame_id = WORLD_FRAME
-    request.initial_pose.pose = flat_pose(at[0], at[1], _floor_z(tool) + _DROP_M, at[2])
-    response = tool.call("spawn_entity", SpawnEntity, request)
+    response = tool.call("spawn_entity", SpawnEntity, spawn_request(uri, at, _floor_z(tool), name))
     if response.result.result != _OK:
         known = [each.uri for each in tool.call("get_spawnables", GetSpawnables, GetSpawnables.Request()).spawnables]
         hint = "" if uri in known else nearest(uri, known)
@@ -59,13 +50,7 @@ def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") 
 
 def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
     """Puts an entity elsewhere on the floor, at rest; returns what to print."""
-    request = SetEntityState.Request(entity=name)
-    request.state.header.frame_id = WORLD_FRAME
-    request.state.pose = flat_pose(at[0], at[1], _floor_z(tool) + _DROP_M, at[2])
-    for flag in ("set_pose", "set_twist"):  # 2.x
-        if hasattr(request, flag):
-            setattr(request, flag, True)
-    _checked(tool, tool.call("set_entity_state", SetEntityState, request), name)
+    _checked(tool, tool.call("set_entity_state", SetEntityState, move_request(name, at, _floor_z(tool))), name)
     return f"moved {name} to {at[0]:g},{at[1]:g}"
 
 

@@ -6,13 +6,13 @@ import threading
 import time
 from typing import Any
 
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.web.video_subscriptions import Subscriber
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.web.scene_model import poses_message, scene_model
@@ -32,7 +32,7 @@ class SceneStream:
         server: gets the model, as blobs ``scene``, ``scene_arrays`` and ``texture_<k>``, and the poses.
     """
 
-    def __init__(self, node: Node, server: PageServer) -> None:
+    def __init__(self, node: Subscriber, server: PageServer) -> None:
         self._node, self._server = node, server
         self._subscriptions: list[Any] = []
         self._revision, self._links = -1, tuple[str, ...]()
@@ -43,8 +43,8 @@ class SceneStream:
         """Subscribes if a page shows the scene, and else to nothing."""
         if shown and not self._subscriptions:
             self._subscriptions = [
-                self._node.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED),
-                self._node.create_subscription(SceneState, names.SCENE_STATE, self._on_state, _NEWEST),
+                self._node.subscribe(Scene, names.SCENE, self._on_scene, qos.LATCHED),
+                self._node.subscribe(SceneState, names.SCENE_STATE, self._on_state, _NEWEST),
             ]
         elif not shown:
             for subscription in self._subscriptions:

@@ -46,7 +46,7 @@ _SERVICES = {
 _OK = 1
 """``Result.RESULT_OK``."""
 _DROP_M = 0.02
-"""A spawned thing begins this far above the floor, metres."""
+"""Height above the floor at which a spawned or moved entity begins, m."""
 
 
 class SimulationClient:
@@ -79,20 +79,10 @@ class SimulationClient:
                 partial(_parameter, answer),
             )
         elif isinstance(request, Spawn):
-            message = SpawnEntity.Request(allow_renaming=True)
-            if hasattr(message, "entity_resource"):  # 2.x
-                message.entity_resource.uri = request.uri
-            else:
-                message.uri = request.uri
-            message.initial_pose.header.frame_id = WORLD_FRAME
-            message.initial_pose.pose = flat_pose(request.x, request.y, floor_z + _DROP_M, request.yaw)
+            message = spawn_request(request.uri, (request.x, request.y, request.yaw), floor_z)
             self._do("spawn_entity", message, answer, "spawned {response.entity_name}")
         elif isinstance(request, Move):
-            message = SetEntityState.Request(entity=request.name)
-            message.state.header.frame_id = WORLD_FRAME
-            message.state.pose = flat_pose(request.x, request.y, floor_z + _DROP_M, request.yaw)
-            if hasattr(message, "set_pose"):  # 2.x
-                message.set_pose = True
+            message = move_request(request.name, (request.x, request.y, request.yaw), floor_z)
             self._do("set_entity_state", message, answer, "moved " + _literal(request.name))
         elif isinstance(request, Delete):
             self._do("delete_entity", DeleteEntity.Request(entity=request.name), answer, "deleted " + _literal(request.name))
@@ -115,10 +105,13 @@ class SimulationClient:
             self._do("set_simulation_state", SetSimulationState.Request(state=SimulationState(state=state)), answer, "")
 
     def _do(self, service: str, request: Any, answer: Answer, done: str) -> None:
+        # Each service has codes of its own above 100: 101 is a taken name for spawn_entity.
+        good = {_OK, SetSimulationState.Response.ALREADY_IN_TARGET_STATE} if service == "set_simulation_state" else {_OK}
+
         def then(response: Any) -> None:
             if response is None:
                 answer(False, f"nothing offers the service {service}: does a simulation run in this ROS domain?")
-            elif response.result.result != _OK and response.result.result != SetSimulationState.Response.ALREADY_IN_TARGET_STATE:
+            elif response.result.result not in good:
                 answer(False, response.result.error_message or f"{service} failed with code {response.result.result}")
             else:
                 answer(True, done.format(response=response))
@@ -143,6 +136,29 @@ def _parameter(answer: Answer, response: Any) -> None:
         answer(False, "nothing has the parameter rate: does a simulation run in this ROS domain?")
     else:
         answer(bool(results[0].successful), results[0].reason)
+
+
+def spawn_request(uri: str, at: tuple[float, float, float], floor_z: float, name: str = "") -> Any:
+    """Returns the request of SpawnEntity, 1.x or 2.x, that puts a thing at x, y (m) and yaw (rad) of the map, on a floor at height ``floor_z``, m."""
+    request = SpawnEntity.Request(name=name, allow_renaming=True)
+    if hasattr(request, "entity_resource"):  # 2.x
+        request.entity_resource.uri = uri
+    else:
+        request.uri = uri
+    request.initial_pose.header.frame_id = WORLD_FRAME
+    request.initial_pose.pose = flat_pose(at[0], at[1], floor_z + _DROP_M, at[2])
+    return request
+
+
+def move_request(name: str, at: tuple[float, float, float], floor_z: float) -> Any:
+    """Returns the request of SetEntityState, 1.x or 2.x, that puts an entity there, as for ``spawn_request``, at rest."""
+    request = SetEntityState.Request(entity=name)
+    request.state.header.frame_id = WORLD_FRAME
+    request.state.pose = flat_pose(at[0], at[1], floor_z + _DROP_M, at[2])
+    for flag in ("set_pose", "set_twist"):  # 2.x; 1.x sets everything
+        if hasattr(request, flag):
+            setattr(request, flag, True)
+    return request
 
 
 def flat_pose(x: float, y: float, z: float, yaw: float) -> Pose:

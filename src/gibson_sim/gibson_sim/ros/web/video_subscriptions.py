@@ -61,6 +61,9 @@ class Subscriber(Protocol):
     def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any) -> Any:
         """Subscribes to a topic, and returns the subscription."""
 
+    def get_logger(self) -> Any:
+        """Returns the logger of the node."""
+
     def destroy_subscription(self, subscription: Any) -> bool:
         """Ends a subscription."""
 
