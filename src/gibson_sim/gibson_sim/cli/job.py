@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -13,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.bags.folders import check_room
+from gibson_sim.cli.console import CONSOLE, say
 from gibson_sim.cli.environment import domain_of
+from gibson_sim.cli.job_status import PERIOD_S, Hints, JobStatus
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import NodeProcess, StopRequest
 from gibson_sim.cli.report_file import write_json
@@ -21,7 +22,8 @@ from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.reach import describe_reach
 from gibson_sim.standard.domain_lock import DomainLock
-from gibson_sim.standard.job_folder import LOADED, JobFolder
+from gibson_sim.standard.job_folder import LOADED, PAGE, JobFolder, read_note
+from gibson_sim.writing import write_file
 
 MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0
 """Restarts of a crashing render node within a window, seconds of wall time; one more crash ends the run."""
@@ -31,10 +33,10 @@ _LOADING = ("physics", "render")
 """Nodes that take long to load, in the order in which they start; the others start once physics has a world."""
 ENDS_THE_JOB = ("physics", "drive", "snapshot", "replay", "task")
 """Nodes whose end is the end of the job."""
-STATE_TOPIC, ROBOTS, CAMERAS, COMMANDS = "scene_state", "robots", "cameras", "commands"
-"""Topics, and groups of topics, whose subscribers physics awaits before time begins; for commands, their publishers."""
-END_FIRST = ("physics", "record")
-"""Nodes that stop first, in this order, so that the recording lasts to the last step; then all others."""
+STATE_TOPIC, ROBOTS, CAMERAS, COMMANDS, WEB = "scene_state", "robots", "cameras", "commands", "page"
+"""Topics, and groups of topics, whose subscribers physics awaits before time begins; for commands, their publishers; and the page."""
+END_FIRST = ("physics", "render", "record")
+"""Nodes that stop first, in this order, so that the recording lasts to the last step, its images included; then all others."""
 
 
 @dataclass
@@ -49,6 +51,8 @@ class Job:
     keep_bag: bool = False
     video: Path | None = None
     summary: Path | None = None
+    hints: Hints | None = None
+    """For the lines that are printed once all is ready, and then again and again; None = neither."""
 
 
 def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[int, dict[str, dict[str, Any]]]:
@@ -99,6 +103,9 @@ class JobRun:
         self._accepted = "physics" not in job.configs
         self.found: dict[str, dict[str, Any]] = {}
         """Node name -> its report, at the end of the job."""
+        self._status = JobStatus(job.folder, list(job.configs))
+        self._was_ready = False
+        self._next_status = 0.0
 
     def run(self) -> int:
         """Starts, monitors and stops the nodes, and writes the requested files; returns the exit code."""
@@ -110,10 +117,13 @@ class JobRun:
                 if name in self._job.configs:
                     self._start(name)
             while not stop.count and not self._finished():
-                if not self._accepted and (note := self._job.folder / LOADED).exists() and not self._accept(note.read_text()):
+                if not self._accepted and (note := read_note(self._job.folder, LOADED)) is not None and not self._accept(note):
                     break
+                if self._job.hints is not None and self._accepted:
+                    self._show_status(self._job.hints)
                 time.sleep(0.05)
         finally:
+            CONSOLE.status("")
             self._stop_all(stop)
             stop.close()
         if self._accepted:
@@ -126,11 +136,11 @@ class JobRun:
         silent = not self._accepted and name != "physics"
         self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment, inherit=self._inherit, silent=silent)
 
-    def _accept(self, cameras: str) -> bool:
+    def _accept(self, loaded: str) -> bool:
         """Starts the other nodes, once physics has loaded scene and robots; returns False if a requested camera does not exist."""
         try:
             if "render" in self._job.configs:
-                self._job.configs["render"].check_cameras(cameras.splitlines())
+                self._job.configs["render"].check_cameras([camera["name"] for camera in json.loads(loaded)["cameras"]])
         except ConfigError as error:
             say(f"error: {error}")
             self._code = ExitCode.ERROR
@@ -143,6 +153,24 @@ class JobRun:
             if name not in _LOADING:
                 self._start(name)
         return True
+
+    def _show_status(self, hints: Hints) -> None:
+        """Prints once that all is ready; shows the present state, as a line that is rewritten or as one every ten seconds."""
+        now = time.monotonic()
+        if not self._was_ready and self._status.is_ready:
+            self._was_ready = True
+            self._next_status = now + (0.5 if CONSOLE.is_terminal else PERIOD_S)
+            CONSOLE.status("")
+            for line in self._status.ready_lines(hints):
+                say(line)
+        if now < self._next_status or not (CONSOLE.is_terminal or self._was_ready):
+            return  # elsewhere than on a terminal, the nodes' own lines tell what they load
+        self._next_status = now + (0.2 if CONSOLE.is_terminal else PERIOD_S)
+        line = self._status.line()
+        if CONSOLE.is_terminal:
+            CONSOLE.status(line)
+        elif line:
+            say(line)
 
     def _finished(self) -> bool:
         """Polls the nodes and restarts a crashed render node; returns whether the job is over."""
@@ -160,6 +188,7 @@ class JobRun:
                 say(f"{node.ending()}; starting it again")
                 self._start(name)
             elif name == "web" and code != USER_ERROR:
+                write_file(self._job.folder / PAGE, "", durable=False)  # time need not wait for it
                 say(f"{node.ending()}; the simulation goes on without its page: `gibson-sim web` serves it again")
             elif name == "record" and code != USER_ERROR:
                 say(f"error: the recording ended early: {node.reason()}; the simulation goes on")
@@ -269,8 +298,3 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
 
 def _read_json(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text()) if path.is_file() else {}
-
-
-def say(text: str) -> None:
-    """Prints a line on stderr."""
-    print(text, file=sys.stderr, flush=True)

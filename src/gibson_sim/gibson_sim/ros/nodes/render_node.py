@@ -27,6 +27,7 @@ from gibson_sim.ros.nodes.render_stats import RenderStats
 from gibson_sim.ros.nodes.renderer_factory import device_of, open_renderer
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.camera_publisher import REGISTERED, CameraPublisher
+from gibson_sim.ros.topics.discovery import wait_until_acknowledged
 from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
@@ -277,7 +278,14 @@ class RenderNode(Node):
         spin_while(self, lambda: self._failure is None)
         if self._failure is not None:
             raise self._failure
+        self._end_last_tick()
         return 0
+
+    def _end_last_tick(self) -> None:
+        """Draws the states that were waiting when the node was asked to end; waits until subscribers have acknowledged the images."""
+        if self._state_subscription is not None and (states := list(pop_queue(self._state_subscription))):
+            self._process_states(states)
+        wait_until_acknowledged(*(publisher for camera in self._cameras.values() for publisher in camera.publishers))
 
     def _publish_diagnostics(self) -> None:
         if self._renderer is None:

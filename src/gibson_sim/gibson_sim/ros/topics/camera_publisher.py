@@ -40,6 +40,11 @@ class CameraPublisher:
         for output, message_type, topic in self._messages.label_topics():
             self._label_publishers[output] = qos.make_publisher(node, message_type, topic, qos.LATCHED)
 
+    @property
+    def publishers(self) -> tuple[Publisher, ...]:
+        """All publishers of the camera."""
+        return (*self._publishers.values(), *self._label_publishers.values())
+
     def subscribed_kinds(self) -> frozenset[str]:
         """Returns the kinds of messages that have subscribers now. It takes some microseconds for each topic."""
         return frozenset(kind for kind, publisher in self._publishers.items() if publisher.get_subscription_count())
@@ -77,7 +82,7 @@ class CameraPublisher:
 
     def close(self) -> None:
         """Destroys the publishers; a second call does nothing."""
-        publishers = [*self._publishers.values(), *self._label_publishers.values()]
+        publishers = self.publishers
         self._publishers, self._label_publishers = {}, {}
         for publisher in publishers:
             self._node.destroy_publisher(publisher)
