@@ -32,6 +32,7 @@ from gibson_sim.ros.services.simulation_services import SimulationServices
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.topics.discovery import wait_for_peers, wait_until_acknowledged
 from gibson_sim.ros.topics.incompatible_publishers import IncompatiblePublishers
+from gibson_sim.ros.topics.object_joints import ObjectJoints
 from gibson_sim.ros.topics.robot_interface import RobotInterface
 from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.ros.topics.stamped_commands import StampedCommands
@@ -90,7 +91,8 @@ class PhysicsNode(Node):
         self._digests = DigestPublisher(self) if config.digests else None
         self._world_topics = WorldInterface(self, config, rules)
         self._robots: dict[str, RobotInterface] = {}
-        self._ticks = TickPublisher(self, config, self._simulator, self._robots, self._world_topics, self._digests)
+        self._objects = ObjectJoints(self, config, self._on_command_received)
+        self._ticks = TickPublisher(self, config, self._simulator, self._robots, self._world_topics, self._objects, self._digests)
         self._gate: LockstepGate | None = None
         if config.lockstep:
             self._ticks.gate = self._gate = LockstepGate(self, config, self._on_gate_open, self._ticks.publish_again)
@@ -165,6 +167,7 @@ class PhysicsNode(Node):
                 )
                 self._robots[robot.name].reset(world.step_count)
         self._world_topics.publish_scene(world)
+        self._objects.publish(world)
         if new:
             self._world_topics.publish_map(world)
 
@@ -183,6 +186,7 @@ class PhysicsNode(Node):
         steps, stamp_ns = (world.step_count, world.stamp_ns) if world is not None else (0, 0)
         for robot in self._robots.values():
             robot.reset(steps)
+        self._objects.reset()
         reset = simulator.last_reset
         self._world_topics.publish_epoch(simulator.epoch, stamp_ns, reset.scope, rewound=reset.rewound)
         if reset.rewound:
@@ -270,8 +274,7 @@ class PhysicsNode(Node):
     def _make_steps(self, now_ns: int, left: int) -> int:
         """Makes steps and publishes what is due at them, until a gate closes; returns how many of ``left`` are left."""
         while left and not self._done:
-            for robot in self._robots.values():
-                robot.latch_commands()
+            self._latch_commands()
             self._step(now_ns)
             world = self.simulator.world
             assert world is not None
@@ -298,8 +301,7 @@ class PhysicsNode(Node):
                 if not gate.core.is_open:
                     break
                 # Before it is published: answers to it are for a later tick.
-                for robot in self._robots.values():
-                    robot.latch_commands()
+                self._latch_commands()
                 self._ticks.release(world)
                 self._end_step(world.stamp_ns)
             if not left or self._done:
@@ -329,10 +331,11 @@ class PhysicsNode(Node):
         requested = False
         while scheduled := self._journal.pop_due():
             for name, message in scheduled:
-                robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)
+                receivers: tuple[RobotInterface | ObjectJoints, ...] = (*self._robots.values(), self._objects)
+                receiver = next((one for one in receivers if name in one.command_topics), None)
                 try:
-                    if robot is not None:
-                        robot.receive_command(name, message)
+                    if receiver is not None:
+                        receiver.receive_command(name, message)
                     elif self._sim_services is not None:
                         requested = True
                         self._sim_services.replay(name, message)
@@ -341,6 +344,11 @@ class PhysicsNode(Node):
             self._publish_changes()
         return requested
 
+    def _latch_commands(self) -> None:
+        for robot in self._robots.values():
+            robot.latch_commands()
+        self._objects.latch_commands()
+
     def _step(self, now_ns: int) -> None:
         """Makes one step."""
         world = self.simulator.world
@@ -348,6 +356,7 @@ class PhysicsNode(Node):
         self._stats.begin_step(now_ns, world.stamp_ns)
         for robot in self._robots.values():
             robot.apply_commands(world, self._journal)
+        self._objects.apply_commands(world, self._journal)
         self.simulator.step()
 
     def _end_step(self, stamp_ns: int) -> None:

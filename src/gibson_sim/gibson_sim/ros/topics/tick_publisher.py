@@ -18,6 +18,7 @@ from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
 from gibson_sim.ros.lockstep.image_gate import ImageGate
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
 from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.topics.object_joints import ObjectJoints
 from gibson_sim.ros.topics.robot_interface import RobotInterface
 from gibson_sim.ros.topics.world_interface import WorldInterface
 from gibson_sim.ros.wire.fast_publish import FastClock
@@ -37,7 +38,7 @@ class TickPublisher:
 
     Publishes:
         /clock (rosgraph_msgs/Clock) at ``clock_hz``, and at every other step at which something is published.
-        The topics of ``WorldInterface``, ``ContactsPublisher`` and, for each robot, ``RobotInterface``.
+        The topics of ``WorldInterface``, ``ObjectJoints``, ``ContactsPublisher`` and, for each robot, ``RobotInterface``.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class TickPublisher:
         simulator: Simulator,
         robots: Mapping[str, RobotInterface],
         world_topics: WorldInterface,
+        objects: ObjectJoints,
         digests: DigestPublisher | None,
     ) -> None:
         """Makes the publisher of /clock; ``robots`` is read at every step."""
@@ -55,7 +57,7 @@ class TickPublisher:
         self.images: ImageGate | None = None
         self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
         self._digests = digests
-        self._contacts = ContactsPublisher(node, config)
+        self._objects, self._contacts = objects, ContactsPublisher(node, config)
         self._clock_message = FastClock()
         self._clock_pub = node.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
         self._clock_ns = 0
@@ -135,6 +137,7 @@ class TickPublisher:
             self._publish_odometry(world)
         for robot in self._robots.values():
             robot.publish_state(world, state, self._digests)
+        self._objects.publish(world, tick)
         self._contacts.publish(world, tick)
         if self.images is not None:
             self.images.begin_tick(world.stamp_ns, self._world_topics.cameras, due)
