@@ -5,13 +5,13 @@ ARGS ?=
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
-CODE := bootstrap.py src/gibson_sim src/gibson_sim_bench src/gibson_sim_tools ros_ws/src/gibson_examples docs tests
+CODE := bootstrap.py build_wheels.py src/gibson_sim src/gibson_sim_bench src/gibson_sim_tools ros_ws/src/gibson_examples docs tests
 
 export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # Keeps another ROS installation or environment out of ours.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run check test fuzz lint format bench clean
+.PHONY: help setup run check test fuzz lint format bench wheels clean
 .DEFAULT_GOAL := help
 
 help:
@@ -23,6 +23,7 @@ help:
 	@echo 'make lint               set up, then ruff, mypy and the import rules'
 	@echo 'make format             set up, then let ruff format the code'
 	@echo 'make bench              set up, then a short table of speeds beside that of docs/benchmarks; for information'
+	@echo 'make wheels             set up, then build the wheels that pip installs, in out/wheels; publishes nothing'
 	@echo 'make clean              remove $(VENV) and all build outputs'
 
 setup:
@@ -71,6 +72,9 @@ BENCH_BEFORE ?= docs/benchmarks/table1_cpu.json
 bench: setup
 	@'$(BIN)/gibson-sim' bench table1 --quick --only 'in process' --json out/table1.json
 	@if [ -f '$(BENCH_BEFORE)' ]; then '$(BIN)/gibson-sim' bench compare '$(BENCH_BEFORE)' out/table1.json; fi
+
+wheels: setup
+	@'$(BIN)/python' build_wheels.py --output out/wheels
 
 clean:
 	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/*/build src/*/*.egg-info

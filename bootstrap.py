@@ -308,7 +308,9 @@ def build_interfaces(venv: Path, key: str) -> bool:
     command += ["--merge-install", "--install-base", str(venv), "--build-base", str(base / "build")]
     command += ["--cmake-args", "-G", "Ninja"]
     command += [f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "--no-warn-unused-cli"]
-    command += [f"-Drosidl_default_generators_DIR={PYTHON_ONLY}", "-DCMAKE_C_FLAGS_RELEASE=-O1", "-DCMAKE_CXX_FLAGS_RELEASE=-O1"]
+    flags = f'-O1 "-ffile-prefix-map={base / "build"}=."'  # no folder of this machine in the libraries, which become wheels
+    command += [f"-Drosidl_default_generators_DIR={PYTHON_ONLY}"]
+    command += [f"-DCMAKE_C_FLAGS_RELEASE={flags}", f"-DCMAKE_CXX_FLAGS_RELEASE={flags}"]
     # Both variables together start one compiler per core: on a busy machine colcon would start fewer.
     jobs = {"MAKEFLAGS": f"-j{os.cpu_count()}", "CMAKE_BUILD_PARALLEL_LEVEL": str(os.cpu_count())}
     extra = {"AMENT_PREFIX_PATH": str(venv), "CMAKE_PREFIX_PATH": str(venv), "COLCON_HOME": str(base / "home"), **jobs}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim import resources
 from gibson_sim.errors import ConfigError, RobotError, SceneNotFoundError
 from gibson_sim.resources import cache_folder, find_config, find_robot, find_scene, known_scenes, share_folders
 from support.scenes import write_room
@@ -122,3 +123,20 @@ def test_files_of_an_installation_that_is_a_link_to_the_sources_have_one_path(
     assert share_folders()[0] == tree
     (share / "scenes").unlink()
     assert share_folders()[0] == share, "somebody's own link, which says nothing about where the rest is"
+
+
+@pytest.mark.parametrize("site", ["lib/python3.11/site-packages", "lib/python3.11/dist-packages"])
+def test_scenes_are_found_below_the_prefix_that_pip_installed_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, site: str
+) -> None:
+    share = tmp_path / "share" / "gibson_sim"
+    write_room(share / "scenes" / "barn")
+    module = tmp_path / site / "gibson_sim" / "resources.py"
+    monkeypatch.setattr(resources, "__file__", str(module))
+    assert find_scene("barn") == (share / "scenes" / "barn").resolve()
+
+
+def test_without_any_scene_the_error_names_the_package_that_brings_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resources, "share_folders", lambda: (tmp_path,))
+    with pytest.raises(SceneNotFoundError, match="'barn' is not found; install gibson_sim_scenes, or set GIBSON_SIM_PATH"):
+        find_scene("barn")

@@ -1,9 +1,9 @@
 """Finds scenes, configuration files and other data by name, and the folders of caches.
 
 A name that starts with ``/``, ``./``, ``../`` or ``~`` is a path. Any other name is searched in this order: below every folder of
-``$GIBSON_SIM_PATH`` (separated by colons); in the ROS installations of ``$AMENT_PREFIX_PATH``; in the Python installation
-(``<prefix>/share/gibson_sim``); in the source tree of an editable installation; in the current folder. Imports ``errors``, ``quoting`` and
-``reading`` alone.
+``$GIBSON_SIM_PATH`` (separated by colons); in the ROS installations of ``$AMENT_PREFIX_PATH``; where pip has installed this package
+(``<prefix>/share/gibson_sim``), and in the Python installation; in the source tree of an editable installation; in the current folder.
+Imports ``errors``, ``quoting`` and ``reading`` alone.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ _OBJECTS = "objects"
 def share_folders() -> tuple[Path, ...]:
     """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, by precedence."""
     candidates = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
-    prefixes = [*(Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry), Path(sys.prefix)]
+    prefixes = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
+    prefixes += [*_installation_prefixes(Path(__file__).resolve()), Path(sys.prefix)]
     candidates += [_unlinked(prefix / "share" / PACKAGE) for prefix in prefixes]
     candidates += [p for p in Path(__file__).resolve().parents if is_folder(p / "config") and is_folder(p / "scenes")]
     found: list[Path] = []
@@ -37,6 +38,15 @@ def share_folders() -> tuple[Path, ...]:
         if is_folder(folder) and not exists(folder / "__init__.py") and folder not in found:
             found.append(folder)
     return tuple(found)
+
+
+def _installation_prefixes(module: Path) -> list[Path]:
+    """Returns the prefix below which pip has installed ``module``; empty for a source tree.
+
+    It differs from that of Python after ``pip install --user``, and on Debian outside of virtual environments.
+    """
+    site = module.parents[1]
+    return [site.parents[2]] if site.name in ("site-packages", "dist-packages") else []
 
 
 def _unlinked(share: Path) -> Path:
@@ -147,7 +157,8 @@ def _find(
     near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
     looked = ", ".join([str(Path.cwd()), *map(str, folders)])
     guess = f"did you mean {quoted(near[0])}? " if near else ""
-    hint = f"{guess}known: {', '.join(known[:20])}" if known else f"set {PATH_VARIABLE}"
+    missing = f"{'install gibson_sim_scenes, or ' if what == 'scene' else ''}set {PATH_VARIABLE}"
+    hint = f"{guess}known: {', '.join(known[:20])}" if known else missing
     raise error(f"{what} {quoted(text)} is not found; {hint} (looked in {looked})")
 
 
