@@ -90,7 +90,7 @@ def test_xacro_that_never_ends_or_wants_all_memory_is_refused(
 ) -> None:
     monkeypatch.setattr(xacro, "_MODULE", "xacro_in_a_hurry")
     (tmp_path / "xacro_in_a_hurry.py").write_text(
-        "from gibson_sim.robots import xacro_process\nxacro_process.LIMIT_S = 1\nxacro_process.main()\n"
+        "from gibson_sim.description import xacro_process\nxacro_process.LIMIT_S = 1\nxacro_process.main()\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     path = tmp_path / "r.xacro"
@@ -150,12 +150,14 @@ def test_a_description_may_lie_in_an_installed_python_package(tmp_path: Path, mo
     folder = tmp_path / "site" / "some_robot_data"
     folder.mkdir(parents=True)
     (folder / "r.urdf").write_text('<robot name="r"><link name="a"/></robot>')
-    (tmp_path / "robot.yaml").write_text("urdf: package://some_robot_data/r.urdf\nradius: 1\nheight: 1\n")
-    with pytest.raises(RobotError, match=r"urdf package://some_robot_data/r\.urdf is not found: no such package"):
-        load_robot(tmp_path)
+    far = tmp_path / "no" / "folder" / "above" / "has" / "it"
+    far.mkdir(parents=True)
+    (far / "robot.yaml").write_text("urdf: package://some_robot_data/r.urdf\nradius: 1\nheight: 1\n")
+    with pytest.raises(RobotError, match=r"urdf package://some_robot_data/r\.urdf is not found: looked in .*no/folder/above"):
+        load_robot(far)
     (folder / "__init__.py").write_text("raise RuntimeError('this must not be imported')")
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    assert load_robot(tmp_path).urdf == folder / "r.urdf"
+    assert load_robot(far).urdf == folder / "r.urdf"
 
 
 def test_a_published_description_names_meshes_that_others_find(root: Path, tmp_path: Path) -> None:
@@ -224,12 +226,65 @@ def test_packages_are_found_in_other_repositories_of_a_workspace(tmp_path: Path,
 
 
 @pytest.mark.usefixtures("needs_xacro")
-def test_a_package_that_is_nowhere_is_named_with_the_remedy(tmp_path: Path) -> None:
+def test_packages_are_found_beside_by_the_name_in_their_manifest(tmp_path: Path) -> None:
+    """As makers publish: each repository in a folder of its own, packages some levels down, folders with other names."""
+    include = '<xacro:include filename="$(find {}_description)/urdf/{}.xacro"/>'.format
+    # Named twice, by two files: once this ended in a FileExistsError.
+    twice = include("sideways_base", "base") * 2 + include("sideways_base", "tool")
+    top = write_package(tmp_path / "robot_repository/robot_description", {"r.urdf.xacro": twice})
+    (top / "package.xml").write_text("<package><name>robot_description</name></package>")
+    for place in ("base_repository/common/sources_of_base", "another_repository/copy_of_base"):
+        parts = {"base.xacro": include("sideways_base", "pi"), "pi.xacro": "", "tool.xacro": '<link name="base"/>'}
+        inside = write_package(tmp_path / place, parts)
+        (inside / "package.xml").write_text("<package><name>sideways_base_description</name></package>")
+    mesh = (
+        '<link name="a"><visual><geometry><mesh filename="package://sideways_base_description/a.stl"/></geometry></visual></link>'
+    )
+    for place in ("base_repository/common/sources_of_base", "another_repository/copy_of_base"):
+        (tmp_path / place / "a.stl").write_text("")
+    assert [link.name for link in read_urdf(plain_description(top / "urdf/r.urdf.xacro", {})).links] == ["base"]
+    found = parse_urdf(f'<robot name="r">{mesh}</robot>', top / "urdf/r.urdf").links[0].visuals[0].shape.mesh
+    assert found == str(tmp_path / "another_repository/copy_of_base/a.stl")
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_a_package_that_is_nowhere_is_named_with_the_folders_and_the_remedy(tmp_path: Path) -> None:
     include = '<xacro:include filename="$(find gone_description)/urdf/arm.xacro"/>'
     # Warnings of xacro precede its error.
     redefined = '<xacro:property name="pi" value="3"/><xacro:property name="a" value="1"/>'
-    top = write_package(tmp_path / "base_description", {"r.urdf.xacro": redefined + include})
-    with pytest.raises(RobotError, match=r"xacro refuses it: package 'gone_description' is not found: .*source the workspace"):
+    top = write_package(tmp_path / "base_description", {"r.urdf.xacro": redefined + include + '<xacro:gone_arm name="b"/>'})
+    with pytest.raises(RobotError) as caught:
+        plain_description(top / "urdf/r.urdf.xacro", {})
+    said = str(caught.value)
+    assert "package 'gone_description' is not found: looked in " in said and f"{tmp_path}" in said
+    assert said.endswith("without it xacro refuses it: unknown macro name: xacro:gone_arm") and "\n" not in said
+    assert "source the workspace that has it" in said and "$AMENT_PREFIX_PATH (" in said
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_what_a_robot_does_not_need_may_be_missing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Accessories that are not mounted, plugins of another simulator, a file of another version of a package."""
+    include = '<xacro:include filename="$(find {0}_is_gone)/urdf/{0}.xacro"/>'.format
+    lidar = '<xacro:if value="false"><xacro:some_lidar/></xacro:if>'
+    plugins = '<xacro:gazebo_diff_drive left="l"/>'
+    gone = '<xacro:include filename="nowhere.xacro"/>'
+    text = include("lidar") + include("gazebo") + lidar + plugins + gone + '<link name="base"/>'
+    top = write_package(tmp_path / "base_description", {"r.urdf.xacro": text})
+    for _ in range(2):
+        assert [link.name for link in read_urdf(plain_description(top / "urdf/r.urdf.xacro", {})).links] == ["base"]
+    lines = [record.getMessage() for record in caplog.records]
+    assert len(lines) == 2, "one line for the packages and one for the file, once"
+    assert lines[0].startswith("r.urdf.xacro: packages 'lidar_is_gone', 'gazebo_is_gone' are not found: looked in ")
+    assert lines[1].startswith(f"r.urdf.xacro: included file {top}/urdf/nowhere.xacro is not there")
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_a_robot_that_is_all_in_a_missing_package_is_refused_by_its_name(tmp_path: Path) -> None:
+    include = '<xacro:include filename="$(find all_of_it_is_gone)/urdf/robot.xacro"/>'
+    top = write_package(tmp_path / "base_description", {"r.urdf.xacro": include})
+    with pytest.raises(
+        RobotError, match=r"package 'all_of_it_is_gone' is not found: .*; without it the file expands to no <link>"
+    ):
         plain_description(top / "urdf/r.urdf.xacro", {})
 
 

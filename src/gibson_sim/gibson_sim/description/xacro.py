@@ -6,6 +6,7 @@ The xacro package runs in a process of its own (``xacro_process``), which can be
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import signal
@@ -13,16 +14,19 @@ import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from gibson_sim.description.mesh_files import resolve_mesh
-from gibson_sim.description.xacro_process import LIMIT_S
+from gibson_sim.description.xacro_process import LEFT_OUT, LIMIT_S
 from gibson_sim.errors import RobotError, TextError
 from gibson_sim.quoting import clipped
 from gibson_sim.reading import is_file, parse_xml, read_file
 from gibson_sim.resources import cache_folder
+
+logger = logging.getLogger(__name__)
 
 _XACRO = b"<xacro:"
 _SECTIONS_WITHOUT_ELEMENTS = {b"<!--": b"-->", b"<![CDATA[": b"]]>", b"<?": b"?>"}
@@ -131,14 +135,19 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
         raise RobotError(f"{path}: xacro was not done after {_TIMEOUT_S:g} s; do its macros call each other?") from error
     if done.returncode == -signal.SIGXCPU:
         raise RobotError(f"{path}: xacro was not done after {LIMIT_S} s; do its macros call each other?")
+    output = done.stderr[-_MAX_OUTPUT:].decode(errors="replace").splitlines()
+    left_out = [line.removeprefix(LEFT_OUT) for line in output if line.startswith(LEFT_OUT)]
     if done.returncode:
-        reason = clipped(_reason(done.stderr[-_MAX_OUTPUT:].decode(errors="replace")), _LONGEST_REASON)
-        raise RobotError(f"{path}: xacro refuses it: {reason}{_missing_arguments(path, arguments, reason)}")
-    _check_robot(path, done.stdout)
+        reason = clipped(_reason([line for line in output if not line.startswith(LEFT_OUT)]), _LONGEST_REASON)
+        missing = "".join(f"{line}; without it " for line in left_out)
+        raise RobotError(f"{path}: {missing}xacro refuses it: {reason}{_missing_arguments(path, arguments)}")
+    _check_robot(path, done.stdout, left_out)
+    for line in left_out:
+        _warn_once(f"{path.name}: {line}; what it includes from there is left out")
     return done.stdout
 
 
-def _check_robot(path: Path, data: bytes) -> None:
+def _check_robot(path: Path, data: bytes, left_out: Sequence[str]) -> None:
     """Raises RobotError, with the name of the xacro, if it expands to no robot; the reader of the URDF reports other errors."""
     try:
         top = parse_xml(data)
@@ -147,27 +156,34 @@ def _check_robot(path: Path, data: bytes) -> None:
     if top.tag == "sdf":
         raise RobotError(f"{path}: expands to an SDF model, which is spawned as a body; give a URDF or a xacro of one")
     if top.find("link") is None:
-        raise RobotError(f"{path}: expands to no <link>; if it has macros alone, give the xacro that calls them")
+        missing = "".join(f"{line}; without it the file " for line in left_out)
+        raise RobotError(f"{path}: {missing}expands to no <link>; if it has macros alone, give the xacro that calls them")
 
 
-def _missing_arguments(path: Path, arguments: Mapping[str, str], reason: str) -> str:
-    """Returns the part of a message about arguments of a xacro that were not given; empty if a package is missing."""
+def _missing_arguments(path: Path, arguments: Mapping[str, str]) -> str:
+    """Returns the part of a message about arguments of a xacro that were not given."""
     try:
         found = [_ARGUMENT_NAME.search(argument) for argument in _ARGUMENT.findall(read_file(path))]
     except OSError:
         return ""
     declared = [name[1].decode(errors="replace") for name in found if name is not None]
     missing = [name for name in dict.fromkeys(declared) if name not in arguments]
-    if not missing or "package " in reason:
+    if not missing:
         return ""
     names = ", ".join(missing[:8])
-    how = "gibson-sim scene robot FILE --xacro-arg NAME:=VALUE --write robot.yaml"
+    how = "gibson-sim scene robot --new FILE --xacro-arg NAME:=VALUE"
     return f"; it takes the arguments {names}: give them as xacro_args in a robot.yaml: {how}"
 
 
-def _reason(output: str) -> str:
+@lru_cache(maxsize=256)
+def _warn_once(line: str) -> None:
+    """Logs a warning, once in a process: a robot is expanded each time that it is loaded."""
+    logger.warning("%s", line)
+
+
+def _reason(output: Sequence[str]) -> str:
     """Returns the line with the error, which warnings may precede; the last line of a traceback."""
-    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    lines = [line.strip() for line in output if line.strip()]
     if not lines:
         return "it gives no reason"
     error = next((line for line in lines if line.startswith(_ERRORS)), None)

@@ -9,6 +9,7 @@ from pathlib import Path
 from gibson_sim.description.body import model_visuals
 from gibson_sim.description.extents import MeshPoints, reach
 from gibson_sim.description.mesh_files import PACKAGE_SCHEME, resolve_mesh
+from gibson_sim.description.packages import where_looked
 from gibson_sim.description.rigid_groups import MOVING_TYPES
 from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.description.xacro import plain_description
@@ -185,10 +186,7 @@ def _description(robot: YamlMap, path: Path) -> Path:
         arguments[str(key)] = str(value).lower() if isinstance(value, bool) else str(value)
     file = resolve_mesh(name, path) if name.startswith(PACKAGE_SCHEME) else path.parent / name
     if file is None:
-        raise RobotError(
-            f"{robot.where}: urdf {name} is not found: no such package above {path.parent}, in $AMENT_PREFIX_PATH or installed "
-            "in Python, or no such file in it"
-        )
+        raise RobotError(f"{robot.where}: urdf {name} is not found: looked in {where_looked(path)}")
     return plain_description(file, arguments)
 
 
