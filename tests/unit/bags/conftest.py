@@ -83,6 +83,40 @@ class Messages:
             )
         )
 
+    def twist_stamped(self, ns: int, linear: float, angular: float = 0.0) -> bytes:
+        t = self.types
+        vector = t["geometry_msgs/msg/Vector3"]
+        twist = t["geometry_msgs/msg/Twist"](linear=vector(x=linear, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=angular))
+        return self.cdr(t["geometry_msgs/msg/TwistStamped"](header=self.header(ns), twist=twist))
+
+    def collisions(self, ns: int, count: int, ongoing: int, body: str, force: float = 0.0) -> bytes:
+        return self.cdr(
+            self.types["gibson_msgs/msg/CollisionCount"](
+                header=self.header(ns),
+                count=count,
+                ongoing=ongoing,
+                duration=0.0,
+                greatest_force=force,
+                last_link="base",
+                last_body=body,
+            )
+        )
+
+    def contacts(self, ns: int, *points: tuple[str, str, str, float, float]) -> bytes:
+        """``points``: body a, body b, link b, vertical part of the normal from b to a, force in newtons."""
+        t = self.types
+        made = [
+            t["gibson_msgs/msg/Contact"](
+                body_a=a, link_a="base", body_b=b, link_b=link, position=t["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0),
+                normal=t["geometry_msgs/msg/Vector3"](x=1.0 - rises, y=0.0, z=rises), force=force, distance=0.0,
+            )
+            for a, b, link, rises, force in points
+        ]  # fmt: skip
+        return self.cdr(t["gibson_msgs/msg/Contacts"](header=self.header(ns, "map"), contacts=made))
+
+    def flag(self, value: bool) -> bytes:
+        return self.cdr(self.types["std_msgs/msg/Bool"](data=value))
+
     def transform(self, ns: int, child: str) -> bytes:
         t = self.types
         return self.cdr(

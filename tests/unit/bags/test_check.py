@@ -66,7 +66,10 @@ def test_image_without_its_camera_info_is_a_problem(messages: Any, tmp_path: Pat
 def test_missing_images_are_counted_and_noted(write_drive: Callable[..., Path]) -> None:
     report = check_bag(write_drive(skip_images=(3, 4, 7)))
     assert report.ok
-    assert "/camera/image_raw: 3 messages are missing" in report.notes
+    (note,) = report.notes
+    assert note.startswith(
+        "3 of 11 messages are missing on /camera/camera_info, /camera/depth/camera_info, /camera/depth/image_raw"
+    )
 
 
 def test_stamp_that_does_not_rise_is_a_problem(write_odometry: Callable[..., Path]) -> None:
@@ -174,6 +177,44 @@ def test_markdown_has_one_row_a_topic(write_drive: Callable[..., Path]) -> None:
     rows = [line for line in report.markdown().splitlines() if line.startswith("| /")]
     assert len(rows) == len(report.topics)
     assert "| /camera/image_raw | 11 | 10.00 | 0 | 1.000 | 2.000 |" in rows
+
+
+def test_topics_without_a_rate_are_not_judged(messages: Any, tmp_path: Path) -> None:
+    """Parameters and log lines have stamps of wall time, and come when something happens; commands pause; a latched topic repeats itself."""
+    wall_s = 1_795_580_456
+    t = messages.types
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
+        bag.add_topic("/cmd_vel_applied", "geometry_msgs/msg/TwistStamped")
+        bag.add_topic("/map_like", ODOMETRY, TopicQos.latched())
+        bag.add_topic("/text", "std_msgs/msg/String")
+        bag.add_topic("/odom", ODOMETRY)
+        for i in range(20):
+            now = i * TICK
+            event = t["rcl_interfaces/msg/ParameterEvent"](
+                stamp=messages.time((wall_s + i * i) * NS),
+                node="/a",
+                new_parameters=[],
+                changed_parameters=[],
+                deleted_parameters=[],
+            )
+            bag.write("/parameter_events", messages.cdr(event), now, now)
+            bag.write("/map_like", messages.odometry(now, 0, 0), now, now)
+            bag.write("/text", messages.text("hello"), now, now)
+            if i != 7:
+                bag.write("/odom", messages.odometry(now, 0.0, 0.0), now, now)
+                bag.write("/cmd_vel_applied", messages.twist_stamped(now, 0.1), now, now)
+    found = {t.info.name: (t.rate_hz, t.missing) for t in check_bag(tmp_path / "bag").topics}
+    assert found["/parameter_events"] == found["/map_like"] == (0.0, None)
+    assert found["/cmd_vel_applied"] == found["/text"] == (pytest.approx(10.0), None), "a rate is told, nothing is missing"
+    assert found["/odom"] == (pytest.approx(10.0), 1)
+    times = {t.info.name: t.last_ns for t in check_bag(tmp_path / "bag").topics}
+    assert times["/parameter_events"] == 19 * TICK, "not in wall time beside simulation time"
+
+
+def test_wheels_that_slip_are_named(write_odometry: Callable[..., Path]) -> None:
+    report = check_bag(write_odometry([(i, float(i), 0, 0) for i in range(3)], [(i, 0.5 * i, 0, 0) for i in range(3)]))
+    assert "1.000 m driven, 2.000 m by the wheels, which slipped; at the end it is off by 1.000 m" in report.findings()[0]
 
 
 def test_empty_bag_is_an_error(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Checks a bag: agreement of stamps, missing messages, and wheel odometry against ground truth."""
+"""Checks a bag: agreement of stamps, missing messages, contacts, and wheel odometry against ground truth."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.bags.plots.rates import is_event, is_of_this_clock, missing_in, period_of
+from gibson_sim.bags.plots.touches import Touch, TouchFinder, origin_ns, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
-from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns, stamp_ns
+from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import wrap_angle, yaw_from_quat
 from gibson_sim.types import NS_PER_S
@@ -32,20 +34,24 @@ ONE_SOURCE = (
 )
 """Types whose topics have one publisher, so that their stamps must increase. Others (/rosout, /diagnostics) mix several."""
 
+NO_RATE = ("rcl_interfaces/msg/ParameterEvent", "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray")
+"""Types whose messages come when something happens, from many nodes: their topics have no rate."""
+
 Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class TopicReport:
-    """Timing of one topic by its stamps; all zero if its messages have none."""
+    """Timing of one topic, by its stamps if it has any of the bag's clock, else by the times of its recording."""
 
     info: TopicInfo
     first_ns: int = 0
     last_ns: int = 0
+    """Both 0 if the topic has no message."""
     rate_hz: float = 0.0
-    """Messages a second of simulation time, from the nominal period."""
-    missing: int = 0
-    """Messages missing by the nominal period."""
+    """Messages a second of simulation time, from the nominal period; 0 = the topic has no rate."""
+    missing: int | None = None
+    """Messages missing by the nominal period; None = it cannot be told, as of topics without a rate or without stamps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +66,23 @@ class OdometryReport:
     """Distance between the final positions by odometry and in truth, each relative to its start."""
     end_error_deg: float
     """Absolute difference of the final headings, degrees."""
+    robot: str = ""
+    """Namespace of the robot's topics; empty for a single robot."""
 
     @property
     def end_error_percent(self) -> float:
         """Final position error, % of the path length; 0 if the robot stood still."""
         return 100.0 * self.end_error_m / self.distance_m if self.distance_m > 1e-6 else 0.0
+
+    def text(self) -> str:
+        """Returns the report as a sentence."""
+        slip = self.odometry_distance_m - self.distance_m
+        slipped = abs(slip) > max(_SLIP_M, _SLIP_PART * self.distance_m)
+        return (
+            f"odometry{f' of {self.robot}' if self.robot else ''}: {self.distance_m:.3f} m driven, {self.odometry_distance_m:.3f} m by the "
+            f"wheels{', which slipped' if slipped else ''}; at the end it is off by {self.end_error_m:.3f} m "
+            f"({self.end_error_percent:.2f} % of the way) and {self.end_error_deg:.2f} deg"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,51 +95,69 @@ class BagReport:
     """Errors; empty = the stamps agree."""
     notes: tuple[str, ...]
     """Findings that are not errors."""
-    odometry: OdometryReport | None
-    """None if one of the odometry topics is missing."""
+    odometries: tuple[OdometryReport, ...] = ()
+    """Of each robot with wheel odometry and ground truth."""
+    touches: tuple[Touch, ...] = ()
+    """What the robots touched, in the order of time."""
+    seconds: float = 0.0
+    """Time between the first and the last message."""
 
     @property
     def ok(self) -> bool:
         """Whether the stamps agree."""
         return not self.problems
 
+    @property
+    def odometry(self) -> OdometryReport | None:
+        """The report of the first robot; None if one of the odometry topics is missing."""
+        return self.odometries[0] if self.odometries else None
+
     def text(self) -> str:
         """Returns the report for a terminal."""
         rows = [_COLUMNS, *map(_row, self.topics)]
         widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
-        lines = [f"bag {self.folder}", ""]
+        count = sum(topic.info.count for topic in self.topics)
+        lines = [f"bag {self.folder}: {self.seconds:.2f} s, {count} messages on {len(self.topics)} topics", ""]
         for row in rows:
             lines.append("  ".join([row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in range(1, len(row)))]))
-        return "\n".join([*lines, "", *self._findings()])
+        return "\n".join([*lines, "", *self.findings()])
 
     def markdown(self) -> str:
         """Returns the report as Markdown."""
         rows = [_COLUMNS, ("---", *["---:"] * (len(_COLUMNS) - 1)), *map(_row, self.topics)]
         table = [f"| {' | '.join(row)} |" for row in rows]
-        return "\n".join([f"## Bag `{self.folder}`", "", *table, "", *[f"- {line}" for line in self._findings()], ""])
+        return "\n".join([f"## Bag `{self.folder}`", "", *table, "", *[f"- {line}" for line in self.findings()], ""])
 
-    def _findings(self) -> list[str]:
-        lines = []
-        if self.odometry is not None:
-            o = self.odometry
-            lines.append(
-                f"odometry: {o.distance_m:.3f} m driven ({o.odometry_distance_m:.3f} m by the wheels), "
-                f"end error {o.end_error_m:.3f} m ({o.end_error_percent:.2f} %) and {o.end_error_deg:.2f} deg"
-            )
+    def findings(self) -> list[str]:
+        """Returns what was found, a line each: what the robots did, notes, problems, and the verdict."""
+        lines = [odometry.text() for odometry in self.odometries]
+        shown = self.touches[:_MOST_TOUCHES]
+        lines += [f"contact: {touch.text()}" for touch in shown]
+        if more := len(self.touches) - len(shown):
+            lines.append(f"contact: {more} more")
         lines += [f"note: {note}" for note in self.notes]
         lines += [f"PROBLEM: {problem}" for problem in self.problems]
-        return [*lines, "stamps agree" if self.ok else f"{len(self.problems)} problems"]
+        images = any(topic.info.type_name == IMAGE and topic.info.count for topic in self.topics)
+        verdict = f"stamps agree: {'each image has that of its camera_info and of an odometry; ' * images}none goes back in time"
+        return [*lines, verdict if self.ok else _counted(len(self.problems), "problem")]
 
 
 _COLUMNS = ("topic", "messages", "rate (Hz)", "missing", "first (s)", "last (s)")
+_MOST_TOUCHES = 20
+"""Contacts that a report lists."""
+_SLIP_M, _SLIP_PART = 0.05, 0.05
+"""Difference of the paths, metres, and as a part of the true one, from which on wheels are said to have slipped."""
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _row(topic: TopicReport) -> tuple[str, ...]:
-    count = str(topic.info.count)
-    if not topic.info.stamped or not topic.info.count:
-        return (topic.info.name, count, "-", "-", "-", "-")
-    rate, missing = (f"{topic.rate_hz:.2f}", str(topic.missing)) if topic.rate_hz else ("-", "-")
-    return (topic.info.name, count, rate, missing, f"{topic.first_ns / NS_PER_S:.3f}", f"{topic.last_ns / NS_PER_S:.3f}")
+    rate = f"{topic.rate_hz:.2f}" if topic.rate_hz else "-"
+    missing = "-" if topic.missing is None else str(topic.missing)
+    times = [f"{time_ns / NS_PER_S:.3f}" if topic.info.count else "-" for time_ns in (topic.first_ns, topic.last_ns)]
+    return (topic.info.name, str(topic.info.count), rate, missing, *times)
 
 
 @dataclass(slots=True)
@@ -129,6 +165,8 @@ class _Collected:
     """Data collected in one pass over the bag."""
 
     stamps: dict[str, Stamps] = field(default_factory=dict)
+    log_ns: dict[str, Stamps] = field(default_factory=dict)
+    touches: tuple[Touch, ...] = ()
     tf_stamps: dict[str, list[int]] = field(default_factory=dict)
     """By topic and child frame, since a topic has several publishers."""
     poses: dict[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -149,6 +187,7 @@ def check_bag(folder: str | Path) -> BagReport:
         if not any(info.count for info in infos.values()):
             raise RecordError(f"bag {folder} holds no messages: nothing can be checked")
         data = _collect(bag, infos)
+        first_ns, last_ns = bag.span_ns
     problems = _order_problems(infos, data)
     notes: list[str] = []
     for topic, info in infos.items():
@@ -162,16 +201,22 @@ def check_bag(folder: str | Path) -> BagReport:
                     continue
                 _compare(topic, partner, data.stamps[topic], data.stamps[partner], problems, notes)
             notes += [f"{topic}: the bag has no {what}" for what in _lacking(topic, partners)]
-    reports = tuple(_topic_report(info, data.stamps.get(topic)) for topic, info in infos.items())
-    notes += [f"{r.info.name}: {r.missing} messages are missing" for r in reports if r.missing and r.info.type_name in ONE_SOURCE]
-    return BagReport(Path(folder), reports, tuple(problems), tuple(notes), _odometry(infos, data))
+    reports = tuple(_topic_report(info, data.stamps.get(topic), data.log_ns[topic]) for topic, info in infos.items())
+    notes += _missing_notes(reports)
+    odometries = tuple(found for robot in robot_namespaces(infos) if (found := _odometry(robot, infos, data)) is not None)
+    seconds = (last_ns - first_ns) / NS_PER_S
+    return BagReport(Path(folder), reports, tuple(problems), tuple(notes), odometries, data.touches, seconds)
 
 
 def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
     stamps: dict[str, list[int]] = {topic: [] for topic, info in infos.items() if info.stamped}
+    log_times: dict[str, list[int]] = {topic: [] for topic in infos}
     poses: dict[str, list[tuple[float, float, float]]] = {t: [] for t, info in infos.items() if info.type_name == ODOMETRY}
     data = _Collected()
-    for topic, _, raw in bag.raw_messages():
+    robots, begin_ns = robot_namespaces(infos), origin_ns(bag)
+    touches = TouchFinder(infos, robots, robot_bodies(bag, robots))
+    for topic, log_ns, raw in bag.raw_messages():
+        log_times[topic].append(log_ns)
         if topic in stamps:
             stamps[topic].append(stamp_ns(raw))
         if topic in poses:
@@ -180,9 +225,26 @@ def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
             for transform in bag.decode(TF, raw).transforms:
                 key = f"{topic} to {transform.child_frame_id}"
                 data.tf_stamps.setdefault(key, []).append(header_stamp_ns(transform.header.stamp))
+        elif touches.needs(topic):
+            touches.add(topic, (log_ns - begin_ns) / NS_PER_S, bag.decode(infos[topic].type_name, raw))
     data.stamps = {topic: np.array(values, dtype=np.int64) for topic, values in stamps.items()}
+    data.log_ns = {topic: np.array(values, dtype=np.int64) for topic, values in log_times.items()}
     data.poses = {topic: np.array(values, dtype=np.float64).reshape(-1, 3) for topic, values in poses.items()}
+    data.touches = touches.touches()
     return data
+
+
+def _missing_notes(reports: Iterable[TopicReport]) -> list[str]:
+    """Returns a note for each number of missing messages: the topics of one camera miss the same ones."""
+    alike: dict[tuple[int, int], list[str]] = {}
+    for report in reports:
+        if report.missing and report.info.type_name in ONE_SOURCE:
+            alike.setdefault((report.missing, report.info.count), []).append(report.info.name)
+    return [
+        f"{missing} of {missing + count} messages are missing on {', '.join(topics)}"
+        + (": the renderer skips images that it cannot draw in time" if "image" in "".join(topics) else "")
+        for (missing, count), topics in alike.items()
+    ]
 
 
 def _planar(pose: Any) -> tuple[float, float, float]:
@@ -236,20 +298,24 @@ def _compare(topic: str, partner: str, images: Stamps, others: Stamps, problems:
         notes.append(f"{topic}: {np.count_nonzero(~inside)} images lie before the first or after the last message of {partner}")
 
 
-def _topic_report(info: TopicInfo, stamps: Stamps | None) -> TopicReport:
-    if stamps is None or not len(stamps):
+def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps) -> TopicReport:
+    stamped = stamps is not None and is_of_this_clock(stamps, log_ns)
+    times = stamps if stamped and stamps is not None else log_ns
+    if not len(times):
         return TopicReport(info)
-    first, last = int(stamps.min()), int(stamps.max())
-    period = nominal_period_ns(stamps)
-    if not period or info.latched or info.type_name == CLOCK:  # the clock also comes with whatever else is published
+    first, last = int(times.min()), int(times.max())
+    if info.latched or info.type_name in (CLOCK, *NO_RATE):
         return TopicReport(info, first, last)
-    # A step is rounded to whole periods: 2 periods = 1 missing.
-    missing = np.maximum(np.rint(np.diff(stamps) / period).astype(np.int64) - 1, 0).sum()
-    return TopicReport(info, first, last, NS_PER_S / period, int(missing))
+    period = period_of(times, periodic=info.type_name in ONE_SOURCE)
+    if not period:
+        return TopicReport(info, first, last)
+    counts = stamped and not is_event(info)
+    return TopicReport(info, first, last, NS_PER_S / period, missing_in(times, period) if counts else None)
 
 
-def _odometry(infos: dict[str, TopicInfo], data: _Collected) -> OdometryReport | None:
-    wheels = _odometry_topic("/", infos) or next((t for t in infos if t in data.poses and "ground_truth" not in t), "")
+def _odometry(robot: str, infos: dict[str, TopicInfo], data: _Collected) -> OdometryReport | None:
+    prefix = f"/{robot}/" if robot else "/"
+    wheels = _odometry_topic(prefix, infos) or next((t for t in infos if t in data.poses and "ground_truth" not in t), "")
     truth = wheels.removesuffix("odom") + "ground_truth/odom"
     if not wheels or truth not in data.poses:
         return None
@@ -263,6 +329,7 @@ def _odometry(infos: dict[str, TopicInfo], data: _Collected) -> OdometryReport |
         odometry_distance_m=_length(told),
         end_error_m=float(np.hypot(x, y)),
         end_error_deg=abs(float(np.degrees(wrap_angle(float(yaw))))),
+        robot=robot,
     )
 
 

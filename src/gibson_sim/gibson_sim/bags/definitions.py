@@ -22,6 +22,8 @@ from gibson_sim.errors import RecordError
 from gibson_sim.quoting import quoted
 
 _SEPARATOR = "=" * 80
+_SERVICE_SEPARATOR = re.compile(r"^---[^\S\n]*$\n?", re.MULTILINE)
+"""Line between request and response."""
 _TYPE_NAME = re.compile(r"([a-zA-Z][a-zA-Z0-9_]*)/(?:msg/)?([a-zA-Z][a-zA-Z0-9_]*)")
 
 
@@ -58,6 +60,23 @@ class MessageDefinitions:
         """
         return self._resolve(canonical_type(type_name))[0]
 
+    def service_texts(self, type_name: str) -> tuple[str, str]:
+        """Returns the definitions of request and response of a service type, ``std_srvs/srv/Trigger``, as ``full_text`` does.
+
+        Raises:
+            RecordError: the definition, or that of a nested type, is not found or cannot be parsed.
+        """
+        package, _, name = type_name.partition("/srv/")
+        text = _installed_text(package, "srv", name)
+        if text is None:
+            raise RecordError(f"service type {quoted(type_name)}: no .srv file found; source the workspace that defines it")
+        found = []
+        for part, lines in zip(("Request", "Response"), [*_SERVICE_SEPARATOR.split(text, maxsplit=1), ""], strict=False):
+            full = f"{package}/msg/{name}_{part}"
+            self._texts[full] = lines.strip("\n") + "\n"
+            found.append(self._resolve(full)[0])
+        return found[0], found[1]
+
     def type_hash(self, type_name: str) -> str:
         """Returns the hash of the type, ``RIHS01_<64 hex digits>``.
 
@@ -86,7 +105,8 @@ class MessageDefinitions:
     def _text(self, name: str, wanted_by: str) -> str:
         """Returns the text of one type alone."""
         if name not in self._texts:
-            text = _installed_text(name)
+            package, _, short = name.partition("/msg/")
+            text = _installed_text(package, "msg", short)
             if text is None:
                 text = _jazzy_text(name)
             if text is None:
@@ -132,17 +152,17 @@ def _prefixes() -> tuple[Path, ...]:
     return tuple(dict.fromkeys(Path(entry) for entry in entries if entry))
 
 
-def _candidates(package: str, name: str) -> Iterator[Path]:
+def _candidates(package: str, kind: str, name: str) -> Iterator[Path]:
     for prefix in _prefixes():
-        yield prefix / "share" / package / "msg" / f"{name}.msg"
+        yield prefix / "share" / package / kind / f"{name}.{kind}"
     for parent in Path(__file__).resolve().parents:
         for source in ("src", "ros_ws/src/compat"):
-            yield parent / source / package / "msg" / f"{name}.msg"
+            yield parent / source / package / kind / f"{name}.{kind}"
 
 
-def _installed_text(type_name: str) -> str | None:
-    package, _, name = type_name.partition("/msg/")
-    for path in _candidates(package, name):
+def _installed_text(package: str, kind: str, name: str) -> str | None:
+    """Returns the definition of a type; ``kind``: msg or srv."""
+    for path in _candidates(package, kind, name):
         if path.is_file():
             return path.read_text(encoding="utf-8")
     return None
