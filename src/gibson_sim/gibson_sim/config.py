@@ -178,7 +178,7 @@ class PhysicsConfig:
     wait_for: str = setting(
         "",
         "Delay the first tick until topics have this many subscribers, e.g. `scene_state:1,cameras:1,robots:1`, and each robot this many "
-        "publishers of its cmd_vel, `commands:1` (120 s at most)",
+        "publishers of its cmd_vel, `commands:1`; `page:1` waits until the page of the same run is served (120 s at most)",
     )
     summary_path: str = setting("", "File for a JSON summary of the run; empty = none")
 

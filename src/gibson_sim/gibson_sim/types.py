@@ -281,13 +281,15 @@ class SceneState:
             raise ConfigError(f"scene state with {n} links has arrays of shapes {shapes}; must be ({n}, 3), ({n}, 4), ({n}, 6)")
 
     @classmethod
-    def still(cls, revision: int = 1) -> SceneState:
-        """Returns the state at time 0 of a scene without links, in which nothing moves.
+    def still(cls, revision: int = 1, links: tuple[str, ...] = ()) -> SceneState:
+        """Returns the state at time 0 of a scene in which nothing moves, all links at the origin.
 
         Args:
             revision: revision of the scene.
+            links: its links; a scene of static shapes has none.
         """
-        return cls(0, 0, revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+        n = len(links)
+        return cls(0, 0, revision, links, np.zeros((n, 3)), np.tile((0.0, 0.0, 0.0, 1.0), (n, 1)), np.zeros((n, 6)))
 
 
 @dataclass(frozen=True, slots=True)

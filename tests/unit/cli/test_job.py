@@ -30,7 +30,8 @@ class FakeNode:
         FakeNode.started += (name,)
         self.name, self.silent = name, silent
         if name == "physics" and name not in self.codes:
-            (self.folder / LOADED).write_text(self.cameras)
+            cameras = [{"name": camera} for camera in self.cameras.split()]
+            (self.folder / LOADED).write_text(json.dumps({"scene": "flat", "robots": [], "cameras": cameras}))
 
     def poll(self) -> int | None:
         return self.codes.get(self.name)
@@ -98,7 +99,7 @@ def test_recording_starts_once_the_scene_is_accepted(tmp_path: Path, monkeypatch
 
 def test_time_ends_before_the_recorder_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert _run(tmp_path, monkeypatch, "--drive", "square", drive=0) == 0
-    assert FakeNode.stopped == ("physics", "record", "render")
+    assert FakeNode.stopped == ("physics", "render", "record")
 
 
 def test_bag_of_a_killed_recorder_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from gibson_sim.cli import job, processes
+from gibson_sim.cli.console import Console
 from gibson_sim.cli.job import Job, JobRun, Restarts
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import NodeProcess
@@ -49,7 +50,7 @@ def ends_with(monkeypatch: pytest.MonkeyPatch) -> Any:
     def node(program: str) -> NodeProcess:
         monkeypatch.setattr(processes, "command_of", lambda module, *arguments: [sys.executable, "-c", program])
         monkeypatch.setattr(processes, "node_arguments", lambda config: [])
-        return NodeProcess("render", None, {}, out=io.StringIO())
+        return NodeProcess("render", None, {}, out=Console(io.StringIO()))
 
     return node
 

@@ -11,8 +11,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
+from gibson_sim.cli.console import CONSOLE, Console
 from gibson_sim.cli.environment import PARENT_VARIABLE, enclave_variables
 from gibson_sim.cli.options import node_arguments
 from gibson_sim.interrupts import held_back
@@ -25,6 +26,10 @@ _ERROR = re.compile(
     re.VERBOSE,
 )
 """Matches a line that reports an error; ``[INFO] ...`` never does."""
+_WARNING = re.compile(r"\[?WARN")
+"""Matches a warning."""
+_MOST_WARNINGS = 1000
+"""Warnings that are remembered, so that they are printed once: it bounds the memory of long runs."""
 
 
 def command_of(module: str, *arguments: str) -> list[str]:
@@ -58,7 +63,7 @@ class NodeProcess:
         environment: Mapping[str, str],
         *,
         inherit: Sequence[int] = (),
-        out: TextIO = sys.stderr,
+        out: Console = CONSOLE,
         silent: bool = False,
     ) -> None:
         """Starts the node ``<name>_node`` with its settings.
@@ -68,7 +73,7 @@ class NodeProcess:
             config: its settings.
             environment: its environment.
             inherit: file descriptors that it inherits.
-            out: receives its lines.
+            out: receives its lines; a warning that it repeats word for word is printed once.
             silent: whether to hold its lines until ``print_held``; they are dropped if it is stopped before.
         """
         self.name, self.config, self._environment, self._out = (
@@ -79,6 +84,7 @@ class NodeProcess:
         )
         self._tail: deque[str] = deque(maxlen=20)
         self._pending_error = ""
+        self._warned: set[str] = set()
         self._held: list[str] | None = [] if silent else None
         self._held_lock = threading.Lock()
         command = command_of(f"{name}_node", *node_arguments(config))
@@ -115,8 +121,12 @@ class NodeProcess:
             if self._held is not None:
                 self._held.append(line)
                 return
-        self._out.write(f"{self.name:8} | {line}\n")
-        self._out.flush()
+        if _WARNING.match(line):
+            if line in self._warned:
+                return
+            if len(self._warned) < _MOST_WARNINGS:
+                self._warned.add(line)
+        self._out.write(f"{self.name:8} | {line}")
 
     def print_held(self) -> None:
         """Prints the held lines, and from now on each line at once."""

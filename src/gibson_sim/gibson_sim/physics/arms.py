@@ -203,6 +203,12 @@ class ArmsInWorld:
             arms.counter = CollisionCounter()
         return arms.counter.total(step_hz)
 
+    def touching(self, robot: str) -> tuple[str, ...]:
+        """Returns what a robot collided with in the last step; see ``PhysicsWorld.touching``."""
+        arms = self._arms_of(robot)
+        found = self._collisions(arms, self._bullet.contacts(arms.robot.engine_body))
+        return tuple(sorted({other for _, other in found}))
+
     # Called by the world
 
     def before_step(self, now_ns: int, step_ns: int) -> None:

@@ -251,6 +251,14 @@ class PhysicsWorld:
         """
         return self.arms.collision_count(robot, self.step_hz)
 
+    def touching(self, robot: str) -> tuple[str, ...]:
+        """Returns the names of what a robot collided with in the last step, sorted; ``robots.collision_count`` says what counts.
+
+        Raises:
+            CommandError: there is no such robot.
+        """
+        return self.arms.touching(robot)
+
     def neighbours(self, name: str, link: str, radius: float) -> tuple[Neighbour, ...]:
         """Returns the links of other robots and bodies within ``radius`` metres of a link's surface, the nearest first.
 

@@ -17,7 +17,13 @@ from gibson_sim.writing import write_file
 
 PREFIX = "gibson-sim-job-"
 LOADED = "loaded"
-"""File by which the physics node tells that scene, robots and start are valid and loaded: the names of the cameras, a line each."""
+"""Note of the physics node that scene, robots and start are valid and loaded: JSON with ``scene``, ``robots`` and ``cameras``."""
+READY = "ready"
+"""Note of the physics node that all that the job started is ready: time begins now, or with the first request; empty."""
+PAGE = "page"
+"""Note of the web node: the address of its page; empty = it has ended."""
+STATUS = "{}.status"
+"""Name of the note that a node repeats once a second: JSON, for the status line."""
 VARIABLE = "GIBSON_SIM_JOB_FOLDER"
 """Environment variable of the nodes of a job: number of the inherited descriptor, a colon, and the folder."""
 
@@ -58,6 +64,20 @@ def note_in_job(name: str, text: str) -> None:
     path = os.environ.get(VARIABLE, "").partition(":")[2]
     if path:
         write_file(Path(path) / name, text, durable=False)
+
+
+def read_note(folder: Path, name: str) -> str | None:
+    """Returns the text of a note in the folder of a job; None = there is none."""
+    try:
+        return (folder / name).read_text()
+    except OSError:
+        return None
+
+
+def note_of_job(name: str) -> str | None:
+    """Returns the text of a note of this process's job; None = there is none, or no job."""
+    path = os.environ.get(VARIABLE, "").partition(":")[2]
+    return read_note(Path(path), name) if path else None
 
 
 def leave_job() -> None:

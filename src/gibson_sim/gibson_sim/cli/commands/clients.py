@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import fields
+from importlib.util import find_spec
 from typing import Any
 
-from gibson_sim.cli.environment import add_network, environment_of, require_nodes
+from gibson_sim.cli.environment import add_network, enclave_variables, environment_of, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
 from gibson_sim.cli.processes import become
-from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig, WebConfig
+from gibson_sim.client_config import DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
+from gibson_sim.errors import ConfigError, EnvironmentProblemError
 
 
 def add_parser(subparsers: Any) -> None:
@@ -35,9 +37,42 @@ def add_parser(subparsers: Any) -> None:
         "web", help="serve a page for any browser: live images, map and 3-D view; drive, click goals, control time"
     )
     add_settings(web, WebConfig, ("host", "port", "token"))
-    web.set_defaults(run=lambda args: _become("web", WebConfig, args))
+    web.add_argument(
+        "--foxglove",
+        action="store_true",
+        help="serve the Foxglove WebSocket protocol instead of the page (needs `pip install foxglove-sdk`); default port: 8765",
+    )
+    add_settings(web, FoxgloveConfig, ("commands",))
+    web.set_defaults(run=_web)
     for parser in (drive, record, snapshot, web):
         add_network(parser)
+
+
+def _web(args: argparse.Namespace) -> int:
+    """Serves the page, or the Foxglove WebSocket protocol."""
+    if not args.foxglove:
+        if args.commands is not None:
+            raise ConfigError("--commands and --no-commands are for --foxglove: add it, or leave them out")
+        return _become("web", WebConfig, args)
+    if args.token is not None:
+        raise ConfigError("--token is of the page: the Foxglove protocol has no password; leave it out, or --foxglove")
+    require_nodes()
+    require_foxglove()
+    environment = environment_of(args)
+    environment.update(enclave_variables(environment, "foxglove"))
+    become("foxglove.foxglove_node", node_arguments(settings_from_args(FoxgloveConfig, args)), environment)
+
+
+def require_foxglove() -> None:
+    """Checks that the Foxglove SDK is installed, without loading it.
+
+    Raises:
+        EnvironmentProblemError: it is not; names the remedy.
+    """
+    if find_spec("foxglove") is None:
+        raise EnvironmentProblemError(
+            "--foxglove needs the Python package foxglove-sdk, which is not installed: `pip install foxglove-sdk`"
+        )
 
 
 def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:

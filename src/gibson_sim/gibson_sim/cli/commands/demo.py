@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from gibson_sim.bags.film import write_film, write_film_strip
 from gibson_sim.bags.reader import BagReader
+from gibson_sim.cli.console import say
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
-from gibson_sim.cli.job import STATE_TOPIC, Job, run_job, say
+from gibson_sim.cli.job import STATE_TOPIC, Job, run_job
 from gibson_sim.cli.parser import ExitCode, choice_error
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.client_config import RecordConfig, TaskConfig

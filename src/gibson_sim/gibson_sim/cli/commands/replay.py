@@ -10,8 +10,9 @@ from typing import Any
 
 from gibson_sim.bags.digest_comparison import verification_from_json
 from gibson_sim.bags.replaying import RunFacts, read_facts
+from gibson_sim.cli.console import say
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
-from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, check_new_bag, run_job, say
+from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, check_new_bag, run_job
 from gibson_sim.cli.names import check_names
 from gibson_sim.cli.options import add_settings, given, settings_from_args
 from gibson_sim.cli.parser import ExitCode

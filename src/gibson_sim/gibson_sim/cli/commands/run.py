@@ -7,8 +7,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import add_network, environment_of, is_free, require_nodes
-from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
+from gibson_sim.cli.environment import add_network, domain_of, environment_of, is_free, require_nodes
+from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, WEB, Job, check_new_bag, run_job
+from gibson_sim.cli.job_status import Hints
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
@@ -89,7 +90,11 @@ def add_parser(subparsers: Any) -> None:
     record.add_argument("--video", metavar="FILE.mp4", help="write a video and, beside it, a contact sheet PNG of RGB and depth")
     record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
     web = parser.add_argument_group("page")
-    web.add_argument("--web", action="store_true", help="serve a page for any browser; its address is printed")
+    web.add_argument(
+        "--web",
+        action="store_true",
+        help=f"serve a page for any browser; its address is printed. Without --record and --video, it comes with --views {_PAGE_VIEWS}",
+    )
     web.add_argument(
         "--web-host", metavar="ADDRESS", help="address to serve it on (default: 127.0.0.1, this machine alone); implies --web"
     )
@@ -109,12 +114,12 @@ def run(args: argparse.Namespace) -> int:
     """Runs the job; returns the exit code."""
     require_nodes()
     environment = environment_of(args)
-    code, _ = run_job(lambda folder: _plan(args, folder), environment)
+    code, _ = run_job(lambda folder: _plan(args, folder, domain_of(environment)), environment)
     return code
 
 
-def _plan(args: argparse.Namespace, folder: Path) -> Job:
-    """Returns the job for the options.
+def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
+    """Returns the job for the options, in a ROS domain.
 
     Raises:
         GibsonSimError: an option is invalid; nothing was started yet.
@@ -146,7 +151,8 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
         job.configs["drive"] = _drive_settings(args, wanted.cmd_vel_type, subscribers=1 + recorded)
     if args.web or args.web_host or args.web_port is not None:
         job.configs["web"] = _web_settings(args)
-        if args.views is None and not args.no_render:
+        waits[WEB] = 1
+        if args.views is None and not args.no_render and not job.bag:  # a recording would have each of them drawn
             physics["views"] = _PAGE_VIEWS
     if not args.no_render:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
@@ -156,7 +162,11 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
         ours = ["drive"] * bool(args.drive) + ["render"] * (not args.no_render) + ["record"] * bool(job.bag)
         physics["participants"] = "; ".join(filter(None, (*ours, wanted.participants)))
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
-    job.configs["physics"] = settings_from_args(PhysicsConfig, args, **physics)
+    job.configs["physics"] = config = settings_from_args(PhysicsConfig, args, **physics)
+    drive = f"the drive {args.drive} commands the robot" if args.drive else ""
+    ends = [f"after {config.duration:g} s of simulation time"] * bool(config.duration) + ["at the end of the drive"] * bool(drive)
+    ends += ["when the images are written"] * bool(args.snapshot)
+    job.hints = Hints(domain, drive, " or ".join([*ends, "Ctrl-C"]), config.start_paused)
     return job
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -26,7 +27,7 @@ from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
 from gibson_sim.ros.lockstep.pacing import Pacer
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
-from gibson_sim.ros.nodes.physics_stats import PhysicsStats
+from gibson_sim.ros.nodes.physics_stats import PhysicsStats, loaded_note
 from gibson_sim.ros.nodes.single_simulation_guard import SingleSimulationGuard
 from gibson_sim.ros.services.simulation_services import SimulationServices
 from gibson_sim.ros.topics import names
@@ -39,7 +40,7 @@ from gibson_sim.ros.topics.stamped_commands import StampedCommands
 from gibson_sim.ros.topics.tick_publisher import TickPublisher
 from gibson_sim.ros.topics.world_interface import WorldInterface
 from gibson_sim.scenes.randomise import load_rules
-from gibson_sim.standard.job_folder import LOADED, note_in_job
+from gibson_sim.standard.job_folder import LOADED, PAGE, READY, note_in_job, note_of_job
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S
@@ -107,12 +108,12 @@ class PhysicsNode(Node):
         """World and revision of the scene that were published last."""
         self._published_epoch = -1
         self._timer: Timer | None = None
-        self._done = False
+        self._done = self._announced = False
         self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note, config.lockstep)
         self._publish_changes()
         if self._gate is not None:
             self._gate.subscribe(self._stamped)
-        note_in_job(LOADED, "\n".join(camera.name for camera in self._world_topics.cameras))
+        note_in_job(LOADED, loaded_note(self.simulator.scene, self._world_topics.cameras))
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
         starts = ", ".join(f"{r.name} at x {r.start.position[0]:.2f} m, y {r.start.position[1]:.2f} m" for r in spec.robots)
@@ -256,6 +257,9 @@ class PhysicsNode(Node):
         if self._done:
             return
         simulator, now_ns, gate, images = self.simulator, time.monotonic_ns(), self._gate, self._images
+        if not self._announced and (gate is None or not gate.core.missing):
+            self._announced = True
+            note_in_job(READY, "")
         if gate is not None and self._stamped is not None:
             for topic in self._stamped.pop_arrived():
                 gate.core.receive_command(topic.lstrip("/"), now_ns)
@@ -374,13 +378,16 @@ class PhysicsNode(Node):
         subscribers, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
         subscribers.update(dict.fromkeys(images, subscribers.pop("cameras", 0)))
+        page = subscribers.pop("page", 0)
         subscribers.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), subscribers.pop("robots", 0)))
         count = subscribers.pop("commands", 0)
-        commanders = {
+        others: dict[str, Callable[[], bool]] = {
             f"publishers of {robot.robot.name}'s cmd_vel ({count})": partial(robot.has_commanders, count)
             for robot in self._robots.values()
         }
-        wait_for_peers(self, executor, subscribers, commanders)
+        if page:
+            others["the live page"] = lambda: note_of_job(PAGE) is not None
+        wait_for_peers(self, executor, subscribers, others)
 
     def _report(self) -> None:
         self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterable
 from typing import Any
@@ -17,9 +18,11 @@ from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
 from gibson_sim.ros.lockstep.pacing import Pacer
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.robot_interface import RobotInterface
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.standard.job_folder import STATUS, note_in_job
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
-from gibson_sim.types import NS_PER_S
+from gibson_sim.types import NS_PER_S, CameraSpec
 
 
 class PhysicsStats:
@@ -78,6 +81,10 @@ class PhysicsStats:
         if self._gate is not None:
             values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "none"
             values["lockstep_timeouts"] = self._gate.timeouts
+        touches = {robot.robot.name: self._touched(robot.robot.name) for robot in robots}
+        for name, things in touches.items():
+            values[f"{name}_touches"] = ", ".join(things) or "nothing"
+        self._note(state, factor, stamp_ns / NS_PER_S, touches)
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
             name="gibson_sim: physics",
@@ -86,6 +93,18 @@ class PhysicsStats:
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         self._diagnostics_pub.publish(DiagnosticArray(header=conversions.header_to_msg(stamp_ns, ""), status=[status]))
+
+    def _touched(self, robot: str) -> tuple[str, ...]:
+        """Returns what a robot touches, the floor apart; nothing if it is not in the world."""
+        world = self._simulator.world
+        return () if world is None or robot not in world.names else world.touching(robot)
+
+    def _note(self, state: str, factor: float, time_s: float, touches: dict[str, tuple[str, ...]]) -> None:
+        """Tells the launcher of this process how the simulation goes."""
+        waits = ", ".join(self._gate.core.waits_for) if self._gate is not None else ""
+        late = waits if self._gate is not None and self._gate.core.waited_ns(time.monotonic_ns()) > NS_PER_S else ""
+        values = {"state": state, "real_time_factor": factor, "simulation_time_s": time_s, "touches": touches, "waits_for": late}
+        note_in_job(STATUS.format("physics"), json.dumps(values))
 
     def summary(self, robots: Iterable[RobotInterface]) -> dict[str, Any]:
         """Returns the measurements since the first step."""
@@ -105,6 +124,13 @@ class PhysicsStats:
             "missed_measurements": {robot.robot.name: robot.sensors.misses for robot in robots},
             **({} if self._gate is None else {"lockstep": self._gate.summary()}),
         }
+
+
+def loaded_note(scene: SceneSpec, cameras: Iterable[CameraSpec]) -> str:
+    """Returns the text of the note ``LOADED``, see ``gibson_sim.standard.job_folder``."""
+    robots = [{"name": robot.name, "model": robot.urdf.stem} for robot in scene.robots]
+    drawn = [{"name": c.name, "outputs": c.outputs, "width": c.width, "height": c.height, "rate_hz": c.rate_hz} for c in cameras]
+    return json.dumps({"scene": scene.name, "robots": robots, "cameras": drawn})
 
 
 def _commands(robots: Iterable[RobotInterface]) -> dict[str, int]:

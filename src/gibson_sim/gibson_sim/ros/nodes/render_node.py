@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
@@ -32,6 +33,7 @@ from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.sensors.frame_history import FrameHistory
+from gibson_sim.standard.job_folder import STATUS, note_in_job
 from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import Frame, SceneState as State
 
@@ -117,7 +119,7 @@ class RenderNode(Node):
     def _load(self, scene: DrawnScene, warnings: Sequence[str]) -> None:
         """Loads a scene, or its changes, and updates the publishers of the cameras."""
         started = time.monotonic()
-        progress, reloaded = _Progress(self.get_logger().info), True
+        progress, reloaded = _Progress(self.get_name(), self.get_logger().info), True
         if self._renderer is None:
             self._renderer = open_renderer(scene, self._config, progress)
             self._frame_history = FrameHistory(self._renderer)
@@ -136,9 +138,20 @@ class RenderNode(Node):
                 f"in {time.monotonic() - started:.1f} s, on {info['renderer']}"
             )
         if self._state_subscription is None:
+            self._warm_up(scene)
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
             self._lockstep = LockstepParticipant(self, after=CAMERAS)
             self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
+
+    def _warm_up(self, scene: DrawnScene) -> None:
+        """Draws every camera once before time begins: the first image compiles loops and shaders, in seconds at the first start ever."""
+        assert self._renderer is not None
+        note_in_job(STATUS.format(self.get_name()), json.dumps({"loading": "the first image"}))
+        cameras = [publisher.camera for publisher in self._cameras.values()]
+        try:
+            self._renderer.render(State.still(scene.revision, scene.links), cameras)
+        except GibsonSimError as error:  # its first subscriber is told, too
+            self.get_logger().warning(f"the first images cannot be drawn: {error}")
 
     def _update_cameras(self, scene: DrawnScene) -> None:
         """Makes the publishers of new cameras, keeps those of unchanged ones, and destroys the others."""
@@ -199,6 +212,8 @@ class RenderNode(Node):
             self._lockstep.tick_done(tick.header.stamp)
         if drawn is not None:  # after the report, so that time need not wait for the statistics
             self._stats.add(*drawn)
+        if self._stats.report_is_late:
+            self._publish_diagnostics()
 
     def _note_mismatched(self, states: Sequence[SceneState], has_drawable: bool) -> None:
         """Stores the newest state whose scene has not arrived; warns if the scene stays away."""
@@ -292,6 +307,7 @@ class RenderNode(Node):
             return
         values = self._stats.since_last_report()
         message = "draws every image" if values["images_per_s"] else "no image has a subscriber"
+        note_in_job(STATUS.format(self.get_name()), json.dumps(values))
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if values["skipped"] else DiagnosticStatus.OK,
             name=f"gibson_sim: {self.get_fully_qualified_name().lstrip('/')}",
@@ -328,16 +344,19 @@ def _when(state: SceneState) -> tuple[int, int]:
 
 
 class _Progress:
-    """Logs the progress of loading a scene, every two seconds."""
+    """Reports the progress of loading a scene: logs it every two seconds, and tells the launcher four times a second."""
 
-    def __init__(self, log: Callable[[str], Any]) -> None:
-        self._log, self._last = log, time.monotonic()
+    def __init__(self, node: str, log: Callable[[str], Any]) -> None:
+        self._node, self._log, self._logged, self._noted = node, log, time.monotonic(), 0.0
 
     def __call__(self, what: str, part: float) -> None:
-        now = time.monotonic()
-        if now - self._last >= 2.0:
-            self._last = now
-            self._log(f"{what}: {100.0 * part:.0f} %")
+        now, text = time.monotonic(), f"{what}: {100.0 * part:.0f} %"
+        if now - self._noted >= 0.25:
+            self._noted = now
+            note_in_job(STATUS.format(self._node), json.dumps({"loading": text}))
+        if now - self._logged >= 2.0:
+            self._logged = now
+            self._log(text)
 
 
 def main(args: list[str] | None = None) -> None:

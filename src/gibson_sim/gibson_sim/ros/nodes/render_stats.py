@@ -14,6 +14,9 @@ from gibson_sim.types import NS_PER_S, CameraSpec, Frame
 _KEPT = 10_000
 """Number of the newest times that medians are computed from: it bounds the memory of long runs."""
 
+_LATE_NS = 3 * NS_PER_S // 2
+"""Wall time after the last report, which is due once a second, at which the next one is late, ns."""
+
 
 class RenderStats:
     """Counts since the start of a render node.
@@ -61,6 +64,11 @@ class RenderStats:
         self._draw_ms.append((drawn_ns - started_ns) / 1e6)
         self._publish_ms.append((published_ns - drawn_ns) / 1e6)
         self._last_ns, self.last_stamp_ns = published_ns, stamp_ns
+
+    @property
+    def report_is_late(self) -> bool:
+        """Whether the timer of the reports has no turn, because there is always a state to draw."""
+        return time.monotonic_ns() - self._reported[0] > _LATE_NS
 
     def since_last_report(self) -> dict[str, float]:
         """Returns rates and counts since the last call."""

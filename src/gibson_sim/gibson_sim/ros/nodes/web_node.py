@@ -28,13 +28,14 @@ from gibson_sim.client_config import WebConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.quoting import quoted
-from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
+from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.topics import names
 from gibson_sim.ros.web.scene_stream import SceneStream
 from gibson_sim.ros.web.simulation_client import STATES, SimulationClient, flat_pose
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_topics, label_of
+from gibson_sim.standard.job_folder import PAGE, note_in_job
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 from gibson_sim.web.requests import Drive, Goal, Request, Spawn
 from gibson_sim.web.server import LOOPBACK, PageServer
@@ -103,7 +104,9 @@ class WebNode(Node):
         self._server = PageServer(_Backend(self), config.host, config.port, token)
         self._videos = VideoSubscriptions(self, self._server.show)
         self._scene = SceneStream(self, self._server)
-        print(f"look: {self._server.url}", file=sys.stderr, flush=True)
+        note_in_job(PAGE, self._server.url)
+        if not started_by_launcher():  # which prints it once all is ready
+            print(f"look: {self._server.url}", file=sys.stderr, flush=True)
 
     def spin(self) -> int:
         """Works until the process is asked to end; returns the exit code."""

@@ -1,0 +1,101 @@
+"""What the launcher says about a running job: once all is ready, and while it runs. Pure: from the notes that the nodes leave."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.standard.job_folder import LOADED, PAGE, READY, STATUS, read_note
+
+PERIOD_S = 10.0
+"""Wall time between two lines where no terminal rewrites one, seconds."""
+_MOST_NAMES = 3
+"""Names of things that a robot touches on one line."""
+
+
+@dataclass(frozen=True)
+class Hints:
+    """What the ready lines tell besides the notes of the nodes."""
+
+    domain: int
+    """ROS domain."""
+    drive: str = ""
+    """What drives the robots already; empty = nothing, so the line says how to."""
+    stop: str = "Ctrl-C"
+    """When the job ends."""
+    paused: bool = False
+    """Whether time begins with a request."""
+
+
+class JobStatus:
+    """Reads the notes of a job's nodes.
+
+    Args:
+        folder: of the job.
+        nodes: names of its nodes, in the order in which they load.
+    """
+
+    def __init__(self, folder: Path, nodes: Sequence[str]) -> None:
+        self._folder, self._nodes = folder, nodes
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether time has begun, or begins with the first request."""
+        return (self._folder / READY).exists()
+
+    def ready_lines(self, hints: Hints) -> list[str]:
+        """Returns what a user needs to know once all nodes are ready, one line each."""
+        loaded = json.loads(read_note(self._folder, LOADED) or "{}")
+        robots = ", ".join(f"{r['name']} ({r['model']})" for r in loaded.get("robots", ())) or "none"
+        cameras = ", ".join(
+            f"{c['name']} {c['width']}x{c['height']} {'+'.join(c['outputs'])} {c['rate_hz']:g} Hz"
+            for c in loaded.get("cameras", ())
+        )
+        where = f" --domain-id {hints.domain}" if hints.domain else ""
+        page = read_note(self._folder, PAGE)
+        keys = f"`gibson-sim drive keyboard{where}` in a second terminal"
+        drive = hints.drive or (f"W A S D on the page, {keys}" if page else keys) + ", or publish cmd_vel"
+        lines = [f"ready: {loaded.get('scene', '')} in ROS domain {hints.domain}; robots: {robots}"]
+        if "render" in self._nodes:
+            lines.append(f"cameras: {cameras or 'none'}")
+        if loaded.get("robots"):
+            lines.append(f"drive: {drive}")
+        lines.append(f"look: {page or f'`gibson-sim web{where}` in a second terminal serves a page for your browser'}")
+        if hints.paused:
+            lines.append(f"time: paused; `gibson-sim play{where}` starts it")
+        return [*lines, f"stop: {hints.stop}"]
+
+    def line(self) -> str:
+        """Returns the present state in one line: what loads, or how the simulation goes; empty if nothing is known yet."""
+        found = {name: self._read(name) for name in ("physics", *self._nodes)}
+        if not self.is_ready:
+            loading = [f"{name}: {values['loading']}" for name, values in found.items() if values.get("loading")]
+            return f"loading: {', '.join(loading)}" if loading else ""
+        p, r = found["physics"], found.get("render", {})
+        if "simulation_time_s" not in p:
+            return ""
+        parts = [f"{p['simulation_time_s']:.1f} s"]
+        parts.append(f"real-time factor {p['real_time_factor']:.2f}" if p["state"] == "playing" else p["state"])
+        if r.get("loading"):
+            parts.append(f"render loads: {r['loading']}")
+        elif r.get("images_per_s"):
+            parts += [f"{r['images_per_s']:.0f} images/s", f"{r['skipped']:.0f} skipped"]
+        elif r:
+            parts.append("no image has a subscriber")
+        if waits := p.get("waits_for"):
+            parts.append(f"waits for {waits}")
+        touches = [f"{robot} touches {_names(things)}" for robot, things in p.get("touches", {}).items() if things]
+        return ", ".join([*parts, *touches])
+
+    def _read(self, node: str) -> dict[str, Any]:
+        text = read_note(self._folder, STATUS.format(node))
+        values: dict[str, Any] = json.loads(text) if text else {}
+        return values
+
+
+def _names(things: Sequence[str]) -> str:
+    more = len(things) - _MOST_NAMES
+    return ", ".join(things[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
