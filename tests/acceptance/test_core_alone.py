@@ -73,7 +73,7 @@ def test_what_is_not_installed_is_named_in_one_line(alone: dict[str, str], tmp_p
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (
         "gibson-sim: error: `gibson-sim scene import` comes with the package gibson_sim_tools, which is not installed; "
-        "install it from src/gibson_sim_tools of Gibson Sim's sources; see `gibson-sim --help`\n"
+        "pip install gibson_sim_tools, or src/gibson_sim_tools of Gibson Sim's sources; see `gibson-sim --help`\n"
     )
 
 

@@ -78,7 +78,7 @@ def test_what_others_add_is_named_where_it_is_not_installed(monkeypatch: pytest.
     monkeypatch.setattr(commands, "entry_points", lambda group: ())
     assert commands.not_installed(["scene", "import", "mesh.glb"]) == (
         "`gibson-sim scene import` comes with the package gibson_sim_tools, which is not installed; "
-        "install it from src/gibson_sim_tools of Gibson Sim's sources"
+        "pip install gibson_sim_tools, or src/gibson_sim_tools of Gibson Sim's sources"
     )
     assert "gibson_sim_bench" in commands.not_installed(["bench", "table1"])
     assert commands.not_installed(["scene", "map", "flat"]) == commands.not_installed(["run"]) == ""

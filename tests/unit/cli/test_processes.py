@@ -130,3 +130,13 @@ def test_node_gets_its_own_enclave_with_security() -> None:
 def test_security_is_refused_with_ros_from_pip() -> None:
     with pytest.raises(EnvironmentProblemError, match="ROS_SECURITY_ENABLE is 'true', but ROS from pip cannot encrypt"):
         node_environment({"ROS_SECURITY_ENABLE": "true"})
+
+
+@pytest.mark.skipif(not in_wheels(), reason="SKIPPED: the ROS of this machine is not from pip")
+def test_the_library_path_of_another_environment_with_ros_from_pip_is_left() -> None:
+    done = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    other = node_environment({**done, "LD_LIBRARY_PATH": "/other/venv/lib"})
+    assert not {"_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH"} & set(other), "its nodes would not find librcl_action.so"
+    own = f"{sys.prefix}/lib:/opt/cuda/lib"
+    assert node_environment({**done, "LD_LIBRARY_PATH": own})["LD_LIBRARY_PATH"] == own
+    assert node_environment({"LD_LIBRARY_PATH": "/opt/cuda/lib"})["LD_LIBRARY_PATH"] == "/opt/cuda/lib"

@@ -6,7 +6,7 @@ import argparse
 import os
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
 from gibson_sim.errors import EnvironmentProblemError
@@ -14,6 +14,8 @@ from gibson_sim.reach import REACHES, RMW_VARIABLE, apply_reach
 
 PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 RMW = "rmw_fastrtps_cpp"
+_WHEELS_READY = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+"""Variable of the ROS wheels: the library path is set."""
 SECURITY_VARIABLE, ENCLAVE_VARIABLE = "ROS_SECURITY_ENABLE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
 
 
@@ -60,6 +62,7 @@ def node_environment(
         )
     _check_loopback()
     apply_reach(base, reach)
+    _leave_other_wheels(base)
     base["PYTHONUNBUFFERED"] = "1"
     base[PARENT_VARIABLE] = str(os.getpid())
     base.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {message}")
@@ -67,6 +70,18 @@ def node_environment(
     if domain_id is not None:
         base["ROS_DOMAIN_ID"] = str(domain_id)
     return base
+
+
+def _leave_other_wheels(environment: MutableMapping[str, str]) -> None:
+    """Removes the library path of ROS from pip in another environment, from which this process was started.
+
+    Every Python with ROS from pip sets it once for itself and its children, with a mark that it is done: children of another environment
+    would see the mark and not find their libraries.
+    """
+    folders = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    if in_wheels() and environment.get(_WHEELS_READY) and str(Path(sys.prefix) / "lib") not in folders:
+        del environment[_WHEELS_READY]
+        environment.pop("LD_LIBRARY_PATH", None)
 
 
 def _check_loopback() -> None:
@@ -116,7 +131,7 @@ def require_nodes() -> None:
     if missing:
         raise EnvironmentProblemError(
             f"this Python ({sys.executable}) has no {', '.join(missing)}: run `make setup` and use .venv/bin/gibson-sim, "
-            "or source your ROS workspace"
+            "or pip install 'gibson-sim[ros]', or source your ROS workspace"
         )
 
 

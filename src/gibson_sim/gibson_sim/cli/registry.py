@@ -42,7 +42,7 @@ def not_installed(words: Sequence[str]) -> str:
         if tuple(words[: len(command)]) == command and command[-1] not in known():
             return (
                 f"`gibson-sim {' '.join(command)}` comes with the package {package}, which is not installed; "
-                f"install it from src/{package} of Gibson Sim's sources"
+                f"pip install {package}, or src/{package} of Gibson Sim's sources"
             )
     return ""
 

@@ -107,12 +107,15 @@ def _ros() -> Iterator[Finding]:
         "rclpy",
         "ok" if ok else "FAIL",
         f"{source}, {text}" if ok else text,
-        "" if ok else "run `make setup`, or source your ROS 2 Jazzy installation",
+        "" if ok else "run `make setup`, or pip install 'gibson-sim[ros]', or source your ROS 2 Jazzy installation",
     )
     for package, needed in MESSAGES.items():
         ok, text = _try(f"import {package}; print({package}.__path__[0])")
         remedy = (
-            "" if ok else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash"
+            ""
+            if ok
+            else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash; "
+            "with pip: pip install 'gibson-sim[ros]'"
         )
         yield Finding(package, "ok" if ok else ("FAIL" if needed else "warn"), text, remedy)
 
@@ -264,7 +267,9 @@ def _disk() -> Iterator[Finding]:
 
 def _scenes() -> Iterator[Finding]:
     names = ", ".join(known_scenes())
-    remedy = "" if names else "reinstall, or set GIBSON_SIM_PATH to a folder that holds scenes/"
+    remedy = (
+        "" if names else "reinstall, or pip install 'gibson-sim[scenes]', or set GIBSON_SIM_PATH to a folder that holds scenes/"
+    )
     yield Finding("scenes", "ok" if names else "warn", f"{names or 'none'} (by name; any folder or file works too)", remedy)
 
 
