@@ -19,6 +19,8 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import threading
+import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -84,6 +86,24 @@ sys.exit(0 if display and any(initialize(display(kind, native, None), None, None
 """
 """Opens an EGL display without a screen, as the renderer does. Exit code 2: no libEGL; 3: no driver for it."""
 
+COMPILED = tuple(
+    ROOT / "src" / "gibson_sim" / "gibson_sim" / file
+    for file in (
+        "physics/frames.py",
+        "render/lod/lod_selection.py",
+        "render/culling/occlusion_culling.py",
+        "render/readback/frames.py",
+    )
+)
+"""Modules with numeric loops that Numba compiles."""
+FIRST_IMAGE = """
+import gibson_sim as gs
+with gs.Simulation("linden_flat") as sim:
+    sim.step(seconds=0.1)
+    sim.render("camera", outputs=["rgb", "depth"])
+"""
+"""Program that runs all of these loops."""
+
 
 class SetupError(Exception):
     """A failure of the set-up, with its remedy, in one line."""
@@ -92,6 +112,31 @@ class SetupError(Exception):
 def say(text: str) -> None:
     """Prints a line unbuffered, in order with the output of other programs."""
     print(f"gibson-sim setup: {text}", flush=True)
+
+
+@contextlib.contextmanager
+def step(text: str) -> Iterator[None]:
+    """Says what the block does and how long it took; on a terminal, its seconds are counted while it runs."""
+    began, live, done = time.monotonic(), sys.stdout.isatty(), threading.Event()
+
+    def count() -> None:
+        while not done.wait(1.0):
+            print(f"\rgibson-sim setup: {text} ... {time.monotonic() - began:.0f} s", end="", flush=True)
+
+    counter = threading.Thread(target=count, daemon=True)
+    if live:
+        print(f"gibson-sim setup: {text} ...", end="", flush=True)
+        counter.start()
+    else:
+        say(f"{text} ...")
+    try:
+        yield
+    finally:
+        done.set()
+        if live:
+            counter.join()
+            print("\r\x1b[K", end="")
+    say(f"{text}: {time.monotonic() - began:.0f} s")
 
 
 def clean_environment(venv: Path) -> dict[str, str]:
@@ -204,9 +249,9 @@ def make_venv(venv: Path) -> None:
             raise SetupError(f"{venv} was not made by this set-up; remove it, or choose another folder with VENV=<folder>")
         say(f"{venv} belongs to another Python, another folder or an interrupted set-up: making it anew")
         shutil.rmtree(venv)
-    say(f"making {venv} with Python {platform.python_version()}")
-    stamp.file.parent.mkdir(parents=True)
-    run([PYTHON, "-m", "venv", str(venv)], venv, venv / "gibson_setup" / "venv.log")
+    with step(f"making {venv} with Python {platform.python_version()}"):
+        stamp.file.parent.mkdir(parents=True)
+        run([PYTHON, "-m", "venv", str(venv)], venv, venv / "gibson_setup" / "venv.log")
     stamp.write()
 
 
@@ -235,12 +280,10 @@ def pybullet_wheels(venv: Path) -> Path:
     if list(cache.glob(f"{requirement.replace('==', '-')}-{tag}-{tag}-*{platform.machine()}.whl")):
         say(f"PyBullet: using the wheel of an earlier set-up, in {cache}")
         return cache
-    say(
-        f"PyBullet: no wheel exists for Python {sys.version_info.major}.{sys.version_info.minor}; compiling it takes "
-        "3 to 5 minutes, once per machine"
-    )
     folder = venv / "gibson_setup" / "wheels"
-    pip(venv, "pybullet", "wheel", "--wheel-dir", str(folder), requirement)
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    with step(f"compiling PyBullet, which has no wheel for Python {version} (3 to 5 minutes, once per machine)"):
+        pip(venv, "pybullet", "wheel", "--wheel-dir", str(folder), requirement)
     try:
         cache.mkdir(parents=True, exist_ok=True)
         for wheel in folder.glob("*.whl"):
@@ -257,19 +300,19 @@ def install_packages(venv: Path, key: str) -> bool:
     stamp = Stamp(venv, "packages", key)
     if stamp.fresh():
         return False
-    say("installing the packages of constraints.txt (about a minute)")
-    pip(venv, "build_tools", "install", *pinned(*BUILD_TOOLS))
     find = []
+    with step("installing the build tools"):
+        pip(venv, "build_tools", "install", *pinned(*BUILD_TOOLS))
     if sys.version_info[:2] >= COMPILED_PYBULLET:
         find = ["--find-links", str(pybullet_wheels(venv))]
     ros = [line for line in pins() if line.startswith("ros-")]
     others = [line for line in pins() if line not in ros]
     # Neither group shares a file with the other or depends on it: both install in parallel.
-    with ThreadPoolExecutor() as pool:
+    with step("installing the packages of constraints.txt (about a minute)"), ThreadPoolExecutor() as pool:
         both = [("ros", "install", *ros), ("packages", "install", *find, *others)]
         for installed in [pool.submit(pip, venv, *arguments) for arguments in both]:
             installed.result()
-    point_exports_here(venv)
+        point_exports_here(venv)
     stamp.write()
     return True
 
@@ -302,7 +345,6 @@ def build_interfaces(venv: Path, key: str) -> bool:
     if not below.fresh():
         shutil.rmtree(venv / "ros_build", ignore_errors=True)
         below.write()
-    say("building the message packages with colcon (a minute or two the first time)")
     python, base = venv / "bin" / "python", venv / "ros_build"
     command = [str(python), "-m", "colcon", "--log-base", str(base / "log"), "build", "--base-paths", *map(str, INTERFACES)]
     command += ["--merge-install", "--install-base", str(venv), "--build-base", str(base / "build")]
@@ -314,7 +356,8 @@ def build_interfaces(venv: Path, key: str) -> bool:
     # Both variables together start one compiler per core: on a busy machine colcon would start fewer.
     jobs = {"MAKEFLAGS": f"-j{os.cpu_count()}", "CMAKE_BUILD_PARALLEL_LEVEL": str(os.cpu_count())}
     extra = {"AMENT_PREFIX_PATH": str(venv), "CMAKE_PREFIX_PATH": str(venv), "COLCON_HOME": str(base / "home"), **jobs}
-    run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
+    with step("building the message packages with colcon (a minute or two the first time)"):
+        run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
     stamp.write()
     return True
 
@@ -326,10 +369,27 @@ def install_project(venv: Path) -> bool:
     stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv), *shared))
     if stamp.fresh():
         return False
-    say(f"installing {' and '.join(project.name for project in PROJECTS)} from the source tree")
-    for project in PROJECTS:
-        pip(venv, project.name, "install", "--editable", str(project))
-        put_into_ament_index(venv, project)
+    with step(f"installing {', '.join(project.name for project in PROJECTS)} from the source tree"):
+        for project in PROJECTS:
+            pip(venv, project.name, "install", "--editable", str(project))
+            put_into_ament_index(venv, project)
+    stamp.write()
+    return True
+
+
+def draw_first_image(venv: Path) -> bool:
+    """Steps and draws a scene once: it compiles the numeric loops, for which the first simulation would wait. Returns whether it did."""
+    package = ROOT / "src" / "gibson_sim" / "gibson_sim"
+    stamp = Stamp(venv, "first_image", digest([package / "geometry" / "compiling.py", *COMPILED], str(venv)))
+    if stamp.fresh():
+        return False
+    command = [str(venv / "bin" / "python"), "-c", FIRST_IMAGE]
+    try:
+        with step("compiling numeric loops, and drawing a first image"):
+            run(command, venv, venv / "gibson_setup" / "first_image.log")
+    except SetupError:  # for example a driver that cannot draw: all else works
+        say(f"no image could be drawn, see above; `{venv / 'bin' / 'gibson-sim'} doctor` says what is missing")
+        return False
     stamp.write()
     return True
 
@@ -380,7 +440,7 @@ def set_up(venv: Path) -> None:
     if not (Stamp(venv, "packages", packages).fresh() and Stamp(venv, "interfaces", interfaces).fresh()):
         check_system()
     make_venv(venv)
-    done = [install_packages(venv, packages), build_interfaces(venv, interfaces), install_project(venv)]
+    done = [install_packages(venv, packages), build_interfaces(venv, interfaces), install_project(venv), draw_first_image(venv)]
     say(f"{venv} is ready" if any(done) else f"{venv} is up to date")
 
 

@@ -110,3 +110,18 @@ def test_packages_installed_in_place_are_put_into_the_ament_index(bootstrap: Mod
         "share/robot_shop/launch/store.launch.py": project / "launch/store.launch.py",
         "share/robot_shop/package.xml": project / "package.xml",
     }
+
+
+def test_modules_whose_loops_the_set_up_compiles_are_all_that_have_some(bootstrap: ModuleType, root: Path) -> None:
+    found = {path for path in (root / "src").rglob("*.py") if re.search(r"^@compiled$", path.read_text(), re.MULTILINE)}
+    assert set(bootstrap.COMPILED) == found
+    compile(bootstrap.FIRST_IMAGE, "first_image", "exec")
+
+
+def test_step_says_what_it_does_and_how_long_it_took(bootstrap: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with bootstrap.step("building"):
+        pass
+    with pytest.raises(bootstrap.SetupError), bootstrap.step("failing"):
+        raise bootstrap.SetupError("no")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["gibson-sim setup: building ...", "gibson-sim setup: building: 0 s", "gibson-sim setup: failing ..."]
