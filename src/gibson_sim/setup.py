@@ -68,6 +68,7 @@ setup(
         "fast": ["numba>=0.61"],
         "gym": ["gymnasium>=1.0"],
         "analysis": ["matplotlib>=3.8"],
+        "foxglove": ["foxglove-sdk>=0.30"],
         # Levels of detail, compressed glTF, simplified scans. Has no wheels: pip compiles it.
         "meshes": ["meshoptimizer>=0.2.30a0"],
         # The nodes, on the ROS packages of PyPI; a ROS installation has all of them. Both lists: docs/install_pip.md.
