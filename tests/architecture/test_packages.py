@@ -18,7 +18,7 @@ PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
 NOT_IMPORTED = {"gibson_sim": {"xacro"}}
 """What the code needs without an import statement: programs that it starts."""
 PACKAGE_OF = {
-    "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "mathutils": "bpy", "pxr": "usd-core",
+    "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "foxglove": "foxglove-sdk", "mathutils": "bpy", "pxr": "usd-core",
     "ruamel": "ruamel-yaml", "yaml": "PyYAML",
 }  # fmt: skip
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}

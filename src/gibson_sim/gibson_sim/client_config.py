@@ -213,6 +213,20 @@ class WebConfig:
             raise ConfigError("setting 'token' must have 8 to 128 letters, digits, - and _")
 
 
+@dataclass(frozen=True, slots=True)
+class FoxgloveConfig:
+    """Settings of the foxglove node, which serves topics, services and parameters by the Foxglove WebSocket protocol."""
+
+    host: str = setting(
+        "127.0.0.1", "Address to serve on; any but 127.0.0.1 lets other machines in, without a password: the protocol has none"
+    )
+    port: int = setting(8765, "TCP port; 0 = any that is free", minimum=0, maximum=65535)
+    commands: bool = setting(True, "Clients may publish, call services and set parameters; otherwise they only look")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 NODE_CONFIGS: dict[str, type[Any]] = {
     "physics": PhysicsConfig,
     "render": RenderConfig,
@@ -222,5 +236,6 @@ NODE_CONFIGS: dict[str, type[Any]] = {
     "replay": ReplayConfig,
     "task": TaskConfig,
     "web": WebConfig,
+    "foxglove": FoxgloveConfig,
 }
 """Node name -> its settings."""

@@ -71,3 +71,13 @@ def test_hashes_are_those_of_the_ros_installation() -> None:
         if definitions.type_hash(wanted["type_name"]) != wanted["hash_string"]:
             wrong.append(wanted["type_name"])
     assert wrong == []
+
+
+def test_service_has_two_definitions_with_their_nested_types() -> None:
+    request, response = MessageDefinitions().service_texts("simulation_interfaces/srv/GetEntityState")
+    assert request.count("string entity") == 1
+    assert "MSG: " not in request
+    assert "MSG: simulation_interfaces/EntityState\n" in response
+    assert "MSG: geometry_msgs/Pose\n" in response
+    with pytest.raises(RecordError, match="service type 'no_msgs/srv/No': no .srv file found"):
+        MessageDefinitions().service_texts("no_msgs/srv/No")

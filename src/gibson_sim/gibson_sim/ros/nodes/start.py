@@ -66,5 +66,10 @@ def web_node() -> None:
     run("gibson_sim.ros.nodes.web_node")
 
 
+def foxglove_node() -> None:
+    """Runs the foxglove node."""
+    run("gibson_sim.ros.foxglove.foxglove_node")
+
+
 if __name__ == "__main__":
     run(sys.argv.pop(1))

@@ -20,6 +20,16 @@ def message_class(type_name: str) -> Any:
     return found.Request if kind == "srv" else found
 
 
+def service_class(type_name: str) -> Any:
+    """Returns the class of a service type such as ``std_srvs/srv/Trigger``.
+
+    Raises:
+        ImportError, AttributeError, ValueError: see ``UNKNOWN``.
+    """
+    package, kind, name = type_name.split("/")
+    return getattr(import_module(f"{package}.{kind}"), name)
+
+
 def type_name_of(cls: Any) -> str:
     """Returns the type name of a message class, ``sensor_msgs/msg/Image``; for the class of a request, the name of the service type."""
     package, _, rest = cls.__module__.partition(".")

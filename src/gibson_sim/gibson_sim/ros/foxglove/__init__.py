@@ -1,0 +1,1 @@
+"""What the Foxglove server has of ROS: topics, services and parameters."""

@@ -1,0 +1,96 @@
+"""What Foxglove clients publish, on ROS topics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
+from gibson_sim.ros.tools.yaml_messages import fill
+from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
+from gibson_sim.web.foxglove_server import JSON, ClientTopic, message_of_json
+
+_DEPTH = 10
+_COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+"""Types of velocity commands: a robot is stopped when the client that sent them goes."""
+_STOPS = 3
+"""Zero velocities that are sent then."""
+
+
+class ClientPublishers:
+    """The publishers of clients; one for each of their channels."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publishers: dict[tuple[int, int], tuple[ClientTopic, Any, Any]] = {}
+        """Key -> topic, class of its messages, publisher."""
+        self._moving: set[tuple[int, int]] = set()
+        """Channels whose last velocity command was not zero."""
+        self._retired: list[Any] = []
+
+    def advertise(self, topic: ClientTopic) -> None:
+        """Makes the publisher of a client's channel.
+
+        Raises:
+            ConfigError: the type is not installed, or the topic exists with another type.
+        """
+        try:
+            kind = message_class(topic.type_name)
+            publisher = self._node.create_publisher(kind, topic.name, _DEPTH)
+        except UNKNOWN:
+            raise ConfigError(
+                f"topic {quoted(topic.name)}: type {quoted(topic.type_name)} is not installed where the Foxglove server runs"
+            ) from None
+        except Exception as error:  # rclpy: a name that is no topic's, or a topic that this process knows under another type
+            raise ConfigError(f"topic {quoted(topic.name)} cannot be published as {topic.type_name}: {error}") from error
+        self._publishers[topic.key] = (topic, kind, publisher)
+
+    def publish(self, key: tuple[int, int], data: bytes) -> None:
+        """Publishes a message of a client. It is decoded first: what is no message of its type reaches no node.
+
+        Raises:
+            ConfigError, MessageValueError: it cannot be decoded.
+        """
+        if key not in self._publishers:
+            return  # its channel was refused
+        topic, kind, publisher = self._publishers[key]
+        if topic.encoding == JSON:
+            message = fill(kind(), message_of_json(data))
+        else:
+            try:
+                message = deserialize_message(data, kind)
+            except Exception as error:
+                raise ConfigError(f"topic {quoted(topic.name)}: {len(data)} bytes are no {topic.type_name}") from error
+        if topic.type_name in _COMMANDS:
+            (self._moving.add if _is_moving(message) else self._moving.discard)(key)
+        publisher.publish(message)
+
+    def unadvertise(self, key: tuple[int, int]) -> None:
+        """Ends the publisher of a channel; a robot that it drives is stopped."""
+        if key not in self._publishers:
+            return
+        _, kind, publisher = self._publishers.pop(key)
+        if key in self._moving:
+            self._moving.discard(key)
+            for _ in range(_STOPS):
+                publisher.publish(kind())
+        self._retired.append(publisher)
+
+    def clean_up(self) -> None:
+        """Destroys publishers whose clients went before the last call: what they sent last has arrived."""
+        for publisher in self._retired:
+            self._node.destroy_publisher(publisher)
+        self._retired = []
+
+    def close(self) -> None:
+        """Stops every robot that a client drives."""
+        for key in list(self._publishers):
+            self.unadvertise(key)
+
+
+def _is_moving(message: Any) -> bool:
+    twist = getattr(message, "twist", message)
+    return any(getattr(part, axis) != 0.0 for part in (twist.linear, twist.angular) for axis in "xyz")
