@@ -11,7 +11,9 @@ import aiohttp
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.web.requests import Drive, Request, Time
+from gibson_sim.web.curves import CurveName, Sample
+from gibson_sim.web.pages import Answer
+from gibson_sim.web.requests import Drive, Plot, Request, Time
 from gibson_sim.web.server import MAX_PAGES, PageServer
 from gibson_sim.web.videos import Image
 
@@ -23,16 +25,24 @@ class Backend:
         self.watched: list[frozenset[str]] = []
         self.commands: list[Drive] = []
         self.asked: list[Request] = []
+        self.plotted: list[frozenset[CurveName]] = []
+        self.history: dict[CurveName, list[Sample]] = {}
 
     def watch(self, topics: frozenset[str]) -> None:
         self.watched.append(topics)
 
+    def plot(self, curves: frozenset[CurveName]) -> None:
+        self.plotted.append(curves)
+
     def drive(self, command: Drive) -> None:
         self.commands.append(command)
 
-    def ask(self, request: Request, answer: Callable[[bool, str], None]) -> None:
+    def ask(self, request: Request, answer: Answer) -> None:
         self.asked.append(request)
-        answer(True, "done")
+        if isinstance(request, Plot):
+            answer(True, "", (10.0, self.history))
+        else:
+            answer(True, "done")
 
 
 @pytest.fixture

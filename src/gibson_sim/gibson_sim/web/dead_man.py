@@ -12,7 +12,7 @@ STANDING = Drive(0.0, 0.0, 0.0)
 
 
 class DeadMan:
-    """Who drives, and what is to be published. The page that drove last has the robot until it stands."""
+    """Who drives a robot, and what is to be published. The page that drove last has the robot until it stands."""
 
     def __init__(self) -> None:
         self._driver: object | None = None
@@ -41,6 +41,11 @@ class DeadMan:
         """Stops the robot if this page drives: it let go, or its connection is lost."""
         if self._driver is driver:
             self._driver, self._stops = None, STOPS
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is to be published until a page drives."""
+        return self._driver is None and not self._stops
 
     def due(self, now_s: float) -> Drive | None:
         """Returns the command to publish now, at 20 Hz; None = none, so that others may drive."""

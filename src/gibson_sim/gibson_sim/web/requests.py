@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from gibson_sim.client_config import TASK_NAMES
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 
@@ -22,8 +23,12 @@ MAX_SPEED, MAX_TURN = 10.0, 20.0
 MAX_STEPS = 100_000
 MAX_RATE = 1000.0
 """Simulation time over wall time."""
+MAX_CURVES = 16
+"""Curves that one page may plot at a time."""
+MAX_SEED = 2**31 - 1
 
 TimeAction = Literal["play", "pause", "step", "reset"]
+BASELINES = ("none", "scripted", "careful", "random")
 
 
 class PageRequestError(GibsonSimError):
@@ -51,6 +56,8 @@ class Drive:
     linear: float
     lateral: float
     angular: float
+    robot: str = ""
+    """Namespace of the robot; empty = the one without a namespace, or the first by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +68,8 @@ class Goal:
     x: float
     y: float
     yaw: float
+    robot: str = ""
+    """As for ``Drive``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +114,51 @@ class Delete:
     name: str
 
 
-Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """The curves that the page plots from now on."""
+
+    curves: tuple[tuple[str, str], ...]
+    """Topic and field of each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """Asks which numbers the messages of a topic have."""
+
+    topic: str
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """Opens or closes a door or a drawer."""
+
+    joint: str
+    """``<body>/<joint>``."""
+    opening: float
+    """0 = closed, 1 = as far as it goes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Starts a recording in a folder that the server chooses, or ends it."""
+
+    action: Literal["start", "stop"]
+    images: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RunTask:
+    """Sets an episode of a task up, begins the next one, or ends the task."""
+
+    action: Literal["start", "next", "stop"]
+    task: str = TASK_NAMES[0]
+    baseline: str = BASELINES[0]
+    """Who drives; none = the page, or another node."""
+    seed: int = 0
+
+
+Request = Watch | Shown | Drive | Goal | Time | Rate | Spawn | Move | Delete | Plot | Fields | Open | Record | RunTask
 
 
 def parse_request(message: str) -> Request:
@@ -157,6 +210,27 @@ class _Fields:
             raise PageRequestError(f"{key} is {quoted(value)}, must be a list of at most {most} texts")
         return tuple(value)
 
+    def flag(self, key: str) -> bool:
+        """Returns true or false; false where it is missing."""
+        value = self._values.get(key, False)
+        if not isinstance(value, bool):
+            raise PageRequestError(f"{key} is {quoted(value)}, must be true or false")
+        return value
+
+    def curves(self) -> tuple[tuple[str, str], ...]:
+        """Returns pairs of a topic and a field."""
+        value = self._values.get("curves")
+        good = isinstance(value, list) and len(value) <= MAX_CURVES and all(_is_pair(item) for item in value)
+        if not good or not isinstance(value, list):
+            raise PageRequestError(
+                f"curves is {quoted(value)}, must be a list of at most {MAX_CURVES} pairs of a topic and a field"
+            )
+        return tuple((topic, path) for topic, path in value)
+
+    def robot(self) -> str:
+        """Returns the namespace of a robot; empty where it is missing."""
+        return self.text("robot") if self._values.get("robot") else ""
+
     def choice(self, key: str, known: tuple[str, ...]) -> str:
         """Returns one of the known texts."""
         value = self._values.get(key)
@@ -170,6 +244,28 @@ class _Fields:
         return x, y, self.number("yaw", 100.0)
 
 
+def _is_pair(item: Any) -> bool:
+    return isinstance(item, list) and len(item) == 2 and all(isinstance(t, str) and 0 < len(t) <= MAX_TEXT for t in item)
+
+
+def _goal(kind: Literal["goal", "initial_pose"], fields: _Fields) -> Goal:
+    x, y, yaw = fields.place()
+    return Goal(kind, x, y, yaw, fields.robot())
+
+
+def _task(fields: _Fields) -> RunTask:
+    action: Any = fields.choice("action", ("start", "next", "stop"))
+    if action != "start":
+        return RunTask(action)
+    seed = int(fields.number("seed", MAX_SEED, 0.0))
+    return RunTask(action, fields.choice("task", TASK_NAMES), fields.choice("baseline", BASELINES), seed)
+
+
+def _record(fields: _Fields) -> Record:
+    action: Any = fields.choice("action", ("start", "stop"))
+    return Record(action, fields.flag("images"))
+
+
 def _time(fields: _Fields) -> Time:
     action: Any = fields.choice("action", ("play", "pause", "step", "reset"))
     return Time(action, int(fields.number("steps", MAX_STEPS, 1.0)) if action == "step" else 1)
@@ -178,12 +274,19 @@ def _time(fields: _Fields) -> Time:
 _READERS: dict[str, Any] = {
     "watch": lambda f: Watch(f.texts("topics", MAX_VIDEOS)),
     "shown": lambda f: Shown(f.text("topic")),
-    "drive": lambda f: Drive(f.number("linear", MAX_SPEED), f.number("lateral", MAX_SPEED), f.number("angular", MAX_TURN)),
-    "goal": lambda f: Goal("goal", *f.place()),
-    "initial_pose": lambda f: Goal("initial_pose", *f.place()),
+    "drive": lambda f: Drive(
+        f.number("linear", MAX_SPEED), f.number("lateral", MAX_SPEED), f.number("angular", MAX_TURN), f.robot()
+    ),
+    "goal": lambda f: _goal("goal", f),
+    "initial_pose": lambda f: _goal("initial_pose", f),
     "time": _time,
     "rate": lambda f: Rate(f.number("value", MAX_RATE, 0.0)),
     "spawn": lambda f: Spawn(f.text("uri"), *f.place()),
     "move": lambda f: Move(f.text("name"), *f.place()),
     "delete": lambda f: Delete(f.text("name")),
+    "plot": lambda f: Plot(f.curves()),
+    "fields": lambda f: Fields(f.text("topic")),
+    "open": lambda f: Open(f.text("joint"), f.number("opening", 1.0, 0.0)),
+    "record": _record,
+    "task": _task,
 }

@@ -16,59 +16,33 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 from aiohttp import WSMsgType, web
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.dead_man import DeadMan
-from gibson_sim.web.requests import MAX_BYTES, Drive, PageRequestError, Request, Shown, Watch, parse_request
-from gibson_sim.web.videos import Streamed, Viewer
+from gibson_sim.web.pages import Backend, Page, send_queued
+from gibson_sim.web.requests import MAX_BYTES, Drive, PageRequestError, Plot, Shown, Watch, parse_request
+from gibson_sim.web.videos import Streamed
 
 logger = logging.getLogger(__name__)
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MAX_PAGES = 20
 """Pages that may be connected at a time."""
+MAX_ROBOTS = 100
+"""Robots that pages may drive at a time."""
 _TICK_S = 0.05
 """Seconds between two looks at who drives."""
 _SILENT_S = 10.0
 """A page that answers no ping for this long is gone."""
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _POLICY = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' ws: wss:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
-
-
-class Backend(Protocol):
-    """What stands behind the pages. Every method is called in the server's thread and must not block."""
-
-    def watch(self, topics: frozenset[str]) -> None:
-        """The videos that any page shows now: nothing else need be received."""
-
-    def drive(self, command: Drive) -> None:
-        """Sends a velocity command."""
-
-    def ask(self, request: Request, answer: Callable[[bool, str], None]) -> None:
-        """Does anything else; ``answer(ok, text)`` may be called later and from any thread."""
-
-
-@dataclass(eq=False)
-class _Page:
-    """One connection."""
-
-    socket: web.WebSocketResponse
-    queue: asyncio.Queue[bytes | str]
-    viewer: Viewer = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.viewer = Viewer(lambda image: self.put(image.message()))
-
-    def put(self, message: bytes | str) -> None:
-        """Queues a message; drops it where the page has not taken the ones before."""
-        with contextlib.suppress(asyncio.QueueFull):
-            self.queue.put_nowait(message)
 
 
 class PageServer:
@@ -88,9 +62,11 @@ class PageServer:
         if host not in LOOPBACK and not token:
             raise ConfigError(f"address {host} is not of this machine alone: a token is needed")
         self._backend, self._host, self._token = backend, host, token
-        self._pages: set[_Page] = set()
+        self._pages: set[Page] = set()
         self._watched: frozenset[str] = frozenset()
-        self._dead_man = DeadMan()
+        self._plotted: frozenset[CurveName] = frozenset()
+        self._dead_men: dict[str, DeadMan] = {}
+        """Robot -> who drives it."""
         self._kept: dict[str, str] = {}
         self._files = {entry.name: entry.read_bytes() for entry in files("gibson_sim.web").joinpath("page").iterdir()}
         self._blobs: dict[str, bytes] = {}
@@ -124,6 +100,15 @@ class PageServer:
     def show(self, image: Streamed) -> None:
         """Sends an image or poses to the pages that watch them; may be called from any thread."""
         self._call(self._show, image)
+
+    def show_curves(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
+        """Sends values to the pages that plot them; may be called from any thread.
+
+        Args:
+            now_s: the time now, on the clock of the samples.
+            samples: what came since the last call.
+        """
+        self._call(self._show_curves, now_s, samples)
 
     def serve_blob(self, name: str, data: bytes) -> None:
         """Serves bytes under ``/data/<name>`` from now on: the map, the mesh of the scene."""
@@ -171,10 +156,9 @@ class PageServer:
             self._loop.run_forever()
         finally:
             ticking.cancel()
-            for page in list(self._pages):
-                self._dead_man.release(page)
-            while (command := self._dead_man.due(time.monotonic())) is not None:
-                self._backend.drive(command)
+            self._release(*self._pages)
+            while self._drive():
+                pass
             self._released.set()
             self._loop.run_until_complete(runner.cleanup())
             self._loop.close()
@@ -236,11 +220,11 @@ class PageServer:
             raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are connected already")
         socket = web.WebSocketResponse(heartbeat=_SILENT_S / 2, max_msg_size=MAX_BYTES, compress=False)
         await socket.prepare(request)
-        page = _Page(socket, asyncio.Queue(maxsize=64))
+        page = Page(socket, asyncio.Queue(maxsize=64))
         self._pages.add(page)
         for text in self._kept.values():
             page.put(text)
-        sending = self._loop.create_task(_send(page))
+        sending = self._loop.create_task(send_queued(page))
         try:
             async for message in socket:
                 if message.type is WSMsgType.TEXT:
@@ -248,33 +232,71 @@ class PageServer:
         finally:
             sending.cancel()
             self._pages.discard(page)
-            self._dead_man.release(page)
+            self._release(page)
             self._update_watched()
+            self._update_plotted()
         return socket
 
-    def _received(self, page: _Page, text: str) -> None:
+    def _received(self, page: Page, text: str) -> None:
         try:
             request = parse_request(text)
         except PageRequestError as error:
-            _reply(page, "", False, str(error))
+            page.reply("", False, str(error))
             return
         if isinstance(request, Watch):
             page.viewer.watch(request.topics)
             self._update_watched()
         elif isinstance(request, Shown):
             page.viewer.shown(request.topic)
+        elif isinstance(request, Plot):
+            page.curves = frozenset(request.curves)
+            self._update_plotted()
+            self._backend.ask(request, lambda ok, text, value=None: self._call(page.send_history, value))
         elif isinstance(request, Drive):
-            if not self._dead_man.drive(page, request, time.monotonic()):
-                _reply(page, "drive", False, "another page drives")
+            if not self._driven(page, request):
+                page.reply("drive", False, "another page drives")
         else:
             kind = type(request).__name__
-            self._backend.ask(request, lambda ok, answer: self._call(_reply, page, kind, ok, answer))
+            self._backend.ask(request, lambda ok, text, value=None: self._call(page.reply, kind, ok, text, value))
+
+    def _driven(self, page: Page, request: Drive) -> bool:
+        """Takes a command; returns False where another page drives this robot."""
+        man = self._dead_men.get(request.robot)
+        if man is None and len(self._dead_men) < MAX_ROBOTS:
+            man = self._dead_men[request.robot] = DeadMan()
+        return man is not None and man.drive(page, replace(request, robot=""), time.monotonic())
+
+    def _release(self, *pages: Page) -> None:
+        for man in self._dead_men.values():
+            for page in pages:
+                man.release(page)
+
+    def _drive(self) -> bool:
+        """Has the commands that are due sent; returns whether there were any."""
+        now, sent = time.monotonic(), False
+        for robot, man in list(self._dead_men.items()):
+            if (command := man.due(now)) is not None:
+                self._backend.drive(replace(command, robot=robot))
+                sent = True
+            if man.idle:
+                del self._dead_men[robot]
+        return sent
 
     def _update_watched(self) -> None:
         watched = frozenset().union(*(page.viewer.topics for page in self._pages))
         if watched != self._watched:
             self._watched = watched
             self._backend.watch(watched)
+
+    def _update_plotted(self) -> None:
+        plotted = frozenset().union(*(page.curves for page in self._pages))
+        if plotted != self._plotted:
+            self._plotted = plotted
+            self._backend.plot(plotted)
+
+    def _show_curves(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
+        for page in self._pages:
+            page.send_samples("samples", now_s, samples)
 
     def _tell(self, kind: str, text: str, keep: bool) -> None:
         if keep:
@@ -288,21 +310,5 @@ class PageServer:
 
     async def _tick(self) -> None:
         while True:
-            if (command := self._dead_man.due(time.monotonic())) is not None:
-                self._backend.drive(command)
+            self._drive()
             await asyncio.sleep(_TICK_S)
-
-
-async def _send(page: _Page) -> None:
-    """Sends what is queued for a page, one after the other."""
-    with contextlib.suppress(ConnectionError):
-        while not page.socket.closed:
-            message = await page.queue.get()
-            if isinstance(message, bytes):
-                await page.socket.send_bytes(message)
-            else:
-                await page.socket.send_str(message)
-
-
-def _reply(page: _Page, kind: str, ok: bool, text: str) -> None:
-    page.put(json.dumps({"type": "reply", "value": {"to": kind, "ok": ok, "text": text}}))

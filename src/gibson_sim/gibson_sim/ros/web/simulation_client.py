@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -26,9 +28,9 @@ from simulation_interfaces.srv import (
 )
 
 from gibson_sim.types import WORLD_FRAME
+from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import Delete, Move, Rate, Request, Spawn, Time
 
-Answer = Callable[[bool, str], None]
 STATES = {
     SimulationState.STATE_STOPPED: "stopped",
     SimulationState.STATE_PLAYING: "playing",
@@ -47,6 +49,19 @@ _OK = 1
 """``Result.RESULT_OK``."""
 _DROP_M = 0.02
 """Height above the floor at which a spawned or moved entity begins, m."""
+LATE_S, LOST_S = 5.0, 60.0
+"""Wall time without an answer after which a page is told, and after which an answer is no longer awaited, s."""
+
+
+@dataclass(slots=True)
+class _Call:
+    """A call of a service that has not been answered."""
+
+    client: Any
+    future: Any
+    began_s: float
+    late: Callable[[str], None] | None
+    """Is called once with what to say if the answer is late; None = nobody is told."""
 
 
 class SimulationClient:
@@ -56,6 +71,7 @@ class SimulationClient:
         """``physics``: name of the node with the parameter ``rate``."""
         self._node, self._clients = node, {name: node.create_client(kind, name) for name, kind in _SERVICES.items()}
         self._parameters = node.create_client(SetParameters, f"{physics}/set_parameters")
+        self._calls: list[_Call] = []
 
     def is_there(self) -> bool:
         """Returns whether a simulation answers in this domain."""
@@ -77,6 +93,7 @@ class SimulationClient:
                 self._parameters,
                 SetParameters.Request(parameters=[Parameter(name="rate", value=value)]),
                 partial(_parameter, answer),
+                partial(answer, False),
             )
         elif isinstance(request, Spawn):
             message = spawn_request(request.uri, (request.x, request.y, request.yaw), floor_z)
@@ -88,12 +105,27 @@ class SimulationClient:
             self._do("delete_entity", DeleteEntity.Request(entity=request.name), answer, "deleted " + _literal(request.name))
 
     def get(self, service: str, request: Any, then: Callable[[Any], None]) -> None:
-        """Calls ``then`` with the response of a service, where it answers and succeeds."""
-        self._call(
-            self._clients[service],
-            request,
-            lambda response: then(response) if response and response.result.result == _OK else None,
-        )
+        """Calls ``then`` with the response of a service, where it answers and succeeds; not while the call before is unanswered."""
+        client = self._clients[service]
+        if not any(call.client is client and call.late is None for call in self._calls):
+            self._call(client, request, lambda response: then(response) if response and response.result.result == _OK else None)
+
+    def call(self, client: Any, request: Any, then: Callable[[Any], None], answer: Answer) -> None:
+        """Calls any service; ``then`` gets its response, or None where nothing offers it; a late one is told by ``answer``."""
+        self._call(client, request, then, partial(answer, False))
+
+    def look(self) -> None:
+        """Tells pages whose calls are late, and forgets calls that will never be answered."""
+        now = time.monotonic()
+        for call in list(self._calls):
+            if call.late is not None and now - call.began_s > LATE_S:
+                call.late(
+                    f"{call.client.srv_name.lstrip('/')} has not answered for {LATE_S:.0f} s: its node may be busy, or hang"
+                )
+                call.late = _no_one
+            if now - call.began_s > LOST_S:
+                call.client.remove_pending_request(call.future)
+                self._calls.remove(call)
 
     def _time(self, request: Time, answer: Answer) -> None:
         if request.action == "step":
@@ -116,13 +148,25 @@ class SimulationClient:
             else:
                 answer(True, done.format(response=response))
 
-        self._call(self._clients[service], request, then)
+        self._call(self._clients[service], request, then, partial(answer, False))
 
-    def _call(self, client: Any, request: Any, then: Callable[[Any], None]) -> None:
+    def _call(self, client: Any, request: Any, then: Callable[[Any], None], late: Callable[[str], None] | None = None) -> None:
         if not client.service_is_ready():
             then(None)
             return
-        client.call_async(request).add_done_callback(lambda future: then(None if future.exception() else future.result()))
+        call = _Call(client, client.call_async(request), time.monotonic(), late)
+        self._calls.append(call)
+
+        def done(future: Any) -> None:
+            if call in self._calls:
+                self._calls.remove(call)
+                then(None if future.exception() else future.result())
+
+        call.future.add_done_callback(done)
+
+
+def _no_one(text: str) -> None:
+    """Tells it to nobody: a page is told once."""
 
 
 def _literal(text: str) -> str:

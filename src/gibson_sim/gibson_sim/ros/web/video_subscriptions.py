@@ -74,10 +74,14 @@ class VideoSubscriptions:
     Args:
         node: subscribes.
         show: is called with each image.
+        on_problems: is called with topic -> why its images are not drawn, at every change.
     """
 
-    def __init__(self, node: Subscriber, show: Callable[[PageImage], None]) -> None:
-        self._node, self._show = node, show
+    def __init__(
+        self, node: Subscriber, show: Callable[[PageImage], None], on_problems: Callable[[dict[str, str]], None] = lambda _: None
+    ) -> None:
+        self._node, self._show, self._on_problems = node, show, on_problems
+        self._problems: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
 
     def update(self, watched: frozenset[str], known: dict[str, str]) -> None:
@@ -89,6 +93,7 @@ class VideoSubscriptions:
         """
         for topic in set(self._subscriptions) - watched:
             self._node.destroy_subscription(self._subscriptions.pop(topic))
+            self._note(topic, "")
         for topic in watched - set(self._subscriptions):
             kind = known.get(topic)
             if kind == _COMPRESSED:
@@ -101,20 +106,33 @@ class VideoSubscriptions:
     def _on_compressed(self, topic: str, msg: CompressedImage) -> None:
         data = bytes(msg.data)
         if not data:
+            self._note(topic, "its messages are empty")
             return
         if not data.startswith(b"\xff\xd8"):  # a PNG
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
             if pixels is None:
+                self._note(topic, f"format {msg.format[:40]!r} is neither JPEG nor PNG")
                 return
             data = _jpeg(np.asarray(pixels, dtype=np.uint8))
+        self._note(topic, "")
         self._show(PageImage(topic, _stamp_s(msg), data))
 
     def _on_image(self, topic: str, msg: Image) -> None:
         pixels = picture_of(msg, is_depth="depth" in topic)
         if pixels is None:
-            raise ValueError(f"images of {msg.width}x{msg.height} with encoding {msg.encoding[:40]!r} are not drawn")
+            known = msg.encoding in (*_CHANNELS, *_CODES)
+            why = f"have {len(msg.data)} bytes, too few" if known else f"with encoding {msg.encoding[:40]!r} are not drawn"
+            self._note(topic, f"images of {msg.width}x{msg.height} {why}")
+            raise ValueError(self._problems[topic])
+        self._note(topic, "")
         if pixels.size:
             self._show(PageImage(topic, _stamp_s(msg), _jpeg(pixels)))
+
+    def _note(self, topic: str, problem: str) -> None:
+        """Notes why the images of a topic are not drawn; empty = they are."""
+        if self._problems.get(topic, "") != problem:
+            self._problems[topic] = problem
+            self._on_problems({name: text for name, text in self._problems.items() if text})
 
 
 def _stamp_s(msg: Any) -> float:
@@ -132,6 +150,15 @@ _CHANNELS = {
     "32FC3": (np.float32, 3),
 }  # fmt: skip
 """Encoding -> type and number of channels."""
+_CODES = {
+    # OpenCV names a Bayer pattern by the second row and column, ROS by the first.
+    "bayer_rggb8": (cv2.COLOR_BayerBG2BGR, 1.0), "bayer_bggr8": (cv2.COLOR_BayerRG2BGR, 1.0), "bayer_gbrg8": (cv2.COLOR_BayerGR2BGR, 1.0),
+    "bayer_grbg8": (cv2.COLOR_BayerGB2BGR, 1.0), "bayer_rggb16": (cv2.COLOR_BayerBG2BGR, 2.0), "bayer_bggr16": (cv2.COLOR_BayerRG2BGR, 2.0),
+    "bayer_gbrg16": (cv2.COLOR_BayerGR2BGR, 2.0), "bayer_grbg16": (cv2.COLOR_BayerGB2BGR, 2.0), "yuv422": (cv2.COLOR_YUV2BGR_UYVY, 2.0),
+    "uyvy": (cv2.COLOR_YUV2BGR_UYVY, 2.0), "yuv422_yuy2": (cv2.COLOR_YUV2BGR_YUY2, 2.0), "yuyv": (cv2.COLOR_YUV2BGR_YUY2, 2.0),
+    "nv21": (cv2.COLOR_YUV2BGR_NV21, 1.0), "nv12": (cv2.COLOR_YUV2BGR_NV12, 1.0),
+}  # fmt: skip
+"""Encoding of raw cameras -> OpenCV's conversion, and bytes of a pixel in a row; NV12 and NV21 have half as many rows of colour below."""
 
 
 def picture_of(msg: Image, *, is_depth: bool = False) -> NDArray[np.uint8] | None:
@@ -140,6 +167,8 @@ def picture_of(msg: Image, *, is_depth: bool = False) -> NDArray[np.uint8] | Non
     32FC1 is depth in metres, 16UC1 depth in millimetres if ``is_depth``, else labels: near is bright, nothing is black. mono16 is grey, scaled to
     its brightest pixel. 32FC3 are normals (-1 to 1).
     """
+    if msg.encoding in _CODES:
+        return _converted(msg)
     if msg.encoding not in _CHANNELS:
         return None
     kind, channels = _CHANNELS[msg.encoding]
@@ -167,6 +196,21 @@ def picture_of(msg: Image, *, is_depth: bool = False) -> NDArray[np.uint8] | Non
     values = np.nan_to_num(pixels[:, :, :3], nan=0.0, posinf=0.0, neginf=0.0)
     out[:, :, 3 - channels :] = np.clip(127.5 * (values + 1.0), 0, 255)[:, :, ::-1]
     return out
+
+
+def _converted(msg: Image) -> NDArray[np.uint8] | None:
+    """Returns an image of a Bayer pattern, YUV 4:2:2 or YUV 4:2:0 as (H, W, 3) uint8 BGR; None where its data are too short."""
+    code, size = _CODES[msg.encoding]
+    rows = msg.height * 3 // 2 if msg.encoding.startswith("nv") else msg.height
+    width = round(msg.width * size)
+    if min(msg.width, msg.height) < 2 or msg.width % 2 or msg.height % 2 or msg.step < width or len(msg.data) < msg.step * rows:
+        return None
+    data = np.frombuffer(msg.data, np.uint8)[: msg.step * rows].reshape(rows, msg.step)[:, :width]
+    if msg.encoding.endswith("16"):  # the upper byte is enough for a screen
+        data = (np.ascontiguousarray(data).view(">u2" if msg.is_bigendian else "<u2") >> 8).astype(np.uint8)
+    elif size == 2.0:
+        data = data.reshape(msg.height, msg.width, 2)
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(data, dtype=np.uint8), code), dtype=np.uint8)
 
 
 def _depth(metres: NDArray[np.float32]) -> NDArray[np.uint8]:

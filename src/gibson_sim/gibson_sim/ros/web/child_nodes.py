@@ -1,0 +1,190 @@
+"""Nodes that a page starts and ends, each in a process of its own: a recorder, a task."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import fields
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.client_config import RecordConfig, TaskConfig
+from gibson_sim.ros.nodes.node_main import PARENT_VARIABLE
+from gibson_sim.ros.topics import names
+from gibson_sim.standard.job_folder import VARIABLE as JOB_VARIABLE
+
+RECORDINGS = Path("out/web")
+"""Folder of all recordings that pages start, below the folder in which the server was started."""
+_GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
+"""Signals that end a process, and the wall time after which the next one is sent, s."""
+_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+
+
+class ChildNode:
+    """A node in a process of its own. It ends with this process, even if that is killed."""
+
+    def __init__(self, module: str, config: Any) -> None:
+        """Starts ``gibson_sim.ros.nodes.<module>`` with settings; must be called in the main thread, whose end the child notices."""
+        arguments = [f"{field.name}:={json.dumps(getattr(config, field.name))}" for field in fields(config)]
+        command = [sys.executable, "-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.nodes.{module}", "--ros-args"]
+        environment = {name: value for name, value in os.environ.items() if name != JOB_VARIABLE}
+        self._tail: deque[str] = deque(maxlen=20)
+        # A session of its own: Ctrl-C reaches this process alone, which then ends the child.
+        self._process = subprocess.Popen(
+            [*command, *(word for argument in arguments for word in ("-p", argument))],
+            env={**environment, PARENT_VARIABLE: str(os.getpid())},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, name=f"{module}-output", daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as output:
+            for line in output:
+                self._tail.append(line.rstrip())
+
+    @property
+    def code(self) -> int | None:
+        """Exit code; None = it runs."""
+        return self._process.poll()
+
+    @property
+    def error(self) -> str:
+        """The last error that it reported; empty = none."""
+        self._reader.join(timeout=1.0)
+        return next((line.removeprefix("error: ") for line in reversed(self._tail) if line.startswith("error: ")), "")
+
+    def ask_to_end(self) -> None:
+        """Sends SIGINT, and returns at once."""
+        if self.code is None:
+            self._process.send_signal(signal.SIGINT)
+
+    def end(self) -> None:
+        """Ends it, and waits until it has ended."""
+        for number, seconds in _GRACE_S:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.send_signal(number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=seconds)
+                return
+
+
+class Recorder:
+    """The recording that a page has started: a record node, in a folder that is chosen here."""
+
+    def __init__(self) -> None:
+        self._child: ChildNode | None = None
+        self._folder: Path | None = None
+        self._began_s = 0.0
+        self._error = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether it records now."""
+        return self._child is not None
+
+    def start(self, graph: list[tuple[str, list[str]]], *, images: bool) -> str:
+        """Starts a recording of the topics that there are now; returns its folder. ``graph``: (topic, types), as rclpy returns them."""
+        folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+        topics = ",".join(recorded_topics(graph, images=images))
+        self._child = ChildNode("record_node", RecordConfig(output=str(folder), topics=topics, compression="zstd"))
+        self._folder, self._began_s, self._error = folder, time.monotonic(), ""
+        return str(folder)
+
+    def stop(self) -> None:
+        """Asks it to end; ``shown`` tells when it has."""
+        if self._child is not None:
+            self._child.ask_to_end()
+
+    def shown(self) -> dict[str, Any]:
+        """Returns what a page shows: whether it runs, folder, size in bytes, wall time in seconds, and the last error."""
+        if self._child is not None and self._child.code is not None:
+            self._error = self._child.error if self._child.code else ""
+            self._child = None
+        return {
+            "on": self.running,
+            "folder": "" if self._folder is None else str(self._folder),
+            "bytes": _size(self._folder),
+            "seconds": round(time.monotonic() - self._began_s) if self.running else None,
+            "error": self._error,
+        }
+
+    def close(self) -> None:
+        """Ends the recording, its bag intact."""
+        if self._child is not None:
+            self._child.end()
+            self._child = None
+
+
+def recorded_topics(graph: list[tuple[str, list[str]]], *, images: bool) -> list[str]:
+    """Returns the topics to record: all but hidden ones; of images none, or the compressed form where there is one."""
+    types = {topic: kinds for topic, kinds in graph}
+    found = []
+    for topic, kinds in sorted(types.items()):
+        compressed = [other for other in (f"{topic}/compressed", f"{topic}/compressedDepth") if other in types]
+        if _IMAGE in kinds:
+            found += (compressed or [topic])[:1] if images and not names.is_derived(topic) else []
+        elif _COMPRESSED not in kinds and not names.is_derived(topic) and not names.is_hidden(topic):
+            found.append(topic)
+    return found
+
+
+def _size(folder: Path | None) -> int:
+    try:
+        return sum(entry.stat().st_size for entry in folder.iterdir()) if folder is not None else 0
+    except OSError:  # it is not there yet, or a file has just been renamed
+        return 0
+
+
+class TaskRunner:
+    """The task that a page has started: a task node."""
+
+    def __init__(self) -> None:
+        self._child: ChildNode | None = None
+        self._error = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether a task node runs here."""
+        return self._child is not None
+
+    def start(self, task: str, baseline: str, seed: int, run: Mapping[str, Any]) -> None:
+        """Starts a task; ``run`` has the settings ``scene`` and ``robot`` of the simulation, where they are known."""
+        scene, robot = str(run.get("scene", "")), str(run.get("robot", ""))
+        self._child = ChildNode(
+            "task_node", TaskConfig(task=task, baseline=baseline, seed=seed, scene=scene, robot=robot, timeout=10.0)
+        )
+        self._error = ""
+
+    def stop(self) -> None:
+        """Asks it to end."""
+        if self._child is not None:
+            self._child.ask_to_end()
+
+    def shown(self) -> dict[str, Any]:
+        """Returns whether it runs, and the last error."""
+        if self._child is not None and self._child.code is not None:
+            self._error = self._child.error if self._child.code else ""
+            self._child = None
+        return {"running": self.running, "error": self._error}
+
+    def close(self) -> None:
+        """Ends it."""
+        if self._child is not None:
+            self._child.end()
+            self._child = None

@@ -1,0 +1,100 @@
+"""The numbers in any message, by their path: ``twist.twist.linear.x``, ``ranges[180]``."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gibson_sim.web.units import unit_of
+
+MOST_FIELDS = 600
+"""Fields of a message that a page may choose from; others can be typed."""
+MOST_ELEMENTS = 64
+"""Elements of one array among them."""
+_STEP = re.compile(r"([a-z][a-z0-9_]*)((?:\[\d{1,7}\])?)", re.ASCII)
+_DEEPEST = 12
+
+
+class NumberField(NamedTuple):
+    """One number of a message."""
+
+    path: str
+    unit: str
+    """Empty = not known."""
+    label: str
+    """What the message itself calls an element, such as the name of a joint; empty = nothing."""
+
+
+Step = tuple[str, int | None]
+"""Name of a field, and index of an element."""
+
+
+def parse_path(path: str) -> tuple[Step, ...]:
+    """Returns the steps of a path.
+
+    Raises:
+        ValueError: it is no path of a field.
+    """
+    steps: list[Step] = []
+    for part in path.split("."):
+        match = _STEP.fullmatch(part)
+        if match is None or len(steps) >= _DEEPEST:
+            raise ValueError(f"{path[:80]!r} is no field: such as twist.twist.linear.x or ranges[180]")
+        steps.append((match[1], int(match[2][1:-1]) if match[2] else None))
+    return tuple(steps)
+
+
+def number_at(message: Any, steps: tuple[Step, ...]) -> float | None:
+    """Returns the number at a path; None = this message has none there (a short array), or it is no number."""
+    value = message
+    for name, index in steps:
+        if not hasattr(value, "get_fields_and_field_types") or name not in value.get_fields_and_field_types():
+            return None
+        value = getattr(value, name)
+        if index is not None:
+            if isinstance(value, str) or not hasattr(value, "__len__") or index >= len(value):
+                return None
+            value = value[index]
+    return _number(value)
+
+
+def number_fields(message: Any) -> list[NumberField]:
+    """Returns the numbers in a message; of long arrays, and of long messages, the first ones."""
+    found: list[NumberField] = []
+    for item in _walk(message, "", "", "", 0):
+        found.append(item)
+        if len(found) >= MOST_FIELDS:
+            break
+    return found
+
+
+def _walk(message: Any, prefix: str, outer: str, label: str, depth: int) -> Iterator[NumberField]:
+    if depth >= _DEEPEST:
+        return
+    fields = message.get_fields_and_field_types()
+    type_name = f"{type(message).__module__.partition('.')[0]}/{type(message).__name__}"
+    texts = [getattr(message, name) for name, kind in fields.items() if kind.startswith("sequence<string")]
+    for name in fields:
+        value, path, unit = getattr(message, name), prefix + name, unit_of(type_name, name, outer)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from _walk(value, f"{path}.", unit, label, depth + 1)
+        elif _number(value) is not None:
+            yield NumberField(path, unit, label)
+        elif isinstance(value, (list, tuple, array, np.ndarray)):
+            names = next((rows for rows in texts if len(rows) == len(value)), None)
+            for index, element in enumerate(value[:MOST_ELEMENTS]):
+                title = " ".join(filter(None, (label, "" if names is None else str(names[index]))))
+                if hasattr(element, "get_fields_and_field_types"):
+                    yield from _walk(element, f"{path}[{index}].", unit, title, depth + 1)
+                elif _number(element) is not None:
+                    yield NumberField(f"{path}[{index}]", unit, title)
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bytes):  # an octet, such as the level of a diagnosis
+        return float(value[0]) if len(value) == 1 else None
+    return float(value) if isinstance(value, (bool, int, float, np.number)) else None
