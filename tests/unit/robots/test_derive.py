@@ -11,6 +11,7 @@ import pytest
 from gibson_sim.cli.command_line import run
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
+from gibson_sim.robots.load import derive_file
 from gibson_sim.scenes.robot_files import load_robot
 
 BODY = '<link name="{}"><collision><origin xyz="0 0 {}"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision></link>'
@@ -179,6 +180,135 @@ def test_what_cannot_drive_is_a_clear_error(tmp_path: Path, inner: str, reason: 
         load_robot(written(tmp_path, inner))
     assert "YAML" not in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def legs(count: int, *, low: float = -0.5) -> str:
+    """Branches of a hip and a knee on the trunk, whose feet reach to ``low``."""
+    limit = '<limit lower="-1" upper="1" effort="20" velocity="10"/>'
+    text = ""
+    for i in range(count):
+        x, y = (0.2, -0.2)[i // 2], (0.1, -0.1)[i % 2]
+        foot = f'<collision><origin xyz="0 0 {low + 0.02}"/><geometry><sphere radius="0.02"/></geometry></collision>'
+        text += f'<link name="hip{i}"/>' + joint(f"hip{i}", "base_link", f"{x} {y} 0", "1 0 0", "revolute", limit)
+        text += f'<link name="foot{i}">{foot}</link>' + joint(f"foot{i}", f"hip{i}", "0 0 0", "0 1 0", "revolute", limit)
+    return text
+
+
+@pytest.mark.parametrize("needs_drive", [True, False])
+def test_a_robot_with_legs_is_refused_and_told_how_it_is_held(tmp_path: Path, needs_drive: bool) -> None:
+    path = written(tmp_path, legs(4))
+    with pytest.raises(
+        RobotError, match=r"bot\.urdf: stands on 4 legs \(hip0_joint, .*\): robots that walk are not simulated"
+    ) as caught:
+        derive_file(path, needs_drive=needs_drive)
+    assert str(caught.value).endswith("fixed_base: true and base_height: 0.6")
+    (tmp_path / "robot.yaml").write_text("urdf: bot.urdf\nfixed_base: true\nbase_height: 0.6\n")
+    assert load_robot(tmp_path / "robot.yaml").fixed_base
+
+
+def test_an_arm_is_no_leg_and_is_fixed(tmp_path: Path) -> None:
+    """Two arms end at one height, above the base."""
+    derived = derive_file(written(tmp_path, legs(2, low=0.3)), needs_drive=False)
+    assert derived.values == {"fixed_base": True}
+    assert [str(guess) for guess in derived.guesses][-1] == "fixed_base: true, an arm without a drive: base_link does not move"
+    lowered = derive_file(written(tmp_path, legs(1, low=0.3), BODY.format("base_link", -0.2)), needs_drive=False)
+    assert lowered.values == {"fixed_base": True, "base_height": 0.25}
+
+
+def test_a_fixed_base_and_a_drive_exclude_each_other(tmp_path: Path) -> None:
+    written(tmp_path, pair(0.1))
+    drive = "{type: differential, left_joint: front_left_wheel_joint, right_joint: front_right_wheel_joint}"
+    (tmp_path / "robot.yaml").write_text(f"urdf: bot.urdf\nfixed_base: true\ndrive: {drive}\n")
+    with pytest.raises(RobotError, match="fixed_base is true and there is a drive"):
+        load_robot(tmp_path / "robot.yaml")
+
+
+def gazebo(plugin: str, inner: str) -> str:
+    return f'<gazebo><plugin filename="{plugin}" name="p">{inner}</plugin></gazebo>'
+
+
+def test_the_plugin_of_gazebo_tells_wheels_from_others(tmp_path: Path) -> None:
+    """The front pair has no motor, and nothing in its shape or name says so."""
+    joints = "<left_joint>rear_left_wheel_joint</left_joint><right_joint>rear_right_wheel_joint</right_joint>"
+    plugin = gazebo("libgazebo_ros_diff_drive.so", joints + "<wheel_diameter>0.16</wheel_diameter>")
+    derived = derive_file(written(tmp_path, pair(0.1) + pair(-0.1) + plugin))
+    assert derived.values["drive"]["type"] == "differential"
+    assert derived.values["drive"]["left_joint"] == "rear_left_wheel_joint"
+    assert any(str(guess).endswith("(Gazebo's plugin drives by them)") for guess in derived.guesses)
+    assert derived.values["friction"]["front_left_wheel"] == 0.0, "they roll along"
+
+
+def test_wheels_of_another_shape_are_wheels_if_gazebo_drives_by_them(tmp_path: Path) -> None:
+    joints = "<left_joint>front_left_wheel_joint</left_joint><right_joint>front_right_wheel_joint</right_joint>"
+    plugin = gazebo("gz-sim-diff-drive-system", joints + "<wheel_radius>0.1</wheel_radius>")
+    derived = derive_file(written(tmp_path, pair(0.1, shape="leg") + plugin))
+    assert derived.values["drive"]["wheel_radius"] == 0.1
+    with pytest.raises(RobotError, match=r"radius of its wheels cannot be measured, since their shapes are not round"):
+        derive_file(written(tmp_path, pair(0.1, shape="leg") + plugin.replace("wheel_radius", "radius")))
+
+
+def test_wheels_that_follow_others_do_not_drive(tmp_path: Path) -> None:
+    inner = pair(0.1) + pair(-0.1)
+    for side in ("left", "right"):
+        name = f'name="rear_{side}_wheel_joint" type="continuous">'
+        inner = inner.replace(name, f'{name}<mimic joint="front_{side}_wheel_joint"/>')
+    drive = load_robot(written(tmp_path, inner)).drive
+    assert drive is not None and drive.kind == "differential"
+    assert drive.left_joints == ("front_left_wheel_joint",)  # type: ignore[union-attr]
+
+
+SENSOR = '<gazebo reference="{}"><sensor type="{}" name="s"><update_rate>20</update_rate>{}</sensor></gazebo>'
+SCAN = "<ray><scan><horizontal><samples>{}</samples><min_angle>{}</min_angle><max_angle>{}</max_angle></horizontal>{}</scan>"
+RANGE = "<range><min>0.1</min><max>{}</max></range></ray>"
+IMAGE = "<camera><horizontal_fov>1.57</horizontal_fov><image><width>320</width><height>160</height></image></camera>"
+
+
+def fixed(name: str, xyz: str, rpy: str = "0 0 0", parent: str = "base_link") -> str:
+    return f'<link name="{name}"/>' + joint(name, parent, xyz, kind="fixed").replace("/><axis", f' rpy="{rpy}"/><axis', 1)
+
+
+def test_sensors_are_those_of_gazebo(tmp_path: Path) -> None:
+    cliff = SENSOR.format("cliff", "ray", SCAN.format(5, -0.04, 0.04, "") + RANGE.format(0.15))
+    front = SENSOR.format("front", "ray", SCAN.format(667, -1.9, 1.9, "") + RANGE.format(25))
+    back = SENSOR.format("back", "gpu_lidar", SCAN.format(640, 0, 6.28319, "") + RANGE.format(12))
+    rings = "<vertical><samples>16</samples><min_angle>-0.2618</min_angle><max_angle>0.2618</max_angle></vertical>"
+    top = SENSOR.format("top", "gpu_lidar", SCAN.format(900, -3.1416, 3.1416, rings) + RANGE.format(100))
+    eye = SENSOR.format("eye_rgb_frame", "camera", IMAGE) + SENSOR.format("eye_rgb_frame", "depth", IMAGE)
+    links = "".join(fixed(name, "0 0 0.2") for name in ("cliff", "front", "back", "top", "imu_link", "eye_rgb_frame"))
+    links += fixed("eye_optical_frame", "0 0 0", "-1.5707963 0 -1.5707963", "eye_rgb_frame")
+    tags = cliff + front + back + top + eye + SENSOR.format("imu_link", "imu", "")
+    derived = derive_file(written(tmp_path, pair(0.1) + links + tags))
+    common = {"range_min": 0.1, "rate_hz": 20.0}
+    assert derived.values["lidar"] == [
+        {"name": "front/scan", "link": "front", "beams": 667, "fov_deg": 217.724, "range_max": 25.0, **common},
+        {"name": "back/scan", "link": "back", "beams": 640, "fov_deg": 360.0, "angle_min_deg": 0.0, "range_max": 12.0, **common},
+    ]
+    assert derived.values["lidar_3d"] == {
+        "link": "top", "channels": 16, "samples": 900, "elevation_min_deg": -15.0, "elevation_max_deg": 15.0, "range_max": 100.0, **common,
+    }  # fmt: skip
+    camera = {"name": "camera", "link": "eye_optical_frame", "width": 320, "height": 160, "fov_y_deg": 53.094, "rate_hz": 20.0}
+    assert derived.values["cameras"] == [camera]
+    assert derived.values["imu"] == {"link": "imu_link", "rate_hz": 20.0}
+    robot = load_robot(tmp_path / "bot.urdf")
+    assert [lidar.name for lidar in robot.sensors.lidars] == ["front/scan", "back/scan"]
+    assert robot.sensors.imus[0].rate_hz == 20.0 and robot.cameras[0].width == 320
+
+
+def test_several_cameras_have_the_names_of_their_links(tmp_path: Path) -> None:
+    names = (
+        "head_camera_rgb_optical_frame",
+        "head_camera_depth_optical_frame",
+        "gripper_camera_color_optical_frame",
+        "camera_imu_optical_frame",
+    )
+    links = "".join(fixed(name, "0 0 0.5", "-1.57 0 -1.57") for name in (*names, "velodyne", "base_imu", "camera_imu_frame"))
+    derived = derive_file(written(tmp_path, pair(0.1) + links))
+    assert [(c["name"], c["link"]) for c in derived.values["cameras"]] == [("head", names[0]), ("gripper", names[2])]
+    assert derived.values["imu"] == {"link": "base_imu"}
+    # On its side, the lidar is none that scans a floor plan.
+    assert "lidar_3d" not in derived.values
+    upright = derive_file(written(tmp_path, pair(0.1) + fixed("velodyne", "0 0 0.5")))
+    assert upright.values["lidar_3d"] == {"link": "velodyne"}
 
 
 def test_a_folder_with_one_description_is_a_robot(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
+from gibson_sim.description.gazebo import read_gazebo
 from gibson_sim.description.mesh_files import resolve_mesh
 from gibson_sim.description.mimic import Mimic, leaders
 from gibson_sim.description.omissions import Omission, OmissionKind
@@ -30,8 +31,6 @@ __all__ = [
 
 _MOST_NAMED, _LONGEST_NAME = 8, 40
 """Number of links that a message names, and characters of each name."""
-_MOST_FRICTION = 1.5
-"""Greatest friction that is read from ``<gazebo>`` elements: wheels there often have 100 or more."""
 FindMesh = Callable[[str, Path], Path | None]
 """Takes the name of a mesh and the URDF's path; returns the absolute path of the file, or None if there is none."""
 
@@ -96,12 +95,13 @@ class _Reader:
             color = material.find("color")
             if color is not None or material.find("texture") is not None:
                 self.colors.setdefault(material.get("name", ""), None if color is None else self.rgba(color))
-        self.frictions = self.gazebo_frictions(top)
+        gazebo = read_gazebo(top)
+        self.frictions = gazebo.frictions
         links = [self.link(element) for element in top.findall("link")]
         joints = [self.joint(element) for element in top.findall("joint")]
         ordered = self.sorted_links(links, joints)
         joints = self.with_final_leaders(joints)
-        return UrdfModel(top.get("name", self.path.stem), self.path, ordered, tuple(joints), tuple(self.warnings))
+        return UrdfModel(top.get("name", self.path.stem), self.path, ordered, tuple(joints), tuple(self.warnings), gazebo)
 
     def sorted_links(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
         """Returns the links, parents first; raises RobotError if they do not form one tree."""
@@ -176,22 +176,6 @@ class _Reader:
             self.contact(element, "rolling_friction", where), self.contact(element, "spinning_friction", where),
             self.contact(element, "stiffness", where), self.contact(element, "damping", where),
         )  # fmt: skip
-
-    def gazebo_frictions(self, top: ET.Element) -> dict[str, float]:
-        """Returns link -> friction from ``<gazebo reference="link"><mu1>0.1</mu1></gazebo>``: the smaller one of both directions."""
-        found: dict[str, float] = {}
-        names = [element.get("name", "") for element in top.findall("link")]
-        for element in top.findall("gazebo"):
-            try:
-                values = [float(item.text or "") for key in ("mu1", "mu2") for item in element.iter(key)]
-            except ValueError:
-                continue
-            if values and all(math.isfinite(value) and value >= 0.0 for value in values):
-                reference = element.get("reference", "")
-                # Descriptions with a prefix often omit it here.
-                meant = [name for name in names if name == reference] or [n for n in names if n.endswith(f"/{reference}")]
-                found.update({name: min(*values, _MOST_FRICTION) for name in meant if len(meant) == 1})
-        return found
 
     def contact(self, element: ET.Element, key: str, where: str) -> float:
         """Returns a number, 0 or more, in the ``<contact>`` of a link; 0 if it is missing."""

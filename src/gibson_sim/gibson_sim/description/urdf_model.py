@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.description.gazebo import GazeboTags
 from gibson_sim.description.mimic import Mimic
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import RobotError
@@ -145,6 +146,8 @@ class UrdfModel:
     joints: tuple[UrdfJoint, ...]
     """In the order of the file."""
     warnings: tuple[str, ...] = field(default=())
+    gazebo: GazeboTags = field(default_factory=GazeboTags)
+    """What it tells Gazebo."""
 
     @property
     def root(self) -> str:

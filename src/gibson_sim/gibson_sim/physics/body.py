@@ -58,9 +58,22 @@ class BodyInWorld:
         start: Pose,
         *,
         static: bool = False,
+        concave: bool | None = None,
         joints: Sequence[tuple[str, float]] = (),
     ) -> None:
+        """Loads the body.
+
+        Args:
+            bullet: The engine.
+            name: Name of the body.
+            model: Its links.
+            start: T_world_root.
+            static: Whether only ``set_state`` moves its root.
+            concave: Whether its collision meshes keep all triangles, hollow; None = those of a static body do.
+            joints: Names and positions of joints at the start, radians or metres.
+        """
         self.name, self.model, self.start, self.static = name, model, start, static
+        self._concave = static if concave is None else concave
         self._start_joints = dict(joints)
         self.links = tuple(link.name for link in model.links)
         """Names of all links, the root first, without the body name."""
@@ -71,7 +84,7 @@ class BodyInWorld:
         groups, warnings = rigid_groups(model, fixed_root=static)
         self.warnings = [*model.warnings, *warnings]
         self._groups = tuple(self._with_engine_meshes(bullet, group) for group in groups)
-        self._urdf = physics_urdf(model, self._groups, concave=static)
+        self._urdf = physics_urdf(model, self._groups, concave=self._concave)
         self.load(bullet)
         self._names_of_rows = {self._row(group) - 1: group.name for group in self._groups}
         self.table = self._frame_table()
@@ -266,9 +279,9 @@ class BodyInWorld:
     def _engine_shape(self, bullet: Bullet, shape: Shape) -> Shape:
         if shape.kind != "mesh":
             return shape
-        if not self.static and _engine_reads(shape.mesh):
+        if not self._concave and _engine_reads(shape.mesh):
             return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh)))
-        text = mesh_obj(shape) if self.static else to_obj(*hull_of(shape)).encode()
+        text = mesh_obj(shape) if self._concave else to_obj(*hull_of(shape)).encode()
         return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_obj(text)))
 
 

@@ -29,7 +29,7 @@ class RobotInWorld(BodyInWorld):
                 model = without_friction(model, [joint.name for joint in drive.wheels])
         self._motorised = tuple(joint for joint in model.joints if joint.name not in self._driven and joint.has_motor)
         """Joints that ``command_joints`` moves."""
-        super().__init__(bullet, spec.name, model, spec.start, joints=spec.joints)
+        super().__init__(bullet, spec.name, model, spec.start, static=spec.fixed_base, concave=False, joints=spec.joints)
 
     def load(self, bullet: Bullet) -> None:
         """Puts the robot at its start, at rest, without commands and with zero odometry."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from gibson_sim.description.body import model_visuals
@@ -36,6 +37,7 @@ _ROBOT_KEYS = (
     "xacro_args",
     "base_link",
     "base_height",
+    "fixed_base",
     "wheel_drop",
     "friction",
     "radius",
@@ -78,8 +80,8 @@ def load_robot(
     path = find_robot_file(path_or_name, find)
     if path.suffix.lower() in DESCRIPTION_SUFFIXES:
         derived = derive_file(path, points)
-        for note in derived.notes:
-            logger.info("%s: no robot.yaml; guessed %s", path.name, note)
+        for guess in derived.guesses:
+            logger.info("%s: no robot.yaml; guessed %s", path.name, guess)
         robot = YamlMap({"urdf": path.name, **derived.values}, str(path), error=RobotError)
     else:
         robot = read_yaml_map(path, error=RobotError)
@@ -92,6 +94,11 @@ def load_robot(
             raise RobotError(f"{model.path}: joint {quoted(joint.name)} is {joint.kind}, which is not simulated")
     try:
         drive = read_drive(robot, model)
+        fixed_base = robot.flag("fixed_base", False)
+        if fixed_base and drive is not None:
+            raise RobotError(
+                f"{robot.where}: fixed_base is true and there is a drive; a base that is fixed cannot drive: remove one of them"
+            )
         poses, joints = read_poses(robot, model, drive)
         radius, height = _size(model, robot, dict(joints), points)
         return RobotSpec(
@@ -103,6 +110,7 @@ def load_robot(
             fixed_transforms=tuple((j.parent, j.child, j.pose) for j in model.joints if j.kind == "fixed"),
             moving_joints=tuple((j.name, j.parent, j.child) for j in model.joints if j.kind != "fixed"),
             drive=drive,
+            fixed_base=fixed_base,
             radius=radius,
             height=height,
             cameras=read_cameras(robot, model, name),
@@ -120,7 +128,9 @@ def derive_file(
     path: Path, points: MeshPoints | None = None, arguments: Mapping[str, str] | None = None, *, needs_drive: bool = True
 ) -> DerivedRobot:
     """Returns a guess of the ``robot.yaml`` for the URDF or xacro at ``path``; see ``derive_robot``."""
-    return derive_robot(read_urdf(plain_description(path, arguments or {})), points, needs_drive=needs_drive)
+    # The file that the user gave is named in errors, not its expansion.
+    model = replace(read_urdf(plain_description(path, arguments or {})), path=path)
+    return derive_robot(model, points, needs_drive=needs_drive)
 
 
 def find_robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None = None) -> Path:

@@ -39,6 +39,8 @@ class RobotSpec:
     """Sensors other than cameras."""
     start: Pose = field(default_factory=Pose)
     """T_world_base at load and after a reset."""
+    fixed_base: bool = False
+    """Whether its root link is fixed to the world, as that of an arm on a table; such a robot has no drive."""
     joints: tuple[tuple[str, float], ...] = ()
     """Names and positions of joints at load and after a reset, radians or metres; missing joints are at 0."""
     named_poses: tuple[NamedPose, ...] = ()

@@ -60,7 +60,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     else:
         path = find_robot_file(args.robot)
         if path.suffix.lower() in DESCRIPTION_SUFFIXES:
-            print("\n".join(f"guessed {note}" for note in derive_file(path, mesh_points()).notes))
+            print("\n".join(f"guessed {note}" for note in derive_file(path, mesh_points()).guesses))
     robot = load_robot(args.robot)
     if args.make_meshes:
         # Loaded here: the other sub-commands need none of it.
@@ -111,7 +111,7 @@ def _write(description: Path, output: Path, arguments: dict[str, str]) -> None:
     if arguments:
         values["xacro_args"] = arguments
     values |= derived.values
-    notes = "".join(f"# {note}\n" for note in derived.notes)
+    notes = "".join(f"# {note}\n" for note in derived.guesses)
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     write_file(output, f"# Guessed from {description.name}; check it. The keys: docs/robots.md\n{notes}{text}")
-    print(f"{output}: written\n{''.join(f'guessed {note}' + chr(10) for note in derived.notes)}", end="")
+    print(f"{output}: written\n{''.join(f'guessed {note}' + chr(10) for note in derived.guesses)}", end="")

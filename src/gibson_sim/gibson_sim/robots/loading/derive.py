@@ -1,19 +1,18 @@
-"""Guesses the ``robot.yaml`` of a robot that has none: its drive, its height above the floor, a lidar and a camera. Pure.
+"""Guesses the ``robot.yaml`` of a robot that has none: its drive, its height above the floor, its sensors. Pure.
 
-Each guess has a line of its own; what cannot be guessed is a ``RobotError`` that says what to do. ``find_wheels`` and ``find_pairs`` recognise
-wheels by their joints and shapes.
+Each guess has a line of its own; what cannot be guessed is a ``RobotError`` that says what to do. ``wheels`` recognises wheels by their joints and
+shapes, ``sensor_guesses`` sensors by tags and names.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gibson_sim.description.extents import MeshPoints, link_points, rigid_links
 from gibson_sim.description.rigid_groups import MOVING_TYPES
@@ -22,18 +21,12 @@ from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.loading.base_frame import FOOTPRINT
-from gibson_sim.robots.loading.drive import ALIGNED
+from gibson_sim.robots.loading.guess import Guess
+from gibson_sim.robots.loading.sensor_guesses import guess_sensors
+from gibson_sim.robots.loading.wheels import Pair, Wheel, find_pairs, find_wheels, steers
 
 DESCRIPTION_SUFFIXES = (".urdf", ".xacro")
 """Suffixes of files that describe a robot without a ``robot.yaml``, lower case."""
-_LEVEL = 0.14
-"""Sine of the largest angle between the axis of a wheel and the floor."""
-_ROUND = 0.15
-"""Greatest deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
-_SAME = 0.03
-"""Greatest difference of the two wheels of a pair in x and in z, metres."""
-_LIFT = 0.2
-"""Greatest height of a wheel above the lowest one, as a fraction of its radius."""
 _FLOOR = 0.005
 """Distance from the floor at which the root counts as on it, metres."""
 _LEAST_DROP, _MAX_DROP = 0.001, 0.03
@@ -44,11 +37,13 @@ _GRIP = 1.0
 """Friction of driven wheels."""
 _MAX_STEERING_DEG = 30.0
 """Limit for steering joints that have none."""
-_LIDAR = re.compile(r"scan|laser|lidar|hokuyo|velodyne|ouster", re.IGNORECASE)
-_CAMERA = re.compile(r"camera\d*(_(rgb|color|front|link|frame))*$", re.IGNORECASE)
-_MOUNT = re.compile(r"mount|bracket|tower|plate|support|screw|holder", re.IGNORECASE)
-_NO_COLOR = re.compile(r"depth|infra|ir_|_ir\b|right|fisheye", re.IGNORECASE)
 _MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
+_LEAST_LEG_JOINTS = 2
+"""Turning joints of a leg, at least."""
+_LEG_TOLERANCE = 0.05
+"""Greatest difference of the heights of feet with all joints at 0, metres."""
+_HELD = 0.1
+"""Distance of the feet of a robot that is held from the floor, metres."""
 _BY_HAND = "write a robot.yaml with the drive that it has (docs/robots.md)"
 
 
@@ -58,8 +53,8 @@ class DerivedRobot:
 
     values: dict[str, Any]
     """Its keys and values, without ``urdf``."""
-    notes: tuple[str, ...]
-    """One line for each guess."""
+    guesses: tuple[Guess, ...]
+    """One for each guessed value."""
 
 
 def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_drive: bool = True) -> DerivedRobot:
@@ -68,35 +63,51 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
     Args:
         model: The description.
         points: Reads meshes; None = meshes are not measured.
-        needs_drive: Whether a robot without wheels is an error, or has no drive.
+        needs_drive: Whether a robot without wheels is an error. Else it has no drive, and an arm is fixed to the floor; what has legs is an
+            error in any case.
 
     Raises:
-        RobotError: there are no wheels, or no drive fits them; one line.
+        RobotError: there are no wheels, or no drive fits them, or it has legs; one line.
     """
     values: dict[str, Any] = {}
-    notes: list[str] = []
+    guesses: list[Guess] = []
+    found, sideways = find_wheels(model, points, _named_wheels(model))
+    if not found and not sideways:
+        _refuse_legs(model, points)
     try:
-        drive, wheels = _derive_drive(model, points, notes)
+        drive, wheels = _derive_drive(model, found, sideways, guesses)
     except RobotError:
-        if needs_drive:
+        if needs_drive or find_pairs(found):
             raise
         drive, wheels = None, []
-        notes.append("drive: none, no wheels were found that could drive it")
+        guesses.append(Guess("drive", "none, no wheels were found that could drive it"))
+        _fix_base(model, points, values, guesses)
     if drive is not None:
         drop = _drop(model, wheels, points)
-        _base(model, min(wheel.bottom for wheel in wheels) - drop, values, notes)
+        _base(model, min(wheel.bottom for wheel in wheels) - drop, values, guesses)
         if drop:
             values["wheel_drop"] = {wheel.joint.name: round(drop, 5) for wheel in wheels}
-            notes.append(f"wheel_drop: {drop * 1000:.2g} mm, since casters or the base reach that much lower than the wheels")
+            text = f"{drop * 1000:.2g} mm, since casters or the base reach that much lower than the wheels"
+            guesses.append(Guess("wheel_drop", text))
         if drive["type"] in ("differential", "ackermann"):
-            _friction(model, wheels, points, values, notes)
+            _friction(model, wheels, points, values, guesses)
         values["drive"] = drive
-    _sensors(model, values, notes)
-    return DerivedRobot(values, tuple(notes))
+    guess_sensors(model, values, guesses)
+    return DerivedRobot(values, tuple(guesses))
 
 
-def _derive_drive(model: UrdfModel, points: MeshPoints | None, notes: list[str]) -> tuple[dict[str, Any], list[Wheel]]:
-    wheels, sideways = find_wheels(model, points)
+def _named_wheels(model: UrdfModel) -> tuple[str, ...]:
+    """Returns the joints that a plugin of Gazebo drives by."""
+    return () if model.gazebo.drive is None else model.gazebo.drive.joints
+
+
+def _derive_drive(
+    model: UrdfModel, found: list[Wheel], sideways: Sequence[UrdfJoint], guesses: list[Guess]
+) -> tuple[dict[str, Any], list[Wheel]]:
+    """Returns (the section ``drive``, its wheels, all with a radius)."""
+    named = [wheel for wheel in found if wheel.joint.name in _named_wheels(model)]
+    # What Gazebo drives by are the wheels, if they are pairs; others are taken for casters.
+    wheels = named if find_pairs(named) else found
     pairs = find_pairs(wheels)
     if not pairs:
         raise RobotError(_no_drive_reason(model, wheels, sideways))
@@ -128,18 +139,72 @@ def _derive_drive(model: UrdfModel, points: MeshPoints | None, notes: list[str])
     else:
         used = fixed
         drive = _multi_axle_drive(model, fixed)
-    radius = _radius(model, used)
+    radius, how = _radius(model, used)
     measured = [Wheel(w.joint, w.hub, w.radius or radius, w.collides, w.swivel) for p in used for w in (p.left, p.right)]
     drive["wheel_radius"] = round(radius, 5)
-    named = ", ".join(wheel.joint.name for wheel in measured)
+    joints = ", ".join(wheel.joint.name for wheel in measured)
     track = float(used[0].left.hub[1] - used[0].right.hub[1])
-    notes.append(f"drive: {drive['type']}, by the wheels of {named}")
-    notes.append(f"wheel_radius: {radius:.4g} m, wheels {track:.4g} m apart")
+    told = " (Gazebo's plugin drives by them)" if wheels is named else ""
+    guesses.append(Guess("drive", f"{drive['type']}, by the wheels of {joints}{told}"))
+    guesses.append(Guess("drive", f"{radius:.4g} m, {how}; wheels {track:.4g} m apart", "wheel_radius"))
     if drive["type"] == "skid_steer":
-        notes.append("separation_factor: 1, real skid steer turns as if its wheels stood 1.5 to 2 times farther apart")
+        guesses.append(
+            Guess("drive", "1, real skid steer turns as if its wheels stood 1.5 to 2 times farther apart", "separation_factor")
+        )
     if drive["type"] == "ackermann":
-        notes.append(f"steering: {used[1].left.swivel.name}, {used[1].right.swivel.name}, {used[1].x - used[0].x:.4g} m in front")  # type: ignore[union-attr]
+        pins = f"{used[1].left.swivel.name}, {used[1].right.swivel.name}"  # type: ignore[union-attr]
+        guesses.append(Guess("drive", f"{pins}, {used[1].x - used[0].x:.4g} m in front", "steering"))
+    if drive["type"] == "omni":
+        guesses.append(Guess("drive", "45 degrees, as seen from above on mecanum wheels that can turn the robot", "roller_deg"))
     return drive, measured
+
+
+def _refuse_legs(model: UrdfModel, points: MeshPoints | None) -> None:
+    """Raises RobotError if the robot stands on legs: branches of two or more turning joints that reach lower than the rest."""
+    transforms = model.transforms()
+    children: dict[str, list[UrdfJoint]] = {}
+    for joint in model.joints:
+        children.setdefault(joint.parent, []).append(joint)
+    trunk = model.fixed_to_root()
+    legs: list[tuple[str, float]] = []
+    for first in (joint for name in trunk for joint in children.get(name, ()) if joint.kind in MOVING_TYPES):
+        branch = [first]
+        for joint in branch:
+            branch += children.get(joint.child, ())
+        turning = [joint for joint in branch if joint.kind in ("revolute", "continuous") and joint.mimic is None]
+        lowest = _lowest(model, [joint.child for joint in branch], transforms, points)
+        if len(turning) >= _LEAST_LEG_JOINTS and lowest is not None:
+            legs.append((first.name, lowest))
+    body = _lowest(model, trunk, transforms, points)
+    if len(legs) < 2:
+        return
+    floor = min(lowest for _, lowest in legs)
+    standing = [name for name, lowest in legs if lowest - floor < _LEG_TOLERANCE]
+    if len(standing) >= 2 and (body is None or body > floor + _LEG_TOLERANCE):
+        raise RobotError(
+            f"{model.path}: stands on {len(standing)} legs ({', '.join(standing)}): robots that walk are not simulated, since that needs a "
+            "controller of their balance. Its joints can be moved while its body is held in the air: write a robot.yaml with urdf, "
+            f"fixed_base: true and base_height: {-floor + _HELD:.2g}"
+        )
+
+
+def _fix_base(model: UrdfModel, points: MeshPoints | None, values: dict[str, Any], guesses: list[Guess]) -> None:
+    """Fixes the base of a robot that has motors and no drive, such as an arm, on the floor."""
+    if not any(joint.has_motor for joint in model.joints):
+        return
+    values["fixed_base"] = True
+    guesses.append(Guess("fixed_base", f"true, an arm without a drive: {model.root} does not move"))
+    lowest = _lowest(model, model.fixed_to_root(), model.transforms(), points)
+    if lowest is not None and lowest < -_FLOOR:
+        values["base_height"] = round(-lowest, 5)
+        guesses.append(Guess("base_height", f"{-lowest:.4g} m, so that its base stands on the floor"))
+
+
+def _lowest(model: UrdfModel, names: Sequence[str], transforms: dict[str, Mat4], points: MeshPoints | None) -> float | None:
+    """Returns the lowest z of collision shapes of links, metres, root's frame; None = they have none."""
+    spanned = [link_points(model.link(name).collisions, transforms[name], points) for name in names]
+    found = np.concatenate(spanned) if spanned else np.zeros((0, 3))
+    return float(found[:, 2].min()) if len(found) else None
 
 
 def _no_drive_reason(model: UrdfModel, wheels: Sequence[Wheel], sideways: Sequence[UrdfJoint]) -> str:
@@ -158,7 +223,7 @@ def _no_drive_reason(model: UrdfModel, wheels: Sequence[Wheel], sideways: Sequen
     return (
         f"{model.path}: has no wheels to drive by (continuous joints whose axis lies along y, with something round on them): {what}. "
         "Robots with legs are not simulated; an arm or a thing can be spawned into a scene as a body, or be a robot that cannot drive, with "
-        f"a robot.yaml: gibson-sim scene robot {model.path.name} --write robot.yaml"
+        f"a robot.yaml: gibson-sim scene robot --new {model.path.name}"
     )
 
 
@@ -184,8 +249,8 @@ def _multi_axle_drive(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]
     return {"type": "skid_steer", "left_joints": rear_to_front[::2], "right_joints": rear_to_front[1::2]}
 
 
-def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> float:
-    """Returns the radius of the driven wheels, metres."""
+def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:
+    """Returns (radius of the driven wheels, metres, from what it is known)."""
     wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
     bare = [wheel.joint.child for wheel in wheels if not wheel.collides]
     if bare:
@@ -195,13 +260,15 @@ def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> float:
         )
     driven = [wheel.radius for wheel in (pairs[0].left, pairs[0].right)]
     if min(driven) > 0.0:
-        return float(np.mean(driven))
+        return float(np.mean(driven)), "measured on their shapes"
+    if model.gazebo.drive is not None and model.gazebo.drive.wheel_radius > 0.0:
+        return model.gazebo.drive.wheel_radius, "as Gazebo's plugin is told"
     height = float(pairs[0].left.hub[2])
     if FOOTPRINT in model.root and height > 0:
-        return height
+        return height, "the height of their hubs"
     raise RobotError(
-        f"{model.path}: the radius of its wheels cannot be measured; write a robot.yaml with drive.wheel_radius: "
-        f"gibson-sim scene robot {model.path.name} --write robot.yaml"
+        f"{model.path}: the radius of its wheels cannot be measured, since their shapes are not round; write a robot.yaml with "
+        "drive.wheel_radius (docs/robots.md)"
     )
 
 
@@ -227,7 +294,7 @@ def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) 
 
 
 def _friction(
-    model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None, values: dict[str, Any], notes: list[str]
+    model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None, values: dict[str, Any], guesses: list[Guess]
 ) -> None:
     """Sets frictions that the file does not give: wheels grip, and other links on the floor slide, as casters that roll."""
     transforms = model.transforms()
@@ -240,10 +307,12 @@ def _friction(
             found[link.name] = _GRIP if link.name in turning else 0.0
     if found:
         values["friction"] = found
-        notes.append(f"friction: {', '.join(f'{name} {value:g}' for name, value in found.items())} (the file gives none)")
+        guesses.append(
+            Guess("friction", f"{', '.join(f'{name} {value:g}' for name, value in found.items())} (the file gives none)")
+        )
 
 
-def _base(model: UrdfModel, floor: float, values: dict[str, Any], notes: list[str]) -> None:
+def _base(model: UrdfModel, floor: float, values: dict[str, Any], guesses: list[Guess]) -> None:
     """Chooses the frame of odometry, which is on the floor; ``floor`` is the lowest point of the wheels, z in the root's frame."""
     footprint = [name for name in model.fixed_to_root() if name.split("/")[-1] == FOOTPRINT and name != model.root]
     transforms = model.transforms()
@@ -251,200 +320,16 @@ def _base(model: UrdfModel, floor: float, values: dict[str, Any], notes: list[st
         if abs(float(transforms[name][2, 3]) - floor) <= 2 * _FLOOR and _is_upright(transforms[name]):
             if abs(floor) > _FLOOR or model.root != name:
                 values["base_link"] = name
-                notes.append(f"base_link: {name}, which is on the floor")
+                guesses.append(Guess("base_link", f"{name}, which is on the floor"))
             return
     if abs(floor) <= _FLOOR:
-        notes.append(f"base_link: {model.root}, the root, which is on the floor")
+        guesses.append(Guess("base_link", f"{model.root}, the root, which is on the floor"))
         return
     values["base_height"] = round(-floor, 5)
-    notes.append(f"base_height: {-floor:.4g} m, so that the wheels stand on the floor: {model.root} gets a link below it there")
+    guesses.append(
+        Guess("base_height", f"{-floor:.4g} m, so that the wheels stand on the floor: {model.root} gets a link below it there")
+    )
 
 
 def _is_upright(T_root_link: Mat4) -> bool:
     return bool(np.allclose(T_root_link[:3, :3], np.eye(3), atol=1e-3))
-
-
-def _sensors(model: UrdfModel, values: dict[str, Any], notes: list[str]) -> None:
-    """Adds a lidar and a camera on links with such names."""
-    transforms = model.transforms()
-    lidar = _link_named(model, _LIDAR, lambda name: abs(float(transforms[name][2, 2])) > 0.99)
-    if lidar:
-        values["lidar"] = {"link": lidar}
-        notes.append(f"lidar: at {lidar}, 360 degrees, 0.12 to 12 m (there is a link of that name)")
-    cameras = [
-        name
-        for name in (link.name for link in model.links)
-        if "optical" in name
-        and not _LIDAR.search(name)
-        and not _NO_COLOR.search(name)
-        and abs(float(transforms[name][2, 2])) < 0.9
-    ]
-    camera = cameras[0] if cameras else _link_named(model, _CAMERA, lambda name: float(transforms[name][0, 0]) > 0.5)
-    if camera:
-        values["cameras"] = [{"name": "camera", "link": camera}]
-        notes.append(f"camera: at {camera}, 640 x 480, 60 degrees high (there is a link of that name)")
-
-
-def _link_named(model: UrdfModel, pattern: re.Pattern[str], fits: Callable[[str], bool]) -> str:
-    """Returns the last link with a matching name on the chain of fixed joints from the first; empty = none."""
-    parents: Mapping[str, str] = {joint.child: joint.parent for joint in model.joints if joint.kind == "fixed"}
-    names = [link.name for link in model.links if pattern.search(link.name) and not _MOUNT.search(link.name) and fits(link.name)]
-    if not names:
-        return ""
-    found = names[0]
-    for name in names[1:]:
-        if parents.get(name) == found:
-            found = name
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class Wheel:
-    """A link that turns about a level axis."""
-
-    joint: UrdfJoint
-    hub: NDArray[np.float64]
-    """Its centre, (3,), in the root's frame, metres."""
-    radius: float
-    """Metres; 0 = no shape of it can be measured."""
-    collides: bool
-    """Whether it has a collision shape."""
-    swivel: UrdfJoint | None
-    """The nearest joint above it with a vertical axis; None = it cannot be steered."""
-
-    @property
-    def bottom(self) -> float:
-        """Lowest point, z in the root's frame, metres."""
-        return float(self.hub[2]) - self.radius
-
-    @property
-    def is_caster(self) -> bool:
-        """Whether it swivels freely, or has a caster's name."""
-        text = f"{self.joint.name} {self.joint.child}".lower()
-        free = self.swivel is not None and not steers(self.swivel)
-        return free or "caster" in text or "castor" in text
-
-
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """Two wheels that are mirror images of each other."""
-
-    left: Wheel
-    right: Wheel
-
-    @property
-    def x(self) -> float:
-        """Position of its axle along x in the root's frame, metres."""
-        return float(self.left.hub[0] + self.right.hub[0]) / 2
-
-    @property
-    def swivels(self) -> bool:
-        """Whether both wheels are on joints that steer."""
-        return self.left.swivel is not None and self.right.swivel is not None
-
-
-def steers(joint: UrdfJoint) -> bool:
-    """Returns whether a joint with a vertical axis steers, and is not the swivel of a caster."""
-    return joint.kind == "revolute" or "steer" in f"{joint.name} {joint.child}".lower()
-
-
-def find_wheels(model: UrdfModel, points: MeshPoints | None = None) -> tuple[list[Wheel], list[UrdfJoint]]:
-    """Returns (possible wheels, continuous joints of round links whose axis is along x).
-
-    Args:
-        model: The links.
-        points: Reads meshes; None = a wheel that is a mesh has no radius.
-    """
-    transforms = model.transforms()
-    above = {joint.child: joint for joint in model.joints}
-    wheels, sideways = [], []
-    for joint in model.joints:
-        if joint.kind != "continuous" or joint.mimic is not None:
-            continue
-        frame = transforms[joint.child]
-        axis = frame[:3, :3] @ np.array(joint.axis)
-        if abs(axis[2]) > _LEVEL:
-            continue
-        wheel = _wheel(model, joint, transforms, _swivel(joint, above, transforms), points)
-        if wheel is None:
-            continue
-        if abs(axis[1]) >= ALIGNED:
-            wheels.append(wheel)
-        elif abs(axis[0]) >= ALIGNED:
-            sideways.append(joint)
-    return wheels, sideways
-
-
-def find_pairs(wheels: list[Wheel]) -> list[Pair]:
-    """Returns the pairs that stand on the floor, from the rear to the front, without casters and wheels that have no mirror image."""
-    able = [wheel for wheel in wheels if not wheel.is_caster]
-    pairs = _mirrored(able)
-    if not pairs:
-        return []
-    lowest = min(wheel.bottom for pair in pairs for wheel in (pair.left, pair.right))
-    standing = [pair for pair in pairs if pair.left.bottom - lowest <= max(_LIFT * pair.left.radius, 0.01)]
-    return sorted(standing, key=lambda pair: pair.x)
-
-
-def _mirrored(wheels: list[Wheel]) -> list[Pair]:
-    pairs: list[Pair] = []
-    # The outermost first, so that twin wheels on an axle are paired with their mirror images.
-    left = sorted(wheels, key=lambda wheel: -wheel.hub[1])
-    middle = (max(w.hub[1] for w in wheels) + min(w.hub[1] for w in wheels)) / 2 if wheels else 0.0
-    taken: set[str] = set()
-    for wheel in left:
-        if wheel.hub[1] - middle < 0.01:
-            continue
-        matches = [
-            other
-            for other in wheels
-            if other.joint.name not in taken
-            and np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).max() <= _SAME
-            and abs(wheel.hub[1] + other.hub[1] - 2 * middle) <= _SAME
-            and abs(wheel.radius - other.radius) <= _ROUND * max(wheel.radius, other.radius)
-        ]
-        if matches:
-            best = min(matches, key=lambda other: float(np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).sum()))
-            taken.add(best.joint.name)
-            pairs.append(Pair(wheel, best))
-    return pairs
-
-
-def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str, Mat4]) -> UrdfJoint | None:
-    """Returns the nearest joint above another one with a vertical axis."""
-    higher = above.get(joint.parent)
-    while higher is not None:
-        if higher.kind in ("revolute", "continuous"):
-            axis = transforms[higher.child][:3, :3] @ np.array(higher.axis)
-            if abs(axis[2]) >= ALIGNED:
-                return higher
-        higher = above.get(higher.parent)
-    return None
-
-
-def _wheel(
-    model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
-) -> Wheel | None:
-    """Returns the wheel on a joint; None = the links on it are not round about its axis."""
-    frame = transforms[joint.child]
-    hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
-    links = [model.link(name) for name in rigid_links(model, joint.child)]
-    collides = any(link.collisions for link in links)
-    for kind in ("collisions", "visuals"):
-        spanned = [link_points(getattr(link, kind), transforms[link.name], points) for link in links]
-        offset = np.concatenate(spanned) - hub
-        if len(offset):
-            break
-    else:
-        return Wheel(joint, hub, 0.0, collides, swivel)
-    level = np.cross(axis, (0.0, 0.0, 1.0))
-    flat = np.stack([offset @ level, offset[:, 2]], axis=-1)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    radius = float((high - low).max()) / 2
-    outline = np.abs(np.array([*-low, *high]) - radius).max()
-    if radius <= 0 or outline > _ROUND * radius:
-        return None
-    # The radius in the file, if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
-    exact = [item.shape.size[0] for link in links for item in getattr(link, kind) if item.shape.kind in ("sphere", "cylinder")]
-    near = [size for size in exact if abs(size - radius) < _ROUND * radius]
-    return Wheel(joint, hub, max(near, default=radius), collides, swivel)

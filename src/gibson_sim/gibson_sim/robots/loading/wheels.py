@@ -1,0 +1,185 @@
+"""Recognises the wheels of a description by their joints and shapes, and pairs them left and right. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.extents import MeshPoints, link_points, rigid_links
+from gibson_sim.description.urdf import UrdfJoint, UrdfModel
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.robots.loading.drive import ALIGNED
+
+_LEVEL = 0.14
+"""Sine of the largest angle between the axis of a wheel and the floor."""
+_ROUND = 0.15
+"""Greatest deviation of the outline of a wheel from a circle about its axis, as a fraction of its radius."""
+_SAME = 0.03
+"""Greatest difference of the two wheels of a pair in x and in z, metres."""
+_LIFT = 0.2
+"""Greatest height of a wheel above the lowest one, as a fraction of its radius."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """A link that turns about a level axis."""
+
+    joint: UrdfJoint
+    hub: NDArray[np.float64]
+    """Its centre, (3,), in the root's frame, metres."""
+    radius: float
+    """Metres; 0 = no shape of it can be measured."""
+    collides: bool
+    """Whether it has a collision shape."""
+    swivel: UrdfJoint | None
+    """The nearest joint above it with a vertical axis; None = it cannot be steered."""
+
+    @property
+    def bottom(self) -> float:
+        """Lowest point, z in the root's frame, metres."""
+        return float(self.hub[2]) - self.radius
+
+    @property
+    def is_caster(self) -> bool:
+        """Whether it swivels freely, or has a caster's name."""
+        text = f"{self.joint.name} {self.joint.child}".lower()
+        free = self.swivel is not None and not steers(self.swivel)
+        return free or "caster" in text or "castor" in text
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two wheels that are mirror images of each other."""
+
+    left: Wheel
+    right: Wheel
+
+    @property
+    def x(self) -> float:
+        """Position of its axle along x in the root's frame, metres."""
+        return float(self.left.hub[0] + self.right.hub[0]) / 2
+
+    @property
+    def swivels(self) -> bool:
+        """Whether both wheels are on joints that steer."""
+        return self.left.swivel is not None and self.right.swivel is not None
+
+
+def steers(joint: UrdfJoint) -> bool:
+    """Returns whether a joint with a vertical axis steers, and is not the swivel of a caster."""
+    return joint.kind == "revolute" or "steer" in f"{joint.name} {joint.child}".lower()
+
+
+def find_wheels(
+    model: UrdfModel, points: MeshPoints | None = None, named: Sequence[str] = ()
+) -> tuple[list[Wheel], list[UrdfJoint]]:
+    """Returns (possible wheels, continuous joints of round links whose axis is along x).
+
+    Args:
+        model: The links.
+        points: Reads meshes; None = a wheel that is a mesh has no radius.
+        named: Joints that turn wheels, whatever the shapes on them are; a wheel that is not round has no radius.
+    """
+    transforms = model.transforms()
+    above = {joint.child: joint for joint in model.joints}
+    wheels, sideways = [], []
+    for joint in model.joints:
+        if joint.kind != "continuous" or joint.mimic is not None:
+            continue
+        frame = transforms[joint.child]
+        axis = frame[:3, :3] @ np.array(joint.axis)
+        if abs(axis[2]) > _LEVEL:
+            continue
+        wheel = _wheel(model, joint, transforms, _swivel(joint, above, transforms), points)
+        if wheel is None and joint.name in named:
+            wheel = Wheel(joint, frame[:3, 3], 0.0, _collides(model, joint), _swivel(joint, above, transforms))
+        if wheel is None:
+            continue
+        if abs(axis[1]) >= ALIGNED:
+            wheels.append(wheel)
+        elif abs(axis[0]) >= ALIGNED:
+            sideways.append(joint)
+    return wheels, sideways
+
+
+def find_pairs(wheels: list[Wheel]) -> list[Pair]:
+    """Returns the pairs that stand on the floor, from the rear to the front, without casters and wheels that have no mirror image."""
+    able = [wheel for wheel in wheels if not wheel.is_caster]
+    pairs = _mirrored(able)
+    if not pairs:
+        return []
+    lowest = min(wheel.bottom for pair in pairs for wheel in (pair.left, pair.right))
+    standing = [pair for pair in pairs if pair.left.bottom - lowest <= max(_LIFT * pair.left.radius, 0.01)]
+    return sorted(standing, key=lambda pair: pair.x)
+
+
+def _mirrored(wheels: list[Wheel]) -> list[Pair]:
+    pairs: list[Pair] = []
+    # The outermost first, so that twin wheels on an axle are paired with their mirror images.
+    left = sorted(wheels, key=lambda wheel: -wheel.hub[1])
+    middle = (max(w.hub[1] for w in wheels) + min(w.hub[1] for w in wheels)) / 2 if wheels else 0.0
+    taken: set[str] = set()
+    for wheel in left:
+        if wheel.hub[1] - middle < 0.01:
+            continue
+        matches = [
+            other
+            for other in wheels
+            if other.joint.name not in taken
+            and np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).max() <= _SAME
+            and abs(wheel.hub[1] + other.hub[1] - 2 * middle) <= _SAME
+            and abs(wheel.radius - other.radius) <= _ROUND * max(wheel.radius, other.radius)
+        ]
+        if matches:
+            best = min(matches, key=lambda other: float(np.abs(wheel.hub[[0, 2]] - other.hub[[0, 2]]).sum()))
+            taken.add(best.joint.name)
+            pairs.append(Pair(wheel, best))
+    return pairs
+
+
+def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str, Mat4]) -> UrdfJoint | None:
+    """Returns the nearest joint above another one with a vertical axis."""
+    higher = above.get(joint.parent)
+    while higher is not None:
+        if higher.kind in ("revolute", "continuous"):
+            axis = transforms[higher.child][:3, :3] @ np.array(higher.axis)
+            if abs(axis[2]) >= ALIGNED:
+                return higher
+        higher = above.get(higher.parent)
+    return None
+
+
+def _wheel(
+    model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
+) -> Wheel | None:
+    """Returns the wheel on a joint; None = the links on it are not round about its axis."""
+    frame = transforms[joint.child]
+    hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
+    links = [model.link(name) for name in rigid_links(model, joint.child)]
+    collides = _collides(model, joint)
+    for kind in ("collisions", "visuals"):
+        spanned = [link_points(getattr(link, kind), transforms[link.name], points) for link in links]
+        offset = np.concatenate(spanned) - hub
+        if len(offset):
+            break
+    else:
+        return Wheel(joint, hub, 0.0, collides, swivel)
+    level = np.cross(axis, (0.0, 0.0, 1.0))
+    flat = np.stack([offset @ level, offset[:, 2]], axis=-1)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    radius = float((high - low).max()) / 2
+    outline = np.abs(np.array([*-low, *high]) - radius).max()
+    if radius <= 0 or outline > _ROUND * radius:
+        return None
+    # The radius in the file, if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
+    exact = [item.shape.size[0] for link in links for item in getattr(link, kind) if item.shape.kind in ("sphere", "cylinder")]
+    near = [size for size in exact if abs(size - radius) < _ROUND * radius]
+    return Wheel(joint, hub, max(near, default=radius), collides, swivel)
+
+
+def _collides(model: UrdfModel, joint: UrdfJoint) -> bool:
+    """Returns whether the links on a joint have a collision shape."""
+    return any(model.link(name).collisions for name in rigid_links(model, joint.child))
