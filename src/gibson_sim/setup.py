@@ -102,6 +102,7 @@ setup(
             "replay_node = gibson_sim.ros.nodes.start:replay_node",
             "task_node = gibson_sim.ros.nodes.start:task_node",
             "web_node = gibson_sim.ros.nodes.start:web_node",
+            "foxglove_node = gibson_sim.ros.nodes.start:foxglove_node",
         ],
     },
 )

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gibson_sim.cli.commands.params import allowed
-from gibson_sim.cli.launching import CONFIGS, LaunchPlan, arguments, plan
+from gibson_sim.cli.launching import CONFIGS, VIEWERS, LaunchPlan, arguments, plan
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.nodes import start
@@ -49,19 +49,22 @@ def _parameters(given: LaunchPlan) -> dict[str, dict[str, Any]]:
     return {start.node: start.parameters for start in given.nodes}
 
 
-def test_every_parameter_of_both_nodes_is_an_argument_with_its_meaning_and_limits(launch_file: LaunchFile) -> None:
+def test_every_parameter_of_every_node_is_an_argument_with_its_meaning_and_limits(launch_file: LaunchFile) -> None:
     declared = {action.given[0]: action.options for action in launch_file.of_kind("DeclareLaunchArgument")}
     assert list(declared) == [argument.name for argument in arguments()]
     settings = [(node, f) for node, cls in CONFIGS.items() for f in fields(cls)]
     names = [f.name for _, f in settings]
+    settings += [(node, f) for node, cls in VIEWERS.items() for f in fields(cls)]
     for node, f in settings:
-        options = declared.pop(f.name if names.count(f.name) == 1 else f"{node}_{f.name}")
+        options = declared.pop(f.name if names.count(f.name) == 1 and node in CONFIGS else f"{node}_{f.name}")
         assert f.metadata["doc"] in options["description"]
         assert f"({node} node)" in options["description"]
         assert options["choices"] == (list(f.metadata["choices"]) or None)
         assert options["choices"] or allowed(f) in options["description"]
         assert options["default_value"] == (str(f.default).lower() if isinstance(f.default, bool) else str(f.default))
-    assert list(declared) == ["params_file", "namespace", "render", "use_sim_time", "reach"]
+    assert list(declared) == [
+        "params_file", "namespace", "render", "use_sim_time", "reach", "web", "foxglove", "rviz", "rviz_config", "rviz_frame",
+    ]  # fmt: skip
 
 
 def test_what_nobody_gave_reaches_no_node() -> None:
@@ -161,6 +164,64 @@ def test_programs_that_it_starts_exist_and_get_the_file_before_the_arguments(
     physics, render = nodes
     assert json.loads(Path(physics.options["parameters"][1]).read_text())["/**"] == {"ros__parameters": {"seed": 5}}
     assert len(render.options["parameters"]) == 1
+
+
+def test_page_and_foxglove_are_started_on_request_with_their_settings(launch_file: LaunchFile, root: Path) -> None:
+    assert [start.node for start in plan({"web_port": "0", "foxglove_port": "0"}).nodes] == ["physics", "render"]
+    given = plan({"web": "true", "web_port": "8081", "foxglove": "1", "foxglove_commands": "false"})
+    expected = {"physics": {"views": "follow,top"}, "render": {}, "web": {"port": 8081}, "foxglove": {"commands": False}}
+    assert _parameters(given) == expected
+    assert _parameters(plan({"web": "true", "views": "top"}))["physics"] == {"views": "top"}
+    assert _parameters(plan({"web": "true", "render": "false"}))["physics"] == {}
+    with pytest.raises(GibsonSimError, match="setting 'token' must have 8 to 128 letters"):
+        plan({"web": "true", "web_token": "a b"})
+    setup = (root / "src" / "gibson_sim" / "setup.py").read_text()
+    nodes = [action for action in launch_file.start("web:=true", "foxglove:=true") if action.kind == "Node"]
+    assert [node.options["executable"] for node in nodes] == ["physics_node", "render_node", "web_node", "foxglove_node"]
+    for node in nodes:
+        program = node.options["executable"]
+        assert f"{program} = gibson_sim.ros.nodes.start:{program}" in setup
+        assert callable(getattr(start, program))
+
+
+def test_rviz_gets_a_file_that_exists_and_a_frame_that_is_there(root: Path, tmp_path: Path) -> None:
+    file = str(root / "config" / "gibson_sim.rviz")
+    assert plan({}).rviz is None
+    assert plan({"rviz": "true"}).rviz == ("-d", file, "-f", "odom")
+    assert plan({"rviz": "true", "publish_map_tf": "true"}).rviz == ("-d", file, "-f", "map")
+    (tmp_path / "p.yaml").write_text("physics: {ros__parameters: {publish_map_tf: true}}")
+    assert plan({"rviz": "true", "params_file": str(tmp_path / "p.yaml")}).rviz == ("-d", file, "-f", "map")
+    (tmp_path / "own.rviz").write_text("")
+    own = plan({"rviz": "true", "rviz_config": str(tmp_path / "own.rviz"), "rviz_frame": "map"})
+    assert own.rviz == ("-d", str(tmp_path / "own.rviz"), "-f", "map")
+    with pytest.raises(GibsonSimError, match=r"gibson_simm\.rviz"):
+        plan({"rviz": "true", "rviz_config": "gibson_simm.rviz"})
+
+
+def test_rviz_is_started_where_it_is_installed_and_else_named(
+    launch_file: LaunchFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(
+        GibsonSimError, match=r"^rviz:=true needs RViz, which is not installed: `sudo apt install ros-jazzy-rviz2`$"
+    ):
+        launch_file.start("rviz:=true")
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    (index / "rviz2").touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    started = launch_file.start("rviz:=true", "namespace:=sim")
+    rviz = started[-1].options
+    assert (rviz["package"], rviz["executable"], rviz["namespace"]) == ("rviz2", "rviz2", "sim")
+    assert rviz["parameters"] == [{"use_sim_time": True}]
+    assert _ends(started, started[-1], -9, Context()).kind == "LogInfo"
+
+
+def test_page_that_ends_ends_no_simulation_but_a_taken_port_does(launch_file: LaunchFile) -> None:
+    started = launch_file.start("web:=true")
+    web = [action for action in started if action.kind == "Node"][-1]
+    assert _ends(started, web, -11, Context()).options["msg"] == "the web node has ended; the simulation goes on without it"
+    with pytest.raises(RuntimeError, match="the web node ended with code 1, so the simulation ends"):
+        _ends(started, web, 1, Context())
 
 
 def test_reach_is_that_of_the_nodes_alone_and_is_said(launch_file: LaunchFile) -> None:

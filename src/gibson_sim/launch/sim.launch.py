@@ -1,6 +1,7 @@
 """Starts the simulation: ros2 launch gibson_sim sim.launch.py scene:=linden_flat rate:=2.0
 
 Every parameter of the physics node and the render node is an argument (--show-args lists them); params_file:=FILE.yaml sets many at once.
+web:=true serves a page for any browser, foxglove:=true the Foxglove WebSocket protocol, rviz:=true starts RViz.
 """
 
 import atexit
@@ -8,6 +9,7 @@ import os
 import shutil
 import tempfile
 
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchDescription, logging
 from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
@@ -16,7 +18,8 @@ from launch_ros.actions import Node
 
 from gibson_sim.cli.environment import enclave_variables
 from gibson_sim.cli.job import MAX_RESTARTS, RESTART_WINDOW_S, USER_ERROR, Restarts
-from gibson_sim.cli.launching import arguments, misspelt, plan
+from gibson_sim.cli.launching import RVIZ, VIEWERS, arguments, misspelt, plan
+from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.reach import describe_reach, reach_variables
 
 
@@ -58,6 +61,8 @@ def _start(context):
 
     starts = {start.node: start for start in given.nodes}
     running = {name: node(start) for name, start in starts.items()}
+    if given.rviz is not None:
+        running[RVIZ] = rviz(given, reach)
     restarts = Restarts(MAX_RESTARTS, RESTART_WINDOW_S)
 
     def on_exit(event, context):
@@ -68,6 +73,8 @@ def _start(context):
             return EmitEvent(event=Shutdown(reason="the simulation is over"))
         if name == "render" and event.returncode == 0:
             return LogInfo(msg="the render node has ended; the simulation goes on without images")
+        if name == RVIZ or (name in VIEWERS and event.returncode != USER_ERROR):
+            return LogInfo(msg=f"the {name} node has ended; the simulation goes on without it")
         if name == "render" and event.returncode != USER_ERROR and restarts.allow():
             running[name] = node(starts[name])
             return [LogInfo(msg="the render node crashed; starting it again"), running[name]]
@@ -81,3 +88,22 @@ def _start(context):
         RegisterEventHandler(OnProcessExit(on_exit=on_exit)),
         *running.values(),
     ]
+
+
+def rviz(given, reach):
+    """Returns RViz, in the namespace of the simulation and with its time."""
+    try:
+        get_package_prefix("rviz2")
+    except (PackageNotFoundError, OSError):  # OSError: there is no ament index at all
+        raise EnvironmentProblemError(
+            "rviz:=true needs RViz, which is not installed: `sudo apt install ros-jazzy-rviz2`"
+        ) from None
+    return Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=given.namespace,
+        arguments=list(given.rviz),
+        parameters=[{"use_sim_time": True}],
+        additional_env=reach,
+        output="screen",
+    )

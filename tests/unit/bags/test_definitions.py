@@ -79,5 +79,5 @@ def test_service_has_two_definitions_with_their_nested_types() -> None:
     assert "MSG: " not in request
     assert "MSG: simulation_interfaces/EntityState\n" in response
     assert "MSG: geometry_msgs/Pose\n" in response
-    with pytest.raises(RecordError, match="service type 'no_msgs/srv/No': no .srv file found"):
+    with pytest.raises(RecordError, match=r"service type 'no_msgs/srv/No': no \.srv file found"):
         MessageDefinitions().service_texts("no_msgs/srv/No")

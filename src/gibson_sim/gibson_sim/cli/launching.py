@@ -15,15 +15,22 @@ from typing import Any
 
 from gibson_sim.cli.commands.params import allowed
 from gibson_sim.cli.names import check_names
+from gibson_sim.client_config import FoxgloveConfig, WebConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, TextError
 from gibson_sim.quoting import quoted
 from gibson_sim.reach import REACHES
 from gibson_sim.reading import read_yaml_file
+from gibson_sim.resources import find_config
 from gibson_sim.settings import Value, nearest
 
 CONFIGS: dict[str, type[Any]] = {"physics": PhysicsConfig, "render": RenderConfig}
 """The nodes that the launch file starts, with their settings."""
+VIEWERS: dict[str, type[Any]] = {"web": WebConfig, "foxglove": FoxgloveConfig}
+"""The nodes that it starts if the argument of their name is true, with their settings, ``<node>_<setting>``."""
+PAGE_VIEWS = "follow,top"
+"""Views of a simulation with a page where none are given; they are drawn only while a page shows them."""
+RVIZ, RVIZ_FILE = "rviz", "gibson_sim.rviz"
 _SECTION = "ros__parameters"
 _BOOLEANS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
 _RCLPY = ("use_sim_time", "start_type_description_service")
@@ -58,7 +65,7 @@ def _settings() -> dict[str, _Setting]:
         f.name if names.count(f.name) == 1 else f"{node}_{f.name}": _Setting(node, f)
         for node, cls in CONFIGS.items()
         for f in fields(cls)
-    }
+    } | {f"{node}_{f.name}": _Setting(node, f) for node, cls in VIEWERS.items() for f in fields(cls)}
 
 
 _SETTINGS = _settings()
@@ -71,7 +78,7 @@ _OWN = (
     Argument(
         "namespace",
         "",
-        "Namespace of both nodes, prefixed to all topics and services except /clock, /tf, /tf_static and /diagnostics",
+        "Namespace of all nodes, prefixed to all topics and services except /clock, /tf, /tf_static and /diagnostics",
     ),
     Argument("render", "true", "Start the render node too; false = only physics, no images. Allowed: true, false"),
     Argument(
@@ -82,9 +89,20 @@ _OWN = (
     Argument(
         "reach",
         "",
-        "Who can reach both nodes: local = processes of this machine only, subnet = all machines of the network; empty = local, "
+        "Who can reach the nodes: local = processes of this machine only, subnet = all machines of the network; empty = local, "
         "unless variables of ROS or Fast DDS in the environment decide",
         ("", *REACHES),
+    ),
+    Argument("web", "false", "Serve a page for any browser; its address is printed. Allowed: true, false"),
+    Argument(
+        "foxglove", "false", "Serve the Foxglove WebSocket protocol (needs `pip install foxglove-sdk`). Allowed: true, false"
+    ),
+    Argument(RVIZ, "false", "Start RViz, which must be installed (ros-jazzy-rviz2). Allowed: true, false"),
+    Argument("rviz_config", "", "File of RViz; empty = config/gibson_sim.rviz of this package"),
+    Argument(
+        "rviz_frame",
+        "",
+        "Fixed frame of RViz; empty = map if `publish_map_tf` is true, else odom: use map with AMCL, SLAM or another localiser",
     ),
 )
 """Arguments that are not settings."""
@@ -129,6 +147,8 @@ class LaunchPlan:
     """Who can reach the nodes; None = by the environment."""
     sections: Any = None
     """Content of the file."""
+    rviz: tuple[str, ...] | None = None
+    """Arguments of the program rviz2; None = it is not started."""
 
     def overriding(self, start: NodeStart) -> str:
         """Returns the text of a parameter file that overrides ``params_file`` when it is read after it.
@@ -149,7 +169,7 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
     Raises:
         GibsonSimError: a value in an argument or in ``params_file`` is not allowed, or names something that does not exist.
     """
-    values: dict[str, dict[str, Value]] = {node: {} for node in CONFIGS}
+    values: dict[str, dict[str, Value]] = {node: {} for node in (*CONFIGS, *VIEWERS)}
     for name, setting in _SETTINGS.items():
         if name in given:
             values[setting.node][setting.field.name] = _value(name, given[name], type(setting.field.default))
@@ -158,16 +178,21 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
     file = Path(given["params_file"]).expanduser().absolute() if given.get("params_file") else None
     sections = _read(file) if file else {}
     starts = []
-    with_render = _value("render", given.get("render", "true"), bool)
-    for node, cls in CONFIGS.items():
-        if node == "render" and not with_render:
+    wanted = {name: _value(name, given.get(name, "false"), bool) for name in (*VIEWERS, RVIZ)}
+    with_render = wanted["render"] = bool(_value("render", given.get("render", "true"), bool))
+    settings: dict[str, dict[str, Value]] = {}
+    for node, cls in {**CONFIGS, **VIEWERS}.items():
+        if not wanted.get(node, True):
             continue
         read = _node_settings(file, sections, [*within, node])
         if node == "physics" and with_render and values[node].get("lockstep"):
             # If the renderer is not named, the first ticks are over before it has joined.
             values[node].setdefault("participants", read.get("participants", "/".join([*within, "render"])))
+        if node == "physics" and wanted["web"] and with_render and "views" not in read:
+            values[node].setdefault("views", PAGE_VIEWS)
+        settings[node] = {**read, **values[node]}
         try:
-            config = cls(**{**read, **values[node]})
+            config = cls(**settings[node])
         except ConfigError as error:
             raise ConfigError(f"{file}: {error}" if _is_invalid(cls, read) else str(error)) from error
         check_names(config)
@@ -175,7 +200,12 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
         if node == "render" and "use_sim_time" in given:
             parameters["use_sim_time"] = _value("use_sim_time", given["use_sim_time"], bool)
         starts.append(NodeStart(node, parameters))
-    return LaunchPlan(namespace, file, tuple(starts), given.get("reach") or None, sections)
+    rviz = None
+    if wanted[RVIZ]:
+        file_of_rviz = find_config(given.get("rviz_config") or RVIZ_FILE)
+        frame = given.get("rviz_frame") or ("map" if settings["physics"].get("publish_map_tf") else "odom")
+        rviz = ("-d", str(file_of_rviz), "-f", frame)
+    return LaunchPlan(namespace, file, tuple(starts), given.get("reach") or None, sections, rviz)
 
 
 def misspelt(names: list[str]) -> list[str]:
@@ -239,7 +269,7 @@ def _with_values(tree: Mapping[Any, Any], values: dict[str, Any]) -> dict[str, A
 def _node_settings(file: Path | None, tree: Mapping[Any, Any], name: list[str]) -> dict[str, Value]:
     """Returns the settings of a node in a file; ``name`` is that of the node, preceded by its namespaces."""
     node = name[-1]
-    known = [f.name for f in fields(CONFIGS[node])]
+    known = [f.name for f in fields({**CONFIGS, **VIEWERS}[node])]
     found: dict[str, Value] = {}
     for section, values in _sections(tree):
         if not _matches(section.strip("/").split("/"), name):
