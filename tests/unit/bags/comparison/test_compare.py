@@ -16,8 +16,9 @@ from gibson_sim.bags.comparison.compare import Comparison, Row, compare
 from gibson_sim.bags.comparison.figures import figures, text_table
 from gibson_sim.bags.comparison.page import number, page
 from gibson_sim.bags.comparison.pictures import picture_statistics, thumbnail
-from gibson_sim.bags.comparison.plots import draw_plots, require_matplotlib
+from gibson_sim.bags.comparison.plots import draw_plots
 from gibson_sim.bags.comparison.recorded_drive import Commands, Pictures, PlanarTrack, RecordedDrive
+from gibson_sim.bags.plots.style import require_matplotlib
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.robots.load import load_robot
 
@@ -136,4 +137,4 @@ def test_without_matplotlib_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(EnvironmentProblemError, match=r"gibson_sim\[analysis\]"):
-        require_matplotlib()
+        require_matplotlib("an HTML report", ", or leave out --html")

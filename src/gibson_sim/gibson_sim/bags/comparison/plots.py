@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,15 +14,10 @@ from gibson_sim.bags.comparison.measure import Measurements
 from gibson_sim.bags.comparison.recorded_drive import F64
 from gibson_sim.bags.comparison.response import Step
 from gibson_sim.bags.comparison.signals import held, speeds
-from gibson_sim.errors import EnvironmentProblemError
+from gibson_sim.bags.plots.style import drawn, require_matplotlib, svg_element
 
 REAL, SIM, MODEL, COMMAND = "#c2410c", "#1d4ed8", "#111827", "#9ca3af"
 """Colours of all plots."""
-_STYLE = {
-    "font.family": "sans-serif", "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-    "grid.color": "#e5e7eb", "axes.axisbelow": True, "axes.edgecolor": "#6b7280", "legend.frameon": False, "svg.fonttype": "none",
-    "svg.hashsalt": "gibson_sim", "axes.titlesize": 11, "axes.titleweight": "bold", "axes.titlelocation": "left",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,49 +30,21 @@ class Plot:
     """An ``<svg>`` element."""
 
 
-def require_matplotlib() -> None:
-    """Raises EnvironmentProblemError if matplotlib is missing."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise EnvironmentProblemError(
-            "an HTML report needs matplotlib, which is not installed: `pip install 'gibson_sim[analysis]'`, or leave out --html"
-        ) from error
-
-
 def draw_plots(comparison: Comparison) -> list[Plot]:
     """Returns all plots for which there is data.
 
     Raises:
         EnvironmentProblemError: matplotlib is missing.
     """
-    require_matplotlib()
+    require_matplotlib("an HTML report", ", or leave out --html")
     makers: tuple[Callable[[Comparison], Iterator[Plot]], ...] = (_steps, _excerpts, _paths, _allan, _lidar, _luma)
     return [plot for make in makers for plot in make(comparison)]
 
 
-def _figure(columns: int, height: float = 3.2) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, height), layout="constrained")
-    return figure, figure.subplots(1, columns, squeeze=False)[0]
-
-
 def _plot(title: str, caption: str, columns: int, draw: Callable[[Any], None], height: float = 3.2) -> Plot:
     """Returns a plot drawn by ``draw``, which receives the axes, (columns,)."""
-    import matplotlib
-
-    with matplotlib.rc_context(_STYLE):
-        figure, axes = _figure(columns, height)
-        draw(axes)
-        file = io.StringIO()
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    text = file.getvalue()
-    svg = text[text.index("<svg") :]
-    # Ids must be unique on the page.
-    prefix = re.sub(r"\W+", "", title.lower())
-    svg = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{prefix}-", svg)
-    return Plot(title, caption, svg)
+    file = drawn((11.0, height), lambda figure: draw(figure.subplots(1, columns, squeeze=False)[0]), form="svg")
+    return Plot(title, caption, svg_element(file.decode(), re.sub(r"\W+", "", title.lower())))
 
 
 def _sides(comparison: Comparison) -> tuple[tuple[str, str, Measurements], ...]:

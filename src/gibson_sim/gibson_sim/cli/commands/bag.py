@@ -1,4 +1,4 @@
-"""``gibson-sim bag``: checks and repairs a bag, and makes pictures and videos of it."""
+"""``gibson-sim bag``: checks, plots and repairs a bag, and makes pictures and videos of it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from gibson_sim import __version__
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.film import write_film, write_film_strip
 from gibson_sim.bags.video import write_contact_sheet, write_pictures
@@ -16,10 +17,14 @@ from gibson_sim.picture_files import SUFFIXES
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command with its own sub-commands."""
-    parser = subparsers.add_parser("bag", help="check a bag, repair a truncated one, make a video of one")
+    parser = subparsers.add_parser("bag", help="check or plot a bag, repair a truncated one, make a video of one")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    check = actions.add_parser("check", help="counts, rates, stamps and odometry of a bag; exit code 1 if stamps do not agree")
+    check = actions.add_parser(
+        "check", help="counts, rates, stamps, contacts and odometry of a bag; exit code 1 if stamps do not agree"
+    )
     check.set_defaults(run=_check)
+    plot = actions.add_parser("plot", help="draw path, velocities, contacts and rates of a bag; needs matplotlib")
+    plot.set_defaults(run=_plot)
     repairing = actions.add_parser("repair", help="make a bag readable that a crash or a full disk cut off")
     repairing.set_defaults(run=_repair)
     video = actions.add_parser("video", help="write a video and a contact sheet of RGB and depth")
@@ -28,8 +33,12 @@ def add_parser(subparsers: Any) -> None:
     sheet.set_defaults(run=_sheet)
     film = actions.add_parser("film", help="write a film strip or a video of several cameras, stacked")
     film.set_defaults(run=_film)
-    for action in (check, repairing, video, sheet, film):
+    for action in (check, plot, repairing, video, sheet, film):
         action.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
+    plot.add_argument(
+        "files", type=Path, nargs="*", metavar="FILE", help="picture (.png) or page (.html); one or more (default: DIR.png)"
+    )
+    plot.add_argument("--robot", default="", metavar="NAME", help="namespace of the only robot to show (default: all)")
     video.add_argument("file", type=Path, metavar="FILE.mp4")
     sheet.add_argument("file", type=Path, metavar="FILE.png")
     sheet.add_argument("--columns", type=int, default=4, help="pictures in a row (default: 4)")
@@ -52,6 +61,16 @@ def _check(args: argparse.Namespace) -> int:
     report = check_bag(args.bag)
     print(report.text())
     return 0 if report.ok else 1
+
+
+def _plot(args: argparse.Namespace) -> int:
+    from gibson_sim.bags.plots.plot import write_plots  # loaded here: the others draw nothing
+
+    folder = args.bag.resolve()
+    files = args.files or [args.bag.parent / f"{folder.name}.png"]
+    for path in write_plots(args.bag, files, args.robot, f"made by gibson-sim {__version__} bag plot"):
+        print(path)
+    return 0
 
 
 def _repair(args: argparse.Namespace) -> int:

@@ -61,15 +61,15 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.bags.comparison.figures import figures, text_table
     from gibson_sim.bags.comparison.load import load_recording
     from gibson_sim.bags.comparison.measure import Assumptions
-    from gibson_sim.bags.comparison.plots import require_matplotlib
     from gibson_sim.bags.comparison.robot_file import robot_file, write_fitted
     from gibson_sim.bags.comparison.topics import topic_options
+    from gibson_sim.bags.plots.style import require_matplotlib
     from gibson_sim.scenes.robot_files import load_robot
 
     if args.output is not None and not args.fit:
         raise ConfigError(f"--output {args.output} is what --fit writes: add --fit, or leave it out")
     if args.html is not None:
-        require_matplotlib()
+        require_matplotlib("an HTML report", ", or leave out --html")
     topics, robot = topic_options(args.topic), load_robot(args.robot)
     assumptions = Assumptions(args.gravity, args.cmd_vel_timeout, args.step_hz)
     real, sim = (load_recording(folder, topics[side]) for folder, side in ((args.real, "real"), (args.sim, "sim")))

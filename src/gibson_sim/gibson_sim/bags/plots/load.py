@@ -1,0 +1,262 @@
+"""Reads from a bag what is plotted. The bag may be that of a real robot, without truth and without a map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.bags.comparison import topics as roles
+from gibson_sim.bags.plots.run_data import F64, Arrivals, Floor, RecordedRun, RobotRun, Track, Velocities
+from gibson_sim.bags.plots.touches import Touch, TouchFinder, origin_ns, robot_bodies, robot_namespaces
+from gibson_sim.bags.reader import BagReader, TopicInfo
+from gibson_sim.bags.replaying import read_facts
+from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
+from gibson_sim.geometry.transforms import yaw_from_quat
+from gibson_sim.quoting import quoted
+from gibson_sim.settings import nearest
+from gibson_sim.types import NS_PER_S
+
+_SAME_M = 0.005
+"""Greatest distance, m, of an estimate that is the ground truth itself, published as map -> odom."""
+_MAP_HEIGHT = 0.5
+"""Height above the floor up to which things of a scene count as obstacles, where the bag has no map, m."""
+_QUIET = ("/parameter_events", "/rosout")
+"""Topics without a rate that every node has."""
+_LEAST_ARRIVALS = 3
+"""Messages from which on a topic's rate is shown."""
+
+
+def load_run(folder: Path, robot: str = "") -> RecordedRun:
+    """Returns what is plotted of a bag.
+
+    Args:
+        folder: of the bag.
+        robot: namespace of the only robot to show; empty = all.
+
+    Raises:
+        RecordError: the bag cannot be read, or is empty.
+        ConfigError: the bag has no such robot.
+    """
+    with BagReader(folder) as bag:
+        infos = {name: info for name, info in bag.topics().items() if info.count}
+        if not infos:
+            raise RecordError(f"bag {folder} holds no messages: there is nothing to plot")
+        names = robot_namespaces(infos)
+        if robot and robot.strip("/") not in names:
+            there = ", ".join(name for name in names if name) or "one without a namespace: leave --robot out"
+            hint = nearest(robot, [name for name in names if name])
+            raise ConfigError(f"--robot {quoted(robot)}: the bag has {there}{f'; {hint}' if hint else ''}")
+        reading = _Reading(bag, infos, (robot.strip("/"),) if robot else names)
+        reading.read()
+        return reading.run()
+
+
+class _OfRobot:
+    """Topics and data of one robot while the bag is read."""
+
+    def __init__(self, name: str, infos: Mapping[str, TopicInfo]) -> None:
+        self.name = name
+        prefix = f"/{name}" if name else ""
+        own = {topic.removeprefix(prefix): info for topic, info in infos.items() if topic.startswith(f"{prefix}/")}
+        truths = [topic for topic in own if topic.rpartition("/")[0].endswith("/ground_truth")]
+        # Of the others: the only odometry of a bag counts as the wheels', whatever its name.
+        found = roles.find_topics({topic: info for topic, info in own.items() if topic not in truths}, {}, "")
+        role_of = {
+            found[role]: use for role, use in (("cmd_vel", "cmd_vel"), ("odom", "odom"), ("truth", "estimate")) if role in found
+        }
+        role_of.update({topic: "truth" for topic in truths[:1] if own[topic].type_name in (roles.ODOMETRY, roles.POSE)})
+        self.role_of = {prefix + topic: role for topic, role in role_of.items()}
+        self.rows: dict[str, list[tuple[float, ...]]] = {
+            "cmd_vel": [],
+            "odom": [],
+            "truth": [],
+            "estimate": [],
+            "map_from_odom": [],
+        }
+        self.odom_frame = self.map_frame = ""
+
+    def topic(self, role: str) -> str:
+        """Returns the topic of a role; empty = the bag has none."""
+        return next((topic for topic, is_for in self.role_of.items() if is_for == role), "")
+
+
+class _Reading:
+    """One pass over a bag."""
+
+    def __init__(self, bag: BagReader, infos: Mapping[str, TopicInfo], names: tuple[str, ...]) -> None:
+        self._bag, self._infos = bag, infos
+        self._origin_ns = origin_ns(bag)
+        self._robots = [_OfRobot(name, infos) for name in names]
+        self._owner = {topic: (robot, role) for robot in self._robots for topic, role in robot.role_of.items()}
+        self._touches = TouchFinder(infos, names, robot_bodies(bag, names))
+        self._log: dict[str, list[int]] = {topic: [] for topic in infos}
+        self._map_topic = _map_topic(infos)
+        self._map: Any = None
+        self._notes: list[str] = []
+
+    def read(self) -> None:
+        """Reads all messages once; decodes only those that are drawn."""
+        for topic, log_ns, data in self._bag.raw_messages():
+            self._log[topic].append(log_ns)
+            info, t = self._infos[topic], (log_ns - self._origin_ns) / NS_PER_S
+            if topic in self._owner:
+                self._add(*self._owner[topic], t, self._bag.decode(info.type_name, data))
+            elif topic == self._map_topic:
+                self._map = self._bag.decode(info.type_name, data)
+            elif info.type_name == roles.TF and topic.rpartition("/")[2] in ("tf", "tf_static"):
+                self._transforms(topic, t, self._bag.decode(info.type_name, data))
+            elif self._touches.needs(topic):
+                self._touches.add(topic, t, self._bag.decode(info.type_name, data))
+
+    def _add(self, robot: _OfRobot, role: str, t: float, msg: Any) -> None:
+        if role == "cmd_vel":
+            twist = getattr(msg, "twist", msg)
+            robot.rows[role].append((t, twist.linear.x, twist.linear.y, twist.angular.z))
+            return
+        if role == "odom" and not robot.odom_frame:
+            robot.odom_frame = msg.header.frame_id.lstrip("/")
+        pose, twist = msg.pose, getattr(msg, "twist", None)
+        pose = getattr(pose, "pose", pose)
+        q = pose.orientation
+        v = (np.nan, np.nan, np.nan) if twist is None else (twist.twist.linear.x, twist.twist.linear.y, twist.twist.angular.z)
+        robot.rows[role].append((t, pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w)), *v))
+
+    def _transforms(self, topic: str, t: float, msg: Any) -> None:
+        """Keeps the transforms map -> odom of each robot, by its namespace or the prefix of its frames."""
+        for one in msg.transforms:
+            parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
+            if parent.rpartition("/")[2] != "map" or child.rpartition("/")[2] != "odom":
+                continue
+            for robot in self._robots:
+                if robot.name in ("", topic.rpartition("/")[0].strip("/"), child.rpartition("/")[0]):
+                    move, q = one.transform.translation, one.transform.rotation
+                    robot.rows["map_from_odom"].append((t, move.x, move.y, yaw_from_quat((q.x, q.y, q.z, q.w))))
+
+    def run(self) -> RecordedRun:
+        """Returns the run from the messages read."""
+        first_ns, last_ns = self._bag.span_ns
+        touches = self._touches.touches()
+        robots = tuple(self._robot(robot, touches) for robot in self._robots)
+        floor = self._floor(robots)
+        started = datetime.fromtimestamp(first_ns / NS_PER_S, timezone.utc)
+        label = f"seconds since {started:%Y-%m-%d %H:%M:%S} UTC" if self._origin_ns else "simulation time, s"
+        shown = [topic for topic, info in self._infos.items() if not info.latched and not topic.endswith(_QUIET)]
+        arrivals = tuple(
+            Arrivals(topic, (np.array(self._log[topic], dtype=np.int64) - self._origin_ns) / NS_PER_S)
+            for topic in shown
+            if len(self._log[topic]) >= _LEAST_ARRIVALS
+        )
+        return RecordedRun(
+            self._bag.folder, (first_ns - self._origin_ns) / NS_PER_S, (last_ns - self._origin_ns) / NS_PER_S, label, robots, floor,
+            bool(self._touches.topics), arrivals, tuple(self._notes),
+        )  # fmt: skip
+
+    def _robot(self, robot: _OfRobot, touches: tuple[Touch, ...]) -> RobotRun:
+        odometry, truth = _track(robot, "odom"), _track(robot, "truth")
+        estimate = _track(robot, "estimate") or _by_transforms(robot, odometry)
+        if truth is not None and estimate is not None and _distance(truth, estimate) < _SAME_M:
+            estimate = None
+        onto = truth or estimate
+        if odometry is not None and onto is not None:
+            odometry = odometry.laid_onto(onto)
+        return RobotRun(
+            robot.name, truth, odometry, estimate, _commands(robot), _velocities(robot, "odom"), _velocities(robot, "truth"),
+            tuple(touch for touch in touches if touch.robot == robot.name),
+        )  # fmt: skip
+
+    def _floor(self, robots: tuple[RobotRun, ...]) -> Floor | None:
+        """Returns the map of the bag, else that of its scene; None where no pose is known in it."""
+        if not any(robot.truth or robot.estimate for robot in robots):
+            if self._map is not None:
+                self._notes.append(
+                    "the map is left out: the bag has neither a true pose nor a localiser's, so the odometry's place in it is unknown"
+                )
+            return None
+        if self._map is not None:
+            info = self._map.info
+            cells = np.asarray(self._map.data, dtype=np.int8).reshape(info.height, info.width)
+            return Floor(cells, float(info.resolution), (info.origin.position.x, info.origin.position.y), self._map_topic)
+        return self._floor_of_scene()
+
+    def _floor_of_scene(self) -> Floor | None:
+        name = str(read_facts(self._bag.folder).settings.get("physics", {}).get("scene", ""))
+        if not name:
+            return None
+        # Loaded here: most bags have a map.
+        from gibson_sim.maps.floor_map import scene_floor_map
+        from gibson_sim.scenes.load import load_scene
+
+        try:
+            floor = scene_floor_map(load_scene(name), robot_height=_MAP_HEIGHT)
+        except GibsonSimError as error:
+            self._notes.append(f"there is no map: the bag has none, and that of its scene cannot be made ({error})")
+            return None
+        cells = np.where(floor.occupied, 100, np.where(floor.floor, 0, -1)).astype(np.int8)
+        return Floor(cells, floor.resolution, floor.origin, f"scene {name}")
+
+
+def _map_topic(infos: Mapping[str, TopicInfo]) -> str:
+    """Returns the topic of the map: ``/map``, else the only grid that is no costmap; empty = there is none."""
+    grids = [name for name, info in infos.items() if info.type_name == roles.MAP and "costmap" not in name]
+    if "/map" in grids:
+        return "/map"
+    return grids[0] if len(grids) == 1 else ""
+
+
+def _table(rows: list[tuple[float, ...]]) -> F64 | None:
+    """Returns rows as an array, (N, C), sorted by strictly increasing time; None if there are fewer than two."""
+    if len(rows) < 2:
+        return None
+    table = np.array(rows, dtype=np.float64)
+    _, first = np.unique(table[:, 0], return_index=True)
+    return table[first] if len(first) > 1 else None
+
+
+def _track(robot: _OfRobot, role: str) -> Track | None:
+    table = _table(robot.rows[role])
+    if table is None:
+        return None
+    return Track(table[:, 0], table[:, 1], table[:, 2], np.unwrap(table[:, 3]), robot.topic(role))
+
+
+def _velocities(robot: _OfRobot, role: str) -> Velocities | None:
+    table = _table(robot.rows[role])
+    if table is None or not np.isfinite(table[:, 4:]).all():
+        return None
+    return Velocities(table[:, 0], table[:, 4], table[:, 5], table[:, 6], robot.topic(role))
+
+
+def _commands(robot: _OfRobot) -> Velocities | None:
+    if not robot.rows["cmd_vel"]:
+        return None
+    table = np.array(robot.rows["cmd_vel"], dtype=np.float64)
+    return Velocities(table[:, 0], table[:, 1], table[:, 2], table[:, 3], robot.topic("cmd_vel"))
+
+
+def _by_transforms(robot: _OfRobot, odometry: Track | None) -> Track | None:
+    """Returns odometry in the map frame by a localiser's transforms map -> odom; None = there are none."""
+    rows = robot.rows["map_from_odom"]
+    if odometry is None or not rows:
+        return None
+    table = np.array(rows, dtype=np.float64)
+    known = odometry.t >= table[0, 0]
+    if np.count_nonzero(known) < 2:
+        return None
+    at = np.searchsorted(table[:, 0], odometry.t[known], side="right") - 1
+    x, y, yaw = table[at, 1], table[at, 2], np.unwrap(table[:, 3])[at]
+    c, s = np.cos(yaw), np.sin(yaw)
+    ox, oy = odometry.x[known], odometry.y[known]
+    return Track(odometry.t[known], x + c * ox - s * oy, y + s * ox + c * oy, odometry.yaw[known] + yaw, "tf map -> odom")
+
+
+def _distance(a: Track, b: Track) -> float:
+    """Returns the greatest distance of two tracks at the times that both have, metres; infinite if they have none in common."""
+    t = b.t[(b.t >= a.t[0]) & (b.t <= a.t[-1])]
+    if not len(t):
+        return float("inf")
+    x, y = np.interp(t, b.t, b.x) - np.interp(t, a.t, a.x), np.interp(t, b.t, b.y) - np.interp(t, a.t, a.y)
+    return float(np.hypot(x, y).max())

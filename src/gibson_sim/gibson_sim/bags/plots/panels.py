@@ -1,0 +1,357 @@
+"""Draws the panels of a run on axes of matplotlib: paths on the map, velocities, contacts, rates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.bags.plots.run_data import F64, Floor, RecordedRun, RobotRun, Track
+
+INK, ASKED, RED = "#111827", "#9ca3af", "#dc2626"
+ROBOT_COLOURS = ("#1d4ed8", "#c2410c", "#047857", "#7c3aed", "#be185d", "#0e7490", "#a16207", "#4d7c0f")
+"""Colours of robots; they repeat."""
+ESTIMATE = "#047857"
+"""Colour of the estimate of a single robot."""
+ASKED_STYLE: tuple[str, dict[str, Any]] = ("asked (cmd_vel)", {"linewidth": 1.6, "linestyle": "--"})
+TRUE_STYLE: tuple[str, dict[str, Any]] = ("in truth", {"linewidth": 1.3})
+WHEEL_STYLE: tuple[str, dict[str, Any]] = ("by the wheels", {"linewidth": 1.1, "alpha": 0.5})
+"""Labels and lines of velocities."""
+PATH_STYLE: tuple[str, dict[str, Any]] = ("true path", {"linewidth": 2.2, "alpha": 0.85})
+ODOMETRY_STYLE: tuple[str, dict[str, Any]] = ("odometry", {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 4})
+ESTIMATE_STYLE: tuple[str, dict[str, Any]] = ("estimate", {"linewidth": 1.6, "linestyle": (0, (1, 1.2)), "zorder": 4})
+"""Labels and lines of paths."""
+_FLOOR_COLOURS = ((1.0, 1.0, 1.0), (0.61, 0.64, 0.69), (0.925, 0.933, 0.945))
+"""Colours of a free, an occupied and an unknown cell."""
+_MARGIN_M = 1.0
+"""Least margin about the paths, metres."""
+_WHOLE_MAP_M, _LARGE_MAP = 25.0, 4.0
+"""Size up to which a map is shown whole, metres; beyond, it is cropped to the paths if it is that many times as large as they are."""
+_HOLD_S = 0.5
+"""Gap between commands, s, after which none is drawn."""
+_MOST_CONTACTS, MOST_TOPICS = 12, 45
+"""Rows of contacts, and of topics."""
+_MOST_BINS = 120
+"""Columns of the rates of topics."""
+_MARKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600)
+"""Times between marks along a path, s."""
+
+
+def colours(run: RecordedRun) -> dict[str, str]:
+    """Returns a colour for each robot."""
+    return {robot.name: ROBOT_COLOURS[i % len(ROBOT_COLOURS)] for i, robot in enumerate(run.robots)}
+
+
+def contact_rows(run: RecordedRun) -> list[tuple[str, str]]:
+    """Returns (robot, other) of the contacts that are shown, those that lasted longest, in the order of their first contact."""
+    seconds: dict[tuple[str, str], float] = {}
+    for robot in run.robots:
+        for touch in robot.touches:
+            key = (robot.name, touch.other)
+            seconds[key] = seconds.get(key, 0.0) + touch.end - touch.begin + 1e-3
+    longest = sorted(seconds, key=lambda key: -seconds[key])[:_MOST_CONTACTS]
+    return [key for key in seconds if key in longest]
+
+
+def draw_paths(axis: Any, run: RecordedRun) -> None:
+    """Draws the map, the paths of the robots, their starts and ends, and where they touched something."""
+    if run.floor is not None:
+        _draw_floor(axis, run.floor)
+    tint, alone, numbers = colours(run), len(run.robots) == 1, {key: i + 1 for i, key in enumerate(contact_rows(run))}
+    for robot in run.robots:
+        for track, what, style in _tracks(robot, tint[robot.name], alone):
+            axis.plot(track.x, track.y, label=what, **style)
+        reference = robot.reference
+        if reference is None:
+            continue
+        axis.plot(reference.x[:1], reference.y[:1], "o", color=INK if alone else tint[robot.name], markersize=7, zorder=5)
+        _draw_end(axis, reference, INK if alone else tint[robot.name])
+        if alone:
+            _draw_times(axis, run, reference)
+        for touch in robot.touches:
+            number = numbers.get((robot.name, touch.other))
+            if number is not None:
+                _draw_touch(axis, *reference.at(touch.begin)[:2], number)
+    axis.set(title=_path_title(run), xlabel="x, m", ylabel="y, m")
+    axis.set_aspect("equal", adjustable="box" if run.floor is not None else "datalim")
+    if run.floor is not None:
+        axis.grid(False)
+        axis.set_facecolor(_FLOOR_COLOURS[2])
+        left, right, bottom, top = _window(run, run.floor)
+        axis.set(xlim=(left, right), ylim=(bottom, top))
+    if any(robot.reference is not None for robot in run.robots):
+        given = axis.get_legend_handles_labels() if alone else _styles_and_robots(run, *_path_styles(run))
+        axis.legend(*given, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3 if alone else 4, fontsize=8.5)
+    else:
+        axis.text(0.5, 0.5, "no odometry and no pose in the bag", ha="center", va="center", transform=axis.transAxes, color=ASKED)
+
+
+def _path_styles(run: RecordedRun) -> list[tuple[str, dict[str, Any]]]:
+    """Returns the styles of the paths that there are."""
+    kinds = (("truth", PATH_STYLE), ("odometry", ODOMETRY_STYLE), ("estimate", ESTIMATE_STYLE))
+    return [style for kind, style in kinds if any(getattr(robot, kind) is not None for robot in run.robots)]
+
+
+def path_aspect(run: RecordedRun) -> float:
+    """Returns width by height of the shown part of the map; 1 without a map."""
+    if run.floor is None:
+        return 1.0
+    left, right, bottom, top = _window(run, run.floor)
+    return (right - left) / max(top - bottom, 1e-6)
+
+
+def _path_title(run: RecordedRun) -> str:
+    names = ", ".join(robot.name for robot in run.robots if robot.name)
+    where = f"path on {run.floor.source}" if run.floor is not None else "path"
+    return f"{run.folder.resolve().name}{f' ({names})' if names else ''}, {run.end - run.begin:.1f} s: {where}"
+
+
+def _tracks(robot: RobotRun, colour: str, alone: bool) -> list[tuple[Track, str, dict[str, Any]]]:
+    """Returns the tracks of a robot with their labels and styles, the wheels' above the truth where both are the same."""
+    onto = (
+        ", from its true start"
+        if robot.truth is not None
+        else ", from its start on the map"
+        if robot.estimate is not None
+        else ""
+    )
+    found = (
+        (robot.truth, "", INK, PATH_STYLE),
+        (robot.odometry, onto, colour, ODOMETRY_STYLE),
+        (robot.estimate, f" ({robot.estimate.source})" if robot.estimate is not None else "", ESTIMATE, ESTIMATE_STYLE),
+    )
+    return [
+        (track, f"{label}{more}", {**style, "color": own if alone else colour})
+        for track, more, own, (label, style) in found
+        if track is not None
+    ]
+
+
+def _draw_floor(axis: Any, floor: Floor) -> None:
+    free, occupied, unknown = (np.array(colour, dtype=np.float32) for colour in _FLOOR_COLOURS)
+    part = np.clip(floor.cells.astype(np.float32) / 100.0, 0.0, 1.0)[..., None]
+    pixels = np.where(floor.cells[..., None] < 0, unknown, free + part * (occupied - free))
+    axis.imshow(pixels, extent=floor.extent, origin="lower", interpolation="nearest", zorder=0)
+
+
+def _window(run: RecordedRun, floor: Floor) -> tuple[float, float, float, float]:
+    """Returns left, right, bottom and top of the shown part of the map, metres."""
+    known = np.argwhere(floor.cells >= 0)
+    left, right, bottom, top = floor.extent
+    if len(known):
+        (row0, column0), (row1, column1) = known.min(axis=0), known.max(axis=0) + 1
+        x, y = floor.origin
+        left, right = x + column0 * floor.resolution, x + column1 * floor.resolution
+        bottom, top = y + row0 * floor.resolution, y + row1 * floor.resolution
+    tracks = [track for robot in run.robots for track in (robot.truth, robot.odometry, robot.estimate) if track is not None]
+    xs, ys = np.concatenate([t.x for t in tracks]), np.concatenate([t.y for t in tracks])
+    size = max(float(np.ptp(xs)), float(np.ptp(ys)), 2.0 * _MARGIN_M)
+    margin = max(_MARGIN_M, 0.25 * size)
+    if max(right - left, top - bottom) > max(_WHOLE_MAP_M, _LARGE_MAP * size):
+        return float(xs.min()) - margin, float(xs.max()) + margin, float(ys.min()) - margin, float(ys.max()) + margin
+    return (
+        min(left, float(xs.min()) - 0.3),
+        max(right, float(xs.max()) + 0.3),
+        min(bottom, float(ys.min()) - 0.3),
+        max(top, float(ys.max()) + 0.3),
+    )
+
+
+def _draw_end(axis: Any, track: Track, colour: str) -> None:
+    """Draws a triangle at the last pose, which points forward."""
+    yaw = float(track.yaw[-1])
+    axis.plot(track.x[-1:], track.y[-1:], marker=(3, 0, float(np.degrees(yaw)) - 90.0), color=colour, markersize=11, zorder=5)
+
+
+def _draw_touch(axis: Any, x: float, y: float, number: int) -> None:
+    """Draws a red dot with the number of the contact beside it."""
+    axis.plot([x], [y], "o", color=RED, markersize=5, zorder=6)
+    axis.annotate(
+        str(number), (x, y), xytext=(-9, -9), textcoords="offset points", ha="center", va="center", fontsize=8, color=RED,
+        weight="bold", zorder=7, bbox={"boxstyle": "circle,pad=0.22", "facecolor": "white", "edgecolor": RED, "linewidth": 1.2},
+    )  # fmt: skip
+
+
+def _draw_times(axis: Any, run: RecordedRun, track: Track) -> None:
+    """Marks the path with times, which the other panels have on their axes; not where the robot stands."""
+    seconds = run.end - run.begin
+    every = next((mark for mark in _MARKS if seconds / mark <= 12), _MARKS[-1])
+    before: tuple[float, float] | None = None
+    left, right, bottom, top = (float(f(v)) for v in (track.x, track.y) for f in (np.min, np.max))
+    apart = 0.06 * max(right - left, top - bottom, 1.0)
+    for t in np.arange(np.ceil((run.begin + 1e-6) / every) * every, float(track.t[-1]) + 1e-9, every):
+        x, y, _ = track.at(float(t))
+        if t < track.t[0] or (before is not None and np.hypot(x - before[0], y - before[1]) < apart):
+            continue
+        before = x, y
+        axis.plot([x], [y], "o", color=INK, markersize=3, zorder=5)
+        axis.annotate(
+            f"{t:g} s", (x, y), xytext=(5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6,
+            bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
+        )  # fmt: skip
+
+
+def velocity_parts(run: RecordedRun) -> list[tuple[str, str]]:
+    """Returns name and label of the shown parts of velocities; sideways only where it is commanded or had."""
+    given = [v for robot in run.robots for v in (robot.commands, robot.by_wheels, robot.in_truth) if v is not None]
+    moves = any(np.abs(v.sideways).max(initial=0.0) > 0.02 for v in given)
+    sideways = [("sideways", "sideways, m/s")] if moves else []
+    return [("forward", "forward, m/s"), *sideways, ("turning", "turning, rad/s")]
+
+
+def draw_velocities(axis: Any, run: RecordedRun, part: str, label: str) -> None:
+    """Draws one part of the velocities: asked for by commands, by wheel odometry, and in truth."""
+    tint, alone = colours(run), len(run.robots) == 1
+    for robot in run.robots:
+        colour = tint[robot.name]
+        for velocities, own, (what, style) in (
+            (robot.commands, ASKED, ASKED_STYLE),
+            (robot.in_truth, INK, TRUE_STYLE),
+            (robot.by_wheels, colour, WHEEL_STYLE),
+        ):
+            if velocities is None:
+                continue
+            t, values = velocities.t, getattr(velocities, part)
+            if velocities is robot.commands:
+                t, values = _held(t, values, run.end)
+            axis.plot(t, values, label=what, **{**style, "color": own if alone else colour})
+        for touch in robot.touches:
+            if touch.is_press:
+                axis.axvspan(touch.begin, touch.end, color=RED, alpha=0.08, linewidth=0)
+    axis.set(ylabel=label, xlim=_time_limits(run))
+    if not axis.get_legend_handles_labels()[0]:
+        axis.text(0.5, 0.5, "no velocities in the bag", ha="center", va="center", transform=axis.transAxes, color=ASKED)
+
+
+def _time_limits(run: RecordedRun) -> tuple[float, float]:
+    """Returns the ends of the time axes, s; a run's first message comes a step after 0."""
+    return (0.0 if 0.0 < run.begin < 0.05 * run.end else run.begin), run.end
+
+
+def _held(t: F64, values: F64, end: float) -> tuple[F64, F64]:
+    """Returns a line that holds each command until the next, and ends ``_HOLD_S`` after the last one of a series."""
+    until = np.append(t[1:], end)
+    stops = np.minimum(until, t + _HOLD_S)
+    breaks = np.where(until - t > _HOLD_S, np.nan, values)
+    return np.column_stack([t, stops, stops]).ravel(), np.column_stack([values, values, breaks]).ravel()
+
+
+def draw_contacts(axis: Any, run: RecordedRun) -> None:
+    """Draws when each thing was touched, a row each, with the numbers of ``draw_paths``."""
+    rows, tint, alone = contact_rows(run), colours(run), len(run.robots) == 1
+    axis.set(xlim=_time_limits(run), ylim=(len(rows) + 0.1 or 1.0, -0.6) if rows else (0, 1))
+    if not rows:
+        text = "touched nothing" if run.tells_contacts else "the bag has no contacts: record collisions, contacts or bumper"
+        axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes, color="#6b7280")
+        axis.set_yticks([])
+        axis.grid(False)
+        return
+    shortest = 0.004 * (run.end - run.begin)
+    forces = dict.fromkeys(rows, 0.0)
+    for robot in run.robots:
+        for touch in robot.touches:
+            key = (robot.name, touch.other)
+            if key in forces:
+                forces[key] = max(forces[key], touch.force)
+                width = max(touch.end - touch.begin, shortest)
+                axis.barh(
+                    rows.index(key), width, left=touch.begin, height=0.6, color=RED if alone else tint[robot.name], alpha=0.85
+                )
+    names = [other or "bumper" if alone or not robot else f"{robot}: {other or 'bumper'}" for robot, other in rows]
+    axis.set_yticks(range(len(rows)), [f"{i + 1}  {name}" for i, name in enumerate(names)], fontsize=8.5)
+    axis.set_ylim(len(rows) - 0.4, -0.6)
+    axis.grid(axis="y", visible=False)
+    for row, key in enumerate(rows):
+        if forces[key] >= 0.5:
+            axis.text(
+                1.005,
+                row,
+                f"max {forces[key]:.0f} N",
+                transform=axis.get_yaxis_transform(),
+                va="center",
+                fontsize=8,
+                color="#4b5563",
+            )
+
+
+def rates(run: RecordedRun) -> tuple[F64, F64, list[tuple[str, float]]]:
+    """Returns the rates of topics over time.
+
+    Returns:
+        The edges of the bins, (B + 1,), s; the rate in each bin as a part of the topic's usual one, (T, B); name and usual rate, Hz, of each
+        topic. Of topics with fewer than three messages in a bin, the mean of three bins.
+    """
+    edges = _bins(run.begin, run.end)
+    widths = np.diff(edges)
+    names, parts = [], []
+    for arrivals in run.arrivals[:MOST_TOPICS]:
+        found = np.histogram(arrivals.t, edges)[0] / widths
+        usual = float(np.median(found[found > 0.0])) if found.any() else 1.0
+        if usual * widths[0] < 3.0 and len(found) >= 3:
+            ones = np.ones(3)
+            found = np.convolve(found * widths, ones, "same") / np.convolve(widths, ones, "same")
+            usual = float(np.median(found[found > 0.0])) if found.any() else 1.0
+            found = np.minimum(found, usual)
+        names.append((arrivals.topic, usual))
+        parts.append(found / usual)
+    return edges, np.array(parts, dtype=np.float64).reshape(len(names), len(widths)), names
+
+
+def _bins(begin: float, end: float) -> F64:
+    """Returns the edges of bins of a round number of seconds, the first and the last as far as the recording reaches."""
+    width = next((mark for mark in (0.5, *_MARKS) if (end - begin) / mark <= (20 if mark < 1 else _MOST_BINS)), float(_MARKS[-1]))
+    first = np.floor(begin / width + 1e-6) * width
+    edges = np.arange(first, end, width)
+    if end - edges[-1] < 0.5 * width and len(edges) > 1:
+        edges = edges[:-1]
+    edges = np.append(edges, end if end > edges[-1] else edges[-1] + width)
+    if begin - edges[0] > 0.1 * width:
+        edges[0] = begin
+    return np.asarray(edges, dtype=np.float64)
+
+
+def draw_rates(axis: Any, run: RecordedRun) -> None:
+    """Draws the rate of each topic over time: a row each, white where nothing came, with its usual rate beside it."""
+    edges, parts, names = rates(run)
+    axis.set(xlim=_time_limits(run))
+    axis.grid(False)
+    if not names:
+        axis.text(0.5, 0.5, "no topic has several messages", ha="center", va="center", transform=axis.transAxes, color=ASKED)
+        return
+    from matplotlib.colors import LinearSegmentedColormap
+
+    shades = LinearSegmentedColormap.from_list("rates", ["#ffffff", "#dbeafe", "#60a5fa", "#1e40af"])
+    axis.pcolormesh(edges, np.arange(len(names) + 1), parts, cmap=shades, vmin=0.0, vmax=1.8, linewidth=0, rasterized=True)
+    axis.set_yticks(np.arange(len(names)) + 0.5, [name for name, _ in names], fontsize=8)
+    axis.tick_params(axis="y", length=0)
+    axis.set_ylim(len(names), 0)
+    axis.hlines(np.arange(1, len(names)), *_time_limits(run), color="white", linewidth=1.5)
+    for row, (_, rate) in enumerate(names):
+        axis.text(
+            1.005, row + 0.5, _rate_text(rate), transform=axis.get_yaxis_transform(), va="center", fontsize=8, color="#4b5563"
+        )
+
+
+def _rate_text(rate: float) -> str:
+    return f"{rate:.0f} Hz" if rate >= 9.5 else f"{rate:.1f} Hz"
+
+
+def draw_legend(axis: Any, run: RecordedRun) -> None:
+    """Draws the legend of the velocities above their first panel: of lines, and for several robots, of their colours."""
+    handles, labels = axis.get_legend_handles_labels()
+    if not handles:
+        return
+    if len(run.robots) > 1:
+        handles, labels = _styles_and_robots(run, ASKED_STYLE, TRUE_STYLE, WHEEL_STYLE)
+    axis.legend(
+        handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(handles), fontsize=8.5, borderaxespad=0.2
+    )
+
+
+def _styles_and_robots(run: RecordedRun, *styles: tuple[str, dict[str, Any]]) -> tuple[list[Any], list[str]]:
+    """Returns handles and labels of a legend of several robots: what each style of line is, and whose each colour."""
+    from matplotlib.lines import Line2D
+
+    lines = [(label, Line2D([], [], color="#6b7280", **style)) for label, style in styles]
+    lines += [(name, Line2D([], [], color=colour, linewidth=4.0)) for name, colour in colours(run).items()]
+    return [line for _, line in lines], [label for label, _ in lines]
