@@ -166,7 +166,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
     drive = f"the drive {args.drive} commands the robot" if args.drive else ""
     ends = [f"after {config.duration:g} s of simulation time"] * bool(config.duration) + ["at the end of the drive"] * bool(drive)
     ends += ["when the images are written"] * bool(args.snapshot)
-    job.hints = Hints(domain, drive, " or ".join([*ends, "Ctrl-C"]), config.start_paused)
+    job.hints = Hints(domain, drive, f"{', '.join(ends)} or Ctrl-C" if ends else "Ctrl-C", config.start_paused)
     return job
 
 

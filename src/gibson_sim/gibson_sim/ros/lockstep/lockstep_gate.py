@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Collection
 from typing import Any
@@ -18,6 +19,7 @@ from gibson_sim.ros import conversions
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.topics.stamped_commands import StampedCommands
+from gibson_sim.standard.job_folder import STATUS, note_of_job
 from gibson_sim.standard.lockstep import CAMERAS, Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
 
@@ -130,7 +132,10 @@ class LockstepGate:
             self._reported_ns = now_ns
             if self._remove_gone_watchers(now_ns):
                 return core.is_open
-            self._node.get_logger().warning(f"lockstep: waiting for {self._describe_late()}; {waited_ns / NS_PER_S:.1f} s so far")
+            if not core.missing or any(_loading(name) is None for name in core.missing):  # what loads tells so itself
+                self._node.get_logger().warning(
+                    f"lockstep: waiting for {self._describe_late()}; {waited_ns / NS_PER_S:.1f} s so far"
+                )
         return False
 
     def summary(self) -> dict[str, Any]:
@@ -231,11 +236,7 @@ class LockstepGate:
         """Returns which participants are late, with what, and what is known of their nodes."""
         core = self.core
         if core.missing:
-            nodes = {
-                f"{namespace.strip('/')}/{name}".lstrip("/") for name, namespace in self._node.get_node_names_and_namespaces()
-            }
-            known = {True: "the node has started, it may be loading", False: "there is no such node yet"}
-            return ", ".join(f"{quoted(name)} to join ({known[name in nodes]})" for name in core.missing)
+            return ", ".join(f"{quoted(name)} to join ({self._known_of(name)})" for name in core.missing)
         what = "to be discovered" if core.stamp_ns is None else f"to finish the tick at {core.stamp_ns / NS_PER_S:.3f} s"
         there, answers = self._participating_nodes(), {p.name: p.answer for p in core.participants}
         parts = []
@@ -243,9 +244,16 @@ class LockstepGate:
             if answer := answers.get(name):
                 known_of_it = f"no {'message' if self._node.count_publishers(answer) else 'publisher'} on {answer}"
             else:
-                known_of_it = "the node hangs or is slow" if name in there else "there is no such node"
+                known_of_it = "the node hangs or is slow" if name in there else self._known_of(name)
             parts.append(f"{quoted(name)} {what} ({known_of_it})")
         return ", ".join(parts)
+
+    def _known_of(self, name: str) -> str:
+        """Returns what is known of a participant that does not take part: what it loads, if the same job started it, or whether its node exists."""
+        if (loading := _loading(name)) is not None:
+            return f"it is loading: {loading}"
+        nodes = {f"{namespace.strip('/')}/{node}".lstrip("/") for node, namespace in self._node.get_node_names_and_namespaces()}
+        return "the node has started, it may be loading" if name in nodes else "no node of this name has been seen yet"
 
     # Discovery
 
@@ -315,3 +323,9 @@ def _full_name(info: Any) -> str:
 def _ticks(after: str) -> str:
     """Returns which ticks a participant waits for, in words."""
     return "ticks with camera images" if after == CAMERAS else f"ticks with {after}" if after else "every tick"
+
+
+def _loading(name: str) -> str | None:
+    """Returns what a participant that the same job started loads; None = nothing, or another job started it."""
+    note = note_of_job(STATUS.format(name.rpartition("/")[2]))
+    return None if note is None else json.loads(note).get("loading")
