@@ -52,7 +52,8 @@ def drawn(size: tuple[float, float], draw: Callable[[Any], None], *, form: str, 
         figure = Figure(figsize=size, layout="constrained", dpi=dpi)
         draw(figure)
         file = io.BytesIO()
-        figure.savefig(file, format=form, dpi=dpi, metadata={"Date": None} if form == "svg" else None)
+        metadata = {"Date": None} if form == "svg" else None
+        figure.savefig(file, format=form, dpi=dpi, metadata=metadata, bbox_inches="tight", pad_inches=0.12)
     return file.getvalue()
 
 
