@@ -80,12 +80,16 @@ _KINDS = {
     "launch.actions": (
         "DeclareLaunchArgument",
         "EmitEvent",
+        "IncludeLaunchDescription",
         "LogInfo",
         "OpaqueFunction",
         "RegisterEventHandler",
     ),
+    "launch.conditions": ("IfCondition",),
     "launch.event_handlers": ("OnProcessExit",),
     "launch.events": ("Shutdown",),
+    "launch.launch_description_sources": ("PythonLaunchDescriptionSource",),
+    "launch.substitutions": ("EqualsSubstitution", "LaunchConfiguration"),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
 }
