@@ -12,13 +12,15 @@ from gibson_sim.cli.command_line import run
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
 from gibson_sim.robots.load import derive_file
-from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.scenes.robot_files import load_robot, mesh_points
 
 BODY = '<link name="{}"><collision><origin xyz="0 0 {}"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision></link>'
 ROUND = {
     "cylinder": '<collision><origin rpy="1.57 0 0"/><geometry><cylinder radius="0.08" length="0.04"/></geometry></collision>',
     "mesh": '<collision><geometry><mesh filename="wheel.obj"/></geometry></collision>',
     "drawn": '<visual><geometry><sphere radius="0.08"/></geometry></visual>',
+    "square": '<visual><geometry><sphere radius="0.08"/></geometry></visual><collision><geometry><box size="0.16 0.04 0.16"/></geometry></collision>',
+    "gone": '<visual><geometry><mesh filename="gone.obj"/></geometry></visual>',
     "leg": '<collision><origin xyz="0 0 -0.05"/><geometry><box size="0.02 0.02 0.1"/></geometry></collision>',
     "ball": '<collision><geometry><sphere radius="0.08"/></geometry></collision>',
 }
@@ -142,6 +144,31 @@ def test_wheels_that_hang_above_the_casters_are_lowered(tmp_path: Path) -> None:
     assert model.joint("front_left_wheel_joint").pose.position[2] == pytest.approx(-0.005)
 
 
+@pytest.mark.parametrize("shape", ["square", "mesh", "drawn"])
+def test_wheels_that_cannot_roll_become_spheres(tmp_path: Path, shape: str) -> None:
+    """Makers publish wheels that collide as boxes, as meshes, or not at all."""
+    derived = derive_file(written(tmp_path, pair(0.1, shape=shape)), mesh_points())
+    assert derived.values["round_wheels"] == {"front_left_wheel": 0.08, "front_right_wheel": 0.08}
+    model = read_urdf(load_robot(tmp_path / "bot.urdf").urdf)
+    assert [(c.shape.kind, c.shape.size[0]) for c in model.link("front_left_wheel").collisions] == [("sphere", 0.08)]
+    assert "round_wheels" not in derive_file(written(tmp_path, pair(0.1))).values
+
+
+def test_a_body_that_stands_without_its_wheels_is_lifted_onto_them(tmp_path: Path) -> None:
+    """The convex hull of a body is flat below, and hides that it has casters."""
+    inner = pair(0.05)
+    flat = derive_file(written(tmp_path, inner, BODY.format("base_link", -0.03)))
+    assert flat.values["wheel_drop"] == {"front_left_wheel_joint": 0.002, "front_right_wheel_joint": 0.002}
+    hanging = derive_file(written(tmp_path, inner, BODY.format("base_link", -0.025)))
+    assert hanging.values["wheel_drop"] == {"front_left_wheel_joint": -0.004, "front_right_wheel_joint": -0.004}
+    assert "nothing beside the wheels touches the floor" in "".join(map(str, hanging.guesses))
+    # A ball behind, or a body that is higher, is as it was meant.
+    ball = '<link name="ball"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
+    caster = ball + joint("ball", "base_link", "-0.15 0 -0.07", kind="fixed")
+    assert "wheel_drop" not in derive_file(written(tmp_path, inner + caster, BODY.format("base_link", -0.025))).values
+    assert "wheel_drop" not in derive_file(written(tmp_path, inner, BODY.format("base_link", 0.0))).values
+
+
 def test_what_is_guessed_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     scan = '<link name="base_scan"/>' + joint("base_scan", "base_link", "0 0 0.2", kind="fixed")
@@ -169,7 +196,7 @@ def test_what_is_guessed_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixtur
             "x must be forward",
         ),
         (wheel("a", "0.1 0.2 0"), "mirror each other"),
-        (pair(0.1, shape="drawn"), "have no collision shape"),
+        (pair(0.1, shape="gone"), "have no shape that can be read"),
         (steered(0.2), "no drive fits"),
         (pair(0.3) + steered(0.2), "steered in front"),
         (pair(0.1, z=0.3), "lower than the wheels"),

@@ -39,6 +39,7 @@ _ROBOT_KEYS = (
     "base_height",
     "fixed_base",
     "wheel_drop",
+    "round_wheels",
     "friction",
     "radius",
     "height",
@@ -172,9 +173,9 @@ def _model(robot: YamlMap, path: Path) -> UrdfModel:
     """Returns the links of a robot, whose root is the frame of odometry."""
     model = read_urdf(_description(robot, path))
     height = robot.numbers(("base_height",)).get("base_height", 0.0)
-    lowered, frictions = _numbers_of(robot, "wheel_drop"), _numbers_of(robot, "friction")
+    lowered, frictions, rounds = (_numbers_of(robot, key) for key in ("wheel_drop", "friction", "round_wheels"))
     try:
-        file = with_base(model, robot.text("base_link", model.root), height, lowered, frictions)
+        file = with_base(model, robot.text("base_link", model.root), height, lowered, frictions, rounds)
     except RobotError as error:
         raise RobotError(f"{path}: {error}") from error
     return model if file == model.path else read_urdf(file)

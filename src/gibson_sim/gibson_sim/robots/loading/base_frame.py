@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.description.extents import rigid_links
 from gibson_sim.description.rigid_groups import rpy_from_matrix
 from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.description.xacro import keep_description
@@ -20,7 +21,14 @@ FOOTPRINT = "base_footprint"
 """Name of the link on the floor."""
 
 
-def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, float], frictions: Mapping[str, float]) -> Path:
+def with_base(
+    model: UrdfModel,
+    base: str,
+    height: float,
+    drops: Mapping[str, float],
+    frictions: Mapping[str, float],
+    rounds: Mapping[str, float],
+) -> Path:
     """Returns a URDF whose root is the frame of odometry: the file itself if nothing changes, else one in the cache.
 
     Args:
@@ -29,11 +37,12 @@ def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, fl
         height: Height of the root above the floor, metres; if not 0, a link below it, named ``base_footprint``, becomes the root.
         drops: Joint -> distance by which its child is lowered, metres.
         frictions: Link -> Coulomb friction that replaces that of the file.
+        rounds: Link -> radius, metres, of a sphere about its origin that replaces its collision shapes, and those of links fixed to it.
 
     Raises:
         RobotError: ``base`` cannot be the root, or there is no such joint.
     """
-    if base == model.root and height == 0.0 and not any(drops.values()) and not frictions:
+    if base == model.root and height == 0.0 and not any(drops.values()) and not frictions and not rounds:
         return model.path
     if base not in model.fixed_to_root():
         known = ", ".join(model.fixed_to_root())
@@ -44,6 +53,7 @@ def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, fl
     top = parse_xml(read_file(model.path))
     _lower_joints(top, model, drops)
     _set_frictions(top, model, frictions)
+    _set_spheres(top, model, rounds)
     if base != model.root:
         _reverse_joints(top, model, base)
     if height != 0.0:
@@ -87,6 +97,19 @@ def _set_frictions(top: ET.Element, model: UrdfModel, frictions: Mapping[str, fl
         if given is None:
             given = ET.SubElement(contact, "lateral_friction")
         given.set("value", f"{value:.9g}")
+
+
+def _set_spheres(top: ET.Element, model: UrdfModel, rounds: Mapping[str, float]) -> None:
+    """Replaces the collision shapes of wheels by spheres."""
+    elements = {element.get("name"): element for element in top.findall("link")}
+    for name, radius in rounds.items():
+        if radius <= 0.0:
+            raise RobotError(f"round_wheels: the radius of {quoted(name)} is {radius:g} m, must be above 0")
+        for link in rigid_links(model, model.link(name).name):
+            for collision in elements[link].findall("collision"):
+                elements[link].remove(collision)
+        geometry = ET.SubElement(ET.SubElement(elements[name], "collision"), "geometry")
+        ET.SubElement(geometry, "sphere", radius=f"{radius:.9g}")
 
 
 def _reverse_joints(top: ET.Element, model: UrdfModel, base: str) -> None:

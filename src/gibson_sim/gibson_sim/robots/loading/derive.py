@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from gibson_sim.description.extents import MeshPoints, link_points, rigid_links
-from gibson_sim.description.rigid_groups import MOVING_TYPES
+from gibson_sim.description.rigid_groups import MOVING_TYPES, rigid_groups
 from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import RobotError
-from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.geometry.transforms import Mat4, transform_points
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.loading.base_frame import FOOTPRINT
 from gibson_sim.robots.loading.guess import Guess
@@ -31,6 +31,10 @@ _FLOOR = 0.005
 """Distance from the floor at which the root counts as on it, metres."""
 _LEAST_DROP, _MAX_DROP = 0.001, 0.03
 """Least and greatest height of wheels above the floor that is corrected, metres; more is an error in the file."""
+_HULL_MARGIN = 0.001
+"""Thickness that the engine adds to the convex hulls of meshes, metres."""
+_MAX_RAISE = 0.01
+"""Greatest distance of a body from the floor by which its two wheels are raised so that it stands on it, metres."""
 _TOUCHES = 0.01
 """Height above the lowest point of the wheels below which a link counts as touching the floor, metres."""
 _GRIP = 1.0
@@ -83,12 +87,12 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
         guesses.append(Guess("drive", "none, no wheels were found that could drive it"))
         _fix_base(model, points, values, guesses)
     if drive is not None:
-        drop = _drop(model, wheels, points)
+        drop, why = _drop(model, wheels, points)
         _base(model, min(wheel.bottom for wheel in wheels) - drop, values, guesses)
         if drop:
             values["wheel_drop"] = {wheel.joint.name: round(drop, 5) for wheel in wheels}
-            text = f"{drop * 1000:.2g} mm, since casters or the base reach that much lower than the wheels"
-            guesses.append(Guess("wheel_drop", text))
+            guesses.append(Guess("wheel_drop", f"{drop * 1000:.2g} mm, since {why}"))
+        _round_wheels(wheels, values, guesses)
         if drive["type"] in ("differential", "ackermann"):
             _friction(model, wheels, points, values, guesses)
         values["drive"] = drive
@@ -140,7 +144,7 @@ def _derive_drive(
         used = fixed
         drive = _multi_axle_drive(model, fixed)
     radius, how = _radius(model, used)
-    measured = [Wheel(w.joint, w.hub, w.radius or radius, w.collides, w.swivel) for p in used for w in (p.left, p.right)]
+    measured = [Wheel(w.joint, w.hub, w.radius or radius, w.rolls, w.swivel) for p in used for w in (p.left, p.right)]
     drive["wheel_radius"] = round(radius, 5)
     joints = ", ".join(wheel.joint.name for wheel in measured)
     track = float(used[0].left.hub[1] - used[0].right.hub[1])
@@ -252,10 +256,10 @@ def _multi_axle_drive(model: UrdfModel, pairs: Sequence[Pair]) -> dict[str, Any]
 def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:
     """Returns (radius of the driven wheels, metres, from what it is known)."""
     wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
-    bare = [wheel.joint.child for wheel in wheels if not wheel.collides]
+    bare = [wheel.joint.child for wheel in wheels if not wheel.rolls and wheel.radius == 0.0]
     if bare:
         raise RobotError(
-            f"{model.path}: its wheels have no collision shape that can be read, so that they touch no floor: {', '.join(bare)}; "
+            f"{model.path}: its wheels have no shape that can be read, so that they touch no floor: {', '.join(bare)}; "
             "give them a <collision> with a sphere or a cylinder"
         )
     driven = [wheel.radius for wheel in (pairs[0].left, pairs[0].right)]
@@ -272,25 +276,64 @@ def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:
     )
 
 
-def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) -> float:
-    """Returns the height of wheels above the floor, metres, as those on springs have in many files; 0 = they touch it."""
+def _round_wheels(wheels: Sequence[Wheel], values: dict[str, Any], guesses: list[Guess]) -> None:
+    """Lets wheels whose collision shape cannot roll collide as spheres."""
+    found = {wheel.joint.child: round(wheel.radius, 5) for wheel in wheels if not wheel.rolls}
+    if found:
+        values["round_wheels"] = found
+        text = ", ".join(f"{name} {radius:g} m" for name, radius in found.items())
+        guesses.append(
+            Guess("round_wheels", f"{text}, spheres instead of their collision shapes, which are meshes, not round, or missing")
+        )
+
+
+def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) -> tuple[float, str]:
+    """Returns (by how much the wheels must be lowered to bear the robot, metres, below 0 = raised, 0 = they are right; and why).
+
+    Those on springs hang above the floor in many files; and a body whose casters are part of it may stand on them alone, or hang above them.
+    """
     transforms = model.transforms()
     turning = {joint.child for joint in model.joints if joint.kind == "continuous" and not joint.has_motor}
     own = {name for wheel in wheels for name in rigid_links(model, wheel.joint.child)}
-    roots = [model.root, *(name for name in turning if name not in own)]
-    below = [(0.0, "")]
-    for name in dict.fromkeys(link for root in roots for link in rigid_links(model, root)):
-        spanned = link_points(model.link(name).collisions, transforms[name], points)
-        if len(spanned) and name not in own:
-            below.append((min(wheel.bottom for wheel in wheels) - float(spanned[:, 2].min()), name))
-    drop, lowest = max(below)
-    if drop > _MAX_DROP:
+    floor = min(wheel.bottom for wheel in wheels)
+    body = [name for name in rigid_links(model, model.root) if name not in own]
+    casters = [link for name in turning if name not in own for link in rigid_links(model, name)]
+    gaps = {name: low - floor for name in (*body, *casters) if (low := _lowest(model, [name], transforms, points)) is not None}
+    if not gaps:
+        return 0.0, ""
+    lowest = min(gaps, key=lambda name: gaps[name])
+    gap = gaps[lowest]
+    if gap < -_MAX_DROP:
         raise RobotError(
-            f"{model.path}: link {quoted(lowest)} reaches {drop:.3g} m lower than the wheels, so that they do not touch the floor; correct the "
+            f"{model.path}: link {quoted(lowest)} reaches {-gap:.3g} m lower than the wheels, so that they do not touch the floor; correct the "
             "origins in the file"
         )
     # A little lower, so that they carry the load that the casters otherwise would.
-    return drop + _LEAST_DROP if drop > _LEAST_DROP else 0.0
+    if gap < -_LEAST_DROP:
+        return _LEAST_DROP - gap, f"{lowest} reaches {-gap * 1000:.2g} mm lower than the wheels"
+    if abs(gap) <= _LEAST_DROP and lowest in body and _bears_alone(model, body, floor + gap, points):
+        return _LEAST_DROP + _HULL_MARGIN - gap, f"{lowest} alone would bear the robot, and the wheels nothing"
+    hangs = 2 * _LEAST_DROP < gap <= _MAX_RAISE and lowest in body
+    if len(wheels) == 2 and hangs and _bears_alone(model, body, floor + gap, points):
+        above = f"the casters are a part of {lowest}, {gap * 1000:.2g} mm above it"
+        return _LEAST_DROP - gap, f"nothing beside the wheels touches the floor: {above}"
+    return 0.0, ""
+
+
+def _bears_alone(model: UrdfModel, names: Sequence[str], floor: float, points: MeshPoints | None) -> bool:
+    """Returns whether links would hold the robot upright on a floor at this height without its wheels: its centre of mass is above their points."""
+    transforms = model.transforms()
+    spanned = [link_points(model.link(name).collisions, transforms[name], points) for name in names]
+    low = np.concatenate(spanned)
+    low = low[low[:, 2] < floor + _LEAST_DROP, :2]
+    groups = rigid_groups(model)[0]
+    center = sum(g.mass * transform_points(transforms[g.name], g.center[None])[0, :2] for g in groups) / sum(
+        g.mass for g in groups
+    )
+    around = np.arctan2(*(low - center).T[::-1])
+    # It is inside of their hull if no half of the plane about it is without points.
+    gaps = np.diff(np.sort(around), append=around.min() + 2 * np.pi) if len(around) else np.array([2 * np.pi])
+    return bool(gaps.max() < np.pi)
 
 
 def _friction(

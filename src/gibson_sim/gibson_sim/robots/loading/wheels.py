@@ -32,8 +32,9 @@ class Wheel:
     """Its centre, (3,), in the root's frame, metres."""
     radius: float
     """Metres; 0 = no shape of it can be measured."""
-    collides: bool
-    """Whether it has a collision shape."""
+    rolls: bool
+    """Whether it collides as a sphere or a cylinder, or as a mesh that cannot be read. Meshes roll on the corners of their convex hull, which the
+    engine also makes a millimetre larger."""
     swivel: UrdfJoint | None
     """The nearest joint above it with a vertical axis; None = it cannot be steered."""
 
@@ -155,29 +156,36 @@ def _swivel(joint: UrdfJoint, above: dict[str, UrdfJoint], transforms: dict[str,
 def _wheel(
     model: UrdfModel, joint: UrdfJoint, transforms: dict[str, Mat4], swivel: UrdfJoint | None, points: MeshPoints | None
 ) -> Wheel | None:
-    """Returns the wheel on a joint; None = the links on it are not round about its axis."""
+    """Returns the wheel on a joint; None = neither its collision shapes nor its visuals are round about its axis."""
     frame = transforms[joint.child]
     hub, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)
     links = [model.link(name) for name in rigid_links(model, joint.child)]
-    collides = _collides(model, joint)
+    measured = False
     for kind in ("collisions", "visuals"):
-        spanned = [link_points(getattr(link, kind), transforms[link.name], points) for link in links]
-        offset = np.concatenate(spanned) - hub
-        if len(offset):
-            break
-    else:
-        return Wheel(joint, hub, 0.0, collides, swivel)
+        offset = np.concatenate([link_points(getattr(link, kind), transforms[link.name], points) for link in links]) - hub
+        if not len(offset):
+            continue
+        measured = True
+        radius = _round_radius(offset, axis)
+        if radius > 0.0:
+            # The radius in the file, if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
+            shapes = [item.shape for link in links for item in getattr(link, kind)]
+            near = [s.size[0] for s in shapes if s.kind in ("sphere", "cylinder") and abs(s.size[0] - radius) < _ROUND * radius]
+            rolls = kind == "collisions" and all(shape.kind in ("sphere", "cylinder") for shape in shapes)
+            return Wheel(joint, hub, max(near, default=radius), rolls, swivel)
+    return None if measured else Wheel(joint, hub, 0.0, _collides(model, joint), swivel)
+
+
+def _round_radius(offset: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
+    """Returns the radius of points (N, 3) about an axis through the origin, metres; 0 = their outline is no circle about it."""
     level = np.cross(axis, (0.0, 0.0, 1.0))
     flat = np.stack([offset @ level, offset[:, 2]], axis=-1)
     low, high = flat.min(axis=0), flat.max(axis=0)
     radius = float((high - low).max()) / 2
     outline = np.abs(np.array([*-low, *high]) - radius).max()
-    if radius <= 0 or outline > _ROUND * radius:
-        return None
-    # The radius in the file, if it agrees with the measured one: a cylinder rotated by 1.57 instead of pi/2 measures larger.
-    exact = [item.shape.size[0] for link in links for item in getattr(link, kind) if item.shape.kind in ("sphere", "cylinder")]
-    near = [size for size in exact if abs(size - radius) < _ROUND * radius]
-    return Wheel(joint, hub, max(near, default=radius), collides, swivel)
+    # The corners of a box lie outside of the circle that touches its sides.
+    corner = float(np.hypot(flat[:, 0], flat[:, 1]).max())
+    return radius if outline <= _ROUND * radius and corner <= (1.0 + _ROUND) * radius else 0.0
 
 
 def _collides(model: UrdfModel, joint: UrdfJoint) -> bool:

@@ -1,0 +1,1 @@
+"""What ``gibson-sim scene robot --new`` does: writes a ``robot.yaml``, measures how a robot stands and drives, and reports it."""
