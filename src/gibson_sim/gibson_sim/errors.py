@@ -120,3 +120,31 @@ class AlreadyRunningError(GibsonSimError):
 
 class LockstepError(GibsonSimError):
     """A lockstep participant has not finished a tick in time."""
+
+
+_PIP_NAMES = {
+    "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "foxglove": "foxglove-sdk", "pxr": "usd-core", "ruamel": "ruamel-yaml",
+    "yaml": "PyYAML",
+}  # fmt: skip
+"""Module -> package of PyPI, where the names differ."""
+_OURS = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+_OF_ROS = ("rclpy", "rpyutils", "ament_index_python", "launch", "launch_ros")
+
+
+def missing_package(error: ImportError) -> EnvironmentProblemError | None:
+    """Returns the error for a user of a package that is not installed, with its remedy; None if the code itself is at fault.
+
+    Args:
+        error: of an import statement.
+    """
+    module = (error.name or "").partition(".")[0]
+    if not isinstance(error, ModuleNotFoundError) or not module or module in _OURS:
+        return None
+    if module in _OF_ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
+        apt = "" if module == "gibson_msgs" else f"`sudo apt install ros-jazzy-{module.replace('_', '-')}`, or "
+        return EnvironmentProblemError(
+            f"the ROS package {module} is not found: {apt}build ros_ws and source its install/setup.bash; without a ROS installation: `make setup`"
+        )
+    return EnvironmentProblemError(
+        f"the Python package {_PIP_NAMES.get(module, module)} is not installed: `pip install {_PIP_NAMES.get(module, module)}`"
+    )

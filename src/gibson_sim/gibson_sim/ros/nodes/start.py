@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from gibson_sim import interrupts
+from gibson_sim.errors import missing_package
 
 
 def run(module: str) -> None:
@@ -18,9 +19,14 @@ def run(module: str) -> None:
     interrupts.end_silently()
     from gibson_sim.standard.job_folder import leave_job
 
-    main: Any = import_module(module).main
     try:
+        main: Any = import_module(module).main
         main()
+    except ImportError as error:
+        problem = missing_package(error)
+        if problem is None:
+            raise
+        sys.exit(f"error: {problem}")
     finally:
         interrupts.end_silently()
         leave_job()
