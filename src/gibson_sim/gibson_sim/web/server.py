@@ -41,6 +41,8 @@ _TICK_S = 0.05
 """Seconds between two looks at who drives."""
 _SILENT_S = 10.0
 """A page that answers no ping for this long is gone."""
+_PRESENT_S, _MOST_KEPT = 0.3, 64
+"""Age up to which an image shows the present, on the clock of the stamps, s; and number of images that are kept."""
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 _POLICY = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' ws: wss:; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
 
@@ -65,6 +67,8 @@ class PageServer:
         self._pages: set[Page] = set()
         self._watched: frozenset[str] = frozenset()
         self._plotted: frozenset[CurveName] = frozenset()
+        self._newest: dict[str, Streamed] = {}
+        """Topic -> its newest image: a page that is opened while time is paused gets it."""
         self._dead_men: dict[str, DeadMan] = {}
         """Robot -> who drives it."""
         self._kept: dict[str, str] = {}
@@ -100,6 +104,14 @@ class PageServer:
     def show(self, image: Streamed) -> None:
         """Sends an image or poses to the pages that watch them; may be called from any thread."""
         self._call(self._show, image)
+
+    def forget_images(self, now_s: float) -> None:
+        """Forgets images, but for those of this moment: others are of a past that a page must not take for the present.
+
+        Args:
+            now_s: the time now on the clock of their stamps, s.
+        """
+        self._call(self._forget_images, now_s)
 
     def show_curves(self, now_s: float, samples: dict[CurveName, list[Sample]]) -> None:
         """Sends values to the pages that plot them; may be called from any thread.
@@ -244,8 +256,10 @@ class PageServer:
             page.reply("", False, str(error))
             return
         if isinstance(request, Watch):
-            page.viewer.watch(request.topics)
+            new = page.viewer.watch(request.topics)
             self._update_watched()
+            for topic in new & self._newest.keys():
+                page.viewer.offer(self._newest[topic])
         elif isinstance(request, Shown):
             page.viewer.shown(request.topic)
         elif isinstance(request, Plot):
@@ -304,7 +318,12 @@ class PageServer:
         for page in self._pages:
             page.put(text)
 
+    def _forget_images(self, now_s: float) -> None:
+        self._newest = {topic: image for topic, image in self._newest.items() if abs(image.stamp_s - now_s) < _PRESENT_S}
+
     def _show(self, image: Streamed) -> None:
+        if image.topic in self._newest or len(self._newest) < _MOST_KEPT:
+            self._newest[image.topic] = image
         for page in self._pages:
             page.viewer.offer(image)
 

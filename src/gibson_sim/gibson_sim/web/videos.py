@@ -22,6 +22,10 @@ class Streamed(Protocol):
     def topic(self) -> str:
         """What a page watches to get it."""
 
+    @property
+    def stamp_s(self) -> float:
+        """Stamp of its message, s."""
+
     def message(self) -> bytes:
         """Returns it as it goes over a WebSocket."""
 
@@ -31,6 +35,7 @@ class Poses:
     """The poses of all links of the scene, as ``scene_model.poses_message`` packs them."""
 
     data: bytes
+    stamp_s: float
     topic: str = SCENE
 
     def message(self) -> bytes:
@@ -76,9 +81,11 @@ class Viewer:
         """What it watches."""
         return frozenset(self._windows)
 
-    def watch(self, topics: tuple[str, ...]) -> None:
-        """Shows these videos from now on; what is in flight of those that it showed already still counts."""
+    def watch(self, topics: tuple[str, ...]) -> frozenset[str]:
+        """Shows these videos from now on; what is in flight of those that it showed already still counts. Returns the new ones."""
+        before = self.topics
         self._windows = {topic: self._windows.get(topic) or _Window() for topic in topics}
+        return self.topics - before
 
     def offer(self, image: Streamed) -> None:
         """Sends an image if it watches that video and is ready; else keeps it until it is, or until a newer one comes."""

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import socket
 import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
-from gibson_sim.errors import ConfigError, EnvironmentProblemError
+from gibson_sim.errors import ConfigError
+from gibson_sim_bench.browser import chromium
 from gibson_sim_bench.cli.processes import PATIENCE_S, BenchError, answer, process
 
 _SAMPLER = """(seconds) => new Promise((done) => {
@@ -81,7 +79,7 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
     """
     environment, port = node_environment(domain_id=domain_id), _free_port()
     command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene, "--web-port", str(port)]
-    with _browser() as browser, process(command, environment), ThreadPoolExecutor(1) as pool:
+    with chromium() as browser, process(command, environment), ThreadPoolExecutor(1) as pool:
         page = _opened(browser, f"http://127.0.0.1:{port}/")
         clock = pool.submit(answer, environment, "clock_arrivals", _SETTLE_S + seconds, seconds=_SETTLE_S + seconds)
         page.keyboard.down("a")
@@ -107,23 +105,6 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-@contextmanager
-def _browser() -> Iterator[Any]:
-    """Runs Chromium, without a window, inside the block."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        raise EnvironmentProblemError("a browser is needed: apt-get install chromium")
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError as error:
-        raise EnvironmentProblemError("playwright is needed: pip install 'gibson_sim_bench[web]'") from error
-    with sync_playwright() as playwright:
-        # As root Chromium has no sandbox; it opens our own page alone.
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 def _opened(browser: Any, url: str) -> Any:

@@ -324,6 +324,8 @@ class WebNode(Node):
             self._places = {}
             for kind in ("entities", "places", "catalogue"):
                 self._tell_changed(kind, [])
+        now = self.stamp()
+        self._server.forget_images(now.sec + now.nanosec / NS_PER_S)
         self._tell_status()
 
     def _tell_status(self) -> None:

@@ -139,6 +139,8 @@ def recorded_topics(graph: list[tuple[str, list[str]]], *, images: bool) -> list
         compressed = [other for other in (f"{topic}/compressed", f"{topic}/compressedDepth") if other in types]
         if _IMAGE in kinds:
             found += (compressed or [topic])[:1] if images and not names.is_derived(topic) else []
+        elif topic.endswith("/camera_info") and not images:
+            continue
         elif _COMPRESSED not in kinds and not names.is_derived(topic) and not names.is_hidden(topic):
             found.append(topic)
     return found

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.errors import GibsonSimError
@@ -15,6 +16,7 @@ from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.web.video_subscriptions import Subscriber
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.types import NS_PER_S
 from gibson_sim.web.scene_model import poses_message, scene_model
 from gibson_sim.web.server import PageServer
 from gibson_sim.web.videos import Poses
@@ -25,7 +27,9 @@ _PERIOD_S = 0.04
 
 
 class SceneStream:
-    """Subscribes to ``scene`` and ``scene_state`` while a page shows the scene in 3-D.
+    """Subscribes to ``scene`` while a page shows the scene in 3-D, and always to ``scene_state``, but reads it for such a page alone.
+
+    While time is paused no state is published: a page that is opened then gets the last one.
 
     Args:
         node: subscribes.
@@ -34,22 +38,21 @@ class SceneStream:
 
     def __init__(self, node: Subscriber, server: PageServer) -> None:
         self._node, self._server = node, server
-        self._subscriptions: list[Any] = []
+        self._subscription: Any = None
+        self._last = b""
+        """The newest state, not read."""
         self._revision, self._links = -1, tuple[str, ...]()
         self._made: tuple[str, int] | None = None
         self._next_s = 0.0
+        node.subscribe(SceneState, names.SCENE_STATE, self._on_state, _NEWEST, raw=True)
 
     def update(self, shown: bool) -> None:
         """Subscribes if a page shows the scene, and else to nothing."""
-        if shown and not self._subscriptions:
-            self._subscriptions = [
-                self._node.subscribe(Scene, names.SCENE, self._on_scene, qos.LATCHED),
-                self._node.subscribe(SceneState, names.SCENE_STATE, self._on_state, _NEWEST),
-            ]
-        elif not shown:
-            for subscription in self._subscriptions:
-                self._node.destroy_subscription(subscription)
-            self._subscriptions = []
+        if shown and self._subscription is None:
+            self._subscription = self._node.subscribe(Scene, names.SCENE, self._on_scene, qos.LATCHED)
+        elif not shown and self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
 
     def _on_scene(self, msg: Scene) -> None:
         try:
@@ -61,6 +64,7 @@ class SceneStream:
         if self._made != (scene.content_hash, scene.revision):
             self._made = (scene.content_hash, scene.revision)
             threading.Thread(target=self._make, args=(scene,), name="scene-model", daemon=True).start()
+        self._show_state()
 
     def _make(self, scene: DrawnScene) -> None:
         """Makes the model, in a thread of its own: a second for a home, several for a large scan."""
@@ -77,9 +81,16 @@ class SceneStream:
             self._server.serve_blob(f"texture_{number}", texture)
         self._server.tell("scene", {"version": f"{scene.content_hash[:12]}-{scene.revision}"}, keep=True)
 
-    def _on_state(self, msg: SceneState) -> None:
+    def _on_state(self, data: bytes) -> None:
+        self._last = data
         now = time.monotonic()
-        if now < self._next_s or msg.revision != self._revision:
-            return
-        self._next_s = now + _PERIOD_S
-        self._server.show(Poses(poses_message(conversions.scene_state_from_msg(msg, self._links))))
+        if self._subscription is not None and now >= self._next_s:
+            self._next_s = now + _PERIOD_S
+            self._show_state()
+
+    def _show_state(self) -> None:
+        """Shows the newest state, if it is of the scene that pages have."""
+        msg = deserialize_message(self._last, SceneState) if self._last else None
+        if msg is not None and msg.revision == self._revision:
+            state = conversions.scene_state_from_msg(msg, self._links)
+            self._server.show(Poses(poses_message(state), state.stamp_ns / NS_PER_S))

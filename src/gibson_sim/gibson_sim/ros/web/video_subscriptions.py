@@ -58,7 +58,7 @@ def label_of(topic: str) -> str:
 class Subscriber(Protocol):
     """A node that leaves out what cannot be shown."""
 
-    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any) -> Any:
+    def subscribe(self, kind: Any, topic: str, callback: Callable[[Any], None], profile: Any, *, raw: bool = False) -> Any:
         """Subscribes to a topic, and returns the subscription."""
 
     def get_logger(self) -> Any:

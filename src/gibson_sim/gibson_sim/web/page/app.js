@@ -1,151 +1,106 @@
 // The page: one WebSocket; the parts of the page tell it what to ask for, and it tells them what came.
-import { FloorMap } from './map.js';
+import { $, keyed, note, remember, remembered } from './dom.js';
 import { Driving } from './drive.js';
+import { FloorMap } from './map.js';
+import { Panels } from './panels.js';
+import { Plots } from './plots.js';
 import { Scene3D } from './scene3d.js';
+import { Videos } from './videos.js';
 
-const $ = (id) => document.getElementById(id);
-const known = { topics: [], entities: [], catalogue: [] };
-const watched = new Set(JSON.parse(localStorage.getItem('watched') || '[]'));
-const videos = new Map();
-let socket = null, selected = '', images = 0, lastStamp = 0;
+let socket = null, robots = [], chosen = remembered('robot', '');
 
-export function send(type, values = {}) {
+function send(type, values = {}) {
   if (!socket || socket.readyState !== WebSocket.OPEN) return false;
   socket.send(JSON.stringify({ type, ...values }));
   return true;
 }
 
-function note(text, bad = false) {
-  const p = document.createElement('p');
-  p.textContent = text;
-  p.className = bad ? 'bad' : '';
-  $('notes').append(p);
-  setTimeout(() => p.remove(), 5000);
-}
+const robot = () => robots.find((r) => r.namespace === chosen) || robots[0];
+const toRobot = (values) => ({ ...values, robot: robot()?.namespace || '' });
 
-// Videos
-
-function watch() {
-  localStorage.setItem('watched', JSON.stringify([...watched]));
-  const topics = [...watched].filter((t) => videos.has(t));
-  if (!$('scene3d').hidden) topics.push('@scene');
-  send('watch', { topics: document.hidden ? [] : topics });
-}
-
-function showVideos() {
-  const there = new Set(known.topics.map((t) => t.topic));
-  if (![...watched].some((t) => there.has(t)) && known.topics.length) watched.add(known.topics[0].topic);
-  $('topics').replaceChildren(...known.topics.map((t) => {
-    const button = document.createElement('button');
-    button.textContent = t.label;
-    button.title = t.topic;
-    button.setAttribute('aria-pressed', watched.has(t.topic));
-    button.onclick = () => { watched.has(t.topic) ? watched.delete(t.topic) : watched.add(t.topic); showVideos(); };
-    return button;
-  }));
-  for (const [topic, video] of videos) if (!watched.has(topic) || !there.has(topic)) { video.figure.remove(); videos.delete(topic); }
-  for (const t of known.topics) {
-    if (!watched.has(t.topic) || videos.has(t.topic)) continue;
-    const figure = document.createElement('figure'), canvas = document.createElement('canvas'), caption = document.createElement('figcaption');
-    const picture = document.createElement('button');
-    picture.textContent = 'save'; picture.title = 'save this image as a PNG file';
-    picture.onclick = () => canvas.toBlob((blob) => {
-      const a = document.createElement('a');
-      a.href = URL.createObjectURL(blob); a.download = `${t.label.replace(/\W+/g, '_')}.png`; a.click();
-      URL.revokeObjectURL(a.href);
-    });
-    caption.append(t.label, picture);
-    canvas.dataset.topic = t.topic;
-    figure.append(canvas, caption);
-    videos.set(t.topic, { figure, canvas, context: canvas.getContext('2d') });
-    $('videos').append(figure);
-  }
-  $('videos').style.gridTemplateColumns = videos.size > 2 ? '1fr 1fr' : '1fr';
-  if (!videos.size && !$('videos').children.length) {
-    const p = document.createElement('p');
-    p.className = 'empty'; p.textContent = known.topics.length ? 'Choose a camera above.' : 'No camera publishes images.';
-    $('videos').append(p);
-  } else if (videos.size) $('videos').querySelectorAll('.empty').forEach((e) => e.remove());
-  watch();
-}
-
-async function showImage(buffer) {
-  if (new Uint8Array(buffer, 0, 1)[0] === 2) { scene.setPoses(buffer); send('shown', { topic: '@scene' }); return; }
-  const view = new DataView(buffer), length = view.getUint16(2, true), stamp = view.getFloat64(4, true);
-  const topic = new TextDecoder().decode(new Uint8Array(buffer, 12, length));
-  try {
-    const bitmap = await createImageBitmap(new Blob([new Uint8Array(buffer, 12 + length)], { type: 'image/jpeg' }));
-    const video = videos.get(topic);
-    if (video) {
-      if (video.canvas.width !== bitmap.width || video.canvas.height !== bitmap.height) { video.canvas.width = bitmap.width; video.canvas.height = bitmap.height; }
-      video.context.drawImage(bitmap, 0, 0);
-      video.canvas.dataset.stamp = lastStamp = stamp;
-      images++;
-    }
-    bitmap.close();
-  } finally { send('shown', { topic }); }
-}
-
-// What came
-
-const floor = new FloorMap($('map'), (pose) => placed(pose));
-const scene = new Scene3D($('scene3d'));
-const driving = new Driving(send, $('stick'), (moving) => {
+const videos = new Videos(watch);
+const plots = new Plots(send);
+const floor = new FloorMap($('map'), { place: placed, select: (name) => panels.select(name) });
+const panels = new Panels(send, (name) => { floor.selected = name; floor.draw(); });
+const scene = new Scene3D($('scene3d'), explainScene);
+const driving = new Driving((type, values) => send(type, toRobot(values)), $('stick'), (moving) => {
   $('driver').textContent = moving ? 'you drive' : 'nobody drives';
   $('driver').className = moving ? 'badge driving' : 'badge quiet';
 });
 
+function watch() {
+  const topics = [...videos.needed];
+  if (!$('scene3d').hidden) topics.push('@scene');
+  send('watch', { topics: document.hidden ? [] : topics.slice(-16) });
+}
+
+function explainScene() {
+  const shown = !$('scene3d').hidden, text = !scene.model ? 'Loading the scene …' : scene.poses ? '' : 'Time is paused, and what moves was not shown before: press Step.';
+  $('scene-note').textContent = text;
+  $('scene-note').hidden = !shown || !text;
+}
+
+async function showBinary(buffer) {
+  if (new Uint8Array(buffer, 0, 1)[0] === 2) { scene.setPoses(buffer); explainScene(); send('shown', { topic: '@scene' }); return; }
+  const view = new DataView(buffer), length = view.getUint16(2, true), stamp = view.getFloat64(4, true);
+  const topic = new TextDecoder().decode(new Uint8Array(buffer, 12, length));
+  try { await videos.show(topic, stamp, buffer.slice(12 + length)); } finally { send('shown', { topic }); }
+}
+
+// What came
+
 const on = {
-  topics(value) { known.topics = value; showVideos(); },
+  topics(value) { videos.setTopics(value); },
+  problems(value) { videos.setProblems(value); },
+  plottable(value) { plots.setTopics(value); },
+  samples(value) { plots.addSamples(value); },
+  history(value) { plots.setHistory(value); },
   status(value) {
-    $('state').textContent = value.state; $('state').className = `badge ${value.state}`;
-    if (value.time !== null) $('time').textContent = value.time.toFixed(2);
+    $('state').textContent = value.state; $('state').className = `badge ${value.state.replaceAll(' ', '-')}`;
+    $('time').textContent = value.time === null ? '–' : value.time.toFixed(2);
     $('factor').textContent = value.factor === null ? '–' : value.factor.toFixed(2);
-    $('diagnostics').replaceChildren(...value.diagnostics.map((d) => {
-      const li = document.createElement('li'), span = document.createElement('span'), small = document.createElement('small');
-      li.className = `level${d.level}`; small.textContent = d.message; span.append(d.name, ' ', small); li.append(span);
-      li.title = d.values.map(([k, v]) => `${k}: ${v}`).join('\n');
-      return li;
-    }));
+    for (const id of ['play', 'pause', 'step', 'reset', 'rate']) $(id).disabled = value.state === 'connected'; // no simulation: time is the robot's own
+    videos.setState(value.state);
+    panels.setDiagnostics(value.diagnostics);
   },
   map(value) { floor.setMap(value); },
   robots(value) {
-    const r = value[0];
+    robots = value;
+    const r = robot();
     $('pose').textContent = r ? `x ${r.x.toFixed(2)}  y ${r.y.toFixed(2)} m  ${(r.yaw * 180 / Math.PI).toFixed(0)}°  ${r.speed.toFixed(2)} m/s` : '';
-    floor.robots = value; floor.draw(); if (!$('scene3d').hidden) scene.setRobots(value);
+    $('robot').hidden = value.length < 2;
+    keyed($('robot'), value, (v) => v.namespace, () => new Option(), (option, v) => { option.value = v.namespace; option.textContent = v.name; });
+    if (r) $('robot').value = r.namespace;
+    floor.robots = value; floor.chosen = r?.namespace; floor.draw();
+    panels.setRobot(r);
+    if (!$('scene3d').hidden) scene.setRobot(r);
   },
   scene(value) { scene.load(value.version); },
   scan(value) { floor.scan = value; floor.draw(); },
-  path(value) { floor.path = value; floor.draw(); },
-  estimate(value) { floor.estimate = value; floor.draw(); },
+  paths(value) { floor.paths = value; floor.draw(); },
+  estimates(value) { floor.estimates = value; floor.draw(); },
   places(value) { floor.places = value; floor.draw(); },
-  entities(value) { known.entities = value; showThings(); },
+  doors(value) { panels.setDoors(value); floor.doors = value; floor.draw(); },
+  entities(value) { panels.setEntities(value); floor.entities = value; floor.draw(); },
   catalogue(value) {
-    known.catalogue = value;
-    const chosen = $('catalogue').value;
-    $('catalogue').replaceChildren(...value.map((c) => new Option(c.name, c.uri, false, c.uri === chosen)));
+    const before = $('catalogue').value;
+    $('catalogue').replaceChildren(...value.map((c) => new Option(c.name, c.uri, false, c.uri === before)));
+    $('catalogue').hidden = !value.length;
   },
-  reply(value) { if (!value.ok) note(value.text, true); else if (value.text) note(value.text); },
+  recording(value) { panels.setRecording(value); },
+  task(value) { panels.setTask(value); floor.target = value.goal; floor.draw(); },
+  reply(value) {
+    if (value.to === 'Fields' && value.ok) plots.setFields(value.value);
+    else if (!value.ok) note(value.text, true);
+    else if (value.text) note(value.text);
+  },
 };
-
-function showThings() {
-  floor.entities = known.entities; floor.selected = selected; floor.draw();
-  $('things').replaceChildren(...known.entities.map((e) => {
-    const li = document.createElement('li'), span = document.createElement('span'), remove = document.createElement('button');
-    span.textContent = e.name; remove.textContent = '×'; remove.title = `delete ${e.name}`;
-    li.setAttribute('aria-selected', e.name === selected);
-    li.onclick = () => { selected = e.name; showThings(); };
-    remove.onclick = (event) => { event.stopPropagation(); send('delete', { name: e.name }); };
-    li.append(span); if (!e.robot) li.append(remove);
-    return li;
-  }));
-}
 
 function placed(pose) {
   const mode = floor.mode;
-  if (mode === 'goal' || mode === 'initial_pose') send(mode, pose);
+  if (mode === 'goal' || mode === 'initial_pose') send(mode, toRobot(pose));
   if (mode === 'spawn' && $('catalogue').value) send('spawn', { uri: $('catalogue').value, ...pose });
-  if (mode === 'move') selected ? send('move', { name: selected, ...pose }) : note('Select a thing in the list first.', true);
+  if (mode === 'move') panels.selected ? send('move', { name: panels.selected, ...pose }) : note('Select a thing in the list or on the map first.', true);
 }
 
 for (const button of document.querySelectorAll('.mode')) button.onclick = () => {
@@ -159,27 +114,35 @@ $('three').onclick = () => {
   if (shown && !scene.gl) return note('This browser has no WebGL 2.', true);
   $('scene3d').hidden = !shown; $('map').hidden = shown; $('follow').hidden = !shown; $('fit').hidden = shown;
   $('three').setAttribute('aria-pressed', shown);
-  document.querySelectorAll('.mode').forEach((b) => { b.disabled = shown; b.title = shown ? 'on the map: leave 3-D first' : ''; });
-  watch();
+  document.querySelectorAll('.mode').forEach((b) => { b.hidden = shown; });
+  watch(); explainScene();
 };
 $('follow').onclick = () => { scene.follow = !scene.follow; $('follow').setAttribute('aria-pressed', scene.follow); };
+function togglePlots(shown) {
+  $('plot-card').hidden = !shown;
+  $('plots-toggle').setAttribute('aria-pressed', shown);
+  remember('plots-shown', shown);
+  plots.subscribe();
+}
+$('plots-toggle').onclick = () => togglePlots($('plot-card').hidden);
+$('robot').onchange = () => { driving.release(); chosen = $('robot').value; remember('robot', chosen); $('robot').blur(); };
 $('play').onclick = () => send('time', { action: 'play' });
 $('pause').onclick = () => send('time', { action: 'pause' });
 $('step').onclick = () => send('time', { action: 'step', steps: 10 });
 $('reset').onclick = () => send('time', { action: 'reset' });
 $('rate').onchange = () => send('rate', { value: Number($('rate').value) });
-$('speed').oninput = () => { $('speed-value').textContent = $('speed').value; driving.speed = Number($('speed').value); };
-document.addEventListener('visibilitychange', () => { driving.release(); watch(); });
-setInterval(() => { $('images').textContent = images; images = 0; }, 1000);
+$('speed').oninput = () => { $('speed-value').textContent = Number($('speed').value).toFixed(1); driving.speed = Number($('speed').value); };
+document.addEventListener('visibilitychange', () => { driving.release(); watch(); plots.subscribe(); });
+setInterval(() => { $('images').textContent = videos.images; videos.images = 0; }, 1000);
 
 // The connection; lost ones are made again.
 
 function connect() {
   socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/socket`);
   socket.binaryType = 'arraybuffer';
-  socket.onopen = () => { $('state').textContent = 'connected'; $('state').className = 'badge'; watch(); };
+  socket.onopen = () => { $('state').textContent = 'connected'; $('state').className = 'badge'; watch(); plots.subscribe(); };
   socket.onmessage = (event) => {
-    if (typeof event.data !== 'string') return void showImage(event.data);
+    if (typeof event.data !== 'string') return void showBinary(event.data);
     const message = JSON.parse(event.data);
     on[message.type]?.(message.value);
   };
@@ -190,4 +153,5 @@ function connect() {
   };
 }
 history.replaceState(null, '', location.pathname); // the token is in a cookie by now
+togglePlots(remembered('plots-shown', false));
 connect();

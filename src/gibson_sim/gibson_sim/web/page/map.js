@@ -1,26 +1,51 @@
-// The map: occupancy grid, robots, scan, path, named places and things, in metres; x right and y up at first.
+// The map: occupancy grid, robots, scan, paths, named places, doors and things, in metres; x right and y up at first.
+
+const MOST_TINTED = 16e6; // cells of a map that is drawn in the colours of the page
+const CLICK = 5, NEAR = 12; // pixels: a press that moved less is a click; a click this near to a thing means it
+const dark = matchMedia('(prefers-color-scheme: dark)');
 
 export class FloorMap {
-  constructor(canvas, onPlace) {
-    this.canvas = canvas; this.context = canvas.getContext('2d'); this.onPlace = onPlace;
-    this.mode = 'look'; this.grid = null; this.robots = []; this.scan = []; this.path = []; this.places = []; this.entities = [];
-    this.estimate = null; this.selected = ''; this.view = null; this.drag = null; this.pending = false;
+  constructor(canvas, on) {
+    this.canvas = canvas; this.context = canvas.getContext('2d'); this.on = on;
+    this.mode = 'look'; this.grid = null; this.robots = []; this.scan = []; this.paths = []; this.places = []; this.entities = []; this.doors = [];
+    this.estimates = []; this.target = null; this.selected = ''; this.chosen = ''; this.view = null; this.drag = null; this.cursor = null; this.hover = ''; this.pending = false;
+    this.pointers = new Map();
     new ResizeObserver(() => { this.view = null; this.draw(); }).observe(canvas);
     canvas.onpointerdown = (event) => this.down(event);
     canvas.onpointermove = (event) => this.move(event);
     canvas.onpointerup = (event) => this.up(event);
-    canvas.onpointercancel = () => { this.drag = null; this.draw(); };
+    canvas.onpointercancel = (event) => { this.pointers.delete(event.pointerId); this.drag = null; this.draw(); };
+    canvas.onpointerleave = () => { this.cursor = null; this.hover = ''; this.draw(); };
     canvas.onwheel = (event) => { event.preventDefault(); this.zoom(event.offsetX, event.offsetY, Math.exp(-event.deltaY * 0.0015)); };
+    dark.addEventListener('change', () => { this.tint(); this.draw(); });
   }
+
+  color(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
 
   async setMap(value) {
     const response = await fetch(`/data/${value.data}?${value.version}`);
     if (!response.ok) return;
     const picture = await createImageBitmap(new Blob([await response.arrayBuffer()], { type: 'image/png' }));
-    const other = !this.grid || this.grid.width !== value.width || this.grid.height !== value.height;
-    this.grid = { ...value, picture };
+    const old = this.grid, other = !old || ['width', 'height', 'x', 'y', 'resolution'].some((key) => old[key] !== value[key]);
+    this.grid = { ...value, picture, tinted: picture };
+    this.tint();
     if (other) this.view = null;
     this.draw();
+  }
+
+  // Free cells and obstacles in the colours of the page.
+  tint() {
+    const g = this.grid;
+    if (!g || g.width * g.height > MOST_TINTED) return;
+    const canvas = Object.assign(document.createElement('canvas'), { width: g.width, height: g.height }), c = canvas.getContext('2d', { willReadFrequently: true });
+    const rgb = (name) => { c.fillStyle = this.color(name); c.fillRect(0, 0, 1, 1); return c.getImageData(0, 0, 1, 1).data.slice(0, 3); };
+    const free = rgb('--floor'), wall = rgb('--wall');
+    c.clearRect(0, 0, 1, 1);
+    c.drawImage(g.picture, 0, 0);
+    const image = c.getImageData(0, 0, g.width, g.height), d = image.data;
+    for (let k = 0; k < d.length; k += 4) if (d[k + 3]) d.set(d[k] > 127 ? free : wall, k);
+    c.putImageData(image, 0, 0);
+    g.tinted = canvas;
   }
 
   bounds() {
@@ -34,8 +59,8 @@ export class FloorMap {
 
   fit() {
     const [x0, y0, x1, y1] = this.bounds(), w = this.canvas.clientWidth, h = this.canvas.clientHeight;
-    const scale = 0.96 * Math.min(w / (x1 - x0), h / (y1 - y0));
-    this.view = { scale, x: (x0 + x1) / 2, y: (y0 + y1) / 2 };
+    const scale = 0.96 * Math.min(w / (x1 - x0), (h - 24) / (y1 - y0));
+    this.view = { scale, x: (x0 + x1) / 2, y: (y0 + y1) / 2 - 10 / scale };
     this.draw();
   }
 
@@ -58,28 +83,56 @@ export class FloorMap {
     this.draw();
   }
 
+  // The thing that a click at a pixel means; '' = none.
+  thingAt(px, py) {
+    let found = '', nearest = NEAR;
+    for (const e of this.entities) {
+      const [x, y] = this.screen(e.x, e.y), d = Math.hypot(x - px, y - py);
+      if (!e.robot && d < nearest) { found = e.name; nearest = d; }
+    }
+    return found;
+  }
+
   down(event) {
     if (!this.view) return;
     this.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    if (this.pointers.size > 1) { this.drag = null; return; }
     const [x, y] = this.world(event.offsetX, event.offsetY);
     this.drag = { px: event.offsetX, py: event.offsetY, x, y, vx: this.view.x, vy: this.view.y, to: [x, y] };
   }
 
   move(event) {
-    if (!this.drag) return;
-    if (this.mode === 'look') {
+    if (!this.view) return;
+    this.cursor = event.pointerType === 'touch' ? null : [event.offsetX, event.offsetY];
+    const before = this.pointers.get(event.pointerId);
+    if (before && this.pointers.size === 2) this.pinch(event, before);
+    else if (this.drag && this.mode === 'look') {
       this.view.x = this.drag.vx - (event.offsetX - this.drag.px) / this.view.scale;
       this.view.y = this.drag.vy + (event.offsetY - this.drag.py) / this.view.scale;
-    } else this.drag.to = this.world(event.offsetX, event.offsetY);
+    } else if (this.drag) this.drag.to = this.world(event.offsetX, event.offsetY);
+    if (before) this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    this.hover = this.cursor && !this.drag ? this.thingAt(...this.cursor) : '';
+    this.canvas.classList.toggle('hit', this.mode === 'look' && Boolean(this.hover));
     this.draw();
   }
 
-  up() {
-    const drag = this.drag;
+  pinch(event, before) {
+    const other = [...this.pointers].find(([id]) => id !== event.pointerId)[1];
+    const was = Math.hypot(before[0] - other[0], before[1] - other[1]), is = Math.hypot(event.offsetX - other[0], event.offsetY - other[1]);
+    if (was > 5 && is > 5) this.zoom((event.offsetX + other[0]) / 2, (event.offsetY + other[1]) / 2, is / was);
+  }
+
+  up(event) {
+    const drag = this.drag, still = drag && Math.hypot(event.offsetX - drag.px, event.offsetY - drag.py) < CLICK;
     this.drag = null;
+    this.pointers.delete(event.pointerId);
     if (drag && this.mode !== 'look') {
       const dx = drag.to[0] - drag.x, dy = drag.to[1] - drag.y, far = Math.hypot(dx, dy) * this.view.scale > 8;
-      this.onPlace({ x: drag.x, y: drag.y, yaw: far ? Math.atan2(dy, dx) : 0 });
+      this.on.place({ x: drag.x, y: drag.y, yaw: far ? Math.atan2(dy, dx) : 0 });
+    } else if (still) {
+      const name = this.thingAt(event.offsetX, event.offsetY);
+      if (name) this.on.select(name);
     }
     this.draw();
   }
@@ -95,52 +148,106 @@ export class FloorMap {
     if (!w || !h) return;
     if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) { canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio); }
     if (!this.view) { this.fit(); return; }
-    const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue(name).trim();
+    const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue(name).trim(), scale = this.view.scale;
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, w, h);
+    c.textBaseline = 'alphabetic'; c.textAlign = 'left';
     if (this.grid) {
-      const g = this.grid, [x, y] = this.screen(g.x, g.y + g.height * g.resolution), size = g.resolution * this.view.scale;
+      const g = this.grid, [x, y] = this.screen(g.x, g.y + g.height * g.resolution), size = g.resolution * scale;
       c.imageSmoothingEnabled = size < 1;
-      c.drawImage(g.picture, x, y, g.width * size, g.height * size);
+      c.drawImage(g.tinted, x, y, g.width * size, g.height * size);
     }
-    c.font = '12px system-ui, sans-serif';
-    for (const p of this.places) {
-      if (p.name.includes('/') && this.view.scale < 90) continue; // computed ones: rooms and starts first
-      const [x, y] = this.screen(p.x, p.y);
-      c.fillStyle = color('--soft'); c.beginPath(); c.arc(x, y, 2.5, 0, 7); c.fill();
-      if (this.view.scale > 25) c.fillText(p.name, x + 5, y - 4);
-    }
-    if (this.path.length > 1) {
-      c.strokeStyle = color('--good'); c.lineWidth = 2.5; c.beginPath();
-      this.path.forEach(([px, py], k) => { const [x, y] = this.screen(px, py); k ? c.lineTo(x, y) : c.moveTo(x, y); });
-      c.stroke();
-    }
+    this.line(this.paths, color('--good'));
     c.fillStyle = color('--bad');
     for (const [px, py] of this.scan) { const [x, y] = this.screen(px, py); c.fillRect(x - 1, y - 1, 2.5, 2.5); }
-    for (const e of this.entities) {
-      if (e.robot) continue;
+    this.labels = [];
+    c.font = '11px system-ui, sans-serif';
+    for (const e of this.entities) this.thing(e, color);
+    for (const d of this.doors) this.door(d, color);
+    for (const p of this.places) this.place(p, color);
+    for (const e of this.estimates) {
       const [x, y] = this.screen(e.x, e.y);
-      c.strokeStyle = color('--accent'); c.lineWidth = e.name === this.selected ? 3 : 1.2;
-      c.strokeRect(x - 4, y - 4, 8, 8);
-      if (e.name === this.selected) { c.fillStyle = color('--accent'); c.fillText(e.name, x + 8, y + 4); }
+      c.strokeStyle = color('--warn'); c.fillStyle = `${color('--warn')}33`; c.lineWidth = 1.5; c.beginPath();
+      c.ellipse(x, y, Math.max(2, e.major * scale), Math.max(2, e.minor * scale), -e.angle, 0, 7); c.fill(); c.stroke();
     }
-    if (this.estimate) {
-      const e = this.estimate, [x, y] = this.screen(e.x, e.y);
-      c.strokeStyle = color('--warn'); c.lineWidth = 1.5; c.beginPath();
-      c.ellipse(x, y, Math.max(2, e.major * this.view.scale), Math.max(2, e.minor * this.view.scale), -e.angle, 0, 7); c.stroke();
+    for (const r of this.robots) {
+      const mine = r.namespace === this.chosen || this.robots.length === 1;
+      this.arrow(r.x, r.y, r.yaw, Math.max(9, r.radius * scale), color(mine ? '--accent' : '--soft'), true);
+      if (this.robots.length > 1) this.label(r.name, ...this.screen(r.x, r.y), 14, color('--text'), true);
     }
-    for (const r of this.robots) this.arrow(r.x, r.y, r.yaw, Math.max(9, r.radius * this.view.scale), color('--accent'), true);
+    if (this.target) this.flag(...this.screen(this.target.x, this.target.y), color('--good'));
     if (this.drag && this.mode !== 'look') {
       const d = this.drag, yaw = Math.atan2(d.to[1] - d.y, d.to[0] - d.x);
       this.arrow(d.x, d.y, yaw, 14, color('--good'), false);
     }
+    this.scaleBar(w, h, color);
+  }
+
+  line(paths, color) {
+    const c = this.context;
+    c.strokeStyle = color; c.lineWidth = 2.5; c.beginPath();
+    for (const path of paths) path.forEach(([px, py], k) => { const [x, y] = this.screen(px, py); k ? c.lineTo(x, y) : c.moveTo(x, y); });
+    c.stroke();
+  }
+
+  // Writes a name beside a point, unless it would cover another one.
+  label(text, x, y, gap, color, always = false) {
+    const c = this.context, width = c.measureText(text).width, box = [x + gap, y - 7, x + gap + width, y + 7];
+    const covers = this.labels.some((b) => box[0] < b[2] && box[2] > b[0] && box[1] < b[3] && box[3] > b[1]);
+    if (covers && !always) return;
+    this.labels.push(box);
+    c.lineWidth = 3; c.lineJoin = 'round'; c.strokeStyle = getComputedStyle(document.documentElement).getPropertyValue('--floor').trim();
+    c.strokeText(text, x + gap, y + 4);
+    c.fillStyle = color; c.fillText(text, x + gap, y + 4);
+  }
+
+  thing(e, color) {
+    if (e.robot || this.doors.some((d) => d.joint.startsWith(`${e.name}/`))) return;
+    const c = this.context, [x, y] = this.screen(e.x, e.y), selected = e.name === this.selected, marked = selected || e.name === this.hover;
+    c.strokeStyle = color('--accent'); c.fillStyle = `${color('--accent')}${selected ? 'cc' : '40'}`; c.lineWidth = marked ? 2 : 1.2;
+    c.fillRect(x - 4, y - 4, 8, 8); c.strokeRect(x - 4, y - 4, 8, 8);
+    if (marked || this.view.scale > 70) this.label(e.name, x, y, 8, color(marked ? '--text' : '--accent'), marked);
+  }
+
+  // A door or a drawer: a disc that is as full as it is open.
+  door(d, color) {
+    const c = this.context, [x, y] = this.screen(d.x, d.y), body = d.joint.split('/')[0], marked = body === this.selected || body === this.hover;
+    c.beginPath(); c.arc(x, y, 5, 0, 7); c.fillStyle = color('--card'); c.fill();
+    c.beginPath(); c.moveTo(x, y); c.arc(x, y, 5, -Math.PI / 2, -Math.PI / 2 + 2 * Math.PI * Math.max(0, Math.min(1, d.opening))); c.fillStyle = color('--warn'); c.fill();
+    c.beginPath(); c.arc(x, y, 5, 0, 7); c.strokeStyle = color('--warn'); c.lineWidth = marked ? 2.5 : 1.4; c.stroke();
+    if (marked || this.view.scale > 70) this.label(body, x, y, 9, color(marked ? '--text' : '--warn'), marked);
+  }
+
+  place(p, color) {
+    if (p.name.includes('/') && this.view.scale < 90) return; // computed ones: rooms and starts first
+    const c = this.context, [x, y] = this.screen(p.x, p.y);
+    c.fillStyle = color('--soft'); c.beginPath(); c.arc(x, y, 2.5, 0, 7); c.fill();
+    if (this.view.scale > 25) this.label(p.name, x, y, 5, color('--soft'));
+  }
+
+  flag(x, y, color) {
+    const c = this.context;
+    c.strokeStyle = c.fillStyle = color; c.lineWidth = 2;
+    c.beginPath(); c.moveTo(x, y); c.lineTo(x, y - 20); c.stroke();
+    c.beginPath(); c.moveTo(x, y - 20); c.lineTo(x + 12, y - 15.5); c.lineTo(x, y - 11); c.fill();
+    c.beginPath(); c.arc(x, y, 3, 0, 7); c.fill();
+  }
+
+  scaleBar(w, h, color) {
+    const c = this.context, length = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50].find((m) => m * this.view.scale >= 50) || 100, px = length * this.view.scale;
+    c.strokeStyle = color('--text'); c.fillStyle = color('--text'); c.lineWidth = 1.5;
+    c.beginPath(); c.moveTo(10, h - 14); c.lineTo(10, h - 9); c.lineTo(10 + px, h - 9); c.lineTo(10 + px, h - 14); c.stroke();
+    c.textAlign = 'left'; c.fillText(`${length} m`, 15 + px, h - 8);
+    if (!this.cursor) return;
+    const [x, y] = this.world(...this.cursor);
+    c.textAlign = 'right'; c.fillText(`x ${x.toFixed(2)}  y ${y.toFixed(2)} m`, w - 10, h - 8);
   }
 
   arrow(wx, wy, yaw, size, color, filled) {
     const c = this.context, [x, y] = this.screen(wx, wy);
     c.save(); c.translate(x, y); c.rotate(-yaw);
     c.beginPath(); c.moveTo(size, 0); c.lineTo(-size * 0.7, size * 0.65); c.lineTo(-size * 0.4, 0); c.lineTo(-size * 0.7, -size * 0.65); c.closePath();
-    c.lineWidth = 2; c.strokeStyle = '#fff'; c.fillStyle = color;
+    c.lineWidth = 1.5; c.strokeStyle = this.color('--floor'); c.fillStyle = color;
     if (filled) { c.fill(); c.stroke(); } else { c.strokeStyle = color; c.stroke(); }
     c.restore();
   }

@@ -35,7 +35,7 @@ const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 
 
 export class Scene3D {
   constructor(canvas, onReady) {
-    this.canvas = canvas; this.onReady = onReady; this.model = null; this.poses = null; this.robots = []; this.follow = true;
+    this.canvas = canvas; this.onReady = onReady; this.model = null; this.poses = null; this.follow = true;
     this.target = [0, 0, 0.5]; this.distance = 4; this.azimuth = Math.PI; this.elevation = 0.7; this.pending = false; this.pointers = new Map();
     this.gl = canvas.getContext('webgl2', { antialias: true });
     if (!this.gl) return;
@@ -106,7 +106,7 @@ export class Scene3D {
 
   setPoses(buffer) { this.poses = new Float32Array(buffer.slice(12)); this.draw(); }
 
-  setRobots(robots) { this.robots = robots; if (this.follow && robots.length) { this.target[0] = robots[0].x; this.target[1] = robots[0].y; } this.draw(); }
+  setRobot(robot) { if (this.follow && robot) { this.target[0] = robot.x; this.target[1] = robot.y; } this.draw(); }
 
   zoom(factor) { this.distance = Math.max(0.4, Math.min(80, this.distance * factor)); this.draw(); }
 

@@ -1,0 +1,42 @@
+// Small helpers: elements, lists that keep their elements, what the browser remembers.
+
+export const $ = (id) => document.getElementById(id);
+
+export function element(tag, text = '', values = {}) {
+  const e = Object.assign(document.createElement(tag), values);
+  if (text) e.textContent = text;
+  return e;
+}
+
+// Shows items as children of a parent. Elements are kept by key: one that is being pressed must not be replaced by an update.
+export function keyed(parent, items, key, make, update) {
+  const old = new Map([...parent.children].map((child) => [child.dataset.key, child]));
+  const children = items.map((item) => {
+    const name = key(item), child = old.get(name) || make(item);
+    child.dataset.key = name;
+    update(child, item);
+    return child;
+  });
+  if (children.length !== parent.children.length || children.some((child, k) => parent.children[k] !== child)) parent.replaceChildren(...children);
+}
+
+export function remembered(name, otherwise) {
+  try { return JSON.parse(localStorage.getItem(name)) ?? otherwise; } catch { return otherwise; }
+}
+
+export function remember(name, value) { try { localStorage.setItem(name, JSON.stringify(value)); } catch { /* private windows have none */ } }
+
+export function note(text, bad = false) {
+  const p = element('p', text, { className: bad ? 'bad' : '' });
+  $('notes').append(p);
+  while ($('notes').children.length > 4) $('notes').firstChild.remove();
+  setTimeout(() => p.remove(), 5000);
+}
+
+export function download(blob, name) {
+  const a = element('a', '', { href: URL.createObjectURL(blob), download: name });
+  a.click();
+  setTimeout(() => URL.revokeObjectURL(a.href), 1000);
+}
+
+export const fileName = (text) => text.replace(/[^\w-]+/g, '_').replace(/^_+|_+$/g, '') || 'image';
