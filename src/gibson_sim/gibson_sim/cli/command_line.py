@@ -10,7 +10,7 @@ from importlib import import_module
 from gibson_sim import __version__
 from gibson_sim.cli.parser import ExitCode, Parser, choice_error, table
 from gibson_sim.cli.registry import COMMANDS, command_modules, not_installed
-from gibson_sim.errors import AlreadyRunningError, GibsonSimError
+from gibson_sim.errors import AlreadyRunningError, GibsonSimError, missing_package
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.writing import cannot_write, is_of_the_disk
 
@@ -31,7 +31,10 @@ def run(words: list[str]) -> int:
     Raises:
         SystemExit: the words are not a valid command line, or request help or the version.
     """
-    args = _parser(words).parse_args(words)
+    try:
+        args = _parser(words).parse_args(words)
+    except ImportError as error:
+        return int(_fail_import(error))
     interruptible = Interruptible()
     try:
         with interruptible:
@@ -54,10 +57,13 @@ def run(words: list[str]) -> int:
         else:
             _discard_output()
             code = _fail(cannot_write(error.filename, error), ExitCode.ERROR)
-    except Exception:
-        if not interruptible.was_interrupted:
+    except Exception as error:
+        if interruptible.was_interrupted:
+            code = ExitCode.INTERRUPTED
+        elif isinstance(error, ImportError):
+            code = _fail_import(error)
+        else:
             raise
-        code = ExitCode.INTERRUPTED
     return int(code)
 
 
@@ -67,6 +73,14 @@ def _discard_output() -> None:
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fail_import(error: ImportError) -> ExitCode:
+    """Prints which package is not installed; raises the error again if the code itself is at fault."""
+    problem = missing_package(error)
+    if problem is None:
+        raise error
+    return _fail(problem, ExitCode.ERROR)
 
 
 def _fail(error: GibsonSimError, code: ExitCode) -> ExitCode:
