@@ -50,6 +50,12 @@ class RecordConfig:
 
     output: str = setting("", "Folder of the bag; it may exist if it is empty")
     topics: str = setting("", "Topics to record, separated by commas; empty = all")
+    record_images: str = setting(
+        "raw",
+        "Form of recorded images: raw; compressed = JPEG for colours, PNG for labels, compressedDepth for depth; none = only those that "
+        "`topics` names",
+        choices=("raw", "compressed", "none"),
+    )
     storage: str = setting("mcap", "Format of the bag's files", choices=("mcap", "sqlite3"))
     compression: str = setting("none", "Compression of the bag's chunks; none with sqlite3", choices=("none", "zstd", "lz4"))
     max_bag_size: int = setting(0, "Size at which another file of the bag begins; 0 = never", unit="bytes", minimum=0)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, IMAGE_TYPES, base_topic
 from gibson_sim.bags.plots.rates import is_event, is_of_this_clock, missing_in, period_of
 from gibson_sim.bags.plots.touches import Touch, TouchFinder, origin_ns, robot_bodies, robot_namespaces
 from gibson_sim.bags.reader import BagReader, TopicInfo
@@ -18,12 +19,12 @@ from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import wrap_angle, yaw_from_quat
 from gibson_sim.types import NS_PER_S
 
-IMAGE = "sensor_msgs/msg/Image"
 ODOMETRY = "nav_msgs/msg/Odometry"
 CLOCK = "rosgraph_msgs/msg/Clock"
 TF = "tf2_msgs/msg/TFMessage"
 ONE_SOURCE = (
     IMAGE,
+    COMPRESSED,
     ODOMETRY,
     "sensor_msgs/msg/CameraInfo",
     "sensor_msgs/msg/JointState",
@@ -137,7 +138,7 @@ class BagReport:
             lines.append(f"contact: {more} more")
         lines += [f"note: {note}" for note in self.notes]
         lines += [f"PROBLEM: {problem}" for problem in self.problems]
-        images = any(topic.info.type_name == IMAGE and topic.info.count for topic in self.topics)
+        images = any(topic.info.type_name in IMAGE_TYPES and topic.info.count for topic in self.topics)
         verdict = f"stamps agree: {'each image has that of its camera_info and of an odometry; ' * images}none goes back in time"
         return [*lines, verdict if self.ok else _counted(len(self.problems), "problem")]
 
@@ -191,7 +192,7 @@ def check_bag(folder: str | Path) -> BagReport:
     problems = _order_problems(infos, data)
     notes: list[str] = []
     for topic, info in infos.items():
-        if info.type_name == IMAGE and info.count:
+        if info.type_name in IMAGE_TYPES and info.count:
             partners = _partners(topic, infos)
             for partner in partners:
                 if not (len(data.stamps[topic]) and len(data.stamps[partner])):
@@ -240,11 +241,12 @@ def _missing_notes(reports: Iterable[TopicReport]) -> list[str]:
     for report in reports:
         if report.missing and report.info.type_name in ONE_SOURCE:
             alike.setdefault((report.missing, report.info.count), []).append(report.info.name)
-    return [
-        f"{missing} of {missing + count} messages are missing on {', '.join(topics)}"
-        + (": the renderer skips images that it cannot draw in time" if "image" in "".join(topics) else "")
-        for (missing, count), topics in alike.items()
-    ]
+    notes = []
+    for (missing, count), topics in alike.items():
+        images = [topic for topic in topics if not topic.endswith("/camera_info")]  # these come with images
+        why = ": the renderer skips images that it cannot draw in time" if any("image" in topic for topic in images) else ""
+        notes.append(f"{missing} of {missing + count} messages are missing on {', '.join(images or topics)}{why}")
+    return notes
 
 
 def _planar(pose: Any) -> tuple[float, float, float]:
@@ -269,7 +271,7 @@ def _order_problems(infos: dict[str, TopicInfo], data: _Collected) -> list[str]:
 
 def _partners(topic: str, infos: dict[str, TopicInfo]) -> list[str]:
     """Returns the topics of the bag whose stamps an image must share."""
-    candidates = [_odometry_topic(topic, infos), topic.rpartition("/")[0] + "/camera_info"]
+    candidates = [_odometry_topic(topic, infos), base_topic(topic).rpartition("/")[0] + "/camera_info"]
     return [c for c in candidates if c in infos and infos[c].count]
 
 

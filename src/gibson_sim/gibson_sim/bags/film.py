@@ -8,9 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gibson_sim.bags.reader import COLOUR_ENCODINGS, BagReader
+from gibson_sim.bags.images.decode import SUFFIXES as IMAGE_SUFFIXES, raw_image
+from gibson_sim.bags.reader import COLOUR_ENCODINGS, BagReader, TopicInfo
 from gibson_sim.bags.stamps import nominal_period_ns
-from gibson_sim.bags.video import IMAGE, MAX_FPS, Bgr, Panels, repeats_of
+from gibson_sim.bags.video import MAX_FPS, Bgr, Panels, image_topics, repeats_of
 from gibson_sim.bags.video_file import write_frames
 from gibson_sim.errors import RecordError
 from gibson_sim.picture_files import SUFFIXES, write_picture
@@ -34,17 +35,23 @@ def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
     """
     infos = reader.topics()
     if wanted:
-        topics = [name if name in infos else f"/{name.strip('/')}/image_raw" for name in wanted]
+        topics = [_topic_of(name, infos) for name in wanted]
         unknown = [name for name, topic in zip(wanted, topics, strict=True) if topic not in infos]
         if unknown:
-            there = ", ".join(sorted(name for name, info in infos.items() if info.type_name == IMAGE)) or "none"
+            there = ", ".join(sorted(image_topics(reader))) or "none"
             raise RecordError(f"bag {reader.folder} has no images on {', '.join(unknown)}; it has them on: {there}")
         return topics
-    images = sorted(name for name, info in infos.items() if info.type_name == IMAGE and info.count)
-    colours = [name for name in images if reader.first(name).encoding in COLOUR_ENCODINGS]
+    colours = [name for name in sorted(image_topics(reader)) if raw_image(reader.first(name)).encoding in COLOUR_ENCODINGS]
     if not colours:
         raise RecordError(f"bag {reader.folder} has no colour images: record while the render node runs, or name topics")
     return sorted(colours, key=lambda name: (name.startswith(_VIEWS), name))
+
+
+def _topic_of(name: str, infos: Mapping[str, TopicInfo]) -> str:
+    """Returns the topic that a user named, or that of the colour images of a camera; the raw one if it does not exist."""
+    raw = f"/{name.strip('/')}/image_raw"
+    known = (name, *(name + suffix for suffix in IMAGE_SUFFIXES), raw, *(raw + suffix for suffix in IMAGE_SUFFIXES))
+    return next((topic for topic in known if topic in infos), raw)
 
 
 def write_film_strip(

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.bags.images.decode import IMAGE_TYPES, base_topic, raw_image
 from gibson_sim.bags.reader import COLOUR_ENCODINGS, DEPTH_ENCODINGS, BagReader, image_to_array
 from gibson_sim.bags.stamps import nominal_period_ns, stamp_ns
 from gibson_sim.bags.video_file import write_frames
@@ -20,7 +21,6 @@ from gibson_sim.picture_files import write_picture
 from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
-IMAGE = "sensor_msgs/msg/Image"
 ODOMETRY = "nav_msgs/msg/Odometry"
 DEPTH_RANGE_M = 8.0
 """Depth from which on the coldest colour is shown, metres; 0 m has the warmest."""
@@ -47,11 +47,12 @@ def colourise_depth(depth_m: NDArray[np.floating[Any]], far_m: float = DEPTH_RAN
 
 
 def image_to_bgr(msg: Any) -> Bgr:
-    """Returns any supported ``sensor_msgs/Image`` as a picture, (H, W, 3) uint8 BGR; depth in false colours.
+    """Returns any supported ``sensor_msgs/Image`` or ``CompressedImage`` as a picture, (H, W, 3) uint8 BGR; depth in false colours.
 
     Raises:
         RecordError: the encoding is not supported.
     """
+    msg = raw_image(msg)
     if msg.encoding not in (*COLOUR_ENCODINGS, *DEPTH_ENCODINGS):
         known = ", ".join((*COLOUR_ENCODINGS, *DEPTH_ENCODINGS))
         raise RecordError(f"image encoding {quoted(msg.encoding)} has no picture, must be one of {known}")
@@ -152,9 +153,10 @@ class Panels:
     def __init__(self, reader: BagReader, topics: Sequence[str] | None) -> None:
         self._reader = reader
         self.topics = list(topics) if topics else _default_topics(reader)
-        wrong = [t for t in self.topics if t in reader.topics() and reader.topics()[t].type_name != IMAGE]
+        wrong = [t for t in self.topics if t in reader.topics() and reader.topics()[t].type_name not in IMAGE_TYPES]
         if wrong:
-            raise RecordError(f"bag {reader.folder}: {', '.join(wrong)} holds no images ({IMAGE})")
+            raise RecordError(f"bag {reader.folder}: {', '.join(wrong)} holds no images ({' or '.join(IMAGE_TYPES)})")
+        self._types = {topic: info.type_name for topic, info in reader.topics().items()}
         stamps: dict[str, list[int]] = {topic: [] for topic in self.topics}
         for topic, _, raw in reader.raw_messages(self.topics):
             stamps[topic].append(stamp_ns(raw))
@@ -190,7 +192,7 @@ class Panels:
         for topic, _, raw in self._reader.raw_messages(self.topics):
             stamp = stamp_ns(raw)
             if stamp in waiting:
-                waiting[stamp][topic] = image_to_bgr(self._reader.decode(IMAGE, raw))
+                waiting[stamp][topic] = image_to_bgr(self._reader.decode(self._types[topic], raw))
                 self._sizes[topic] = waiting[stamp][topic].shape
             while todo and self._complete(stamp := int(self.stamps[todo[0]]), waiting[stamp]):
                 yield todo.pop(0), waiting.pop(stamp)
@@ -215,10 +217,10 @@ class Panels:
 
 def _default_topics(reader: BagReader) -> list[str]:
     """Returns the first colour topic and the depth topic of the same camera; either alone if there is only one."""
-    infos = [info for info in reader.topics().values() if info.type_name == IMAGE and info.count]
+    infos = image_topics(reader)
     if not infos:
         raise RecordError(f"bag {reader.folder} has no images: record while the render node runs, with the image topics")
-    encodings = {info.name: reader.first(info.name).encoding for info in infos}
+    encodings = {name: raw_image(reader.first(name)).encoding for name in infos}
     colour = [name for name, encoding in encodings.items() if encoding in COLOUR_ENCODINGS]
     depth = [name for name, encoding in encodings.items() if encoding in DEPTH_ENCODINGS]
     if not colour and not depth:
@@ -229,9 +231,15 @@ def _default_topics(reader: BagReader) -> list[str]:
     return [colour[0], *near[:1]]
 
 
+def image_topics(reader: BagReader) -> list[str]:
+    """Returns the topics of a bag that have images, by name, each image once: raw if the bag has both forms."""
+    there = [name for name, info in reader.topics().items() if info.type_name in IMAGE_TYPES and info.count]
+    return [name for name in there if base_topic(name) == name or base_topic(name) not in there]
+
+
 def _camera(topic: str) -> str:
     """Returns the namespace of the camera: ``/camera`` for ``/camera/image_raw`` and ``/camera/depth/image_raw``."""
-    namespace = topic.rpartition("/")[0]
+    namespace = base_topic(topic).rpartition("/")[0]
     return namespace.rpartition("/")[0] if namespace.endswith(("/depth", "/rgb", "/color", "/colour")) else namespace
 
 

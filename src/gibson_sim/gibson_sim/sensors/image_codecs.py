@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.formats.textures import decode_pixels
 
 ColorCodec = Literal["jpeg", "png"]
 U8 = NDArray[np.uint8]
 COMPRESSED_DEPTH_FORMAT = "32FC1; compressedDepth png"
 """``format`` field of messages with data of ``encode_depth``."""
 _INVERSE_DEPTH = 0
+_HEADER = struct.Struct("<iff")
 _LARGEST = 2**16 - 1
 
 
@@ -33,12 +35,12 @@ def encode_color(rgb: U8, codec: ColorCodec, *, jpeg_quality: int = 95, png_leve
     """Returns the bytes of an image file, (N,); ``cv2.imdecode`` decodes them to BGR.
 
     Args:
-        rgb: (H, W, 3), row 0 at the top.
+        rgb: (H, W, 3), row 0 at the top; (H, W) for a grey image.
         codec: jpeg, small and lossy; png, lossless.
         jpeg_quality: 1 to 100.
         png_level: 0 (fast) to 9 (small).
     """
-    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
     if codec == "jpeg":
         return _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
     return _encoded(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
@@ -64,7 +66,46 @@ def encode_depth(
     pixels = np.zeros(depth.shape, dtype=np.uint16)
     pixels[seen] = inverse[seen].astype(np.uint16)
     png = _encoded(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
-    return struct.pack("<iff", _INVERSE_DEPTH, a, b) + png.tobytes()
+    return _HEADER.pack(_INVERSE_DEPTH, a, b) + png.tobytes()
+
+
+def is_compressed_depth(image_format: str) -> bool:
+    """Returns whether the ``format`` field of a message is that of compressedDepth."""
+    return "compressedDepth" in image_format
+
+
+def decode_depth(data: bytes, *, metric: bool = True) -> NDArray[Any] | None:
+    """Returns the depth of the data of a compressedDepth message, None if they are damaged.
+
+    Args:
+        data: header and PNG, as of ``encode_depth``.
+        metric: whether the original was 32FC1, and not 16UC1.
+
+    Returns:
+        (H, W) float32, metres, NaN where there is no depth; for 16UC1, (H, W) uint16, the unit of the original.
+    """
+    if len(data) <= _HEADER.size:
+        return None
+    _, a, b = _HEADER.unpack_from(data)
+    pixels = decode_pixels(data[_HEADER.size :], cv2.IMREAD_UNCHANGED)
+    if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
+        return None
+    if not metric:
+        return pixels
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.float32(a) / (pixels.astype(np.float32) - np.float32(b))
+    depth[pixels == 0] = np.nan
+    return np.asarray(depth, dtype=np.float32)
+
+
+def encode_png(pixels: NDArray[Any], level: int) -> U8:
+    """Returns the bytes of a lossless PNG, (N,).
+
+    Args:
+        pixels: (H, W), uint8 or uint16.
+        level: 0 (fast) to 9 (small).
+    """
+    return _encoded(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])
 
 
 def _encoded(suffix: str, pixels: NDArray[Any], flags: list[int]) -> U8:

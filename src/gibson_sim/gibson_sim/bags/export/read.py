@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, base_topic, raw_image
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.quoting import quoted
 
-IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+INFO = "sensor_msgs/msg/CameraInfo"
 Kind = Literal["color", "depth", "labels", "vectors"]
 _COLORS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8")
 _DEPTHS = ("32FC1", "16UC1", "mono16")
@@ -24,6 +25,7 @@ _VECTORS = ("32FC2", "32FC3")
 _TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR, "mono8": cv2.COLOR_GRAY2BGR}
 _TRANSPORT_PARTS = (
     "compressed",
+    "compressedDepth",
     "image",
     "image_raw",
     "image_rect",
@@ -42,7 +44,7 @@ class Stream:
     type_name: str
     kind: Kind
     encoding: str
-    """Encoding of the pixels; for compressed images the file suffix, ``jpg`` or ``png``."""
+    """Encoding of the pixels; for compressed colour images the file suffix, ``jpg`` or ``png``."""
     frame_id: str
     width: int
     height: int
@@ -132,13 +134,15 @@ def _stream(bag: BagReader, topic: str, type_name: str) -> Stream | str:
     """Returns the stream of a topic by its first message, or the reason why it cannot be exported."""
     msg = bag.first(topic)
     if type_name == COMPRESSED:
-        if topic.endswith("/compressedDepth"):
-            return "depth is exported from raw images alone; record the topic without /compressedDepth"
-        pixels = decode_pixels(bytes(msg.data), cv2.IMREAD_COLOR)
-        if pixels is None:
+        try:
+            image = raw_image(msg)
+        except RecordError:
             return f"its format {quoted(msg.format)} is neither JPEG nor PNG"
+        if image.encoding not in _COLORS:
+            of_16_bits: Kind = _kind(image.encoding, topic) or "labels"
+            return Stream(topic, type_name, of_16_bits, image.encoding, msg.header.frame_id, image.width, image.height)
         suffix = "png" if bytes(msg.data[:4]) == b"\x89PNG" else "jpg"
-        return Stream(topic, type_name, "color", suffix, msg.header.frame_id, pixels.shape[1], pixels.shape[0])
+        return Stream(topic, type_name, "color", suffix, msg.header.frame_id, image.width, image.height)
     kind = _kind(msg.encoding, topic)
     if kind is None:
         return f"encoding {quoted(msg.encoding)} is not known: convert it to one of {', '.join((*_COLORS, *_DEPTHS, *_VECTORS))}"
@@ -164,7 +168,12 @@ def _grouped(bag: BagReader, streams: Sequence[Stream], notes: list[str]) -> lis
             notes.append(f"{stream.topic} is left out: {members[stream.folder]['rgb'].topic} shows the same")
         else:
             members[stream.folder]["rgb"] = stream
-    for stream in (s for s in streams if s.kind != "color"):
+    others = sorted((s for s in streams if s.kind != "color"), key=lambda s: (s.type_name == COMPRESSED, s.topic))
+    raw = {stream.topic for stream in others if stream.type_name == IMAGE}
+    for stream in others:
+        if stream.type_name == COMPRESSED and base_topic(stream.topic) in raw:
+            notes.append(f"{stream.topic} is left out: {base_topic(stream.topic)} shows the same")
+            continue
         alike = [
             folder
             for folder, own in members.items()
@@ -205,7 +214,7 @@ def _lenses(bag: BagReader) -> dict[str, Lens]:
 def _lens_of(lenses: dict[str, Lens], streams: Any) -> Lens | None:
     """Returns the first calibration beside a stream: ``camera_info`` in the same namespace, as in image_transport."""
     for stream in streams:
-        parts = stream.topic.removesuffix("/compressed").split("/")
+        parts = base_topic(stream.topic).split("/")
         if (topic := "/".join((*parts[:-1], "camera_info"))) in lenses:
             return lenses[topic]
     return None
@@ -242,8 +251,8 @@ class CameraImage:
         return self.camera.streams[self.output]
 
     def encoded(self) -> bytes | None:
-        """Returns the JPEG or PNG bytes of a compressed image; None otherwise."""
-        return bytes(self.message.data) if self.stream.type_name == COMPRESSED else None
+        """Returns the JPEG or PNG bytes of a compressed colour image; None otherwise."""
+        return bytes(self.message.data) if self.stream.type_name == COMPRESSED and self.stream.kind == "color" else None
 
     def bgr(self) -> NDArray[np.uint8]:
         """Returns a colour image, (H, W, 3) uint8, blue first."""
@@ -258,12 +267,12 @@ class CameraImage:
 
     def metres(self) -> NDArray[np.float32]:
         """Returns a depth image, (H, W) float32, metres; 16-bit images are millimetres (REP 118)."""
-        pixels = image_to_array(self.message)
+        pixels = image_to_array(raw_image(self.message))
         return np.asarray(pixels if pixels.dtype == np.float32 else pixels * np.float32(0.001), dtype=np.float32)
 
     def array(self) -> NDArray[Any]:
         """Returns the unconverted pixels."""
-        return image_to_array(self.message)
+        return image_to_array(raw_image(self.message))
 
 
 def camera_images(

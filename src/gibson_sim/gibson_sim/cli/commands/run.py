@@ -85,7 +85,7 @@ def add_parser(subparsers: Any) -> None:
     add_settings(
         record,
         RecordConfig,
-        ("topics", "storage", "compression", "max_bag_size", "max_bag_duration", "flush_period", "reserve_mb"),
+        ("topics", "record_images", "storage", "compression", "max_bag_size", "max_bag_duration", "flush_period", "reserve_mb"),
     )
     record.add_argument("--video", metavar="FILE.mp4", help="write a video and, beside it, a contact sheet PNG of RGB and depth")
     record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
@@ -142,7 +142,9 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
         check_new_bag(job.bag, settings.reserve_mb)
         job.configs["record"] = settings
         topics = [topic.lstrip("/") for topic in settings.wanted_topics()]
-        cameras = () if args.no_render else (CAMERAS,)
+        if args.video and settings.record_images == "none":
+            raise ConfigError("--video is made of recorded images: leave --record-images none out, or make it compressed")
+        cameras = () if args.no_render or settings.record_images == "none" else (CAMERAS,)
         for topic in [t for t in topics if t in _OF_ONE_ROBOT] if topics else (STATE_TOPIC, ROBOTS, *cameras):
             waits[topic] = waits.get(topic, 0) + 1
     if args.drive:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, cast
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
 
-from gibson_msgs.msg import SceneState
+from gibson_msgs.msg import Scene, SceneState
+from gibson_sim.bags.images.compress import ImageCompressor
+from gibson_sim.bags.images.decode import COMPRESSED, IMAGE, IMAGE_TYPES, SUFFIXES as IMAGE_SUFFIXES
+from gibson_sim.bags.images.sizes import ImageForm, ImageStream, size_line
+from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.bags.recording import Recording, StartGate, report_lines
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import RecordError
@@ -58,6 +64,9 @@ class RecordNode(Node):
     `ros2 bag record --use-sim-time`; nothing is written before the first /clock, except latched messages, which get its time. At the end
     it writes everything that was sent before, then closes the bag.
 
+    With ``record_images`` compressed, images are compressed as image_transport does it, and recorded on its topics: raw ones on
+    ``<camera>/image_raw`` as ``<camera>/image_raw/compressed``.
+
     It takes part in lockstep: time does not go on with new images before it has written those of the tick before, however slow the disk
     is. If the simulation is there before it, the bag begins with a /clock: if time runs, with the first one after all topics are
     discovered; if time stands still, with the next one. See ``StartGate``.
@@ -89,9 +98,19 @@ class RecordNode(Node):
         """Topic with unmatched publishers -> since when (monotonic clock, s); -inf = it was reported."""
         self._lockstep: LockstepParticipant | None = None
         self._latched: set[str] = set()
+        self._compressor = ImageCompressor() if config.record_images == "compressed" else None
+        self._compressed_profiles: dict[str, TopicQos] = {}
+        """Raw image topic whose messages are compressed -> its quality of service."""
+        self._recorded_as: dict[str, str] = {}
+        """Raw image topic -> topic in the bag."""
+        self._streams: dict[str, ImageStream] = {}
+        """Image topic -> what the scene's cameras publish on it."""
+        self._images: set[str] | None = set()
+        """Recorded topics of raw images; None = their size was announced."""
         self._start_gate = StartGate(self._latched.__contains__)
         # Steady clock, seconds.
         self._started, self._changed, self._time_known = time.monotonic(), 0.0, math.inf
+        self._scene_topic = self.resolve_topic_name(names.SCENE)
         self._subscribed = RawSubscriptions(self)
         self._subscribed.subscribe(names.CLOCK, CLOCK_TYPE, QoSProfile(depth=DEPTH))
         offer_services(self, self._recording, self._flush)
@@ -120,6 +139,8 @@ class RecordNode(Node):
                 self._record(topic, publishers)
         if unmatched or len(self._seen) > known:
             self._changed = time.monotonic()
+        elif self._images and self._streams:
+            self._announce_size(self._images)
         if self._lockstep is None:
             self._choose_start()
 
@@ -178,19 +199,53 @@ class RecordNode(Node):
             return topic in self._requested
         return not (names.is_derived(topic) or names.is_hidden(topic))
 
+    def _announce_size(self, topics: set[str]) -> None:
+        """Logs once what the images take, if their cameras are known: as soon as no more topics appear."""
+        self._images = None
+        streams = [self._streams[topic] for topic in topics if topic in self._streams]
+        if streams:
+            free = shutil.disk_usage(self._config.output).free - self._config.reserve_mb * 1_000_000
+            form = cast(ImageForm, "raw" if self._config.record_images == "none" else self._config.record_images)
+            self.get_logger().info(size_line(streams, form, max(0, free), self._config.compression))
+
+    def _note_scene(self, data: bytes) -> None:
+        """Notes the images that the cameras of a scene publish."""
+        for camera in deserialize_message(data, Scene).cameras:
+            topics = names.camera_topics(camera.name)
+            for output in camera.outputs:
+                topic = self.resolve_topic_name(topics[output])
+                self._streams[topic] = ImageStream(output, camera.width, camera.height, camera.rate)
+
     def _record(self, topic: str, publishers: list[Any]) -> None:
         """Subscribes to one topic, as reliable and as latched as its publishers allow."""
         assert self._subscribed is not None
         type_name = publishers[0].topic_type
+        if type_name in IMAGE_TYPES:
+            if self._config.record_images == "none" and topic not in self._requested:
+                return
+            if self._images is not None and type_name != COMPRESSED:
+                self._images.add(topic)
         profile = recording_profile(publishers, type_name)
         latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         if latched:
             self._latched.add(topic)
         try:
-            self._recording.add_topic(topic, type_name, offered_qos(profile, type_name), latched=latched)
+            if self._is_compressed_here(topic, type_name):
+                self._compressed_profiles[topic] = offered_qos(profile, type_name)
+            else:
+                self._recording.add_topic(topic, type_name, offered_qos(profile, type_name), latched=latched)
             self._subscribed.subscribe(topic, type_name, profile)
         except RecordError as error:
             self.get_logger().warning(f"{topic} is not recorded: {error}")
+
+    def _is_compressed_here(self, topic: str, type_name: str) -> bool:
+        """Returns whether the images of a topic are to be compressed; not if the compressed ones of their publisher are recorded, too."""
+        if self._compressor is None or type_name not in IMAGE_TYPES or type_name == COMPRESSED:
+            return False
+        if any(topic + suffix in self._requested for suffix in IMAGE_SUFFIXES):
+            return False
+        self._compressor.add_topic(topic)
+        return True
 
     def _write_received(self, *, flush: bool = False) -> None:
         """Writes the messages that arrived; with ``flush``, also those that are held back for their order."""
@@ -205,11 +260,23 @@ class RecordNode(Node):
 
     def _write(self, messages: list[ReceivedMessage]) -> None:
         """Writes messages, which are in the order in which they were sent."""
-        for topic, data in self._start_gate.release((message.topic, message.data) for message in messages):
+        for topic, data, received_on in self._compressed(self._start_gate.release((m.topic, m.data) for m in messages)):
             if topic == names.CLOCK:
                 self._recording.receive_clock(data)
-            else:
-                self._recording.receive(topic, data)
+                continue
+            if topic == self._scene_topic and not self._streams:
+                self._note_scene(data)
+            if received_on in self._compressed_profiles and topic not in self._recorded_as.values():
+                self._recorded_as[received_on] = topic
+                type_name = COMPRESSED if topic != received_on else IMAGE
+                self._recording.add_topic(topic, type_name, self._compressed_profiles[received_on])
+            self._recording.receive(topic, data)
+
+    def _compressed(self, messages: Iterable[tuple[str, bytes]]) -> Iterable[tuple[str, bytes, str]]:
+        """Returns topic in the bag, bytes and original topic of each message."""
+        if self._compressor is None:
+            return ((topic, data, topic) for topic, data in messages)
+        return self._compressor.compress(messages)
 
     def spin(self) -> int:
         """Records until the context ends, ``duration`` has passed or the disk is full; returns the exit code."""
@@ -246,7 +313,10 @@ class RecordNode(Node):
         if subscribed is None:
             return
         self._recording.close()
-        summary = {**self._recording.summary(), "lost": subscribed.lost(), "message_lost": subscribed.reported_lost()}
+        if self._compressor is not None:
+            self._compressor.close()
+        lost = {self._recorded_as.get(topic, topic): count for topic, count in subscribed.lost().items()}
+        summary = {**self._recording.summary(), "lost": lost, "message_lost": subscribed.reported_lost()}
         absent = sorted(self._requested - self._seen)
         summary["absent"] = {topic: nearest(topic, sorted(self._topics - {topic})) for topic in absent}
         subscribed.close()

@@ -1,0 +1,92 @@
+"""Compresses the images of a recording into the forms of image_transport: JPEG for colours, PNG for labels, compressedDepth for depth."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
+from gibson_sim.bags.images.decode import COMPRESSED, IMAGE
+from gibson_sim.bags.reader import image_to_array
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, color_format, encode_color, encode_depth, encode_png
+
+JPEG_QUALITY = 95
+"""Quality of recorded JPEG images, that of ``<camera>/image_raw/compressed``."""
+DEPTH_MAX_M = 100.0
+"""Depth from which on recorded compressedDepth images have no value, m."""
+_PNG_LEVEL = 1
+_SUFFIX = {
+    "rgb8": "/compressed", "bgr8": "/compressed", "mono8": "/compressed", "16UC1": "/compressed", "mono16": "/compressed",
+    "32FC1": "/compressedDepth",
+}  # fmt: skip
+"""Encoding -> what image_transport appends to the topic of its compressed form. Others have none and stay raw."""
+Message = tuple[str, bytes]
+"""Topic and CDR bytes."""
+
+
+class ImageCompressor:
+    """Compresses images on several threads; the messages keep their order. Use it as a context manager, or call ``close``."""
+
+    def __init__(self) -> None:
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._topics: set[str] = set()
+        self._pool = ThreadPoolExecutor(min(4, os.cpu_count() or 1), thread_name_prefix="compress")
+
+    def add_topic(self, topic: str) -> None:
+        """Adds a topic of ``sensor_msgs/Image`` whose messages are to be compressed."""
+        self._topics.add(topic)
+
+    def compress(self, messages: Iterable[Message]) -> Iterator[tuple[str, bytes, str]]:
+        """Yields topic, bytes and topic of the raw form of each message in their order; that of images only becomes another one.
+
+        An image without a compressed form, such as one of normals, stays as it is; so does one that cannot be decoded.
+        """
+        waiting: list[tuple[str, bytes | Future[Message]]] = []
+        for topic, data in messages:
+            waiting.append((topic, self._pool.submit(self._compressed, topic, data) if topic in self._topics else data))
+        for topic, item in waiting:
+            to, data = item.result() if isinstance(item, Future) else (topic, item)
+            yield to, data, topic
+
+    def _compressed(self, topic: str, data: bytes) -> Message:
+        try:
+            message: Any = self._store.deserialize_cdr(data, IMAGE)
+            suffix = _SUFFIX.get(message.encoding, "")
+            if not suffix:
+                return topic, data
+            image_format, pixels = _encoded(message.encoding, image_to_array(message))
+        except GibsonSimError:
+            return topic, data
+        types = self._store.types
+        compressed = types[COMPRESSED](header=message.header, format=image_format, data=pixels)
+        return topic + suffix, bytes(self._store.serialize_cdr(compressed, COMPRESSED))
+
+    def close(self) -> None:
+        """Ends the threads; a second call does nothing."""
+        self._pool.shutdown()
+
+    def __enter__(self) -> ImageCompressor:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+
+def _encoded(encoding: str, pixels: NDArray[Any]) -> tuple[str, NDArray[np.uint8]]:
+    """Returns format and data of the compressed form."""
+    if encoding == "32FC1":
+        data = encode_depth(pixels, depth_max=DEPTH_MAX_M, png_level=_PNG_LEVEL)
+        return COMPRESSED_DEPTH_FORMAT, np.frombuffer(data, dtype=np.uint8)
+    if pixels.dtype == np.uint16:
+        return f"{encoding}; png compressed ", encode_png(pixels, _PNG_LEVEL)
+    if encoding == "mono8":
+        return "mono8; jpeg compressed ", encode_color(pixels, "jpeg", jpeg_quality=JPEG_QUALITY)
+    rgb = pixels if encoding == "rgb8" else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    return color_format("jpeg").replace("rgb8", encoding, 1), encode_color(np.asarray(rgb), "jpeg", jpeg_quality=JPEG_QUALITY)

@@ -1,0 +1,63 @@
+"""Estimates the size of recorded images, for a user who decides how to record them. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+ImageForm = Literal["raw", "compressed", "none"]
+_PIXEL_BYTES = {
+    "rgb": 3, "depth": 4, "semantic": 2, "instance": 2, "normal": 12, "normal_world": 12, "position": 12, "flow": 8,
+}  # fmt: skip
+"""Output of a camera -> bytes of a raw pixel."""
+_SMALLER = {"rgb": 14.0, "depth": 30.0, "semantic": 60.0, "instance": 60.0}
+"""Output -> how many times smaller its compressed form is in furnished rooms, about; the others have none."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImageStream:
+    """The images of one output of a camera."""
+
+    output: str
+    width: int
+    height: int
+    rate_hz: float
+
+    def bytes_per_s(self, form: ImageForm) -> float:
+        """Returns the bytes a second of simulation time; compressed ones are an estimate."""
+        if form == "none":
+            return 0.0
+        raw = _PIXEL_BYTES.get(self.output, 4) * self.width * self.height * self.rate_hz
+        return raw / _SMALLER.get(self.output, 1.0) if form == "compressed" else raw
+
+
+def size_line(streams: Iterable[ImageStream], form: ImageForm, free_bytes: int, chunks: str = "none") -> str:
+    """Returns a line that says what the images of a recording take, how long the disk has room, and what would be smaller.
+
+    Args:
+        streams: all images that are recorded, if each is drawn.
+        form: how they are recorded.
+        free_bytes: room for them on the disk.
+        chunks: compression of the bag's chunks, ``none`` if there is none.
+    """
+    streams = tuple(streams)
+    now, compressed, raw = (sum(s.bytes_per_s(f) for s in streams) for f in (form, "compressed", "raw"))
+    about = "up to" if form == "raw" else "about"
+    before = f" before --compression {chunks}" if chunks != "none" and form == "raw" else ""
+    minutes = free_bytes / max(60.0 * now, 1.0)
+    room = f"the disk has room for {_duration(minutes)}" if minutes < 600.0 else "the disk has room for hours"
+    other = (
+        f"`--record-images compressed` takes about {_size(60.0 * compressed)}, `none` nothing"
+        if form == "raw"
+        else f"raw ones would be {_size(60.0 * raw)}"
+    )
+    return f"images are recorded {form}: {about} {_size(60.0 * now)} a minute{before} ({room}); {other}"
+
+
+def _size(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
+def _duration(minutes: float) -> str:
+    return f"{minutes:.0f} min" if minutes >= 2.0 else f"{60.0 * minutes:.0f} s"
