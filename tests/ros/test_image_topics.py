@@ -12,12 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-from support.simulation import require, wait_until
+from support.simulation import PATIENCE_S, require, wait_until
 
 require("rclpy", "gibson_msgs")
 
 import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -31,6 +32,7 @@ from gibson_sim.render.context import open_context  # noqa: E402
 from gibson_sim.resources import find_robot  # noqa: E402
 from gibson_sim.robots.load import load_robot  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
+from gibson_sim.ros.nodes import node_main  # noqa: E402
 from gibson_sim.ros.nodes.render_node import RenderNode  # noqa: E402
 from gibson_sim.ros.nodes.snapshot_node import SnapshotNode  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
@@ -101,6 +103,14 @@ class Rig:
     def add(self, node: Node) -> None:
         self._others.append(node)
         self._executor.add_node(node)
+
+    def remove(self, node: Node) -> None:
+        """Spins a node no longer."""
+        self._executor.remove_node(node)
+
+    def is_delivered(self) -> bool:
+        """Waits until all states are in the queues of the render nodes; returns whether they are."""
+        return bool(self._states.wait_for_all_acked(Duration(seconds=PATIENCE_S)))
 
     def load(self, scene: DrawnScene, *, ready: bool = True) -> None:
         """Sends a scene and, if requested, waits until all render nodes subscribe to its states."""
@@ -189,6 +199,20 @@ def test_all_topics_of_a_camera_carry_one_stamp_and_its_frame(rig: Rig) -> None:
     assert encodings["eye/image_raw"] == "rgb8"
     assert encodings["eye/depth/image_raw"] == "32FC1"
     assert encodings["eye/semantic/image_raw"] == encodings["eye/instance/image_raw"] == "16UC1"
+
+
+def test_state_that_waits_when_the_node_is_asked_to_end_is_drawn(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing else would draw the last tick of a run, which its recording would then lack."""
+    render = rig.render()
+    rig.load(_scene(EYE))
+    images = rig.collect(Image, "eye/image_raw")
+    rig.tick_until(lambda: bool(images), "an image")
+    rig.remove(render)
+    stamp = rig.tick()
+    assert rig.is_delivered()
+    monkeypatch.setattr(node_main, "is_running", lambda: False)
+    assert render.spin() == 0
+    rig.spin_until(lambda: stamp in map(_stamp, images), "the image of the last state")
 
 
 @pytest.mark.parametrize(

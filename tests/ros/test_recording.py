@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from support.scenes import write_room
@@ -25,14 +26,16 @@ from rclpy.serialization import serialize_message  # noqa: E402
 from rosbag2_interfaces.srv import IsPaused, Pause, Resume, Snapshot, SplitBagfile  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
-from gibson_sim.bags.reader import BagReader  # noqa: E402
+from gibson_sim.bags.images.decode import raw_image  # noqa: E402
+from gibson_sim.bags.reader import BagReader, image_to_array  # noqa: E402
 from gibson_sim.bags.stamps import stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
-from gibson_sim.ros.conversions import time_to_msg  # noqa: E402
+from gibson_sim.ros.conversions import image_to_msg, time_to_msg  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
 from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
@@ -132,6 +135,63 @@ def test_everything_sent_before_the_end_is_in_the_bag_in_its_order(source: Sourc
     assert _texts(source.folder / "bag", "/room") == [(0, "four walls")]
     assert (summary["messages"]["/text"], summary["lost"]["/text"], summary["message_lost"]) == (600, 0, {})
     assert any("/text" in line and "600 messages" in line and "nothing lost" in line for line in recorder.lines)
+
+
+def test_images_are_compressed_and_keep_their_stamps_and_counts(source: Source) -> None:
+    """Colours, depth and labels of three publishers; normals have no compressed form."""
+    node = source.listener.node
+    pixels = {
+        "/c/image_raw": ("rgb8", np.full((48, 64, 3), (200, 10, 10), np.uint8)),
+        "/c/depth/image_raw": ("32FC1", np.full((48, 64), 1.5, np.float32)),
+        "/c/semantic/image_raw": ("16UC1", np.full((48, 64), 7, np.uint16)),
+        "/c/normal/image_raw": ("32FC3", np.ones((48, 64, 3), np.float32)),
+    }
+    publishers = {topic: node.create_publisher(Image, topic, DEEP) for topic in pixels}
+    source.record(record_images="compressed")
+    source.listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers.values()), "subscriptions to images")
+    for step in range(1, 11):
+        source.say(f"{step}", at_ns=step * NS)
+        for topic, (encoding, values) in pixels.items():
+            publishers[topic].publish(image_to_msg(values, encoding, step * NS, "optical"))
+    for publisher in publishers.values():
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+    source.wait_until_delivered()
+    summary = source.stop()
+    expected = {
+        "/c/image_raw/compressed": ("bgr8", (10, 10, 200)),
+        "/c/depth/image_raw/compressedDepth": ("32FC1", 1.5),
+        "/c/semantic/image_raw/compressed": ("16UC1", 7),
+        "/c/normal/image_raw": ("32FC3", (1.0, 1.0, 1.0)),
+    }
+    with BagReader(source.folder / "bag") as bag:
+        assert {topic for topic in bag.topics() if topic.startswith("/c/")} == set(expected)
+        for topic, (encoding, value) in expected.items():
+            found = [(log_ns, message.header.stamp.sec, raw_image(message)) for _, log_ns, message in bag.messages([topic])]
+            assert [(log_ns, second) for log_ns, second, _ in found] == [(step * NS, step) for step in range(1, 11)], topic
+            assert all(image.encoding == encoding for _, _, image in found)
+            np.testing.assert_allclose(image_to_array(found[-1][2])[20, 20], value, atol=3)
+    assert {topic: summary["lost"][topic] for topic in expected} == dict.fromkeys(expected, 0)
+    assert summary["bytes"]["/c/image_raw/compressed"] < 0.2 * 10 * 48 * 64 * 3
+
+
+def test_without_images_nothing_is_subscribed_but_what_is_named(source: Source) -> None:
+    node = source.listener.node
+    named, other = (node.create_publisher(Image, topic, DEEP) for topic in ("/named/image_raw", "/other/image_raw"))
+    source.record(record_images="none", topics="/clock,/text,/short,/room,/named/image_raw")
+    source.listener.spin_until(lambda: bool(named.get_subscription_count()), "a subscription to the named images")
+    assert other.get_subscription_count() == 0
+    source.say("x", at_ns=NS)
+    named.publish(image_to_msg(np.zeros((4, 4, 3), np.uint8), "rgb8", NS, "optical"))
+    assert named.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+    assert source.stop()["messages"]["/named/image_raw"] == 1
+
+
+def test_without_images_none_of_all_topics_is_an_image(source: Source) -> None:
+    images = source.listener.node.create_publisher(Image, "/camera/image_raw", DEEP)
+    source.record(record_images="none")
+    source.say("x", at_ns=NS)
+    assert images.get_subscription_count() == 0
+    assert "/camera/image_raw" not in source.stop()["messages"]
 
 
 def test_lost_messages_are_counted_and_reported(source: Source) -> None:
@@ -297,6 +357,46 @@ def test_bag_of_a_drive_has_every_command_and_lasts_to_the_last_step(start: Call
     assert (sent, obeyed, topics["/cmd_vel"].count, topics["/cmd_vel_applied"].count) == (sent,) * 4
     assert sent > 20, "one for each odometry, but for those that a busy machine lets it miss"
     assert last_clock_s(tmp_path / "run") == simulated_s(tmp_path / "summary.json")
+
+
+@pytest.mark.parametrize(
+    ("ending", "options"),
+    [
+        ("duration", ("--duration", "3")),
+        ("drive", ("--drive", "{drive}")),
+        ("Ctrl-C", ()),
+        ("Ctrl-C", ("--lockstep",)),
+    ],
+)
+def test_bag_has_every_message_of_the_last_tick_however_slow_its_images_are(
+    start: Callable[..., Launched], tmp_path: Path, ending: str, options: tuple[str, ...]
+) -> None:
+    """Three cameras, two of them large: without a GPU an image takes as long as several ticks."""
+    (tmp_path / "drive.txt").write_text("0.1 0 2\n")
+    given = [option.format(drive=tmp_path / "drive.txt") for option in options]
+    files = ("--record", str(tmp_path / "run"), "--summary", str(tmp_path / "summary.json"))
+    views = ("--views", "follow,top", "--view-size", "2560x1600", "--camera-outputs", "rgb")
+    run = start("run", "--scene", str(write_room(tmp_path / "room")), *views, *given, *files)
+    if ending == "Ctrl-C":
+        bag = tmp_path / "run" / "run_0.mcap"
+        wait_until(
+            lambda: (bag.exists() and bag.stat().st_size > 50_000_000) or run.process.poll() is not None, "images in the bag"
+        )
+        run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 0, "\n".join(run.lines)
+    last: dict[str, int] = {}
+    images = [f"/{camera}/{topic}" for camera in ("camera", "view_follow", "view_top") for topic in ("image_raw", "camera_info")]
+    with BagReader(tmp_path / "run") as reader:
+        due = 0
+        for topic, _, data in reader.raw_messages(["/scene_state", "/odom", "/clock", *images]):
+            last[topic] = max(last.get(topic, 0), stamp_ns(data))
+            if topic == "/scene_state" and len(reader.decode("gibson_msgs/msg/SceneState", data).due_cameras):
+                due = stamp_ns(data)
+    assert last["/clock"] / NS == simulated_s(tmp_path / "summary.json")
+    assert last["/odom"] == last["/scene_state"], "of the same tick"
+    assert {topic: last[topic] for topic in images} == dict.fromkeys(images, due), (
+        "the images of the last tick at which they were due"
+    )
 
 
 def last_clock_s(bag: Path) -> float:
