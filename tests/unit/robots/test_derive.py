@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.cli.command_line import run
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
 from gibson_sim.robots.load import derive_file
@@ -330,7 +329,10 @@ def test_several_cameras_have_the_names_of_their_links(tmp_path: Path) -> None:
     )
     links = "".join(fixed(name, "0 0 0.5", "-1.57 0 -1.57") for name in (*names, "velodyne", "base_imu", "camera_imu_frame"))
     derived = derive_file(written(tmp_path, pair(0.1) + links))
-    assert [(c["name"], c["link"]) for c in derived.values["cameras"]] == [("head", names[0]), ("gripper", names[2])]
+    assert [(c["name"], c["link"]) for c in derived.values["cameras"]] == [
+        ("head_camera", names[0]),
+        ("gripper_camera", names[2]),
+    ]
     assert derived.values["imu"] == {"link": "base_imu"}
     # On its side, the lidar is none that scans a floor plan.
     assert "lidar_3d" not in derived.values
@@ -350,22 +352,6 @@ def test_a_model_of_gazebo_is_named_as_such(tmp_path: Path) -> None:
     (tmp_path / "bot.sdf").write_text("<sdf/>")
     with pytest.raises(RobotError, match="is an SDF model"):
         load_robot(str(tmp_path / "bot.sdf"))
-
-
-def test_the_guess_is_written_and_read_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = written(tmp_path, pair(0.1, z=-0.02) + pair(-0.1, z=-0.02))
-    output = tmp_path / "robot.yaml"
-    assert run(["scene", "robot", str(path), "--write", str(output)]) == 0
-    assert "# drive: skid_steer" in output.read_text()
-    assert "guessed drive: skid_steer" in capsys.readouterr().out
-    again, direct = load_robot(output), load_robot(path)
-    assert (again.drive, again.base_link, again.radius, again.height) == (
-        direct.drive,
-        direct.base_link,
-        direct.radius,
-        direct.height,
-    )
-    assert run(["scene", "robot", str(path), "--write", str(output)]) != 0
 
 
 def test_wheels_grip_and_casters_slide_where_the_file_does_not_say(tmp_path: Path) -> None:

@@ -159,9 +159,10 @@ class _Reader:
     def link(self, element: ET.Element) -> UrdfLink:
         name = self.text(element, "name")
         where = f"link {quoted(name)}"
-        visuals = []
+        visuals, missing = [], False
         for item in element.findall("visual"):
             shape = self.shape(item, f"{where}: visual")
+            missing = missing or shape is None
             if shape is not None:
                 visuals.append(UrdfVisual(shape, self.origin(item, where), self.color(item.find("material"), where)))
         collisions = []
@@ -169,6 +170,9 @@ class _Reader:
             shape = self.shape(item, f"{where}: collision")
             if shape is not None:
                 collisions.append(UrdfCollision(shape, self.origin(item, where)))
+        if missing and not visuals and collisions:
+            visuals = [UrdfVisual(collision.shape, collision.pose, None) for collision in collisions]
+            self.warnings.append(f"{self.path.name}: {where}: its collision shapes are drawn, since it has no other visual")
         friction = element.find("contact/lateral_friction")
         return UrdfLink(
             name, tuple(visuals), tuple(collisions), self.inertial(element.find("inertial"), where),

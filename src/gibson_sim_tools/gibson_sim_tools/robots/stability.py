@@ -34,7 +34,7 @@ _UPRIGHT = 1e-3
 _DIRECTIONS = 16
 """Directions in which a footprint is measured: it has at most this number of corners."""
 _SAME_CORNER = 0.001
-"""Distance below which two corners of a footprint are one, metres."""
+"""Distance below which two corners of a polygon are one, or a corner is on an edge, metres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,13 +129,27 @@ def convex_polygon(points: F64) -> F64:
     """Returns the corners of the convex hull of points, (N, 2), counter-clockwise; of points on a line its ends, of one point that."""
     unique = np.unique(np.round(points, 6), axis=0)
     try:
-        return np.asarray(unique[ConvexHull(unique).vertices])
+        return _without_flat_corners(unique[ConvexHull(unique).vertices])
     except (QhullError, ValueError):
         if len(unique) < 2:
             return np.asarray(unique)
         along = unique - unique.mean(axis=0)
         line = along @ np.linalg.svd(along, full_matrices=False)[2][0]
         return np.asarray(unique[[int(line.argmin()), int(line.argmax())]])
+
+
+def _without_flat_corners(corners: F64) -> F64:
+    """Returns a polygon without corners that are less than a millimetre from the line between their neighbours, as meshes have many."""
+    kept = list(corners)
+    i = 0
+    while i < len(kept) and len(kept) > 3:
+        before, corner, after = kept[i - 1], kept[i], kept[(i + 1) % len(kept)]
+        along, offset = after - before, corner - before
+        if abs(along[0] * offset[1] - along[1] * offset[0]) < _SAME_CORNER * float(np.linalg.norm(along)):
+            del kept[i]
+        else:
+            i += 1
+    return np.array(kept)
 
 
 def footprint(model: UrdfModel, T_base_links: Mapping[str, Mat4], points: MeshPoints | None = None) -> F64:

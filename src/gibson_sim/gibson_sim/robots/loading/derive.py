@@ -152,14 +152,17 @@ def _derive_drive(
     guesses.append(Guess("drive", f"{drive['type']}, by the wheels of {joints}{told}"))
     guesses.append(Guess("drive", f"{radius:.4g} m, {how}; wheels {track:.4g} m apart", "wheel_radius"))
     if drive["type"] == "skid_steer":
-        guesses.append(
-            Guess("drive", "1, real skid steer turns as if its wheels stood 1.5 to 2 times farther apart", "separation_factor")
+        text = "1, real skid steer turns as if its wheels stood 1.5 to 2 times farther apart"
+        hand = (
+            "drive.separation_factor: the turn that the real wheels roll over the turn that the base makes, measured on the floor"
         )
+        guesses.append(Guess("drive", text, "separation_factor", hand))
     if drive["type"] == "ackermann":
         pins = f"{used[1].left.swivel.name}, {used[1].right.swivel.name}"  # type: ignore[union-attr]
         guesses.append(Guess("drive", f"{pins}, {used[1].x - used[0].x:.4g} m in front", "steering"))
     if drive["type"] == "omni":
-        guesses.append(Guess("drive", "45 degrees, as seen from above on mecanum wheels that can turn the robot", "roller_deg"))
+        text = "45 degrees, as seen from above on mecanum wheels that can turn the robot"
+        guesses.append(Guess("drive", text, "roller_deg", "drive.wheels: roller_deg of each, if it goes the wrong way sideways"))
     return drive, measured
 
 
@@ -312,10 +315,13 @@ def _drop(model: UrdfModel, wheels: Sequence[Wheel], points: MeshPoints | None) 
     if gap < -_LEAST_DROP:
         return _LEAST_DROP - gap, f"{lowest} reaches {-gap * 1000:.2g} mm lower than the wheels"
     if abs(gap) <= _LEAST_DROP and lowest in body and _bears_alone(model, body, floor + gap, points):
-        return _LEAST_DROP + _HULL_MARGIN - gap, f"{lowest} alone would bear the robot, and the wheels nothing"
+        return (
+            _LEAST_DROP + _HULL_MARGIN - gap,
+            f"{model.root} and what is fixed to it would bear the robot, and the wheels nothing",
+        )
     hangs = 2 * _LEAST_DROP < gap <= _MAX_RAISE and lowest in body
     if len(wheels) == 2 and hangs and _bears_alone(model, body, floor + gap, points):
-        above = f"the casters are a part of {lowest}, {gap * 1000:.2g} mm above it"
+        above = f"the casters are a part of {model.root}, {gap * 1000:.2g} mm above it"
         return _LEAST_DROP - gap, f"nothing beside the wheels touches the floor: {above}"
     return 0.0, ""
 

@@ -15,6 +15,8 @@ class Guess:
     """The value, and from what it was guessed."""
     part: str = ""
     """Key inside of that section, if the line is about one value of it; empty = the whole section."""
+    by_hand: str = ""
+    """What to set in the file, since a description does not say it; empty = nothing."""
 
     def __str__(self) -> str:
         """Returns the line for the user."""

@@ -21,7 +21,7 @@ _CAMERA = re.compile(r"camera\d*(_(rgb|color|front|link|frame))*$", re.IGNORECAS
 _IMU = re.compile(r"(^|[_/])imu\d*($|_)", re.IGNORECASE)
 _MOUNT = re.compile(r"mount|bracket|tower|plate|support|screw|holder", re.IGNORECASE)
 _NO_COLOR = re.compile(r"depth|infra|ir_|_ir\b|right|fisheye|gyro|accel|imu|pose", re.IGNORECASE)
-_CAMERA_PARTS = re.compile(r"(_(optical|rgb|color|colour|front|link|frame|sensor|camera))+$", re.IGNORECASE)
+_CAMERA_PARTS = re.compile(r"(_(optical|rgb|color|colour|front|link|frame|sensor))+$", re.IGNORECASE)
 """End of a link's name that is not part of the name of its camera."""
 _SENSOR_PARTS = re.compile(r"(_(link|frame|sensor|laser|scan))+$", re.IGNORECASE)
 """The same for a lidar."""
@@ -57,7 +57,10 @@ def _guess_lidars(model: UrdfModel, values: dict[str, Any], guesses: list[Guess]
             spinning = _LIDAR_3D.search(name) is not None
             found["lidar_3d" if spinning else "lidar"].append({"link": name})
             what = "16 rings from -15 to 15 degrees, 0.3 to 100 m" if spinning else "360 degrees, 0.12 to 12 m"
-            guesses.append(Guess("lidar_3d" if spinning else "lidar", f"at {name}, {what} (there is a link of that name)"))
+            key = "lidar_3d" if spinning else "lidar"
+            keys = "channels, samples, elevations" if spinning else "beams, fov_deg, angle_min_deg"
+            hand = f"{key} at {name}: {keys}, range_min, range_max, rate_hz, from its data sheet"
+            guesses.append(Guess(key, f"at {name}, {what} (there is a link of that name)", by_hand=hand))
     for key, topic in (("lidar", "scan"), ("lidar_3d", "points")):
         if len(found[key]) == 1:
             values[key] = found[key][0]
@@ -113,7 +116,8 @@ def _guess_cameras(model: UrdfModel, values: dict[str, Any], guesses: list[Guess
         name = "camera" if len(links) == 1 else _name(link, _CAMERA_PARTS, "camera", taken)
         entries.append({"name": name, "link": link})
         text = f"at {link}, 640 x 480, 60 degrees high (there is a link of that name)"
-        guesses.append(Guess("cameras", text, _camera_part(name)))
+        hand = f"cameras: width, height, fov_y_deg (or k, d) and rate_hz of {name}, from its data sheet"
+        guesses.append(Guess("cameras", text, _camera_part(name), hand))
     if entries:
         values["cameras"] = entries
 

@@ -1,0 +1,226 @@
+"""What ``RobotTrial`` measured, as lines for the user: how the robot stands and drives, its footprint, its topics, what to set by hand."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from gibson_sim.description.urdf import read_urdf
+from gibson_sim.robots.drive_spec import AckermannSpec
+from gibson_sim.robots.drives import make_drive
+from gibson_sim.robots.loading.guess import Guess
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim_tools.robots.trial import DriveTest, RobotTrial
+
+_SAFE = 0.8
+"""Part of the tipping acceleration that is proposed as a limit."""
+_LEVEL = math.radians(0.3)
+"""Tilt below which a robot stands level, radians."""
+_LEANS = 0.1
+"""Distance of the centre of mass from the middle, as a part of the width of the support polygon, from which on it is named."""
+_SLIPS, _TURNS_WRONG = 0.02, math.radians(5.0)
+"""Slip, and error of a turn (radians), from which on they are named."""
+_DRIFTS = 0.005
+"""Motion of a robot at rest that is named, metres."""
+_SUSPENSION = re.compile(r"suspension|wheel|caster|bumper|rocker|bogie", re.IGNORECASE)
+"""Joints with motors that no task moves."""
+_MAX_NAMED = 4
+"""Lines about masses and meshes that are repeated; the rest is counted."""
+
+
+def report_lines(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> list[str]:
+    """Returns the report: measured values, footprint and topics, then what to set by hand, one line each.
+
+    Args:
+        trial: The measurements.
+        guesses: How the robot's file came about; they say what the description does not have.
+    """
+    robot = trial.robot
+    lines = [*_standing(trial), *(_drive_line(drive) for drive in trial.drives)]
+    if robot.drive is None:
+        lines.append("drive: none; the test drive is left out")
+    elif trial.has_fallen:
+        lines.append("drive: it has fallen over at rest; the test drive is left out")
+    corners = ", ".join(f"[{x:.3f}, {y:.3f}]" for x, y in trial.footprint.tolist())
+    lines.append(f'footprint: "[{corners}]"; robot_radius: {robot.radius:.3f} (Nav2, metres)')
+    lines += [f"topic: {topic}" for topic in topics(robot)]
+    hand = by_hand(trial, guesses)
+    return [*lines, *(f"set by hand: {line}" for line in hand)]
+
+
+def _standing(trial: RobotTrial) -> list[str]:
+    """Returns what was measured at rest."""
+    stable, (x, y, z) = trial.stability, trial.stability.center_of_mass.tolist()
+    lean = ""
+    if abs(trial.pitch) > _LEVEL:
+        lean += f", nose {'down' if trial.pitch > 0 else 'up'}"
+    if abs(trial.roll) > _LEVEL:
+        lean += f", {'right' if trial.roll > 0 else 'left'} side down"
+    lines = [f"at rest: tilt {math.degrees(trial.tilt):.2f} degrees{lean}; moved {trial.drift * 1000:.1f} mm by itself in 2 s"]
+    lines.append(f"mass: {stable.mass:.4g} kg, centre of mass at x {x:.3f}, y {y:.3f} m, {z:.3f} m above the floor")
+    if trial.robot.fixed_base:
+        lines.append("support: its base is fixed, it cannot tip over")
+        return lines
+    corners = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in stable.support.tolist())
+    if len(stable.support) < 3:
+        lines.append(f"support: stands on {corners or 'nothing'}, which is no area; it falls over")
+        return lines
+    slope = math.degrees(stable.tilt_margin)
+    lines.append(f"support polygon: {corners} m")
+    lines.append(
+        f"static stability margin: {stable.margin * 1000:.0f} mm; tips over on a slope of {slope:.1f} degrees in the worst direction"
+    )
+    start, brake, left, right = (stable.tipping_acceleration(d) for d in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
+    lines.append(
+        f"tips over at: starting {start:.2f}, braking {brake:.2f}, sideways {min(left, right):.2f} m/s^2{_limits(trial.robot)}"
+    )
+    return lines
+
+
+def _limits(robot: RobotSpec) -> str:
+    """Returns the greatest accelerations that the drive gives, as a part of a line."""
+    drive = robot.drive
+    if drive is None:
+        return ""
+    sideways = drive.max_linear * (
+        drive.max_linear * drive.max_curvature if isinstance(drive, AckermannSpec) else drive.max_angular
+    )
+    return f" (its limits: {drive.max_linear_acceleration:.2f} forward, {sideways:.2f} sideways at full speed and turn)"
+
+
+def _drive_line(drive: DriveTest) -> str:
+    """Returns the errors of one motion of the test drive."""
+    x, y, yaw = drive.driven
+    tilt = f"tilt up to {math.degrees(drive.tilt):.2f} degrees"
+    if drive.turns:
+        turned, away = math.degrees(yaw), math.hypot(x, y) * 1000
+        error = turned - math.degrees(drive.commanded.yaw)
+        return f"{drive.name}: {turned:.2f} degrees ({round(error, 2) + 0.0:+.2f}), {away:.1f} mm off its place; slip {_percent(drive.slip)}; {tilt}"
+    ahead = np.array(drive.commanded[:2]) / np.hypot(*drive.commanded[:2])
+    distance, aside = float(ahead @ (x, y)), float(ahead[0] * y - ahead[1] * x)
+    error = distance - math.hypot(*drive.commanded[:2])
+    drift = f"{abs(aside) * 1000:.1f} mm to the {'left' if aside >= 0 else 'right'}"
+    heading = f"heading {round(math.degrees(yaw), 2) + 0.0:+.2f} degrees"
+    return f"{drive.name}: {distance:.4f} m ({round(error * 1000, 1) + 0.0:+.1f} mm), {drift}, {heading}; slip {_percent(drive.slip)}; {tilt}"
+
+
+def _percent(part: float) -> str:
+    """Returns a part in percent, without a negative zero."""
+    return f"{round(100 * part, 2) + 0.0:.2f} %"
+
+
+def topics(robot: RobotSpec) -> tuple[str, ...]:
+    """Returns the topics that a robot will have, each with its type, and ``in`` if the simulation subscribes to it."""
+    found = []
+    if robot.drive is not None:
+        found.append("cmd_vel (in; geometry_msgs/Twist or TwistStamped)")
+    found += [
+        "odom, ground_truth/odom (nav_msgs/Odometry)",
+        "joint_states (sensor_msgs/JointState)",
+        "/tf, /tf_static, robot_description",
+    ]
+    model = read_urdf(robot.urdf)
+    if any(joint.has_motor for joint in model.joints if joint.name not in _driven(robot)):
+        found.append("joint_trajectory (in; trajectory_msgs/JointTrajectory), joint_command (in; sensor_msgs/JointState)")
+    sensors = robot.sensors
+    found += [f"{lidar.name} (sensor_msgs/LaserScan, {lidar.rate_hz:g} Hz)" for lidar in sensors.lidars]
+    found += [f"{lidar.name} (sensor_msgs/PointCloud2, {lidar.rate_hz:g} Hz)" for lidar in sensors.lidars_3d]
+    found += [f"{imu.name} (sensor_msgs/Imu, {imu.rate_hz:g} Hz)" for imu in sensors.imus]
+    found += [f"{bumper.name} (std_msgs/Bool, {bumper.rate_hz:g} Hz), {bumper.name}/wrench" for bumper in sensors.bumpers]
+    found += [f"{sensors.battery.name} (sensor_msgs/BatteryState)"] if sensors.battery is not None else []
+    for camera in robot.cameras:
+        images = [f"{camera.name}/{'' if output == 'rgb' else output + '/'}image_raw" for output in camera.outputs]
+        found.append(
+            f"{', '.join(images)} (sensor_msgs/Image, {camera.rate_hz:g} Hz, {camera.width} x {camera.height}), with camera_info"
+        )
+    return tuple(found)
+
+
+def _driven(robot: RobotSpec) -> Iterable[str]:
+    """Returns the joints of the drive."""
+    if robot.drive is None:
+        return ()
+    drive = make_drive(robot.drive)
+    return {joint.name for joint in (*drive.wheels, *drive.steering)}
+
+
+def by_hand(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> tuple[str, ...]:
+    """Returns what to set in the file, or to correct in the description, one line each."""
+    robot = trial.robot
+    found = [guess.by_hand for guess in guesses if guess.by_hand]
+    if robot.drive is not None and guesses:
+        limits = "max_linear, max_angular, their accelerations and max_wheel_torque"
+        found.append(
+            f"drive: {limits}, from its data sheet; now {robot.drive.max_linear:g} m/s and {robot.drive.max_angular:g} rad/s, the defaults"
+        )
+    if guesses and robot.drive is not None and not (robot.cameras or robot.sensors.lidars or robot.sensors.lidars_3d):
+        found.append("cameras, lidar: none was found in the description; add those of the robot, on its links")
+    found += [*_stability_by_hand(trial), *_drive_by_hand(trial), *_joints_by_hand(robot), *_warnings_by_hand(trial.warnings)]
+    return tuple(found)
+
+
+def _stability_by_hand(trial: RobotTrial) -> list[str]:
+    robot, stable = trial.robot, trial.stability
+    found: list[str] = []
+    if robot.fixed_base or len(stable.support) < 3:
+        return found
+    if stable.margin <= 0.0:
+        found.append(
+            "it falls over: its centre of mass is not above its wheels and casters; correct masses and origins in the description"
+        )
+    elif robot.drive is not None:
+        least = min(stable.tipping_acceleration((1.0, 0.0)), stable.tipping_acceleration((-1.0, 0.0)))
+        if least < robot.drive.max_linear_acceleration:
+            found.append(
+                f"drive.max_linear_acceleration: {_SAFE * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, with which it "
+                "tips, or masses in the description that are those of the robot"
+            )
+    across = stable.support[:, 1].min(), stable.support[:, 1].max()
+    aside = float(stable.center_of_mass[1]) - (across[0] + across[1]) / 2
+    if abs(aside) > _LEANS * (across[1] - across[0]):
+        side = "left" if aside > 0 else "right"
+        found.append(
+            f"masses: the centre of mass is {abs(aside) * 1000:.0f} mm to the {side} of the middle; is it so on the robot?"
+        )
+    if trial.drift > _DRIFTS:
+        found.append(f"it moves {trial.drift * 1000:.0f} mm by itself; check the heights of wheels and casters (wheel_drop)")
+    return found
+
+
+def _drive_by_hand(trial: RobotTrial) -> list[str]:
+    found = []
+    for drive in trial.drives:
+        if abs(drive.slip) > _SLIPS:
+            found.append(
+                f"{drive.name}: its wheels slip by {100 * drive.slip:.1f} %; check friction, wheel_radius, wheel_drop and what else touches the floor"
+            )
+        elif drive.turns and abs(drive.driven.yaw - drive.commanded.yaw) > _TURNS_WRONG:
+            found.append(
+                f"{drive.name}: it turns {math.degrees(drive.driven.yaw):.0f} degrees; check max_wheel_torque and masses"
+            )
+    return found
+
+
+def _joints_by_hand(robot: RobotSpec) -> list[str]:
+    driven = _driven(robot)
+    joints = [joint for joint in read_urdf(robot.urdf).joints if joint.has_motor and joint.name not in driven]
+    if not joints or robot.manipulators:
+        return []
+    joints = [joint for joint in joints if not _SUSPENSION.search(joint.name)]
+    if not joints:
+        return []
+    names = ", ".join(joint.name for joint in joints[:_MAX_NAMED]) + (", ..." if len(joints) > _MAX_NAMED else "")
+    return [
+        f"manipulators, named_poses and home: its {len(joints)} other joints ({names}) stand at 0 or at their nearest limit, in which it has a "
+        f"radius of {robot.radius:.2f} m"
+    ]
+
+
+def _warnings_by_hand(warnings: Sequence[str]) -> list[str]:
+    more = len(warnings) - _MAX_NAMED
+    return [f"description: {line}" for line in warnings[:_MAX_NAMED]] + (
+        [f"description: {more} more such lines"] if more > 0 else []
+    )
