@@ -30,7 +30,7 @@ def robot_file(robot: str) -> Path:
     load_robot(robot)
     path = find_robot_file(robot)
     if path.suffix not in (".yaml", ".yml"):
-        raise RobotError(f"{path}: has no robot.yaml to change; write one: gibson-sim scene robot {path.name} --write robot.yaml")
+        raise RobotError(f"{path}: has no robot.yaml to change; write one: gibson-sim scene robot --new {path.name}")
     return path
 
 
