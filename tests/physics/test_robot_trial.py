@@ -10,12 +10,14 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.robots.load import derive_file
 from gibson_sim.robots.loading.guess import Guess
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.scenes.robot_files import load_robot, mesh_points
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import VelocityCommand
 from gibson_sim_tools.robots.report import by_hand, report_lines, topics
+from gibson_sim_tools.robots.robot_file import robot_file_text
 from gibson_sim_tools.robots.trial import try_robot
 
 INERTIA = '<inertia ixx="{0}" ixy="0" ixz="0" iyy="{0}" iyz="0" izz="{0}"/>'
@@ -114,3 +116,23 @@ def test_an_arm_has_joint_topics_and_cannot_tip(root: Path) -> None:
     lines = report_lines(trial)
     assert "support: its base is fixed, it cannot tip over" in lines and "drive: none; the test drive is left out" in lines
     assert "joint_trajectory (in;" in " ".join(topics(robot)) and "cmd_vel" not in " ".join(topics(robot))
+
+
+@pytest.mark.parametrize(
+    ("urdf", "kind", "sensors"),
+    [
+        ("nav2_minimal_tb3_tb4/nav2_minimal_tb3_sim/urdf/turtlebot3_waffle.urdf", "differential", "lidar cameras imu"),
+        (
+            "nav2_minimal_tb3_tb4/nav2_minimal_tb4_description/urdf/standard/turtlebot4.urdf.xacro",
+            "differential",
+            "lidar cameras imu",
+        ),
+    ],
+)
+def test_robots_of_makers_drive_as_guessed(data_dir: Path, tmp_path: Path, urdf: str, kind: str, sensors: str) -> None:
+    derived = derive_file(data_dir / urdf, mesh_points())
+    assert derived.values["drive"]["type"] == kind and set(sensors.split()) <= set(derived.values)
+    (tmp_path / "robot.yaml").write_text(robot_file_text(str(data_dir / urdf), {}, derived))
+    straight, turn = try_robot(load_robot(tmp_path), mesh_points()).drives
+    assert straight.driven == pytest.approx((1.0, 0.0, 0.0), abs=0.02)
+    assert turn.driven == pytest.approx((0.0, 0.0, 2 * math.pi), abs=0.05)
