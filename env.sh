@@ -13,4 +13,9 @@ unset PYTHONPATH LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH _ROS_WHEEL
 export AMENT_PREFIX_PATH="$_gibson_sim_root/.venv"
 # Large images between processes on this machine go through shared memory.
 export FASTRTPS_DEFAULT_PROFILES_FILE="$_gibson_sim_root/config/fastdds.xml"
+if [ -n "${BASH_VERSION:-}" ]; then
+    # TAB completes commands, options and names: loaded when it is first pressed (124: bash tries again).
+    _gibson_sim_completion() { eval "$(gibson-sim completion bash)" && return 124; }
+    complete -F _gibson_sim_completion gibson-sim
+fi
 unset _gibson_sim_root

@@ -57,6 +57,7 @@ setup(
         "zstandard",
         "av",
         "rich",
+        "argcomplete",
         "aiohttp",
         "xacro",
     ],

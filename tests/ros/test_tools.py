@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from support.completion import completions
 from support.simulation import Launched, require
 
 require("rclpy", "gibson_msgs")
@@ -22,6 +25,12 @@ def simulation(ros_domain: int) -> Iterator[Launched]:
     launched.wait_for_line("is ready")
     yield launched
     launched.stop()
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where a shell keeps names between two presses of TAB."""
+    return tmp_path_factory.mktemp("cache")
 
 
 def _run(*words: str) -> tuple[int, str]:
@@ -99,3 +108,24 @@ def test_the_short_verbs_do_what_they_say() -> None:
     assert code == 1 and "did you mean" in text
     assert "goal_pose has no subscriber" in _run("goal", "1,2")[1]
     assert _run("spawn", "ball", "--at", "here")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("gibson-sim topic echo /od", {"/odom"}),
+        ("gibson-sim topic hz od", {"odom"}),
+        ("gibson-sim service call /spawn_entity", {"/spawn_entity"}),
+        ("gibson-sim action send_goal ", {"/simulate_steps"}),
+        ("gibson-sim param set /phys", {"/physics"}),
+        ("gibson-sim param get /physics publish_", {"publish_hz", "publish_map_tf"}),
+        ("gibson-sim move rob", {"robot"}),
+    ],
+)
+def test_a_shell_completes_names_of_the_simulation(line: str, found: set[str], cache: Path) -> None:
+    deadline = time.monotonic() + 60.0
+    names: set[str] = set()
+    while not found <= names and time.monotonic() < deadline:  # on a busy machine a press of TAB may be too short
+        names, printed = completions(line, cache)
+        assert printed == ""
+    assert found <= names and all(name.startswith(line.split()[-1]) for name in names if line[-1] != " ")

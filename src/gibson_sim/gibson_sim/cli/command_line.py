@@ -108,6 +108,7 @@ def _parser(words: list[str]) -> argparse.ArgumentParser:
     if command and command not in modules and not command.startswith("-"):
         parser.error(f"command {choice_error(command, modules)}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in dict.fromkeys([modules[command]] if command in modules else modules.values()):
+    named = [modules[command]] if command in modules else [] if command == "--version" else modules.values()
+    for module in dict.fromkeys(named):
         import_module(module).add_parser(subparsers)
     return parser

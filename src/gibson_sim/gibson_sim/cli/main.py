@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from gibson_sim import interrupts
@@ -15,6 +16,10 @@ def main(argv: list[str] | None = None) -> None:
     """
     if argv is None:
         interrupts.end_silently()
+        if "_ARGCOMPLETE" in os.environ:  # a shell completes a command line
+            from gibson_sim.cli.commands.completion import answer
+
+            answer()
     from gibson_sim.cli.command_line import run
 
     code = run(sys.argv[1:] if argv is None else argv)

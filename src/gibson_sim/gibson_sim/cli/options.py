@@ -26,7 +26,9 @@ def add_settings(parser: argparse.ArgumentParser, cls: type[Any], names: Iterabl
         if isinstance(f.default, bool):
             parser.add_argument(flag, dest=f.name, action=argparse.BooleanOptionalAction, default=None, help=text)
         else:
-            parser.add_argument(flag, dest=f.name, type=_parser_of(f.name, type(f.default)), default=None, metavar="X", help=text)
+            kind = _parser_of(f.name, type(f.default))
+            action = parser.add_argument(flag, dest=f.name, type=kind, default=None, metavar="X", help=text)
+            action.suggestions = f.metadata["choices"]  # type: ignore[attr-defined]  # for shell completion: the class checks them
     assert not wanted, f"{cls.__name__} has no settings {sorted(wanted)}"
 
 

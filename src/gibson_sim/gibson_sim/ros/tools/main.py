@@ -53,6 +53,11 @@ class Tool(Node):
         from gibson_sim.ros.tools.verbs import VERBS
 
         command = self._words.pop("command")
+        if command == "names":
+            from gibson_sim.ros.tools.known_names import known_names
+
+            _say(known_names(self))
+            return 0
         if command in VERBS:
             _say(VERBS[command](self, **self._words))
             return 0

@@ -1,0 +1,185 @@
+"""``gibson-sim completion``, and the answers to a shell that completes a command line of ``gibson-sim``.
+
+argcomplete speaks the protocols of bash, zsh and fish: the shell runs ``gibson-sim`` itself with the line in the environment. An answer
+loads only the command that the line names, and asks a running simulation only for names that it alone knows. It never prints an error:
+what cannot be found out has no completions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
+from typing import Any, NoReturn
+
+from gibson_sim.cli.environment import domain_of, node_environment
+from gibson_sim.cli.parser import Parser
+from gibson_sim.cli.processes import command_of
+from gibson_sim.cli.registry import COMMANDS, command_modules, scene_command_modules
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.resources import cache_folder, known_objects, list_robots, list_scenes
+from gibson_sim.writing import write_file
+
+SHELLS = ("bash", "zsh", "fish")
+
+TIMEOUT_S = 5.0
+"""Wall time in which a running simulation must have told its names, s."""
+CACHE_S = 10.0
+"""Age up to which names of a running simulation are used again, s: a second press of TAB is answered at once."""
+
+Completer = Callable[..., Iterable[str]]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "completion",
+        help="print a script that lets your shell complete commands, options and names by TAB",
+        description='bash and zsh: add the line  eval "$(gibson-sim completion bash)"  to ~/.bashrc, or with zsh to ~/.zshrc. '
+        "fish: gibson-sim completion fish > ~/.config/fish/completions/gibson-sim.fish",
+    )
+    parser.add_argument("shell", choices=SHELLS, help="the shell")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints the script."""
+    try:
+        from argcomplete.shell_integration import shellcode
+    except ImportError:
+        raise ConfigError("completion needs the package argcomplete: pip install argcomplete") from None
+    print(shellcode(["gibson-sim"], shell=args.shell))
+    return 0
+
+
+def answer() -> NoReturn:
+    """Answers the shell that runs this process for completions, and ends the process."""
+    try:
+        from argcomplete.finders import CompletionFinder
+
+        line = os.environ["COMP_LINE"].encode()[: int(os.environ["COMP_POINT"])].decode(errors="ignore")
+        words = line.split()[1:]
+        parser = _parser(words if line[-1:].isspace() else words[:-1])
+        _attach(parser)
+        CompletionFinder()(parser, always_complete_options=False)
+    except (Exception, SystemExit):
+        pass  # a shell that completes has no place for errors
+    os._exit(1)
+
+
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Returns a parser that knows the command that the finished words of a line begin with, and of all others the names."""
+    parser = Parser(prog="gibson-sim")
+    parser.add_argument("--version", action="store_true", help="print the version")
+    modules = (
+        command_modules()
+        if not words or words[0] not in COMMANDS
+        else {words[0]: f"gibson_sim.cli.commands.{COMMANDS[words[0]]}"}
+    )
+    _add_named(parser.add_subparsers(), modules, words)
+    return parser
+
+
+def _add_named(subparsers: Any, modules: dict[str, str], words: Sequence[str]) -> None:
+    """Adds the sub-command that ``words`` begin with, loading its module alone; if there is none, the names of all."""
+    if not words:
+        for name in modules:
+            subparsers.add_parser(name, help="")
+    elif words[0] == "scene":
+        _add_named(subparsers.add_parser("scene").add_subparsers(), scene_command_modules(), words[1:])
+    elif words[0] in modules:
+        import_module(modules[words[0]]).add_parser(subparsers)
+
+
+def _attach(parser: argparse.ArgumentParser) -> None:
+    """Gives every argument of a parser and of its sub-commands that has names of ours their completer."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                _attach(below)
+        elif action.nargs != 0 and not hasattr(action, "completer"):
+            found = _completer_of(action)
+            if found is not None:
+                action.completer = found  # type: ignore[attr-defined]
+
+
+def _completer_of(action: argparse.Action) -> Completer | None:
+    """Returns the completer of an argument; None = files."""
+    suggestions = getattr(action, "suggestions", ())
+    if suggestions:
+        return lambda **_: suggestions
+    if action.metavar == "ENTITY":
+        return _told("entities")
+    if action.dest in _COMPLETERS and action.type in (None, str):
+        return _COMPLETERS[action.dest]
+    return _nothing if action.type in (int, float) else None
+
+
+def _nothing(**_: Any) -> Iterable[str]:
+    """Returns no names: a number is to be typed."""
+    return ()
+
+
+def _names(listed: Callable[[], list[str]]) -> Completer:
+    """Returns a completer for names of ours, and for files, which may stand in their place."""
+
+    def complete(prefix: str, **_: Any) -> Iterable[str]:
+        from argcomplete.completers import FilesCompleter
+
+        names = [name for name in listed() if name.startswith(prefix)]
+        return names or FilesCompleter()(prefix)
+
+    return complete
+
+
+def _told(kind: str) -> Completer:
+    """Returns a completer for names that a running simulation tells."""
+
+    def complete(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+        names = _names_of_simulation(parsed_args).get(kind, [])
+        return names if prefix.startswith("/") or not prefix else [*names, *(name.removeprefix("/") for name in names)]
+
+    return complete
+
+
+def _parameters(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
+    """Returns the parameters of the node that stands before on the line."""
+    node = str(getattr(parsed_args, "node", "") or "")
+    by_node: dict[str, list[str]] = _names_of_simulation(parsed_args).get("parameters", {}) if node else {}
+    return by_node.get(f"/{node.removeprefix('/')}", [])
+
+
+_COMPLETERS: dict[str, Completer] = {
+    "scene": _names(list_scenes), "scenes": _names(list_scenes), "world": _names(list_scenes), "robot": _names(list_robots),
+    "uri": _names(lambda: [*known_objects(), *list_robots()]), "topic": _told("topics"), "topics": _told("topics"),
+    "service": _told("services"), "action": _told("actions"), "node": _told("nodes"), "name": _parameters,
+}  # fmt: skip
+"""Name of an argument -> its completer."""
+
+
+def _names_of_simulation(args: argparse.Namespace) -> dict[str, Any]:
+    """Returns the names in the ROS domain of the line: ``topics``, ``services``, ``actions``, ``nodes``, ``entities``, ``parameters``."""
+    environment = node_environment(domain_id=getattr(args, "domain_id", None), reach=getattr(args, "reach", None))
+    cache = cache_folder("completion") / f"{domain_of(environment)}-{os.getuid()}.json"
+    try:
+        if 0.0 <= time.time() - cache.stat().st_mtime < CACHE_S:
+            return dict(json.loads(cache.read_text()))
+    except (OSError, ValueError):
+        pass
+    command = command_of("tools.main", json.dumps({"command": "names"}))
+    done = subprocess.run(
+        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=TIMEOUT_S, check=True
+    )
+    found = dict(json.loads(done.stdout.splitlines()[-1]))
+    if not found["nodes"]:
+        return found  # no simulation, or none yet
+    try:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        write_file(cache, json.dumps(found), durable=False)
+    except (OSError, GibsonSimError):
+        pass  # found again at the next press
+    return found
