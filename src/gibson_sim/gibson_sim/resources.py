@@ -109,8 +109,12 @@ def list_robots() -> list[str]:
 
 def known_objects() -> list[str]:
     """Returns the names of all objects of the catalogue that are found without a path, in alphabetical order. Reads none of them."""
-    folders = [folder for share in share_folders() for folder in (share / "scenes" / _OBJECTS, share / _OBJECTS) if is_folder(folder)]
-    return sorted({entry.name for folder in folders for entry in folder.iterdir() if is_folder(entry) and entry.name[0] not in "._"})
+    folders = [
+        folder for share in share_folders() for folder in (share / "scenes" / _OBJECTS, share / _OBJECTS) if is_folder(folder)
+    ]
+    return sorted(
+        {entry.name for folder in folders for entry in folder.iterdir() if is_folder(entry) and entry.name[0] not in "._"}
+    )
 
 
 def known_scenes() -> dict[str, Path]:
