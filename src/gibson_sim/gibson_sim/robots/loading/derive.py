@@ -261,9 +261,10 @@ def _radius(model: UrdfModel, pairs: Sequence[Pair]) -> tuple[float, str]:
     wheels = [wheel for pair in pairs for wheel in (pair.left, pair.right)]
     bare = [wheel.joint.child for wheel in wheels if not wheel.rolls and wheel.radius == 0.0]
     if bare:
+        lost = next((line for line in model.warnings if quoted(bare[0]) in line and " mesh " in line), "")
         raise RobotError(
-            f"{model.path}: its wheels have no shape that can be read, so that they touch no floor: {', '.join(bare)}; "
-            "give them a <collision> with a sphere or a cylinder"
+            f"{model.path}: its wheels have no shape that can be read, so that they touch no floor: {', '.join(bare)}"
+            f"{f' ({lost})' if lost else ''}; give them a <collision> with a sphere or a cylinder"
         )
     driven = [wheel.radius for wheel in (pairs[0].left, pairs[0].right)]
     if min(driven) > 0.0:
