@@ -25,7 +25,6 @@ from gibson_sim.resources import cache_folder, known_objects, list_robots, list_
 from gibson_sim.writing import write_file
 
 SHELLS = ("bash", "zsh", "fish")
-
 TIMEOUT_S = 5.0
 """Wall time in which a running simulation must have told its names, s."""
 CACHE_S = 10.0
