@@ -59,7 +59,7 @@ OF_NAV2 = {
 @pytest.fixture(scope="module")
 def manager(root: Path) -> dict[str, Any]:
     """What the window shows."""
-    document: dict[str, Any] = yaml.safe_load((root / "config" / "gibson_sim.rviz").read_text())["Visualization Manager"]
+    document: dict[str, Any] = yaml.safe_load((root / "config" / "sim.rviz").read_text())["Visualization Manager"]
     return document
 
 

@@ -185,7 +185,7 @@ def test_page_and_foxglove_are_started_on_request_with_their_settings(launch_fil
 
 
 def test_rviz_gets_a_file_that_exists_and_a_frame_that_is_there(root: Path, tmp_path: Path) -> None:
-    file = str(root / "config" / "gibson_sim.rviz")
+    file = str(root / "config" / "sim.rviz")
     assert plan({}).rviz is None
     assert plan({"rviz": "true"}).rviz == ("-d", file, "-f", "odom")
     assert plan({"rviz": "true", "publish_map_tf": "true"}).rviz == ("-d", file, "-f", "map")
@@ -194,8 +194,8 @@ def test_rviz_gets_a_file_that_exists_and_a_frame_that_is_there(root: Path, tmp_
     (tmp_path / "own.rviz").write_text("")
     own = plan({"rviz": "true", "rviz_config": str(tmp_path / "own.rviz"), "rviz_frame": "map"})
     assert own.rviz == ("-d", str(tmp_path / "own.rviz"), "-f", "map")
-    with pytest.raises(GibsonSimError, match=r"gibson_simm\.rviz"):
-        plan({"rviz": "true", "rviz_config": "gibson_simm.rviz"})
+    with pytest.raises(GibsonSimError, match=r"simm\.rviz"):
+        plan({"rviz": "true", "rviz_config": "simm.rviz"})
 
 
 def test_rviz_is_started_where_it_is_installed_and_else_named(

@@ -30,7 +30,7 @@ VIEWERS: dict[str, type[Any]] = {"web": WebConfig, "foxglove": FoxgloveConfig}
 """The nodes that it starts if the argument of their name is true, with their settings, ``<node>_<setting>``."""
 PAGE_VIEWS = "follow,top"
 """Views of a simulation with a page where none are given; they are drawn only while a page shows them."""
-RVIZ, RVIZ_FILE = "rviz", "gibson_sim.rviz"
+RVIZ, RVIZ_FILE = "rviz", "sim.rviz"
 _SECTION = "ros__parameters"
 _BOOLEANS = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
 _RCLPY = ("use_sim_time", "start_type_description_service")
@@ -98,7 +98,7 @@ _OWN = (
         "foxglove", "false", "Serve the Foxglove WebSocket protocol (needs `pip install foxglove-sdk`). Allowed: true, false"
     ),
     Argument(RVIZ, "false", "Start RViz, which must be installed (ros-jazzy-rviz2). Allowed: true, false"),
-    Argument("rviz_config", "", "File of RViz; empty = config/gibson_sim.rviz of this package"),
+    Argument("rviz_config", "", "File of RViz; empty = config/sim.rviz of this package"),
     Argument(
         "rviz_frame",
         "",
