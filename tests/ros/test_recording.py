@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.robots import write_gibson_bot
 from support.scenes import write_room
 from support.simulation import PATIENCE_S, Launched, Listener, require, wait_until
 
@@ -362,30 +363,33 @@ def test_bag_of_a_drive_has_every_command_and_lasts_to_the_last_step(start: Call
 @pytest.mark.parametrize(
     ("ending", "options"),
     [
-        ("duration", ("--duration", "3")),
-        ("drive", ("--drive", "{drive}")),
-        ("Ctrl-C", ()),
-        ("Ctrl-C", ("--lockstep",)),
+        ("duration", ("--duration", "3", "--drive", "{turn}")),
+        ("drive", ("--drive", "{short}")),
+        ("Ctrl-C", ("--drive", "{turn}")),
+        ("Ctrl-C", ("--drive", "{turn}", "--lockstep")),
     ],
 )
 def test_bag_has_every_message_of_the_last_tick_however_slow_its_images_are(
     start: Callable[..., Launched], tmp_path: Path, ending: str, options: tuple[str, ...]
 ) -> None:
-    """Three cameras, two of them large: without a GPU an image takes as long as several ticks."""
-    (tmp_path / "drive.txt").write_text("0.1 0 2\n")
-    given = [option.format(drive=tmp_path / "drive.txt") for option in options]
+    """The robot turns, and its camera has motion blur: without a GPU an image takes longer than the recorder waits for what is on its way."""
+    camera = {"width": 2560, "height": 1600, "outputs": ["rgb"], "effects": {"shutter_s": 0.03, "readout_s": 0.03}}
+    robot = write_gibson_bot(tmp_path / "robot", camera=camera)
+    drives = {"turn": tmp_path / "turn.txt", "short": tmp_path / "short.txt"}
+    drives["turn"].write_text("0 1.2 60\n")
+    drives["short"].write_text("0 1.2 2\n")
+    given = [option.format(**drives) for option in options]
     files = ("--record", str(tmp_path / "run"), "--summary", str(tmp_path / "summary.json"))
-    views = ("--views", "follow,top", "--view-size", "2560x1600", "--camera-outputs", "rgb")
-    run = start("run", "--scene", str(write_room(tmp_path / "room")), *views, *given, *files)
+    run = start("run", "--robot", str(robot), *given, *files)
     if ending == "Ctrl-C":
         bag = tmp_path / "run" / "run_0.mcap"
         wait_until(
-            lambda: (bag.exists() and bag.stat().st_size > 50_000_000) or run.process.poll() is not None, "images in the bag"
+            lambda: (bag.exists() and bag.stat().st_size > 5_000_000) or run.process.poll() is not None, "images in the bag"
         )
         run.process.send_signal(signal.SIGINT)
     assert run.wait() == 0, "\n".join(run.lines)
     last: dict[str, int] = {}
-    images = [f"/{camera}/{topic}" for camera in ("camera", "view_follow", "view_top") for topic in ("image_raw", "camera_info")]
+    images = ("/camera/image_raw", "/camera/camera_info")
     with BagReader(tmp_path / "run") as reader:
         due = 0
         for topic, _, data in reader.raw_messages(["/scene_state", "/odom", "/clock", *images]):
