@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -285,6 +286,22 @@ def test_topics_of_other_nodes_come_and_go(listener: Listener, ros_domain: int) 
     _talk(launched, talk)
     with pytest.raises(StopIteration):
         next(server)
+
+
+def test_time_is_this_machines_where_there_is_no_clock(ros_domain: int) -> None:
+    launched = Launched(
+        "web", "--foxglove", "--port", "0", env={"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}
+    )  # it discovers no simulation
+    launched.wait_for_line("foxglove: ws://")
+
+    async def talk(client: FoxgloveClient) -> list[int]:
+        await client.until(lambda: len(client.times) > 3, "time")
+        return client.times
+
+    begin = time.time_ns()
+    times = _talk(launched, talk)
+    launched.stop()
+    assert begin <= times[0] < times[-1] <= time.time_ns()
 
 
 def test_layout_names_topics_fields_and_services_that_exist(server: Launched, root: Path) -> None:

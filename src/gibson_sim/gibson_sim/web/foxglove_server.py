@@ -10,13 +10,15 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, TimeoutError
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol, cast
 
 from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim.quoting import quoted
+
+logger = logging.getLogger(__name__)
 
 CDR, JSON = "cdr", "json"
 """Encodings of what clients send."""
@@ -270,11 +272,11 @@ class _Listener:
         self._backend.received((client.id, client_channel_id), data)
 
     def on_get_parameters(self, client: Any, param_names: list[str], request_id: str | None = None) -> list[Any]:
-        return _parameters(self._parameter, self._backend.get_parameters(param_names).result(_PARAMETERS_S))
+        return _parameters(self._parameter, _values(self._backend.get_parameters(param_names)))
 
     def on_set_parameters(self, client: Any, parameters: list[Any], request_id: str | None = None) -> list[Any]:
         values = {parameter.name: parameter.get_value() for parameter in parameters}
-        return _parameters(self._parameter, self._backend.set_parameters(values).result(_PARAMETERS_S))
+        return _parameters(self._parameter, _values(self._backend.set_parameters(values)))
 
     def on_parameters_subscribe(self, param_names: list[str]) -> None:
         self._watched.update(param_names)
@@ -291,6 +293,15 @@ def _call(backend: FoxgloveBackend, request: Any) -> bytes:
     if request.encoding != CDR:
         raise ConfigError(f"service {quoted(request.service_name)}: encoding {quoted(request.encoding)}, must be {CDR}")
     return backend.call(request.service_name, request.payload).result(_CALL_S)
+
+
+def _values(answer: Future[dict[str, Any]]) -> dict[str, Any]:
+    """Returns parameters; none if they do not arrive in time."""
+    try:
+        return answer.result(_PARAMETERS_S)
+    except TimeoutError:
+        logger.warning("parameters did not arrive within %g s", _PARAMETERS_S)
+        return {}
 
 
 def _parameters(kind: Any, values: Mapping[str, Any]) -> list[Any]:
