@@ -135,6 +135,20 @@ def require_nodes() -> None:
         )
 
 
+def require_foxglove() -> None:
+    """Checks that the Foxglove SDK is installed, without loading it.
+
+    Raises:
+        EnvironmentProblemError: it is not; names the remedy.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("foxglove") is None:
+        raise EnvironmentProblemError(
+            "--foxglove needs the Python package foxglove-sdk, which is not installed: `pip install foxglove-sdk`"
+        )
+
+
 def is_free(host: str, port: int) -> bool:
     """Returns whether a server could listen on a TCP port."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

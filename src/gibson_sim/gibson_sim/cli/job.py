@@ -190,6 +190,8 @@ class JobRun:
             elif name == "web" and code != USER_ERROR:
                 write_file(self._job.folder / PAGE, "", durable=False)  # time need not wait for it
                 say(f"{node.ending()}; the simulation goes on without its page: `gibson-sim web` serves it again")
+            elif name == "foxglove" and code != USER_ERROR:
+                say(f"{node.ending()}; the simulation goes on without it: `gibson-sim web --foxglove` serves it again")
             elif name == "record" and code != USER_ERROR:
                 say(f"error: the recording ended early: {node.reason()}; the simulation goes on")
                 self._code = ExitCode.RECORDING_ENDED_EARLY

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import fields
-from importlib.util import find_spec
 from typing import Any
 
-from gibson_sim.cli.environment import add_network, enclave_variables, environment_of, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, require_foxglove, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
 from gibson_sim.cli.processes import become
 from gibson_sim.client_config import DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
-from gibson_sim.errors import ConfigError, EnvironmentProblemError
+from gibson_sim.errors import ConfigError
 
 
 def add_parser(subparsers: Any) -> None:
@@ -56,23 +55,8 @@ def _web(args: argparse.Namespace) -> int:
         return _become("web", WebConfig, args)
     if args.token is not None:
         raise ConfigError("--token is of the page: the Foxglove protocol has no password; leave it out, or --foxglove")
-    require_nodes()
     require_foxglove()
-    environment = environment_of(args)
-    environment.update(enclave_variables(environment, "foxglove"))
-    become("foxglove.foxglove_node", node_arguments(settings_from_args(FoxgloveConfig, args)), environment)
-
-
-def require_foxglove() -> None:
-    """Checks that the Foxglove SDK is installed, without loading it.
-
-    Raises:
-        EnvironmentProblemError: it is not; names the remedy.
-    """
-    if find_spec("foxglove") is None:
-        raise EnvironmentProblemError(
-            "--foxglove needs the Python package foxglove-sdk, which is not installed: `pip install foxglove-sdk`"
-        )
+    return _become("foxglove", FoxgloveConfig, args)
 
 
 def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:

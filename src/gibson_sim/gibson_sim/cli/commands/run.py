@@ -7,11 +7,11 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import add_network, domain_of, environment_of, is_free, require_nodes
+from gibson_sim.cli.environment import add_network, domain_of, environment_of, is_free, require_foxglove, require_nodes
 from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, WEB, Job, check_new_bag, run_job
 from gibson_sim.cli.job_status import Hints
 from gibson_sim.cli.options import add_settings, settings_from_args
-from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig, WebConfig
+from gibson_sim.client_config import DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
@@ -105,6 +105,17 @@ def add_parser(subparsers: Any) -> None:
         help="TCP port of the page (default: 8080, or any if that is taken); implies --web",
     )
     web.add_argument("--web-token", metavar="TEXT", help="what a page on another machine must know (default: made and printed)")
+    web.add_argument(
+        "--foxglove",
+        action="store_true",
+        help="serve the Foxglove WebSocket protocol, to this machine alone; needs `pip install foxglove-sdk`",
+    )
+    web.add_argument(
+        "--foxglove-port",
+        metavar="PORT",
+        type=int,
+        help="its TCP port (default: 8765, or any if that is taken); implies --foxglove",
+    )
     add_network(parser)
     parser.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
     parser.set_defaults(run=run)
@@ -156,6 +167,8 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
         waits[WEB] = 1
         if args.views is None and not args.no_render and not job.bag:  # a recording would have each of them drawn
             physics["views"] = _PAGE_VIEWS
+    if args.foxglove or args.foxglove_port is not None:
+        job.configs["foxglove"] = _foxglove_settings(args)
     if not args.no_render:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
@@ -179,6 +192,15 @@ def _web_settings(args: argparse.Namespace) -> WebConfig:
     if args.web_port is None and not is_free(config.host, config.port):
         return replace(config, port=0)
     return config
+
+
+def _foxglove_settings(args: argparse.Namespace) -> FoxgloveConfig:
+    """Returns the settings of the Foxglove server: the usual port, or any where that is taken."""
+    require_foxglove()
+    if args.foxglove_port is not None:
+        return FoxgloveConfig(port=args.foxglove_port)
+    config = FoxgloveConfig()
+    return config if is_free(config.host, config.port) else replace(config, port=0)
 
 
 def _drive_settings(args: argparse.Namespace, cmd_vel_type: str, subscribers: int) -> DriveConfig:
