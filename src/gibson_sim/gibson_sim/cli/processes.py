@@ -31,9 +31,13 @@ _WARNING = re.compile(r"\[?WARN")
 _MOST_WARNINGS = 1000
 """Warnings that are remembered, so that they are printed once: it bounds the memory of long runs."""
 
+_ELSEWHERE = {"foxglove_node": "foxglove.foxglove_node"}
+"""Modules of nodes that stand in a folder of their own below ``gibson_sim.ros``."""
+
 
 def command_of(module: str, *arguments: str) -> list[str]:
     """Returns the command line that runs a module of ``gibson_sim.ros.nodes`` in a process of its own."""
+    module = _ELSEWHERE.get(module, module)
     return [
         sys.executable,
         "-m",
