@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import re
+import signal
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
@@ -34,7 +37,7 @@ NS = 1_000_000_000
 @pytest.fixture(scope="module")
 def simulation(ros_domain: int) -> Iterator[Launched]:
     """A simulation, running."""
-    launched = Launched("run", "--scene", "flat")
+    launched = Launched("run", "--scene", "flat", "--foxglove-port", "0")
     wait_until(lambda: any("scene flat is ready" in line for line in launched.lines), "scene")
     yield launched
     launched.stop()
@@ -54,7 +57,9 @@ def _serve(*options: str) -> Iterator[Launched]:
 
 
 def _url(server: Launched) -> str:
-    return server.wait_for_line("foxglove: ws://").split()[1]
+    found = re.search(r"ws://\S+", server.wait_for_line("foxglove: ws://"))
+    assert found is not None
+    return found[0]
 
 
 def _talk(server: Launched, talk: Callable[[FoxgloveClient], Awaitable[Any]], **options: Any) -> Any:
@@ -372,6 +377,18 @@ def test_port_that_is_taken_is_one_line(server: Launched) -> None:
     assert [line for line in other.lines if line.startswith("error: ")] == [
         f"error: port {port} of 127.0.0.1 cannot be used: Address already in use (os error 98); choose another one"
     ]
+
+
+def test_run_serves_it_too_and_goes_on_without_it(simulation: Launched) -> None:
+    async def talk(client: FoxgloveClient) -> None:
+        await client.subscribe("/odom")
+        await client.until(lambda: "/odom" in client.messages, "odometry")
+
+    _talk(simulation, talk)
+    pid = int(simulation.node_pid("foxglove"))
+    os.kill(pid, signal.SIGKILL)
+    simulation.wait_for_line("the simulation goes on without it: `gibson-sim web --foxglove` serves it again")
+    assert simulation.process.poll() is None
 
 
 def test_unknown_protocol_is_refused(server: Launched) -> None:

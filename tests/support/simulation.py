@@ -93,7 +93,7 @@ def _nodes(pid: int) -> dict[str, int]:
     found = {}
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         line = Path(f"/proc/{child}/cmdline").read_bytes().decode(errors="replace")
-        if name := re.search(r"gibson_sim\.ros\.nodes\.(\w+)_node", line):
+        if name := re.search(r"gibson_sim\.ros\.\w+\.(\w+)_node", line):
             found[name[1]] = int(child)
     return found
 
