@@ -26,6 +26,8 @@ from gibson_sim.bags.comparison.load import load_recording
 from gibson_sim.bags.export.run import export_bag
 from gibson_sim.bags.mcap_file import COMPRESSIONS
 from gibson_sim.bags.metadata import METADATA_FILE, TopicQos, read_metadata
+from gibson_sim.bags.plots.load import load_run
+from gibson_sim.bags.plots.plot import plots_png
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.recovery import repair
 from gibson_sim.bags.replaying import read_facts, read_run
@@ -37,6 +39,9 @@ _PERIOD_NS = 10**8
 _MOMENTS = 6
 _MOST_MESSAGES = 2000
 TOPICS = {
+    "/collisions": "gibson_msgs/msg/CollisionCount",
+    "/contacts": "gibson_msgs/msg/Contacts",
+    "/map": "nav_msgs/msg/OccupancyGrid",
     "/clock": "rosgraph_msgs/msg/Clock", "/odom": "nav_msgs/msg/Odometry", "/ground_truth/odom": "nav_msgs/msg/Odometry",
     "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage", "/camera/image_raw": "sensor_msgs/msg/Image",
     "/camera/depth/image_raw": "sensor_msgs/msg/Image", "/camera/camera_info": "sensor_msgs/msg/CameraInfo",
@@ -146,6 +151,11 @@ def _message(topic: str, k: int) -> Any:
             "twists": np.zeros(6),
             "due_cameras": np.zeros(1, dtype=np.uint32),
         }
+    elif topic == "/map":
+        info = blank("nav_msgs/msg/MapMetaData", resolution=0.1, width=8, height=6)
+        values |= {"info": info, "data": np.zeros(48, dtype=np.int8)}
+    elif topic == "/collisions":
+        values |= {"count": k, "ongoing": k % 2, "last_body": "wall"}
     elif topic == "/joint_states":
         values |= {"name": ["a", "b"], "position": np.zeros(2), "velocity": np.zeros(2), "effort": np.zeros(2)}
     elif topic == "/inputs":
@@ -166,6 +176,7 @@ _WAYS: dict[str, Callable[[Path, Path], Any]] = {
     "check": lambda bag, _: check_bag(bag),
     "read_facts": lambda bag, _: read_facts(bag),
     "read_run": lambda bag, _: read_run(bag),
+    "load_run": lambda bag, _: plots_png(load_run(bag)),
     "load_recording": lambda bag, _: load_recording(bag),
     "sheet": lambda bag, out: write_contact_sheet(bag, out.with_suffix(".png")),
     "video": lambda bag, out: write_video(bag, out.with_suffix(".mp4")),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.bags.comparison import topics as roles
 from gibson_sim.bags.plots.run_data import F64, Arrivals, Floor, RecordedRun, RobotRun, Track, Velocities
@@ -24,6 +25,8 @@ _SAME_M = 0.005
 """Greatest distance, m, of an estimate that is the ground truth itself, published as map -> odom."""
 _MAP_HEIGHT = 0.5
 """Height above the floor up to which things of a scene count as obstacles, where the bag has no map, m."""
+_LARGEST = 1e10
+"""Limit of coordinates, velocities and times that are drawn, SI units; larger ones are damaged."""
 _QUIET = ("/parameter_events", "/rosout")
 """Topics without a rate that every node has."""
 _LEAST_ARRIVALS = 3
@@ -176,11 +179,16 @@ class _Reading:
                     "the map is left out: the bag has neither a true pose nor a localiser's, so the odometry's place in it is unknown"
                 )
             return None
-        if self._map is not None:
-            info = self._map.info
-            cells = np.asarray(self._map.data, dtype=np.int8).reshape(info.height, info.width)
-            return Floor(cells, float(info.resolution), (info.origin.position.x, info.origin.position.y), self._map_topic)
-        return self._floor_of_scene()
+        if self._map is None:
+            return self._floor_of_scene()
+        info, cells = self._map.info, np.asarray(self._map.data, dtype=np.int8)
+        numbers = float(info.resolution), float(info.origin.position.x), float(info.origin.position.y)
+        if len(cells) != info.width * info.height or not len(cells) or not _is_sane(np.array(numbers)).all() or numbers[0] <= 0.0:
+            self._notes.append(
+                f"the map is left out: {self._map_topic} has {info.width}x{info.height} cells of {numbers[0]:g} m, and values for {len(cells)}"
+            )
+            return None
+        return Floor(cells.reshape(info.height, info.width), numbers[0], numbers[1:], self._map_topic)
 
     def _floor_of_scene(self) -> Floor | None:
         name = str(read_facts(self._bag.folder).settings.get("physics", {}).get("scene", ""))
@@ -207,11 +215,17 @@ def _map_topic(infos: Mapping[str, TopicInfo]) -> str:
     return grids[0] if len(grids) == 1 else ""
 
 
+def _is_sane(values: F64) -> NDArray[np.bool_]:
+    """Returns which values are finite and no larger than anything on Earth."""
+    return np.asarray(np.isfinite(values) & (np.abs(values) < _LARGEST))
+
+
 def _table(rows: list[tuple[float, ...]]) -> F64 | None:
-    """Returns rows as an array, (N, C), sorted by strictly increasing time; None if there are fewer than two."""
+    """Returns rows with usable poses as an array, (N, C), sorted by strictly increasing time; None if there are fewer than two."""
     if len(rows) < 2:
         return None
     table = np.array(rows, dtype=np.float64)
+    table = table[_is_sane(table[:, :4]).all(axis=1)]
     _, first = np.unique(table[:, 0], return_index=True)
     return table[first] if len(first) > 1 else None
 
@@ -225,24 +239,28 @@ def _track(robot: _OfRobot, role: str) -> Track | None:
 
 def _velocities(robot: _OfRobot, role: str) -> Velocities | None:
     table = _table(robot.rows[role])
-    if table is None or not np.isfinite(table[:, 4:]).all():
+    if table is not None:
+        table = table[_is_sane(table[:, 4:]).all(axis=1)]
+    if table is None or not len(table):
         return None
     return Velocities(table[:, 0], table[:, 4], table[:, 5], table[:, 6], robot.topic(role))
 
 
 def _commands(robot: _OfRobot) -> Velocities | None:
-    if not robot.rows["cmd_vel"]:
+    table = np.array(robot.rows["cmd_vel"], dtype=np.float64).reshape(-1, 4)
+    table = table[_is_sane(table).all(axis=1)]
+    if not len(table):
         return None
-    table = np.array(robot.rows["cmd_vel"], dtype=np.float64)
     return Velocities(table[:, 0], table[:, 1], table[:, 2], table[:, 3], robot.topic("cmd_vel"))
 
 
 def _by_transforms(robot: _OfRobot, odometry: Track | None) -> Track | None:
     """Returns odometry in the map frame by a localiser's transforms map -> odom; None = there are none."""
     rows = robot.rows["map_from_odom"]
-    if odometry is None or not rows:
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    table = table[_is_sane(table).all(axis=1)]
+    if odometry is None or not len(table):
         return None
-    table = np.array(rows, dtype=np.float64)
     known = odometry.t >= table[0, 0]
     if np.count_nonzero(known) < 2:
         return None

@@ -175,7 +175,7 @@ def _draw_touch(axis: Any, x: float, y: float, number: int) -> None:
 def _draw_times(axis: Any, run: RecordedRun, track: Track) -> None:
     """Marks the path with times, which the other panels have on their axes; not where the robot stands."""
     seconds = run.end - run.begin
-    every = next((mark for mark in _MARKS if seconds / mark <= 12), _MARKS[-1])
+    every = float(next((mark for mark in _MARKS if seconds / mark <= 12), np.ceil(seconds / 12)))
     before: tuple[float, float] | None = None
     left, right, bottom, top = (float(f(v)) for v in (track.x, track.y) for f in (np.min, np.max))
     apart = 0.06 * max(right - left, top - bottom, 1.0)
@@ -299,7 +299,10 @@ def rates(run: RecordedRun) -> tuple[F64, F64, list[tuple[str, float]]]:
 
 def _bins(begin: float, end: float) -> F64:
     """Returns the edges of bins of a round number of seconds, the first and the last as far as the recording reaches."""
-    width = next((mark for mark in (0.5, *_MARKS) if (end - begin) / mark <= (20 if mark < 1 else _MOST_BINS)), float(_MARKS[-1]))
+    width = next(
+        (mark for mark in (0.5, *_MARKS) if (end - begin) / mark <= (20 if mark < 1 else _MOST_BINS)),
+        np.ceil((end - begin) / _MOST_BINS),
+    )
     first = np.floor(begin / width + 1e-6) * width
     edges = np.arange(first, end, width)
     if end - edges[-1] < 0.5 * width and len(edges) > 1:
