@@ -104,3 +104,14 @@ def test_a_file_gets_whole_lines_alone() -> None:
     console.status("1 s")
     console.write("a warning")
     assert out.getvalue() == "a warning\n"
+
+
+def test_a_warning_is_repeated_after_ten_seconds_at_the_earliest(monkeypatch: pytest.MonkeyPatch) -> None:
+    console, now = Console(io.StringIO()), 100.0
+    monkeypatch.setattr("gibson_sim.cli.console.time.monotonic", lambda: now)
+    assert not console.was_written("WARN a")
+    assert not console.was_written("WARN b")
+    now = 109.0
+    assert console.was_written("WARN a"), "of another node, too"
+    now = 111.0
+    assert not console.was_written("WARN a")

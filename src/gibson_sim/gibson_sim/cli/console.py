@@ -5,10 +5,13 @@ from __future__ import annotations
 import shutil
 import sys
 import threading
+import time
 from typing import TextIO
 
 _ERASE = "\r\x1b[K"
 """Moves to the start of the line and erases it."""
+_REPEAT_S = 10.0
+"""Wall time within which a warning is not repeated, seconds."""
 
 
 class Console:
@@ -22,6 +25,8 @@ class Console:
         self._out = out
         self._lock = threading.Lock()
         self._status = ""
+        self._written: dict[str, float] = {}
+        """Texts given to ``was_written``, and when."""
 
     @property
     def is_terminal(self) -> bool:
@@ -40,6 +45,15 @@ class Console:
                 text = f"{_ERASE}{text}{self._status}"
             self._stream.write(text)
             self._stream.flush()
+
+    def was_written(self, text: str) -> bool:
+        """Returns whether this was called with the same text within the last ten seconds: of equal warnings one is enough."""
+        now = time.monotonic()
+        with self._lock:
+            self._written = {known: at for known, at in self._written.items() if now - at < _REPEAT_S}
+            repeated = text in self._written
+            self._written.setdefault(text, now)
+        return repeated
 
     def status(self, line: str) -> None:
         """Replaces the status line on a terminal, cut to its width; does nothing elsewhere. Empty = no status line."""

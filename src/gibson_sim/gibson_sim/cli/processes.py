@@ -28,8 +28,6 @@ _ERROR = re.compile(
 """Matches a line that reports an error; ``[INFO] ...`` never does."""
 _WARNING = re.compile(r"\[?WARN")
 """Matches a warning."""
-_MOST_WARNINGS = 1000
-"""Warnings that are remembered, so that they are printed once: it bounds the memory of long runs."""
 
 _ELSEWHERE = {"foxglove_node": "foxglove.foxglove_node"}
 """Modules of nodes that stand in a folder of their own below ``gibson_sim.ros``."""
@@ -77,7 +75,7 @@ class NodeProcess:
             config: its settings.
             environment: its environment.
             inherit: file descriptors that it inherits.
-            out: receives its lines; a warning that it repeats word for word is printed once.
+            out: receives its lines; a warning that any node repeats word for word within ten seconds is printed once.
             silent: whether to hold its lines until ``print_held``; they are dropped if it is stopped before.
         """
         self.name, self.config, self._environment, self._out = (
@@ -88,7 +86,6 @@ class NodeProcess:
         )
         self._tail: deque[str] = deque(maxlen=20)
         self._pending_error = ""
-        self._warned: set[str] = set()
         self._held: list[str] | None = [] if silent else None
         self._held_lock = threading.Lock()
         command = command_of(f"{name}_node", *node_arguments(config))
@@ -125,11 +122,8 @@ class NodeProcess:
             if self._held is not None:
                 self._held.append(line)
                 return
-        if _WARNING.match(line):
-            if line in self._warned:
-                return
-            if len(self._warned) < _MOST_WARNINGS:
-                self._warned.add(line)
+        if _WARNING.match(line) and self._out.was_written(line):
+            return
         self._out.write(f"{self.name:8} | {line}")
 
     def print_held(self) -> None:

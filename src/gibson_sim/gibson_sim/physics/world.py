@@ -121,8 +121,8 @@ class PhysicsWorld:
                 self._load_body(body)
             self._poses.change_bodies(self._all())
             _check_starts(self._bullet, self._robots.values(), self._all())
-            for body in self._all()[:1]:
-                body.link_position(self._bullet, body.links[0])  # compiles the loops of poses now, not while time runs
+            for first in self._all()[:1]:
+                first.link_position(self._bullet, first.links[0])  # compiles the loops of poses now, not while time runs
         except BaseException:
             self._bullet.close()
             raise
