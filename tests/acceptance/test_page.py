@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import warnings
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,14 @@ from support.simulation import Launched, Listener, require
 
 require("rclpy", "gibson_msgs", "playwright")
 
+from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
-from playwright.sync_api import sync_playwright  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 
+from gibson_sim.bags.reader import BagReader  # noqa: E402
+from gibson_sim.errors import EnvironmentProblemError  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
+from gibson_sim_bench.browser import chromium, chromium_path  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.egl]
 DESKTOP, PHONE = {"width": 1360, "height": 820}, {"width": 390, "height": 844}
@@ -27,23 +30,27 @@ DESKTOP, PHONE = {"width": 1360, "height": 820}, {"width": 390, "height": 844}
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Chromium, without a window; WebGL is drawn in software."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        message = "SKIPPED: no Chromium on this machine; apt-get install chromium"
+    try:
+        chromium_path()
+    except EnvironmentProblemError as error:
+        message = f"SKIPPED: {error}"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
-    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(
-            executable_path=chromium, args=[*arguments, "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-        )
+    with chromium(webgl=True) as running:
         yield running
-        running.close()
 
 
 @pytest.fixture(scope="module")
-def simulation(ros_domain: int) -> Iterator[Launched]:
-    launched = Launched("run", "--web-port", "0", "--start", "1.0,4.7,0")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the server runs."""
+    return tmp_path_factory.mktemp("server")
+
+
+@pytest.fixture(scope="module")
+def simulation(ros_domain: int, folder: Path) -> Iterator[Launched]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)  # recordings of the page are below it
+        launched = Launched("run", "--web-port", "0", "--start", "1.0,4.7,0")
     launched.wait_for_line("look: http://")
     yield launched
     launched.stop()
@@ -101,12 +108,15 @@ def test_the_image_and_the_map_are_there_at_desktop_and_phone_size(page: Any, tm
         const step = 4 * Math.floor(d.length / 8000);
         return new Set(Array.from({length: 2000}, (_, k) => d.slice(step * k, step * k + 3).join())).size; }"""
     assert page.evaluate(colours, "canvas[data-stamp]") > 100 and page.evaluate(colours, "#map") >= 3
+    page.wait_for_selector("#things li")
     for size, scheme in ((DESKTOP, "light"), (DESKTOP, "dark"), (PHONE, "light"), (PHONE, "dark")):
         page.set_viewport_size(size)
         page.emulate_media(color_scheme=scheme)
         page.wait_for_timeout(300)
         page.screenshot(path=str(tmp_path / f"{size['width']}_{scheme}.png"), full_page=True)
         assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        stick = page.locator("#stick").bounding_box()
+        assert stick["y"] + stick["height"] <= size["height"], "the stick must be seen without scrolling"
 
 
 def test_a_key_drives_and_letting_go_stops(page: Any, listener: Listener) -> None:
@@ -183,7 +193,11 @@ def test_a_thing_is_spawned_moved_and_deleted_by_clicks(page: Any) -> None:
     page.click("[data-mode=move]")
     page.click("#map", position={"x": place["x"] + 25, "y": place["y"]})
     page.wait_for_selector("#notes p:has-text('moved bottle')")
-    page.click("#things li:has-text('bottle') button")
+    remove = page.locator("#things li:has-text('bottle') button")
+    remove.click()
+    page.wait_for_selector("#things li:has-text('bottle') button.sure")  # it asks first
+    assert page.locator("#things li:has-text('bottle')").count() == 1
+    remove.click()
     page.wait_for_selector("#things li:has-text('bottle')", state="detached")
 
 
@@ -197,6 +211,130 @@ def test_the_scene_is_drawn_in_3_d(page: Any) -> None:
     page.mouse.up()
     assert len(page.locator("#scene3d").screenshot()) > 10_000
     page.click("#three")
+
+
+def test_a_number_of_any_topic_is_plotted(page: Any) -> None:
+    page.click("#plots-toggle")
+    page.wait_for_selector("#plot-topic option[value='/odom']", state="attached")
+    page.select_option("#plot-topic", "/odom")
+    page.wait_for_selector("#plot-field option[value='twist.twist.linear.x']", state="attached")
+    page.select_option("#plot-field", "twist.twist.linear.x")
+    page.click("#plot-new")
+    page.select_option("#plot-topic", "/joint_states")
+    page.wait_for_selector("#plot-field option[value='position[1]']", state="attached")
+    assert "wheel_right_joint" in page.inner_text("#plot-field option[value='position[1]']", timeout=5000)
+    page.select_option("#plot-field", "velocity[1]")
+    page.click("#plot-new")
+    page.keyboard.down("w")
+    page.wait_for_function("Number(document.querySelector('.plot-head b').textContent) > 0.3", timeout=60_000)
+    page.keyboard.up("w")
+    page.wait_for_function(
+        "[...document.querySelectorAll('.plot canvas')].every((c) => Number(c.dataset.samples) > 20)", timeout=60_000
+    )
+    assert "m/s" in page.inner_text(".plot-head >> nth=0")
+    drawn = "() => { const c = document.querySelector('.plot canvas'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; "
+    drawn += "let n = 0; for (let k = 0; k < d.length; k += 4) n += d[k + 2] > 180 && d[k] < 90 && d[k + 3] > 180; return n; }"
+    assert page.evaluate(drawn) > 50, "the curve is drawn in the accent colour"
+    page.click(".plot-head button >> nth=0")
+    page.click(".plot-head button >> nth=0")
+    assert page.locator(".plot").count() == 0
+    page.click("#plots-toggle")
+
+
+def test_a_drawer_is_opened_and_closed(page: Any) -> None:
+    page.wait_for_function("document.querySelector('#catalogue').options.length > 10")
+    page.select_option("#catalogue", label="cabinet_drawers")
+    page.click("[data-mode=spawn]")
+    page.click("#map", position=_pixel(page, 2.6, 4.7))
+    page.click("[data-mode=look]")
+    row = page.locator("#doors li:has-text('drawer 2')")
+    row.wait_for()
+    assert page.locator("#doors li").count() == 3
+    for word, opening in (("Open", "> 0.95"), ("Close", "< 0.05")):
+        assert row.locator("button").inner_text() == word
+        row.locator("button").click()
+        page.wait_for_function(f"Number([...document.querySelectorAll('#doors li')].find((l) => l.textContent.includes('drawer 2'))"
+                               f".querySelector('.bar').style.getPropertyValue('--part')) {opening}", timeout=60_000)  # fmt: skip
+        page.wait_for_timeout(300)
+
+
+def test_a_thing_is_selected_on_the_map(page: Any) -> None:
+    page.select_option("#catalogue", label="mug")
+    page.click("[data-mode=spawn]")
+    place = _pixel(page, 1.9, 4.3)
+    page.click("#map", position=place)
+    page.wait_for_selector("#things li:has-text('cup')")
+    page.click("[data-mode=look]")
+    page.wait_for_timeout(1500)  # until the map knows where it lies
+    page.click("#map", position=place)
+    page.wait_for_selector("#things li[aria-selected=true]:has-text('cup')")
+
+
+def test_a_recording_is_made_and_ended(page: Any, folder: Path) -> None:
+    page.click("#record")
+    page.wait_for_selector("#record.on")
+    page.wait_for_function("/[1-9]\\d* kB|MB/.test(document.querySelector('#record-what').textContent)", timeout=60_000)
+    name = page.inner_text("#record-what").partition(":")[0]
+    page.click("#record")
+    page.wait_for_selector("#record:not(.on)", timeout=60_000)
+    assert page.inner_text("#record-error") == ""
+    with BagReader(folder / name) as bag:
+        topics = bag.topics()
+        assert topics["/odom"].count > 10 and "/camera/image_raw" not in topics
+
+
+def test_pictures_of_all_cameras_are_one_file(page: Any, tmp_path: Path) -> None:
+    with page.expect_download() as found:
+        page.click("#pictures")
+    found.value.save_as(tmp_path / "pictures.zip")
+    with zipfile.ZipFile(tmp_path / "pictures.zip") as pictures:
+        assert pictures.testzip() is None
+        assert {"camera.jpg", "camera_depth.jpg", "view_top.jpg"} <= set(pictures.namelist())
+        assert all(pictures.read(name).startswith(b"\xff\xd8") for name in pictures.namelist())
+
+
+def test_a_page_that_is_opened_while_time_is_paused_shows_the_present(page: Any) -> None:
+    page.click("#pause")
+    page.wait_for_selector("#state.paused")
+    page.wait_for_timeout(1500)
+    page.reload()
+    page.wait_for_selector("canvas[data-stamp]")
+    page.wait_for_function("document.querySelector('#pose').textContent.includes('m/s')")
+    page.click("#three")
+    page.wait_for_function("Number(document.querySelector('#scene3d').dataset.drawn) > 0", timeout=60_000)
+    page.wait_for_selector("#scene-note", state="hidden")
+    page.click("#three")
+    page.click("#topics button:has-text('view_follow')")  # which was not drawn at this tick
+    page.wait_for_function("document.querySelectorAll('.why')[1].textContent.includes('press Step')")
+    page.click("#step")
+    page.wait_for_selector("canvas[data-topic*=view_follow][data-stamp]")
+    page.click("#topics button:has-text('view_follow')")
+    page.click("#play")
+    page.wait_for_selector("#state.playing")
+
+
+def test_the_estimate_of_a_localiser_is_an_ellipse(page: Any, listener: Listener) -> None:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = listener.node.create_publisher(PoseWithCovarianceStamped, "amcl_pose", latched)
+    message = PoseWithCovarianceStamped()
+    message.pose.pose.position.x, message.pose.pose.position.y = 3.0, 3.0
+    message.pose.covariance[0], message.pose.covariance[7] = 0.25, 0.04  # 2 sigma: 1.0 m by 0.4 m
+    count = """() => { const c = document.querySelector('#map'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let n = 0;
+        for (let k = 0; k < d.length; k += 4) n += d[k] === 180 && d[k + 1] === 83 && d[k + 2] === 9; return n; }"""
+    before = page.evaluate(count)
+    publisher.publish(message)
+    page.wait_for_function(f"({count})() > {before} + 20")
+    listener.node.destroy_publisher(publisher)
+
+
+def _pixel(page: Any, x: float, y: float) -> dict[str, float]:
+    """Returns the pixel of the map that shows a place, metres."""
+    page.wait_for_selector("#map[data-map]")
+    box, (scale, middle_x, middle_y) = (
+        page.locator("#map").bounding_box(),
+        map(float, page.get_attribute("#map", "data-view").split()),
+    )
+    return {"x": box["width"] / 2 + (x - middle_x) * scale, "y": box["height"] / 2 - (y - middle_y) * scale}
 
 
 def _middle(page: Any, selector: str) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,7 +20,10 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import Image, LaserScan  # noqa: E402
+from simulation_interfaces.srv import StepSimulation  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from gibson_sim.bags.reader import BagReader  # noqa: E402
 
 pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -44,6 +48,13 @@ def _talk(web: Launched, talk: Callable[[aiohttp.ClientWebSocketResponse], Any])
     return asyncio.run(run())
 
 
+async def _reply(socket: aiohttp.ClientWebSocketResponse) -> Any:
+    while True:
+        message = await socket.receive(timeout=60)
+        if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == "reply":
+            return message.json()["value"]
+
+
 async def _robots(socket: aiohttp.ClientWebSocketResponse) -> list[Any]:
     while True:
         message = await socket.receive(timeout=60)
@@ -66,7 +77,7 @@ def _bad_messages() -> list[tuple[type, str, Any, Any]]:
     return [
         (TFMessage, "/tf", TFMessage(transforms=[tf]), 10), (Odometry, "/odom", odometry, 10), (OccupancyGrid, "/map", grid, LATCHED),
         (PoseWithCovarianceStamped, "/amcl_pose", estimate, LATCHED), (LaserScan, "/scan", scan, 10), (Image, "/cam/image_raw", empty, 10),
-        (Image, "/cam2/image_raw", Image(encoding="yuv422", width=2, height=2, step=4, data=[0] * 8), 10),
+        (Image, "/cam2/image_raw", Image(encoding="odd", width=2, height=2, step=4, data=[0] * 8), 10),
     ]  # fmt: skip
 
 
@@ -147,6 +158,89 @@ def test_a_robot_that_has_gone_is_forgotten(web: Launched, listener: Listener) -
         return robots
 
     assert _talk(web, talk) == []
+
+
+def test_the_robot_that_the_page_chooses_is_driven(web: Launched, listener: Listener) -> None:
+    node = listener.node
+    message = Odometry(child_frame_id="base")
+    message.pose.pose.orientation.w = 1.0
+    publishers = [node.create_publisher(Odometry, f"/{name}/odom", 10) for name in ("left", "right")]
+    commands = {name: listener.collect(Twist, f"/{name}/cmd_vel", 10) for name in ("left", "right")}
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        while len(await _robots(socket)) < 2:
+            for publisher in publishers:
+                publisher.publish(message)
+        for robot, chosen in (("right", "right"), ("left", "")):  # without a choice it is the first one
+            begin = time.monotonic()
+            while not any(command.linear.x == 0.3 for command in commands[robot]):
+                assert time.monotonic() - begin < 60
+                await socket.send_json({"type": "drive", "linear": 0.3, "robot": chosen})
+                listener._executor.spin_once(timeout_sec=0.02)
+                await asyncio.sleep(0.05)
+            assert robot == "left" or not commands["left"]
+
+    _talk(web, talk)
+    for publisher in publishers:
+        node.destroy_publisher(publisher)
+
+
+def test_a_service_that_never_answers_is_told(web: Launched, other_listener: Listener) -> None:
+    node = other_listener.node  # it is not spun, so that it never answers
+    kept = node.create_service(StepSimulation, "step_simulation", lambda _, response: response)
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> list[str]:
+        said: list[str] = []
+        while not said or "has not answered for 5 s" not in said[-1]:
+            if not said or "does a simulation run" in said[-1]:  # the service is not discovered yet
+                await socket.send_json({"type": "time", "action": "step", "steps": 1})
+            said.append((await _reply(socket))["text"])
+        return said
+
+    assert _talk(web, talk)[-1].startswith("step_simulation has not answered")
+    node.destroy_service(kept)
+
+
+def test_a_page_is_told_why_an_image_is_not_drawn(web: Launched, listener: Listener) -> None:
+    publisher = listener.node.create_publisher(Image, "/odd/image_raw", 10)
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        await socket.send_json({"type": "watch", "topics": ["/odd/image_raw"]})
+        while True:
+            publisher.publish(Image(encoding="odd", width=2, height=2, step=4, data=[0] * 8))
+            message = await socket.receive(timeout=60)
+            if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == "problems" and message.json()["value"]:
+                return message.json()["value"]
+
+    assert _talk(web, talk) == {"/odd/image_raw": "images of 2x2 with encoding 'odd' are not drawn"}
+    listener.node.destroy_publisher(publisher)
+
+
+def test_a_recording_and_a_task_end_with_their_page_server(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    launched = Launched("run", "--no-render", "--web-port", "0")
+    launched.wait_for_line("look: http://")
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        await socket.send_json({"type": "task", "action": "start", "task": "point-goal", "baseline": "none", "seed": 3})
+        await socket.send_json({"type": "record", "action": "start"})
+        size, info = 0, {}
+        while size < 300_000 or not info.get("text"):
+            message = await socket.receive(timeout=60)
+            values = message.json() if message.type is aiohttp.WSMsgType.TEXT else {"type": ""}
+            size = values["value"]["bytes"] if values["type"] == "recording" else size
+            info = values["value"]["info"] if values["type"] == "task" else info
+            assert values["type"] not in ("recording", "task") or not values["value"]["error"]
+        return info
+
+    assert _talk(launched, talk)["seed"] == 3
+    assert launched.stop() == 0
+    [folder] = (tmp_path / "out" / "web").iterdir()
+    with BagReader(folder) as bag:  # which an unfinished bag would refuse
+        assert bag.topics()["/odom"].count > 10
+    assert (folder / "metadata.yaml").is_file()
 
 
 def test_a_page_that_is_killed_ends_no_simulation(ros_domain: int) -> None:

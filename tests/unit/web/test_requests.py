@@ -7,7 +7,19 @@ import json
 import pytest
 from hypothesis import given, strategies as st
 
-from gibson_sim.web.requests import Drive, Goal, PageRequestError, Spawn, Time, Watch, parse_request
+from gibson_sim.web.requests import (
+    Drive,
+    Goal,
+    Open,
+    PageRequestError,
+    Plot,
+    Record,
+    RunTask,
+    Spawn,
+    Time,
+    Watch,
+    parse_request,
+)
 
 
 @pytest.mark.parametrize(
@@ -19,6 +31,15 @@ from gibson_sim.web.requests import Drive, Goal, PageRequestError, Spawn, Time, 
         ({"type": "time", "action": "step", "steps": 10}, Time("step", 10)),
         ({"type": "time", "action": "pause", "steps": 10}, Time("pause", 1)),
         ({"type": "spawn", "uri": "bottle", "x": 1, "y": 2}, Spawn("bottle", 1.0, 2.0, 0.0)),
+        ({"type": "drive", "linear": 1, "robot": "left"}, Drive(1.0, 0.0, 0.0, "left")),
+        ({"type": "plot", "curves": [["/odom", "pose.pose.position.x"]]}, Plot((("/odom", "pose.pose.position.x"),))),
+        ({"type": "open", "joint": "door/hinge", "opening": 1}, Open("door/hinge", 1.0)),
+        ({"type": "record", "action": "start"}, Record("start", images=False)),
+        (
+            {"type": "task", "action": "start", "task": "open-door", "baseline": "scripted", "seed": 3},
+            RunTask("start", "open-door", "scripted", 3),
+        ),
+        ({"type": "task", "action": "stop", "task": "/etc"}, RunTask("stop")),
     ],
 )
 def test_a_request_is_read(message: dict[str, object], request_: object) -> None:
@@ -39,6 +60,12 @@ def test_a_request_is_read(message: dict[str, object], request_: object) -> None
         ('{"type": "drive", "linear": true}', "linear is True"),
         ('{"type": "time", "action": "step", "steps": 0}', "must be a number from 1 to 100000"),
         ('{"type": "rate", "value": -1}', "value is -1, must be a number from 0 to 1000"),
+        ('{"type": "plot", "curves": [["/odom"]]}', "curves is [['/odom']], must be a list of at most 16 pairs"),
+        ('{"type": "plot", "curves": ' + str([["/a", "x"]] * 17).replace("'", '"') + "}", "must be a list of at most 16 pairs"),
+        ('{"type": "open", "joint": "a/b", "opening": 1.1}', "opening is 1.1, must be a number from 0 to 1"),
+        ('{"type": "record", "action": "start", "images": "/tmp"}', "images is '/tmp', must be true or false"),
+        ('{"type": "task", "action": "start", "task": "/etc/passwd"}', "task is '/etc/passwd', must be one of point-goal"),
+        ('{"type": "task", "action": "start", "task": "open-door", "baseline": "rm"}', "baseline is 'rm', must be one of none"),
         ('{"type": "spawn", "uri": ""}', "must be a text of 1 to 512 printable characters"),
         ('{"type": "watch", "topics": "all"}', "must be a list of at most 16 texts"),
         ('{"type": "delete", "name": "' + "x" * 5000 + '"}', "at most 4096 are allowed"),

@@ -92,7 +92,19 @@ async def _reply(socket: aiohttp.ClientWebSocketResponse) -> Any:
 def test_the_page_and_its_parts_are_served(server: PageServer) -> None:
     status, text = _get(server.url)
     assert status == 200 and "<title>Gibson Sim</title>" in text
-    for name in ("app.js", "map.js", "drive.js", "style.css", "icon.svg"):
+    for name in (
+        "app.js",
+        "dom.js",
+        "drive.js",
+        "map.js",
+        "panels.js",
+        "plots.js",
+        "scene3d.js",
+        "videos.js",
+        "zip.js",
+        "style.css",
+        "icon.svg",
+    ):
         assert _get(f"{server.url}page/{name}")[0] == 200
 
 
@@ -241,3 +253,52 @@ def test_only_so_many_pages_are_let_in(server: PageServer) -> None:
             return status
 
     assert asyncio.run(run()) == 503
+
+
+def test_pages_drive_two_robots_at_once_and_each_is_stopped(server: PageServer, backend: Backend) -> None:
+    async def talk(first: aiohttp.ClientWebSocketResponse) -> None:
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{server.port}/socket") as second:
+            await first.send_json({"type": "drive", "linear": 0.5, "robot": "left"})
+            await second.send_json({"type": "drive", "linear": 0.7, "robot": "right"})
+            while len({command.robot for command in backend.commands}) < 2:
+                await asyncio.sleep(0.005)
+
+    _talk(server, talk)
+    for robot, speed in (("left", 0.5), ("right", 0.7)):
+        _until(lambda robot=robot: backend.commands.count(Drive(0.0, 0.0, 0.0, robot)) == 3)  # type: ignore[misc]
+        assert {c.linear for c in backend.commands if c.robot == robot} == {0.0, speed}
+
+
+def test_a_page_gets_the_curves_that_it_plots_and_no_others(server: PageServer, backend: Backend) -> None:
+    backend.history = {("/a", "x"): [(9.0, 1.0)], ("/b", "y"): [(9.0, 2.0)]}
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        await socket.send_json({"type": "plot", "curves": [["/a", "x"]]})
+        history = await socket.receive_json()
+        server.show_curves(11.0, {("/a", "x"): [(10.5, None)], ("/b", "y"): [(10.5, 3.0)]})
+        return history, await socket.receive_json()
+
+    history, samples = _talk(server, talk)
+    assert history == {"type": "history", "value": {"now": 10.0, "curves": [["/a", "x", [[9.0, 1.0]]]]}}
+    assert samples == {"type": "samples", "value": {"now": 11.0, "curves": [["/a", "x", [[10.5, None]]]]}}
+    _until(lambda: backend.plotted[-1] == frozenset())  # the page has gone
+    assert backend.plotted[0] == {("/a", "x")}
+
+
+def test_a_page_that_comes_later_gets_the_image_of_this_moment_but_none_of_the_past(server: PageServer) -> None:
+    async def first_image(socket: aiohttp.ClientWebSocketResponse) -> bytes | None:
+        await socket.send_json({"type": "watch", "topics": ["/a"]})
+        await socket.send_json({"type": "time", "action": "play"})
+        while True:
+            message = await socket.receive()
+            if message.type is aiohttp.WSMsgType.BINARY:
+                return bytes(message.data)
+            if message.json()["type"] == "reply":
+                return None
+
+    server.show(Image("/a", 5.0, b"jpeg"))
+    server.forget_images(5.1)
+    found = _talk(server, first_image)
+    assert found is not None and found.endswith(b"/ajpeg")
+    server.forget_images(7.0)
+    assert _talk(server, first_image) is None

@@ -47,7 +47,7 @@ class Curve:
     @property
     def history(self) -> list[Sample]:
         """The last minute."""
-        return list(self._kept)
+        return [sample for sample in self._kept if sample[0] > self._kept[-1][0] - SPAN_S]
 
     def _close(self) -> None:
         closed = [(round(t, 3), value if math.isfinite(value) else None) for t, value in _extremes(self._open)]

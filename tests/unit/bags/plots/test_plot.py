@@ -236,8 +236,8 @@ def test_rate_of_a_topic_that_stopped_is_none_from_then_on() -> None:
 def test_command_writes_a_picture_beside_the_bag(write_run: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_run()
     assert run_command(["bag", "plot", str(folder)]) == 0
-    assert capsys.readouterr().out.strip() == str(folder.with_name("drive.png"))
-    assert folder.with_name("drive.png").read_bytes().startswith(b"\x89PNG")
+    assert capsys.readouterr().out.strip() == str(folder.with_name("drive_plot.png"))
+    assert folder.with_name("drive_plot.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_file_of_another_kind_is_refused_before_anything_is_read(tmp_path: Path) -> None:

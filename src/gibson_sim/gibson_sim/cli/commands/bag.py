@@ -36,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
     for action in (check, plot, repairing, video, sheet, film):
         action.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     plot.add_argument(
-        "files", type=Path, nargs="*", metavar="FILE", help="picture (.png) or page (.html); one or more (default: DIR.png)"
+        "files", type=Path, nargs="*", metavar="FILE", help="picture (.png) or page (.html); one or more (default: DIR_plot.png)"
     )
     plot.add_argument("--robot", default="", metavar="NAME", help="namespace of the only robot to show (default: all)")
     video.add_argument("file", type=Path, metavar="FILE.mp4")
@@ -67,7 +67,7 @@ def _plot(args: argparse.Namespace) -> int:
     from gibson_sim.bags.plots.plot import write_plots  # loaded here: the others draw nothing
 
     folder = args.bag.resolve()
-    files = args.files or [args.bag.parent / f"{folder.name}.png"]
+    files = args.files or [args.bag.parent / f"{folder.name}_plot.png"]  # DIR.png is the contact sheet of a video
     for path in write_plots(args.bag, files, args.robot, f"made by gibson-sim {__version__} bag plot"):
         print(path)
     return 0

@@ -59,7 +59,7 @@ def add_parser(subparsers: Any) -> None:
     add_settings(parser, RenderConfig, _RENDER)
     record = parser.add_argument_group("record")
     record.add_argument("--record", metavar="DIR", help="record the repetition into this folder, which must not exist")
-    add_settings(record, RecordConfig, ("topics", "compression", "reserve_mb"))
+    add_settings(record, RecordConfig, ("topics", "record_images", "compression", "reserve_mb"))
     add_network(parser)
     parser.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
     parser.set_defaults(run=run)
@@ -105,7 +105,9 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
         settings = settings_from_args(RecordConfig, args, duration=0.0, **record)
         check_new_bag(job.bag, settings.reserve_mb)
         job.configs["record"] = settings
-        waits.update({STATE_TOPIC: waits[STATE_TOPIC] + 1, **({CAMERAS: 1} if render else {})})
+        waits.update(
+            {STATE_TOPIC: waits[STATE_TOPIC] + 1, **({CAMERAS: 1} if render and settings.record_images != "none" else {})}
+        )
     physics = _settings(PhysicsConfig, facts.settings.get("physics", {}), args, _PHYSICS)
     physics = {
         **physics,

@@ -10,14 +10,13 @@ from typing import Any
 from gibson_sim.cli.environment import add_network, domain_of, environment_of, is_free, require_foxglove, require_nodes
 from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, WEB, Job, check_new_bag, run_job
 from gibson_sim.cli.job_status import Hints
+from gibson_sim.cli.launching import PAGE_VIEWS
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.client_config import DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
-_PAGE_VIEWS = "follow,top"
-"""Views of a run with a page where none are given; they are drawn only while a page shows them."""
 _OF_ONE_ROBOT = ("clock", "tf", "odom", "ground_truth/odom", "joint_states", STATE_TOPIC)
 """Topics that every robot has."""
 
@@ -93,7 +92,7 @@ def add_parser(subparsers: Any) -> None:
     web.add_argument(
         "--web",
         action="store_true",
-        help=f"serve a page for any browser; its address is printed. Without --record and --video, it comes with --views {_PAGE_VIEWS}",
+        help=f"serve a page for any browser; its address is printed. Without --record and --video, it comes with --views {PAGE_VIEWS}",
     )
     web.add_argument(
         "--web-host", metavar="ADDRESS", help="address to serve it on (default: 127.0.0.1, this machine alone); implies --web"
@@ -166,7 +165,7 @@ def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
         job.configs["web"] = _web_settings(args)
         waits[WEB] = 1
         if args.views is None and not args.no_render and not job.bag:  # a recording would have each of them drawn
-            physics["views"] = _PAGE_VIEWS
+            physics["views"] = PAGE_VIEWS
     if args.foxglove or args.foxglove_port is not None:
         job.configs["foxglove"] = _foxglove_settings(args)
     if not args.no_render:

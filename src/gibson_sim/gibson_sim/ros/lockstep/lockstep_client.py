@@ -64,6 +64,16 @@ class LockstepParticipant:
         self._publisher.publish(TickDone(event=TickDone.LEAVE, participant=self.name))
 
 
+def is_in_lockstep(node: Node) -> bool:
+    """Returns whether the simulation that publishes ``scene_state`` subscribes to ``tick_done``: recorders do so in any run."""
+
+    def nodes(endpoints: Sequence[Any]) -> set[tuple[str, str]]:
+        return {(endpoint.node_namespace, endpoint.node_name) for endpoint in endpoints}
+
+    simulations = nodes(node.get_publishers_info_by_topic(node.resolve_topic_name(names.SCENE_STATE)))
+    return bool(simulations & nodes(node.get_subscriptions_info_by_topic(node.resolve_topic_name(names.TICK_DONE))))
+
+
 def wait_for_subscribers(node: Node) -> None:
     """Blocks until all subscribers of a node's topics are matched, at most ``DISCOVERY_TIMEOUT_S``: a new process discovers them one by one."""
     publishers = list(node.publishers)

@@ -21,7 +21,7 @@ from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
-from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant, wait_for_subscribers
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant, is_in_lockstep, wait_for_subscribers
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.nodes.render_stats import RenderStats
@@ -189,7 +189,7 @@ class RenderNode(Node):
         assert self._scene is not None
         if self._last_done is None:
             self._last_done = (-1, -1)
-            if self._lockstep is not None and self._lockstep.has_subscribers:
+            if is_in_lockstep(self):  # otherwise time goes on meanwhile, and images would be lost
                 wait_for_subscribers(self)
         drawable = [state for state in states if state.revision == self._scene.revision]
         self._note_mismatched(states, bool(drawable))

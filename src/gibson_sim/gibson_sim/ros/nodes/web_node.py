@@ -217,7 +217,7 @@ class WebNode(Node):
             answer(False, "a recording runs already")
         else:
             try:
-                folder = self._recorder.start(self.get_topic_names_and_types(), images=request.images)
+                folder = self._recorder.start(images=request.images)
             except (GibsonSimError, OSError) as error:
                 answer(False, f"nothing is recorded: {error}")
             else:

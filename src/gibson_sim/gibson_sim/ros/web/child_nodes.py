@@ -17,16 +17,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from gibson_sim.bags.storage import RESERVE_FILE
 from gibson_sim.client_config import RecordConfig, TaskConfig
 from gibson_sim.ros.nodes.node_main import PARENT_VARIABLE
-from gibson_sim.ros.topics import names
 from gibson_sim.standard.job_folder import VARIABLE as JOB_VARIABLE
 
 RECORDINGS = Path("out/web")
 """Folder of all recordings that pages start, below the folder in which the server was started."""
 _GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
 """Signals that end a process, and the wall time after which the next one is sent, s."""
-_IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 
 class ChildNode:
@@ -98,11 +97,11 @@ class Recorder:
         """Whether it records now."""
         return self._child is not None
 
-    def start(self, graph: list[tuple[str, list[str]]], *, images: bool) -> str:
-        """Starts a recording of the topics that there are now; returns its folder. ``graph``: (topic, types), as rclpy returns them."""
+    def start(self, *, images: bool) -> str:
+        """Starts a recording of all topics, those of images, which are compressed, if ``images``; returns its folder."""
         folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-        topics = ",".join(recorded_topics(graph, images=images))
-        self._child = ChildNode("record_node", RecordConfig(output=str(folder), topics=topics, compression="zstd"))
+        config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
+        self._child = ChildNode("record_node", config)
         self._folder, self._began_s, self._error = folder, time.monotonic(), ""
         return str(folder)
 
@@ -131,24 +130,9 @@ class Recorder:
             self._child = None
 
 
-def recorded_topics(graph: list[tuple[str, list[str]]], *, images: bool) -> list[str]:
-    """Returns the topics to record: all but hidden ones; of images none, or the compressed form where there is one."""
-    types = {topic: kinds for topic, kinds in graph}
-    found = []
-    for topic, kinds in sorted(types.items()):
-        compressed = [other for other in (f"{topic}/compressed", f"{topic}/compressedDepth") if other in types]
-        if _IMAGE in kinds:
-            found += (compressed or [topic])[:1] if images and not names.is_derived(topic) else []
-        elif topic.endswith("/camera_info") and not images:
-            continue
-        elif _COMPRESSED not in kinds and not names.is_derived(topic) and not names.is_hidden(topic):
-            found.append(topic)
-    return found
-
-
 def _size(folder: Path | None) -> int:
     try:
-        return sum(entry.stat().st_size for entry in folder.iterdir()) if folder is not None else 0
+        return sum(entry.stat().st_size for entry in folder.iterdir() if entry.name != RESERVE_FILE) if folder is not None else 0
     except OSError:  # it is not there yet, or a file has just been renamed
         return 0
 

@@ -7,7 +7,6 @@ import math
 from functools import partial
 from typing import Any
 
-import yaml
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -16,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from gibson_msgs.msg import RunInfo
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.reading import parse_yaml
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.web.child_nodes import TaskRunner
 from gibson_sim.ros.web.simulation_client import SimulationClient
@@ -97,7 +97,7 @@ class TaskView:
 
     def _on_run(self, msg: RunInfo) -> None:
         if msg.kind == "physics" and len(msg.settings) <= _MOST_BYTES:
-            settings = yaml.safe_load(msg.settings)
+            settings = parse_yaml(msg.settings)
             self._run = settings if isinstance(settings, dict) else {}
 
 

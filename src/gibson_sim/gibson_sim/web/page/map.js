@@ -148,6 +148,7 @@ export class FloorMap {
     if (!w || !h) return;
     if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) { canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio); }
     if (!this.view) { this.fit(); return; }
+    canvas.dataset.view = `${this.view.scale} ${this.view.x} ${this.view.y}`; // pixels a metre, and what is in the middle
     const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue(name).trim(), scale = this.view.scale;
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, w, h);
@@ -156,6 +157,7 @@ export class FloorMap {
       const g = this.grid, [x, y] = this.screen(g.x, g.y + g.height * g.resolution), size = g.resolution * scale;
       c.imageSmoothingEnabled = size < 1;
       c.drawImage(g.tinted, x, y, g.width * size, g.height * size);
+      canvas.dataset.map = g.version;
     }
     this.line(this.paths, color('--good'));
     c.fillStyle = color('--bad');
