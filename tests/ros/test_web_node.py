@@ -243,6 +243,28 @@ def test_a_recording_and_a_task_end_with_their_page_server(
     assert (folder / "metadata.yaml").is_file()
 
 
+def test_a_recording_that_is_ended_at_once_is_whole(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    launched = Launched("web", "--port", "0")
+    launched.wait_for_line("look: http://")
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> Any:
+        for action in ("start", "stop"):
+            await socket.send_json({"type": "record", "action": action})
+        ran = False
+        while True:
+            message = await socket.receive(timeout=60)
+            if message.type is aiohttp.WSMsgType.TEXT and message.json()["type"] == "recording":
+                values = message.json()["value"]
+                ran = ran or values["on"]
+                if ran and not values["on"]:
+                    return values
+
+    values = _talk(launched, talk)
+    assert values["error"] == "" and (tmp_path / values["folder"] / "metadata.yaml").is_file()
+    assert launched.stop() == 0
+
+
 def test_a_page_that_is_killed_ends_no_simulation(ros_domain: int) -> None:
     import os
     import signal

@@ -373,7 +373,9 @@ class WebNode(Node):
         self._tell_changed("places", places)
 
     def _on_catalogue(self, response: Any) -> None:
-        things = [{"uri": s.uri, "name": s.uri.rpartition("/")[2]} for s in response.spawnables]
+        things = [
+            {"uri": s.uri, "name": s.uri.rpartition("/")[2], "robot": s.description == "robot"} for s in response.spawnables
+        ]
         self._tell_changed("catalogue", sorted(things, key=lambda thing: thing["name"]))
 
     def _tell_changed(self, kind: str, values: Any) -> None:

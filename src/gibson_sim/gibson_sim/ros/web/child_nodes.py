@@ -26,6 +26,8 @@ RECORDINGS = Path("out/web")
 """Folder of all recordings that pages start, below the folder in which the server was started."""
 _GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
 """Signals that end a process, and the wall time after which the next one is sent, s."""
+_BEGINNING_S = 5.0
+"""Wall time that a recorder has to begin before it is asked to end, s."""
 
 
 class ChildNode:
@@ -90,6 +92,7 @@ class Recorder:
         self._child: ChildNode | None = None
         self._folder: Path | None = None
         self._began_s = 0.0
+        self._stopping = False
         self._error = ""
 
     @property
@@ -102,18 +105,24 @@ class Recorder:
         folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
         self._child = ChildNode("record_node", config)
-        self._folder, self._began_s, self._error = folder, time.monotonic(), ""
+        self._folder, self._began_s, self._stopping, self._error = folder, time.monotonic(), False, ""
         return str(folder)
 
     def stop(self) -> None:
-        """Asks it to end; ``shown`` tells when it has."""
-        if self._child is not None:
+        """Asks it to end, as soon as it records; ``shown``, which is called once a second, tells when it has."""
+        self._stopping = True
+        self._end_if_asked()
+
+    def _end_if_asked(self) -> None:
+        # A node that is interrupted while it begins leaves a bag without metadata.
+        if self._child is not None and self._stopping and time.monotonic() - self._began_s > _BEGINNING_S:
             self._child.ask_to_end()
 
     def shown(self) -> dict[str, Any]:
         """Returns what a page shows: whether it runs, folder, size in bytes, wall time in seconds, and the last error."""
+        self._end_if_asked()
         if self._child is not None and self._child.code is not None:
-            self._error = self._child.error if self._child.code else ""
+            self._error = self._reason(self._child)
             self._child = None
         return {
             "on": self.running,
@@ -123,9 +132,16 @@ class Recorder:
             "error": self._error,
         }
 
+    def _reason(self, child: ChildNode) -> str:
+        """Returns why a recording that has ended is not whole; empty = it is."""
+        if self._folder is not None and self._folder.exists() and not (self._folder / "metadata.yaml").exists():
+            return f"the recording was cut off: `gibson-sim bag repair {self._folder}` makes it readable"
+        return (child.error or f"the recorder ended with code {child.code}") if child.code else ""
+
     def close(self) -> None:
         """Ends the recording, its bag intact."""
         if self._child is not None:
+            time.sleep(max(0.0, self._began_s + _BEGINNING_S - time.monotonic()))
             self._child.end()
             self._child = None
 

@@ -84,7 +84,12 @@ const on = {
   entities(value) { panels.setEntities(value); floor.entities = value; floor.draw(); },
   catalogue(value) {
     const before = $('catalogue').value;
-    $('catalogue').replaceChildren(...value.map((c) => new Option(c.name, c.uri, false, c.uri === before)));
+    const groups = [['things', value.filter((c) => !c.robot)], ['robots', value.filter((c) => c.robot)]].filter(([, found]) => found.length);
+    $('catalogue').replaceChildren(...groups.map(([label, found]) => {
+      const group = Object.assign(document.createElement('optgroup'), { label });
+      group.append(...found.map((c) => new Option(c.name, c.uri, false, c.uri === before)));
+      return group;
+    }));
     $('catalogue').hidden = !value.length;
   },
   recording(value) { panels.setRecording(value); },

@@ -1,0 +1,104 @@
+"""Films the live page in a browser: page.webp, and screenshots for desktop and phone, light and dark.
+
+python docs/images/page.py [FOLDER]
+
+It needs Chromium and the package playwright, which `make setup` installs.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim_bench.browser import chromium
+
+DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+FILM_WIDTH, RATE_HZ = 800, 5
+"""Width of the film, pixels, and its pictures a second."""
+
+_THING = "[...document.querySelector('#catalogue').options].map((o) => o.text).find((name) => /crate|box|chair/.test(name))"
+"""Finds the name of something in the catalogue that is large enough to be seen."""
+
+
+def main() -> None:
+    """Writes the film and the screenshots."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--web-port", "0", "--scene", "linden_flat"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert run.stderr is not None
+        address = next(line for line in run.stderr if line.startswith("look: ")).split()[1]
+        with chromium(webgl=True) as browser:
+            _film(_opened(browser, address, DESKTOP, "light"), folder / "page.webp")
+            for name, size, theme in (("desktop", DESKTOP, "dark"), ("phone", PHONE, "light")):
+                page = _opened(browser, address, size, theme)
+                page.wait_for_timeout(2000)
+                page.screenshot(path=folder / f"page_{name}.jpg", type="jpeg", quality=80)
+                page.close()
+    finally:
+        run.terminate()
+        run.wait()
+
+
+def _opened(browser: Any, address: str, size: dict[str, int], theme: str) -> Any:
+    """Returns a page that shows the camera."""
+    page = browser.new_page(viewport=size, color_scheme=theme, bypass_csp=True)
+    page.goto(address)
+    page.wait_for_selector("canvas[data-stamp]", timeout=60_000)
+    return page
+
+
+def _film(page: Any, path: Path) -> None:
+    """Drives by keys, puts a thing on the map, and turns the scene in 3-D, while it takes pictures."""
+    pictures: list[NDArray[np.uint8]] = []
+
+    def shoot(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (began := time.monotonic()) < end:
+            picture = cv2.imdecode(np.frombuffer(page.screenshot(type="jpeg", quality=90), np.uint8), cv2.IMREAD_COLOR)
+            pictures.append(
+                cv2.resize(picture, (FILM_WIDTH, FILM_WIDTH * picture.shape[0] // picture.shape[1]), interpolation=cv2.INTER_AREA)
+            )
+            page.wait_for_timeout(max(0.0, 1000.0 / RATE_HZ - 1000.0 * (time.monotonic() - began)))
+
+    box = page.locator("#map").bounding_box()
+    page.get_by_role("button", name="view_follow", exact=True).click()
+    page.wait_for_function("document.querySelectorAll('canvas[data-stamp]').length === 2")
+    shoot(1.0)
+    for keys, seconds in (("w", 2.5), ("wa", 0.6), ("w", 1.0)):
+        for key in keys:
+            page.keyboard.down(key)
+        shoot(seconds)
+        for key in keys:
+            page.keyboard.up(key)
+    page.select_option("#catalogue", label=page.evaluate(_THING))
+    page.click("[data-mode=spawn]")
+    page.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.45 * box["height"])
+    shoot(2.0)
+    page.click("#three")
+    shoot(1.5)
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    page.mouse.wheel(0, 900)
+    shoot(0.5)
+    page.mouse.down()
+    for k in range(8):
+        page.mouse.move(box["x"] + (0.5 + 0.04 * k) * box["width"], box["y"] + 0.5 * box["height"])
+        shoot(0.3)
+    page.mouse.up()
+    page.click("#three")
+    page.close()
+    animation = cv2.Animation()
+    animation.frames, animation.durations = pictures, [1000 // RATE_HZ] * len(pictures)
+    cv2.imwriteanimation(str(path), animation, [cv2.IMWRITE_WEBP_QUALITY, 60])
+    print(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()
