@@ -39,6 +39,7 @@ class ChildNode:
         command = [sys.executable, "-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.nodes.{module}", "--ros-args"]
         environment = {name: value for name, value in os.environ.items() if name != JOB_VARIABLE}
         self._tail: deque[str] = deque(maxlen=20)
+        self._asked = False
         # A session of its own: Ctrl-C reaches this process alone, which then ends the child.
         self._process = subprocess.Popen(
             [*command, *(word for argument in arguments for word in ("-p", argument))],
@@ -71,15 +72,19 @@ class ChildNode:
         return next((line.removeprefix("error: ") for line in reversed(self._tail) if line.startswith("error: ")), "")
 
     def ask_to_end(self) -> None:
-        """Sends SIGINT, and returns at once."""
-        if self.code is None:
+        """Sends SIGINT, and returns at once; only the first time: a node that gets a second one ends without closing its files."""
+        if self.code is None and not self._asked:
+            self._asked = True
             self._process.send_signal(signal.SIGINT)
 
     def end(self) -> None:
         """Ends it, and waits until it has ended."""
         for number, seconds in _GRACE_S:
-            with contextlib.suppress(ProcessLookupError):
-                self._process.send_signal(number)
+            if number == signal.SIGINT:
+                self.ask_to_end()
+            else:
+                with contextlib.suppress(ProcessLookupError):
+                    self._process.send_signal(number)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=seconds)
                 return
