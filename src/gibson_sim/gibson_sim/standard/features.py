@@ -38,13 +38,13 @@ FEATURES = (
     Feature("ENTITY_INFO_GETTING", 12, True, "`get_entity_info`"),
     Feature("ENTITY_INFO_SETTING", 13, True, "`set_entity_info`"),
     Feature("SPAWNABLES", 14, True, "`get_spawnables`"),
-    Feature("SIMULATION_RESET", 20, True, "`reset_simulation`; playing goes on playing"),
+    Feature("SIMULATION_RESET", 20, True, "`reset_simulation`; if time was running, it runs on after the reset"),
     Feature("SIMULATION_RESET_TIME", 21, True, "/clock is 0 again, unless `reset_time` is `monotonic`"),
     Feature("SIMULATION_RESET_STATE", 22, True, "poses, velocities, joints, odometry, commands"),
     Feature("SIMULATION_RESET_SPAWNED", 23, True, "removes what came by `spawn_entity` and `spawn_entities`"),
     Feature("SIMULATION_STATE_GETTING", 24, True, "`get_simulation_state`"),
     Feature("SIMULATION_STATE_SETTING", 25, True, "`set_simulation_state`"),
-    Feature("SIMULATION_STATE_PAUSE", 26, True, "from stopped too: then it starts paused"),
+    Feature("SIMULATION_STATE_PAUSE", 26, True, "also from STOPPED: the simulation is then ready and paused"),
     Feature("STEP_SIMULATION_SINGLE", 31, True, "`step_simulation`: a step is one of physics, `1 / step_hz` s"),
     Feature("STEP_SIMULATION_MULTIPLE", 32, True, "as fast as the machine can; other services answer meanwhile"),
     Feature("STEP_SIMULATION_ACTION", 33, True, "`simulate_steps`: feedback after each step, can be cancelled"),
@@ -53,8 +53,13 @@ FEATURES = (
     Feature("WORLD_TAGS", 42, True, "`get_available_worlds` filters by them"),
     Feature("WORLD_UNLOADING", 43, True, "`unload_world`"),
     Feature("WORLD_INFO_GETTING", 44, True, "`get_current_world`"),
-    Feature("AVAILABLE_WORLDS", 45, True, "`get_available_worlds`; all sources are local, so `offline_only` changes nothing"),
-    Feature("SPAWNING_ENTITIES", 50, True, "`spawn_entities`; what could be spawned stays where others fail"),
+    Feature(
+        "AVAILABLE_WORLDS",
+        45,
+        True,
+        "`get_available_worlds`; all worlds are files of this machine, so `offline_only` makes no difference",
+    ),
+    Feature("SPAWNING_ENTITIES", 50, True, "`spawn_entities`; if one entity cannot be spawned, the others are kept"),
 )
 
 
