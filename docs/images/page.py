@@ -10,6 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -56,47 +57,60 @@ def _opened(browser: Any, address: str, size: dict[str, int], theme: str) -> Any
 
 
 def _film(page: Any, path: Path) -> None:
-    """Drives by keys, puts a thing on the map, and turns the scene in 3-D, while it takes pictures."""
+    """Plots the speed, drives by keys, puts a box on the map, closes a door, and turns the scene in 3-D, while it takes pictures."""
     pictures: list[NDArray[np.uint8]] = []
+    times: list[float] = []
 
     def shoot(seconds: float) -> None:
         end = time.monotonic() + seconds
         while (began := time.monotonic()) < end:
+            times.append(began)
             picture = cv2.imdecode(np.frombuffer(page.screenshot(type="jpeg", quality=90), np.uint8), cv2.IMREAD_COLOR)
             pictures.append(
                 cv2.resize(picture, (FILM_WIDTH, FILM_WIDTH * picture.shape[0] // picture.shape[1]), interpolation=cv2.INTER_AREA)
             )
             page.wait_for_timeout(max(0.0, 1000.0 / RATE_HZ - 1000.0 * (time.monotonic() - began)))
 
-    box = page.locator("#map").bounding_box()
-    page.get_by_role("button", name="view_follow", exact=True).click()
-    page.wait_for_function("document.querySelectorAll('canvas[data-stamp]').length === 2")
+    page.click("#topics button:has-text('view_follow')")
+    page.click("#plots-toggle")
+    page.select_option("#plot-topic", "/odom")
+    for field in ("twist.twist.linear.x", "twist.twist.angular.z"):
+        page.wait_for_selector(f"#plot-field option[value='{field}']", state="attached")
+        page.select_option("#plot-field", field)
+        page.click("#plot-new")
     shoot(1.0)
-    for keys, seconds in (("w", 2.5), ("wa", 0.6), ("w", 1.0)):
+    for keys, seconds in (("a", 1.2), ("w", 4.2), ("d", 1.0), ("w", 1.5)):  # out of the hall, into the living room
         for key in keys:
             page.keyboard.down(key)
         shoot(seconds)
         for key in keys:
             page.keyboard.up(key)
-    page.select_option("#catalogue", label=page.evaluate(_THING))
+    page.select_option("#catalogue", label="box_cardboard")
     page.click("[data-mode=spawn]")
-    page.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.45 * box["height"])
-    shoot(2.0)
+    box = page.locator("#map").bounding_box()
+    page.mouse.click(box["x"] + 0.46 * box["width"], box["y"] + 0.62 * box["height"])
+    shoot(1.5)
+    page.click("[data-mode=look]")
+    page.click("#doors li:has-text('bathroom door') button")
+    shoot(2.5)
+    page.click("#plots-toggle")
     page.click("#three")
     shoot(1.5)
+    box = page.locator("#scene3d").bounding_box()
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    page.mouse.wheel(0, 900)
-    shoot(0.5)
+    for _ in range(4):
+        page.mouse.wheel(0, 180)
+        shoot(0.2)
     page.mouse.down()
     for k in range(8):
-        page.mouse.move(box["x"] + (0.5 + 0.04 * k) * box["width"], box["y"] + 0.5 * box["height"])
+        page.mouse.move(box["x"] + (0.5 + 0.04 * k) * box["width"], box["y"] + (0.5 + 0.02 * k) * box["height"])
         shoot(0.3)
     page.mouse.up()
-    page.click("#three")
     page.close()
     animation = cv2.Animation()
-    animation.frames, animation.durations = pictures, [1000 // RATE_HZ] * len(pictures)
-    cv2.imwriteanimation(str(path), animation, [cv2.IMWRITE_WEBP_QUALITY, 60])
+    animation.frames = pictures
+    animation.durations = [round(1000.0 * (after - before)) for before, after in pairwise([*times, times[-1] + 1.0])]
+    cv2.imwriteanimation(str(path), animation, [cv2.IMWRITE_WEBP_QUALITY, 70])
     print(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.1f} MB")
 
 

@@ -20,6 +20,8 @@ from gibson_sim.web.requests import Open
 
 ARRIVED = 0.02
 """Distance from the requested opening at which a joint is let go, as a part of its range."""
+_AT_REST = 0.02
+"""Speed below which it is, rad/s or m/s: one that moves would bounce off its stop."""
 _PATIENCE_NS = 8 * NS_PER_S
 """Simulation time after which a joint that something holds back is let go, ns."""
 _HANDLES = ("handle", "lever", "knob")
@@ -33,6 +35,7 @@ class _Joint:
     position: float
     lower: float
     upper: float
+    velocity: float
 
     @property
     def closed(self) -> float:
@@ -109,7 +112,7 @@ class Doors:
             values = dict(zip(row.interface_names, row.values, strict=False))
             if name.endswith(_HANDLES) or not {"position", "lower", "upper"} <= values.keys():
                 continue
-            joint = _Joint(values["position"], values["lower"], values["upper"])
+            joint = _Joint(values["position"], values["lower"], values["upper"], values.get("velocity", 0.0))
             if math.isfinite(joint.opening if joint.range else math.nan):
                 self._joints[name] = joint
         before, self._stamp_ns = self._stamp_ns, conversions.time_from_msg(msg.header.stamp)
@@ -121,7 +124,7 @@ class Doors:
     def _end(self, name: str, motion: _Motion) -> None:
         """Lets a joint go that has arrived, or that something holds back."""
         joint = self._joints.get(name)
-        arrived = joint is not None and abs(joint.opening - motion.opening) < ARRIVED
+        arrived = joint is not None and abs(joint.opening - motion.opening) < ARRIVED and abs(joint.velocity) < _AT_REST
         if joint is not None and not arrived and self._stamp_ns < motion.deadline_ns:
             return
         del self._motions[name]

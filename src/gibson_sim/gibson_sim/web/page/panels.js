@@ -2,6 +2,7 @@
 import { $, element, keyed } from './dom.js';
 
 const words = (name) => name.replaceAll('_', ' ');
+const furniture = (name) => words(name).replace(/ (drawers|doors|body)$/, '');
 const metres = (m) => (m < 10 ? m.toFixed(1) : m.toFixed(0)) + ' m';
 const size = (bytes) => (bytes < 1e6 ? `${Math.round(bytes / 1e3)} kB` : bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(2)} GB`);
 const clock = (s) => `${Math.floor(s / 60)}:${String(s % 60).padStart(2, '0')}`;
@@ -35,7 +36,7 @@ export class Panels {
       const li = element('li'), bar = element('i', '', { className: 'bar' }), button = element('button');
       const [body, joint] = d.joint.split('/');
       const several = this.doors.filter((other) => other.joint.startsWith(`${body}/`)).length > 1;
-      li.append(element('span', several ? `${words(body)}: ${words(joint)}` : words(body)), element('small'), bar, button);
+      li.append(element('span', several ? `${furniture(body)}: ${words(joint)}` : furniture(body)), element('small'), bar, button);
       li.title = d.joint;
       return li;
     }, (li, d) => {

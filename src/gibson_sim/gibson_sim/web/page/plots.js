@@ -13,7 +13,7 @@ export function ticks(low, high) {
   return found;
 }
 
-const written = (value) => (value === null || value === undefined ? '–' : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3) ? value.toExponential(2) : String(Number(value.toPrecision(4))));
+const written = (value) => (value === null || value === undefined ? '–' : Math.abs(value) < 1e-9 ? '0' : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3) ? value.toExponential(2) : String(Number(value.toPrecision(4))));
 const keyOf = (curve) => `${curve.topic} ${curve.path}`;
 
 export class Plots {
