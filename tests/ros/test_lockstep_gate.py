@@ -48,6 +48,9 @@ class Graph:
     def resolve_topic_name(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"/{topic}"
 
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        return [(name, "/") for name in self.nodes]
+
     def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
         return [SimpleNamespace(node_name=name, node_namespace="/") for name in self.nodes if topic == names.TICK_DONE]
 
