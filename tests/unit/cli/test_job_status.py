@@ -24,7 +24,11 @@ def _note(folder: Path, name: str, values: Any) -> None:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Returns the folder of a job that has loaded."""
-    _note(tmp_path, LOADED, {"scene": "flat", "robots": [{"name": "robot", "model": "gibson_bot"}], "cameras": [CAMERA]})
+    _note(
+        tmp_path,
+        LOADED,
+        {"scene": "flat", "robots": [{"name": "robot", "model": "gibson_bot", "drives": True}], "cameras": [CAMERA]},
+    )
     return tmp_path
 
 
@@ -51,6 +55,12 @@ def test_ready_lines_name_the_page_that_is_served_and_what_drives(folder: Path) 
         "time: paused; `gibson-sim play` starts it",
         "stop: after 5 s or Ctrl-C",
     ]
+
+
+def test_ready_lines_of_an_arm_without_a_drive_tell_no_way_to_drive(tmp_path: Path) -> None:
+    _note(tmp_path, LOADED, {"scene": "flat", "robots": [{"name": "arm", "model": "panda", "drives": False}], "cameras": []})
+    lines = JobStatus(tmp_path, ["physics", "render"]).ready_lines(Hints(0))
+    assert [line.partition(":")[0] for line in lines] == ["ready", "cameras", "look", "stop"]
 
 
 def test_line_tells_what_loads_until_all_is_ready(folder: Path) -> None:

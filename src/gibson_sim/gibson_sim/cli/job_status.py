@@ -61,7 +61,7 @@ class JobStatus:
         lines = [f"ready: {loaded.get('scene', '')} in ROS domain {hints.domain}; robots: {robots}"]
         if "render" in self._nodes:
             lines.append(f"cameras: {cameras or 'none'}")
-        if loaded.get("robots"):
+        if any(robot["drives"] for robot in loaded.get("robots", ())):
             lines.append(f"drive: {drive}")
         lines.append(f"look: {page or f'`gibson-sim web{where}` in a second terminal serves a page for your browser'}")
         if hints.paused:

@@ -128,7 +128,7 @@ class PhysicsStats:
 
 def loaded_note(scene: SceneSpec, cameras: Iterable[CameraSpec]) -> str:
     """Returns the text of the note ``LOADED``, see ``gibson_sim.standard.job_folder``."""
-    robots = [{"name": robot.name, "model": robot.urdf.stem} for robot in scene.robots]
+    robots = [{"name": robot.name, "model": robot.urdf.stem, "drives": robot.drive is not None} for robot in scene.robots]
     drawn = [{"name": c.name, "outputs": c.outputs, "width": c.width, "height": c.height, "rate_hz": c.rate_hz} for c in cameras]
     return json.dumps({"scene": scene.name, "robots": robots, "cameras": drawn})
 
