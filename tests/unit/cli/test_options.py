@@ -8,9 +8,10 @@ import pytest
 import yaml
 
 from gibson_sim.cli.commands.params import markdown
-from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
+from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError
+from gibson_sim.standard.node_process import node_arguments
 
 
 def _parse(*argv: str) -> argparse.Namespace:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.reach import REACHES, RMW_VARIABLE, apply_reach
+from gibson_sim.standard.node_process import PARENT_VARIABLE
 
-PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 RMW = "rmw_fastrtps_cpp"
 _WHEELS_READY = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 """Variable of the ROS wheels: the library path is set."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, TypeVar
@@ -61,11 +60,3 @@ def settings_from_args(cls: type[T], args: argparse.Namespace, **sure: Any) -> T
     config = cls(**{**given(args, names), **sure})
     check_names(config)
     return config
-
-
-def node_arguments(config: Any) -> list[str]:
-    """Returns the ROS arguments that pass settings to a node. JSON is valid YAML, with quotes where needed."""
-    arguments = ["--ros-args"]
-    for f in fields(config):
-        arguments += ["-p", f"{f.name}:={json.dumps(getattr(config, f.name))}"]
-    return arguments

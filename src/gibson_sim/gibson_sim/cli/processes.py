@@ -5,21 +5,17 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from gibson_sim.cli.console import CONSOLE, Console
-from gibson_sim.cli.environment import PARENT_VARIABLE, enclave_variables
-from gibson_sim.cli.options import node_arguments
+from gibson_sim.cli.environment import enclave_variables
 from gibson_sim.interrupts import held_back
+from gibson_sim.standard.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
 
-GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
-"""Signals that stop a node, and the time after which the next one is sent, seconds."""
 _ERROR = re.compile(
     r"""(?:error:\ |\[?(?:ERROR|FATAL)\]?[:\ ]+(?:\[[^]]*\][:\ ]*)*)(?P<error>.+)  # of ours; of rclpy and logging
     |(?P<native>Fatal\ Python\ error:\ .+|terminate\ called\ .+|[A-Za-z_][\w.]*(?:Error|Exception)(?::\ .+)?)$  # the end of a stack""",
@@ -28,21 +24,6 @@ _ERROR = re.compile(
 """Matches a line that reports an error; ``[INFO] ...`` never does."""
 _WARNING = re.compile(r"\[?WARN")
 """Matches a warning."""
-
-_ELSEWHERE = {"foxglove_node": "foxglove.foxglove_node"}
-"""Modules of nodes that stand in a folder of their own below ``gibson_sim.ros``."""
-
-
-def command_of(module: str, *arguments: str) -> list[str]:
-    """Returns the command line that runs a module of ``gibson_sim.ros.nodes`` in a process of its own."""
-    module = _ELSEWHERE.get(module, module)
-    return [
-        sys.executable,
-        "-m",
-        "gibson_sim.ros.nodes.start",
-        f"gibson_sim.ros.{module if '.' in module else f'nodes.{module}'}",
-        *arguments,
-    ]
 
 
 def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> NoReturn:
@@ -89,19 +70,7 @@ class NodeProcess:
         self._held: list[str] | None = [] if silent else None
         self._held_lock = threading.Lock()
         command = command_of(f"{name}_node", *node_arguments(config))
-        # A session of its own: only the launcher receives Ctrl-C, and stops the nodes in order.
-        with held_back():
-            self._process = subprocess.Popen(
-                command,
-                env=self._environment,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                start_new_session=True,
-                pass_fds=inherit,
-            )
+        self._process = start_node(command, self._environment, inherit)
         self._reader = threading.Thread(target=self._read, name=f"{name}-output", daemon=True)
         self._reader.start()
 
@@ -169,13 +138,7 @@ class NodeProcess:
 
     def stop(self, hurry: Callable[[], bool] = lambda: False) -> int:
         """Stops the process and returns its exit code; escalates to the next signal early while ``hurry`` returns True."""
-        for number, seconds in GRACE_S:
-            if self._process.poll() is not None:
-                break
-            self._process.send_signal(number)
-            deadline = time.monotonic() + seconds
-            while self._process.poll() is None and time.monotonic() < deadline and not hurry():
-                time.sleep(0.02)
+        end_node(self._process, hurry=hurry)
         self._reader.join(timeout=1.0)
         self.print_error()
         return self._process.wait()

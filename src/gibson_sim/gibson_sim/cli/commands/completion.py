@@ -18,10 +18,10 @@ from typing import Any, NoReturn
 
 from gibson_sim.cli.environment import domain_of, node_environment
 from gibson_sim.cli.parser import Parser
-from gibson_sim.cli.processes import command_of
 from gibson_sim.cli.registry import COMMANDS, command_modules, scene_command_modules
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.resources import cache_folder, known_objects, list_robots, list_scenes
+from gibson_sim.standard.node_process import command_of
 from gibson_sim.writing import write_file
 
 SHELLS = ("bash", "zsh", "fish")

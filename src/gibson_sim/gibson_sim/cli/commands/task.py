@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
-from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
+from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.processes import become
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import ConfigError
+from gibson_sim.standard.node_process import node_arguments
 
 
 def add_parser(subparsers: Any) -> None:

@@ -42,7 +42,7 @@ class LockstepParticipant:
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether a simulation in lockstep subscribes to ``tick_done``."""
+        """Whether a simulation in lockstep, or a recorder, subscribes to ``tick_done``."""
         return bool(self._publisher.get_subscription_count())
 
     def tick_done(self, stamp: Any, sent: Sequence[str] = ()) -> None:

@@ -33,13 +33,12 @@ from rclpy.signals import SignalHandlerOptions
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.quoting import clipped
+from gibson_sim.standard.node_process import PARENT_VARIABLE
 from gibson_sim.writing import cannot_write, is_of_the_disk, write_file
 
 logger = logging.getLogger(__name__)
 
 ExecutorKind = Literal["auto", "events", "standard"]
-PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
-"""Environment variable that the launcher sets: the node ends when the process with this id does, however it ends."""
 
 
 def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:

@@ -101,8 +101,8 @@ class PhysicsStats:
 
     def _note(self, state: str, factor: float, time_s: float, touches: dict[str, tuple[str, ...]]) -> None:
         """Tells the launcher of this process how the simulation goes."""
-        waits = ", ".join(self._gate.core.waits_for) if self._gate is not None else ""
-        late = waits if self._gate is not None and self._gate.core.waited_ns(time.monotonic_ns()) > NS_PER_S else ""
+        core = None if self._gate is None else self._gate.core
+        late = ", ".join(core.waits_for) if core is not None and core.waited_ns(time.monotonic_ns()) > NS_PER_S else ""
         values = {"state": state, "real_time_factor": factor, "simulation_time_s": time_s, "touches": touches, "waits_for": late}
         note_in_job(STATUS.format("physics"), json.dumps(values))
 

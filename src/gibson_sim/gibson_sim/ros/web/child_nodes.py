@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import fields
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.bags.storage import RESERVE_FILE
 from gibson_sim.client_config import RecordConfig, TaskConfig
-from gibson_sim.ros.nodes.node_main import PARENT_VARIABLE
 from gibson_sim.standard.job_folder import VARIABLE as JOB_VARIABLE
+from gibson_sim.standard.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
 
 RECORDINGS = Path("out/web")
 """Folder of all recordings that pages start, below the folder in which the server was started."""
-_GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
-"""Signals that end a process, and the wall time after which the next one is sent, s."""
 _BEGINNING_S = 5.0
 """Wall time that a recorder has to begin before it is asked to end, s."""
 
@@ -35,22 +28,11 @@ class ChildNode:
 
     def __init__(self, module: str, config: Any) -> None:
         """Starts ``gibson_sim.ros.nodes.<module>`` with settings; must be called in the main thread, whose end the child notices."""
-        arguments = [f"{field.name}:={json.dumps(getattr(config, field.name))}" for field in fields(config)]
-        command = [sys.executable, "-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.nodes.{module}", "--ros-args"]
         environment = {name: value for name, value in os.environ.items() if name != JOB_VARIABLE}
         self._tail: deque[str] = deque(maxlen=20)
         self._asked = False
-        # A session of its own: Ctrl-C reaches this process alone, which then ends the child.
-        self._process = subprocess.Popen(
-            [*command, *(word for argument in arguments for word in ("-p", argument))],
-            env={**environment, PARENT_VARIABLE: str(os.getpid())},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        )
+        command = command_of(module, *node_arguments(config))
+        self._process = start_node(command, {**environment, PARENT_VARIABLE: str(os.getpid())})
         self._reader = threading.Thread(target=self._read, name=f"{module}-output", daemon=True)
         self._reader.start()
 
@@ -79,15 +61,7 @@ class ChildNode:
 
     def end(self) -> None:
         """Ends it, and waits until it has ended."""
-        for number, seconds in _GRACE_S:
-            if number == signal.SIGINT:
-                self.ask_to_end()
-            else:
-                with contextlib.suppress(ProcessLookupError):
-                    self._process.send_signal(number)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(timeout=seconds)
-                return
+        end_node(self._process, interrupted=self._asked)
 
 
 class Recorder:
