@@ -15,26 +15,23 @@ from gibson_sim.bags.comparison.compare import Comparison, Row
 from gibson_sim.bags.comparison.parameters import Parameter
 from gibson_sim.bags.comparison.plots import Plot
 from gibson_sim.bags.comparison.robot_file import rounded
+from gibson_sim.bags.plots.style import PAGE_STYLE
 
 _MOST_ROWS, _MOST_PAIRS = 15, 4
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; color: #111827; background: #fff;
-  max-width: 1120px; margin: 2em auto; padding: 0 1.2em; }
-h1 { font-size: 1.6em; margin: 0 0 .2em; }
-h2 { font-size: 1.2em; margin: 2em 0 .4em; border-bottom: 1px solid #e5e7eb; padding-bottom: .2em; }
-p.caption, .quiet { color: #4b5563; margin: .2em 0 .6em; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: .28em .7em; border-bottom: 1px solid #e5e7eb; vertical-align: top; }
-th { font-weight: 600; color: #374151; border-bottom: 2px solid #9ca3af; }
-td.number, th.number { text-align: right; white-space: nowrap; }
+_STYLE = (
+    PAGE_STYLE
+    + """
+body { max-width: 1120px; }
+p.caption { color: #4b5563; margin: .2em 0 .6em; }
+th, td { vertical-align: top; }
 tr.group td { background: #f3f4f6; font-weight: 600; }
 td.much { font-weight: 600; } .real { color: #c2410c; } .sim { color: #1d4ed8; }
-code { font: .92em ui-monospace, Menlo, Consolas, monospace; background: #f3f4f6; padding: .05em .3em; border-radius: 3px; white-space: nowrap; }
-svg { width: 100%; height: auto; } .pairs { display: grid; grid-template-columns: repeat(auto-fill, minmax(240px, 1fr)); gap: 1em; }
+code { background: #f3f4f6; padding: .05em .3em; border-radius: 3px; white-space: nowrap; }
+.pairs { display: grid; grid-template-columns: repeat(auto-fill, minmax(240px, 1fr)); gap: 1em; }
 .pairs figure { margin: 0; } .pairs img { width: 100%; display: block; }
 .bar { display: inline-block; height: .7em; background: #f59e0b; border-radius: 2px; }
 """
+)
 
 
 def page(comparison: Comparison, plots: Sequence[Plot], robot: str, created: str = "") -> str:

@@ -12,7 +12,7 @@ from gibson_sim.bags.check import BagReport, check_bag
 from gibson_sim.bags.plots import panels
 from gibson_sim.bags.plots.load import load_run
 from gibson_sim.bags.plots.run_data import RecordedRun
-from gibson_sim.bags.plots.style import drawn, require_matplotlib, svg_element
+from gibson_sim.bags.plots.style import PAGE_STYLE, drawn, require_matplotlib, svg_element
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
@@ -21,22 +21,16 @@ from gibson_sim.writing import write_file
 SUFFIXES = (".png", ".html")
 _WIDTH = 15.0
 """Width of a picture, inches."""
-_PAGE_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; color: #111827; background: #fff;
-  max-width: 1180px; margin: 2em auto; padding: 0 1.2em; }
-h1 { font-size: 1.6em; margin: 0 0 .2em; }
-h2 { font-size: 1.2em; margin: 2em 0 .4em; border-bottom: 1px solid #e5e7eb; padding-bottom: .2em; }
-.quiet { color: #4b5563; margin: .2em 0 .6em; }
+_PAGE_STYLE = (
+    PAGE_STYLE
+    + """
+body { max-width: 1180px; }
 ul { margin: .8em 0; padding-left: 1.2em; } li.contact { color: #b91c1c; } li.problem { color: #b91c1c; font-weight: 600; }
 .scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: .28em .7em; border-bottom: 1px solid #e5e7eb; }
-th { font-weight: 600; color: #374151; border-bottom: 2px solid #9ca3af; }
-td.number, th.number { text-align: right; white-space: nowrap; } td.some { color: #b91c1c; font-weight: 600; }
-code { font: .92em ui-monospace, Menlo, Consolas, monospace; }
-svg { width: 100%; height: auto; display: block; } svg.path { max-width: 760px; margin: 0 auto; }
+td.some { color: #b91c1c; font-weight: 600; }
+svg { display: block; } svg.path { max-width: 760px; margin: 0 auto; }
 """
+)
 
 
 def check_name(path: Path) -> None:

@@ -17,6 +17,21 @@ STYLE = {
 }  # fmt: skip
 """Settings of matplotlib for all plots."""
 
+PAGE_STYLE = """
+:root { color-scheme: light; }
+body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; color: #111827; background: #fff; margin: 2em auto; padding: 0 1.2em; }
+h1 { font-size: 1.6em; margin: 0 0 .2em; }
+h2 { font-size: 1.2em; margin: 2em 0 .4em; border-bottom: 1px solid #e5e7eb; padding-bottom: .2em; }
+.quiet { color: #4b5563; margin: .2em 0 .6em; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; padding: .28em .7em; border-bottom: 1px solid #e5e7eb; }
+th { font-weight: 600; color: #374151; border-bottom: 2px solid #9ca3af; }
+td.number, th.number { text-align: right; white-space: nowrap; }
+code { font: .92em ui-monospace, Menlo, Consolas, monospace; }
+svg { width: 100%; height: auto; }
+"""
+"""Style sheet of all pages about bags; each adds its own rules."""
+
 
 def require_matplotlib(what: str, instead: str = "") -> None:
     """Checks that matplotlib is installed.
