@@ -105,7 +105,9 @@ def test_a_scene_file_that_is_no_yaml_is_refused_by_the_launcher(tmp_path: Path,
 def test_a_world_that_is_no_xml_is_refused_by_the_launcher(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, data: bytes, said: str
 ) -> None:
-    monkeypatch.setattr("gibson_sim.standard.node_process.subprocess.Popen", lambda *_, **__: pytest.fail("a process was started"))
+    monkeypatch.setattr(
+        "gibson_sim.standard.node_process.subprocess.Popen", lambda *_, **__: pytest.fail("a process was started")
+    )
     (tmp_path / name).write_bytes(data)
     with pytest.raises(SystemExit) as end:
         main(["run", "--scene", str(tmp_path / name)])
