@@ -145,14 +145,32 @@ class Verdict:
     limit: float | None = None
 
 
+CauseKind = Literal[
+    "simulation failed",
+    "stack died",
+    "never ready",
+    "stack silent",
+    "no plan",
+    "plan through obstacle",
+    "localisation jumped",
+    "localisation off",
+    "command ignored",
+    "blocked",
+    "slipped",
+    "collision",
+    "bad command",
+    "too slow",
+    "verdict",
+    "unknown",
+]
+"""What can go wrong first in a run."""
+
+
 @dataclass(frozen=True, slots=True)
 class Cause:
     """The first thing that went wrong in a failed run."""
 
-    kind: Literal[
-        "simulation failed", "stack died", "never ready", "stack silent", "no plan", "plan through obstacle",
-        "localisation jumped", "localisation off", "command ignored", "blocked", "slipped", "collision", "bad command", "too slow", "verdict", "unknown",
-    ]  # fmt: skip
+    kind: CauseKind
     text: str
     """One sentence that tells what, where and when."""
     time: float | None = None
