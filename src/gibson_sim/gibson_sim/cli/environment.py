@@ -1,22 +1,20 @@
-"""Sets the environment of node processes; no other module does."""
+"""The options of ROS domain and reach, and checks of what is installed; ``standard.environment`` makes the environment of nodes."""
 
 from __future__ import annotations
 
 import argparse
-import os
 import socket
 import sys
-from collections.abc import Mapping, MutableMapping
-from pathlib import Path
 
 from gibson_sim.errors import EnvironmentProblemError
-from gibson_sim.reach import REACHES, RMW_VARIABLE, apply_reach
-from gibson_sim.standard.node_process import PARENT_VARIABLE
-
-RMW = "rmw_fastrtps_cpp"
-_WHEELS_READY = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""Variable of the ROS wheels: the library path is set."""
-SECURITY_VARIABLE, ENCLAVE_VARIABLE = "ROS_SECURITY_ENABLE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
+from gibson_sim.reach import REACHES
+from gibson_sim.standard.environment import (
+    RMW as RMW,
+    domain_of as domain_of,
+    enclave_variables as enclave_variables,
+    in_wheels as in_wheels,
+    node_environment as node_environment,
+)
 
 
 def add_network(parser: argparse.ArgumentParser) -> None:
@@ -37,86 +35,6 @@ def environment_of(args: argparse.Namespace) -> dict[str, str]:
         GibsonSimError: the nodes cannot work in the environment.
     """
     return node_environment(domain_id=args.domain_id, reach=args.reach)
-
-
-def node_environment(
-    environment: Mapping[str, str] | None = None, *, domain_id: int | None = None, reach: str | None = None
-) -> dict[str, str]:
-    """Returns the full environment for a node process.
-
-    Args:
-        environment: base environment; None = that of this process.
-        domain_id: ROS domain; None = that of the environment.
-        reach: who can reach the node, see ``gibson_sim.reach``; None = by the environment, ``local`` if it does not decide.
-
-    Raises:
-        GibsonSimError: the nodes cannot work in the environment.
-    """
-    base = dict(os.environ if environment is None else environment)
-    if in_wheels() and base.get(RMW_VARIABLE, RMW) != RMW:
-        raise EnvironmentProblemError(f"{RMW_VARIABLE} is {base[RMW_VARIABLE]!r}, but ROS from pip has {RMW} alone: unset it")
-    if in_wheels() and base.get(SECURITY_VARIABLE, "").lower() == "true":
-        raise EnvironmentProblemError(
-            f"{SECURITY_VARIABLE} is {base[SECURITY_VARIABLE]!r}, but ROS from pip cannot encrypt (its Fast DDS has no security plugins): "
-            "use a ROS installation (docs/security.md), or unset it and let --reach local keep other machines out"
-        )
-    _check_loopback()
-    apply_reach(base, reach)
-    _leave_other_wheels(base)
-    base["PYTHONUNBUFFERED"] = "1"
-    base[PARENT_VARIABLE] = str(os.getpid())
-    base.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {message}")
-    base.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")
-    if domain_id is not None:
-        base["ROS_DOMAIN_ID"] = str(domain_id)
-    return base
-
-
-def _leave_other_wheels(environment: MutableMapping[str, str]) -> None:
-    """Removes the library path of ROS from pip in another environment, from which this process was started.
-
-    Every Python with ROS from pip sets it once for itself and its children, with a mark that it is done: children of another environment
-    would see the mark and not find their libraries.
-    """
-    folders = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-    if in_wheels() and environment.get(_WHEELS_READY) and str(Path(sys.prefix) / "lib") not in folders:
-        del environment[_WHEELS_READY]
-        environment.pop("LD_LIBRARY_PATH", None)
-
-
-def _check_loopback() -> None:
-    """Raises EnvironmentProblemError if the processes of this machine cannot discover each other."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("127.0.0.1", 9))  # sends nothing
-        except OSError as error:
-            raise EnvironmentProblemError(
-                f"127.0.0.1 cannot be reached ({error.strerror}), by which the nodes find each other: `ip link set lo up`, or give the "
-                "container a network"
-            ) from error
-
-
-def enclave_variables(environment: Mapping[str, str], node: str) -> dict[str, str]:
-    """Returns the variable with a node's SROS2 enclave, ``/gibson_sim/<node>``; empty if SROS2 is off or an enclave is set already."""
-    secure = environment.get(SECURITY_VARIABLE, "").lower() == "true" and not environment.get(ENCLAVE_VARIABLE)
-    return {ENCLAVE_VARIABLE: f"/gibson_sim/{node}"} if secure else {}
-
-
-def in_wheels() -> bool:
-    """Returns whether rclpy comes from pip in this environment, not from a ROS installation."""
-    return (Path(sys.prefix) / "share" / "rclpy").is_dir() or not os.environ.get("AMENT_PREFIX_PATH")
-
-
-def domain_of(environment: Mapping[str, str]) -> int:
-    """Returns the ROS domain.
-
-    Raises:
-        EnvironmentProblemError: ROS_DOMAIN_ID is not a number from 0 to 231; the 232nd has too few ports.
-    """
-    text = environment.get("ROS_DOMAIN_ID", "") or "0"
-    if not text.isdigit() or int(text) > 231:
-        raise EnvironmentProblemError(f"ROS_DOMAIN_ID is {text!r}, must be a whole number from 0 to 231")
-    return int(text)
 
 
 def require_nodes() -> None:

@@ -24,13 +24,13 @@ SETTLED_S = 1.0
 """Age below which a port without a lock file may still get one, seconds."""
 
 
-def remove_dead_segments(folder: Path = FOLDER) -> list[Path]:
+def remove_dead_segments(folder: Path = FOLDER, *, wait: bool = True) -> list[Path]:
     """Removes the files of dead segments and ports, as far as permissions allow; returns their paths.
 
-    If ports without a lock are too young to judge, it waits for ``SETTLED_S`` and tries again.
+    If ports without a lock are too young to judge, it waits for ``SETTLED_S`` and tries again, unless it shall not ``wait``.
     """
     removed, young = _sweep(folder)
-    if young:
+    if young and wait:
         time.sleep(SETTLED_S)
         removed += _sweep(folder)[0]
     return removed
