@@ -22,6 +22,7 @@ from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.bags.recording import Recording, StartGate, report_lines
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import RecordError
+from gibson_sim.interrupts import held_back
 from gibson_sim.ros.lockstep.lockstep_client import DISCOVERY_TIMEOUT_S, SETTLED_S, LockstepParticipant
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
@@ -89,7 +90,19 @@ class RecordNode(Node):
         self._subscribed: RawSubscriptions | None = None
         self._config = config = config_from_parameters(self, RecordConfig)
         self._requested = {self.resolve_topic_name(topic) for topic in config.wanted_topics()}
-        self._recording = Recording(config)
+        recording: Recording | None = None
+        try:
+            with held_back():
+                recording = self._recording = Recording(config)
+            self._begin()
+        except BaseException:  # an interrupt, too, leaves a whole bag
+            if recording is not None:
+                recording.close()
+            raise
+
+    def _begin(self) -> None:
+        """Subscribes to what is there."""
+        config = self._config
         self._seen: set[str] = set()
         """Topics that were subscribed to, or refused."""
         self._topics: set[str] = set()

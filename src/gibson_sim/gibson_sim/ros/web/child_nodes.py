@@ -19,8 +19,6 @@ from gibson_sim.standard.node_process import PARENT_VARIABLE, command_of, end_no
 
 RECORDINGS = Path("out/web")
 """Folder of all recordings that pages start, below the folder in which the server was started."""
-_BEGINNING_S = 5.0
-"""Wall time that a recorder has to begin before it is asked to end, s."""
 
 
 class ChildNode:
@@ -71,7 +69,6 @@ class Recorder:
         self._child: ChildNode | None = None
         self._folder: Path | None = None
         self._began_s = 0.0
-        self._stopping = False
         self._error = ""
 
     @property
@@ -84,22 +81,16 @@ class Recorder:
         folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
         self._child = ChildNode("record_node", config)
-        self._folder, self._began_s, self._stopping, self._error = folder, time.monotonic(), False, ""
+        self._folder, self._began_s, self._error = folder, time.monotonic(), ""
         return str(folder)
 
     def stop(self) -> None:
-        """Asks it to end, as soon as it records; ``shown``, which is called once a second, tells when it has."""
-        self._stopping = True
-        self._end_if_asked()
-
-    def _end_if_asked(self) -> None:
-        # A node that is interrupted while it begins leaves a bag without metadata.
-        if self._child is not None and self._stopping and time.monotonic() - self._began_s > _BEGINNING_S:
+        """Asks it to end; ``shown``, which is called once a second, tells when it has."""
+        if self._child is not None:
             self._child.ask_to_end()
 
     def shown(self) -> dict[str, Any]:
         """Returns what a page shows: whether it runs, folder, size in bytes, wall time in seconds, and the last error."""
-        self._end_if_asked()
         if self._child is not None and self._child.code is not None:
             self._error = self._reason(self._child)
             self._child = None
@@ -113,6 +104,8 @@ class Recorder:
 
     def _reason(self, child: ChildNode) -> str:
         """Returns why a recording that has ended is not whole; empty = it is."""
+        if self._folder is not None and not self._folder.exists() and not child.error:
+            return "nothing was recorded: it was stopped before it had begun"
         if self._folder is not None and self._folder.exists() and not (self._folder / "metadata.yaml").exists():
             return f"the recording was cut off: `gibson-sim bag repair {self._folder}` makes it readable"
         return (child.error or f"the recorder ended with code {child.code}") if child.code else ""
@@ -120,7 +113,6 @@ class Recorder:
     def close(self) -> None:
         """Ends the recording, its bag intact."""
         if self._child is not None:
-            time.sleep(max(0.0, self._began_s + _BEGINNING_S - time.monotonic()))
             self._child.end()
             self._child = None
 
