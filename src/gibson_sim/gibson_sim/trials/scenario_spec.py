@@ -29,6 +29,7 @@ class SpawnRule:
     object: str
     """Name in the catalogue, or a file, as for ``gibson-sim spawn``."""
     count: int = 1
+    """How many of them in each run."""
     at: str = "path"
     """``path`` = beside or on the shortest path, leaving a way round; ``sampled`` = anywhere free; or ``x,y,yaw_deg`` or a named pose."""
 
@@ -52,9 +53,11 @@ class Obstacles:
     """What stands or walks in the way."""
 
     spawn: tuple[SpawnRule, ...] = ()
+    """Things that are spawned before the run begins."""
     closed_doors: tuple[str, ...] = ()
     """Names of bodies with a door, or ``all``."""
     people: tuple[PersonRule, ...] = ()
+    """People who walk about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +101,11 @@ class InitialPose:
     sigma_xy: float = 0.15
     """Standard deviation that the message states, metres."""
     sigma_yaw_deg: float = 8.0
+    """The same of the heading, degrees."""
     error_xy: float = 0.0
     """Standard deviation of the error that is added, metres, at most two of them."""
     error_yaw_deg: float = 0.0
+    """The same of the heading, degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +131,7 @@ class Status:
     reached: str = "reached"
     """Regular expression, searched for in the text."""
     failed: str = "failed"
+    """The same for a stack that gives up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +171,7 @@ class Region:
     """A polygon on the floor."""
 
     name: str
+    """For the report."""
     corners: tuple[tuple[float, float], ...]
     """Map frame, metres."""
 
@@ -176,6 +183,7 @@ class Reached:
     within: float = 0.3
     """Metres."""
     yaw_within_deg: float | None = None
+    """Degrees; None = any heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +191,7 @@ class RateLimit:
     """Messages a second of simulation time on a topic, while the robot has a goal."""
 
     topic: str
+    """Name of the topic."""
     least: float
     """1/s."""
 
@@ -197,7 +206,9 @@ class Verdicts:
     clearance: float | None = None
     """Least distance between the robot's circle and obstacles of the map, metres."""
     stay_within: tuple[Region, ...] = ()
+    """Regions in one of which the centre of the robot must always be."""
     stay_out_of: tuple[Region, ...] = ()
+    """Regions in which it must never be."""
     path_ratio: float | None = None
     """Length driven over the length of the shortest path."""
     time: float | None = None
@@ -205,6 +216,7 @@ class Verdicts:
     max_acceleration: float | None = None
     """Root mean square of the change of the commanded linear velocity, m/s^2."""
     rates: tuple[RateLimit, ...] = ()
+    """Least rates of topics."""
     alive: bool = True
     """The stack's process must run until the end."""
     predicates: tuple[str, ...] = ()
@@ -232,12 +244,15 @@ class Scenario:
     """Names or files."""
     stack: StackSpec
     robots: tuple[str, ...] = ("gibson_bot",)
+    """Names or files; each drives alone."""
     runs: int = 10
     """In each scene with each robot."""
     seed: int = 0
+    """Of all that is drawn; equal seeds give equal runs."""
     starts: tuple[str, ...] = (SAMPLED,)
     """``sampled``, or named poses and ``x,y,yaw_deg`` that the runs take in turn."""
     goals: tuple[str, ...] = (SAMPLED,)
+    """The same for goals."""
     sampling: Sampling = Sampling()
     obstacles: Obstacles = Obstacles()
     randomise: Randomisation = Randomisation()
