@@ -13,7 +13,8 @@ require("rclpy", "simulation_interfaces")
 from rclpy.task import Future  # noqa: E402
 from simulation_interfaces.srv import SetEntityState, SetSimulationState, SpawnEntity  # noqa: E402
 
-from gibson_sim.ros.web.simulation_client import SimulationClient, move_request, spawn_request  # noqa: E402
+from gibson_sim.ros.client.requests import move_request, spawn_request  # noqa: E402
+from gibson_sim.ros.web.simulation_client import SimulationClient  # noqa: E402
 from gibson_sim.web.requests import Move, Spawn, Time  # noqa: E402
 
 pytestmark = pytest.mark.ros

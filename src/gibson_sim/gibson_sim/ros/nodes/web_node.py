@@ -27,6 +27,7 @@ from gibson_sim.client_config import WebConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.quoting import quoted
+from gibson_sim.ros.client.requests import STATES
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
 from gibson_sim.ros.topics import names
@@ -35,7 +36,7 @@ from gibson_sim.ros.web.doors import Doors
 from gibson_sim.ros.web.plot_subscriptions import PlotSubscriptions, plottable
 from gibson_sim.ros.web.robots import Robot, robots_in
 from gibson_sim.ros.web.scene_stream import SceneStream
-from gibson_sim.ros.web.simulation_client import STATES, SimulationClient
+from gibson_sim.ros.web.simulation_client import SimulationClient
 from gibson_sim.ros.web.task_view import TaskView
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_topics, label_of

@@ -4,33 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import (
-    DeleteEntity,
-    GetEntities,
-    GetSpawnables,
-    LoadWorld,
-    ResetSimulation,
-    SetEntityState,
-    SetSimulationState,
-    SpawnEntity,
-    StepSimulation,
-)
+from simulation_interfaces.srv import LoadWorld
 
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.quoting import quoted
+from gibson_sim.ros.client.requests import flat_pose
+from gibson_sim.ros.client.standard_services import StandardServices
 from gibson_sim.ros.tools.main import Tool
 from gibson_sim.ros.topics import names
-from gibson_sim.ros.web.simulation_client import flat_pose, move_request, spawn_request
-from gibson_sim.settings import nearest
 from gibson_sim.types import WORLD_FRAME
 
-_OK = 1
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SUBSCRIBER_S = 2.0
 """Wall time to wait for a subscriber of a goal, s."""
@@ -38,25 +25,18 @@ _SUBSCRIBER_S = 2.0
 
 def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
     """Puts a thing on the floor; returns what to print."""
-    response = tool.call("spawn_entity", SpawnEntity, spawn_request(uri, at, _floor_z(tool), name))
-    if response.result.result != _OK:
-        known = [each.uri for each in tool.call("get_spawnables", GetSpawnables, GetSpawnables.Request()).spawnables]
-        hint = "" if uri in known else nearest(uri, known)
-        raise GibsonSimError(
-            response.result.error_message + (f"; {hint}" if hint and "did you mean" not in response.result.error_message else "")
-        )
-    return f"spawned {response.entity_name} at {at[0]:g},{at[1]:g}"
+    return f"spawned {StandardServices(tool.call).spawn(uri, at, _floor_z(tool), name)} at {at[0]:g},{at[1]:g}"
 
 
 def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
     """Puts an entity elsewhere on the floor, at rest; returns what to print."""
-    _checked(tool, tool.call("set_entity_state", SetEntityState, move_request(name, at, _floor_z(tool))), name)
+    StandardServices(tool.call).move(name, at, _floor_z(tool))
     return f"moved {name} to {at[0]:g},{at[1]:g}"
 
 
 def delete(tool: Tool, name: str) -> str:
     """Removes an entity; returns what to print."""
-    _checked(tool, tool.call("delete_entity", DeleteEntity, DeleteEntity.Request(entity=name)), name)
+    StandardServices(tool.call).delete(name)
     return f"deleted {name}"
 
 
@@ -72,13 +52,13 @@ def play(tool: Tool) -> str:
 
 def step(tool: Tool, steps: int) -> str:
     """Makes physics steps of a paused simulation; returns what to print."""
-    _checked(tool, tool.call("step_simulation", StepSimulation, StepSimulation.Request(steps=steps)))
+    StandardServices(tool.call).ask("step_simulation", steps=steps)
     return f"made {steps} step{'s' * (steps != 1)}"
 
 
 def reset(tool: Tool) -> str:
     """Resets the simulation; returns what to print."""
-    _checked(tool, tool.call("reset_simulation", ResetSimulation, ResetSimulation.Request()))
+    StandardServices(tool.call).ask("reset_simulation")
     return "reset: time, poses and spawned entities"
 
 
@@ -89,7 +69,7 @@ def load(tool: Tool, world: str) -> str:
         request.world_resource.uri = world
     else:
         request.uri = world
-    _checked(tool, tool.call("load_world", LoadWorld, request))
+    StandardServices(tool.call).send("load_world", request)
     return f"loaded {world}"
 
 
@@ -106,24 +86,7 @@ def goal(tool: Tool, at: tuple[float, float, float]) -> str:
 
 
 def _set_state(tool: Tool, state: int, text: str) -> str:
-    response = tool.call(
-        "set_simulation_state", SetSimulationState, SetSimulationState.Request(state=SimulationState(state=state))
-    )
-    if response.result.result == SetSimulationState.Response.ALREADY_IN_TARGET_STATE:
-        return f"already {text}"
-    _checked(tool, response)
-    return text
-
-
-def _checked(tool: Tool, response: Any, entity: str = "") -> None:
-    if response.result.result == _OK:
-        return
-    text = response.result.error_message or f"it failed with code {response.result.result}"
-    if entity and "did you mean" not in text:
-        known = list(tool.call("get_entities", GetEntities, GetEntities.Request()).entities)
-        hint = "" if entity in known else nearest(entity, known)
-        text += f"; {hint}" if hint else ""
-    raise GibsonSimError(text or quoted(entity))
+    return text if StandardServices(tool.call).set_state(state) else f"already {text}"
 
 
 def _floor_z(tool: Tool) -> float:

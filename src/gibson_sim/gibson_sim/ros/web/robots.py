@@ -13,8 +13,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
 
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.ros.client.requests import flat_pose
 from gibson_sim.ros.topics import names
-from gibson_sim.ros.web.simulation_client import flat_pose
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.types import WORLD_FRAME, Pose
 from gibson_sim.web.requests import Drive, Goal

@@ -2,53 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import Pose
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import (
-    DeleteEntity,
-    GetEntitiesStates,
-    GetNamedPoses,
-    GetSimulationState,
-    GetSpawnables,
-    ResetSimulation,
-    SetEntityState,
-    SetSimulationState,
-    SpawnEntity,
-    StepSimulation,
-)
+from simulation_interfaces.srv import DeleteEntity, ResetSimulation, SetSimulationState, StepSimulation
 
-from gibson_sim.types import WORLD_FRAME
+from gibson_sim.ros.client.requests import OK, SERVICES, move_request, spawn_request, state_request
 from gibson_sim.web.pages import Answer
 from gibson_sim.web.requests import Delete, Move, Rate, Request, Spawn, Time
 
-STATES = {
-    SimulationState.STATE_STOPPED: "stopped",
-    SimulationState.STATE_PLAYING: "playing",
-    SimulationState.STATE_PAUSED: "paused",
-    SimulationState.STATE_QUITTING: "quitting",
-    SimulationState.STATE_NO_WORLD: "no world",
-    SimulationState.STATE_LOADING_WORLD: "loading a world",
-}
-_SERVICES = {
-    "delete_entity": DeleteEntity, "get_entities_states": GetEntitiesStates, "get_named_poses": GetNamedPoses,
-    "get_simulation_state": GetSimulationState, "get_spawnables": GetSpawnables, "reset_simulation": ResetSimulation,
-    "set_entity_state": SetEntityState, "set_simulation_state": SetSimulationState, "spawn_entity": SpawnEntity,
-    "step_simulation": StepSimulation,
-}  # fmt: skip
-_OK = 1
-"""``Result.RESULT_OK``."""
-_DROP_M = 0.02
-"""Height above the floor at which a spawned or moved entity begins, m."""
 LATE_S, LOST_S = 5.0, 60.0
 """Wall time without an answer after which a page is told, and after which an answer is no longer awaited, s."""
 
@@ -69,7 +38,7 @@ class SimulationClient:
 
     def __init__(self, node: Node, physics: str = "physics") -> None:
         """``physics``: name of the node with the parameter ``rate``."""
-        self._node, self._clients = node, {name: node.create_client(kind, name) for name, kind in _SERVICES.items()}
+        self._node, self._clients = node, {name: node.create_client(kind, name) for name, kind in SERVICES.items()}
         self._parameters = node.create_client(SetParameters, f"{physics}/set_parameters")
         self._calls: list[_Call] = []
 
@@ -108,7 +77,7 @@ class SimulationClient:
         """Calls ``then`` with the response of a service, where it answers and succeeds; not while the call before is unanswered."""
         client = self._clients[service]
         if not any(call.client is client and call.late is None for call in self._calls):
-            self._call(client, request, lambda response: then(response) if response and response.result.result == _OK else None)
+            self._call(client, request, lambda response: then(response) if response and response.result.result == OK else None)
 
     def call(self, client: Any, request: Any, then: Callable[[Any], None], answer: Answer) -> None:
         """Calls any service; ``then`` gets its response, or None where nothing offers it; a late one is told by ``answer``."""
@@ -134,11 +103,11 @@ class SimulationClient:
             self._do("reset_simulation", ResetSimulation.Request(), answer, "the simulation was reset")
         else:
             state = SimulationState.STATE_PLAYING if request.action == "play" else SimulationState.STATE_PAUSED
-            self._do("set_simulation_state", SetSimulationState.Request(state=SimulationState(state=state)), answer, "")
+            self._do("set_simulation_state", state_request(state), answer, "")
 
     def _do(self, service: str, request: Any, answer: Answer, done: str) -> None:
         # Each service has codes of its own above 100: 101 is a taken name for spawn_entity.
-        good = {_OK, SetSimulationState.Response.ALREADY_IN_TARGET_STATE} if service == "set_simulation_state" else {_OK}
+        good = {OK, SetSimulationState.Response.ALREADY_IN_TARGET_STATE} if service == "set_simulation_state" else {OK}
 
         def then(response: Any) -> None:
             if response is None:
@@ -180,34 +149,3 @@ def _parameter(answer: Answer, response: Any) -> None:
         answer(False, "nothing has the parameter rate: does a simulation run in this ROS domain?")
     else:
         answer(bool(results[0].successful), results[0].reason)
-
-
-def spawn_request(uri: str, at: tuple[float, float, float], floor_z: float, name: str = "") -> Any:
-    """Returns the request of SpawnEntity, 1.x or 2.x, that puts a thing at x, y (m) and yaw (rad) of the map, on a floor at height ``floor_z``, m."""
-    request = SpawnEntity.Request(name=name, allow_renaming=True)
-    if hasattr(request, "entity_resource"):  # 2.x
-        request.entity_resource.uri = uri
-    else:
-        request.uri = uri
-    request.initial_pose.header.frame_id = WORLD_FRAME
-    request.initial_pose.pose = flat_pose(at[0], at[1], floor_z + _DROP_M, at[2])
-    return request
-
-
-def move_request(name: str, at: tuple[float, float, float], floor_z: float) -> Any:
-    """Returns the request of SetEntityState, 1.x or 2.x, that puts an entity there, as for ``spawn_request``, at rest."""
-    request = SetEntityState.Request(entity=name)
-    request.state.header.frame_id = WORLD_FRAME
-    request.state.pose = flat_pose(at[0], at[1], floor_z + _DROP_M, at[2])
-    for flag in ("set_pose", "set_twist"):  # 2.x; 1.x sets everything
-        if hasattr(request, flag):
-            setattr(request, flag, True)
-    return request
-
-
-def flat_pose(x: float, y: float, z: float, yaw: float) -> Pose:
-    """Returns a level pose."""
-    pose = Pose()
-    pose.position.x, pose.position.y, pose.position.z = x, y, z
-    pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-    return pose
