@@ -79,7 +79,7 @@ def plots_png(run: RecordedRun) -> bytes:
         top, bottom = figure.subfigures(2, 1, height_ratios=[above, below])
         left, right = top.subfigures(1, 2, width_ratios=[beside, _WIDTH - beside])
         panels.draw_paths(left.subplots(), run)
-        _draw_motion(right, run)
+        draw_motion(right, run)
         _draw_rates(bottom, run, is_titled=True)
 
     return drawn((_WIDTH, above + below + 0.4), draw, form="png")
@@ -90,7 +90,7 @@ def plots_page(run: RecordedRun, report: BagReport, created: str = "") -> str:
     parts = panels.velocity_parts(run)
     rows, topics = len(panels.contact_rows(run)), min(len(run.arrivals), panels.MOST_TOPICS)
     path = _svg("path", (8.6, 8.0), lambda figure: panels.draw_paths(figure.subplots(), run))
-    motion = _svg("motion", (11.0, 2.0 * len(parts) + 0.9 + 0.24 * max(rows, 2)), lambda figure: _draw_motion(figure, run))
+    motion = _svg("motion", (11.0, 2.0 * len(parts) + 0.9 + 0.24 * max(rows, 2)), lambda figure: draw_motion(figure, run))
     over_time = _svg("rates", (11.0, 0.9 + 0.2 * max(topics, 2)), lambda figure: _draw_rates(figure, run, is_titled=False))
     findings = "".join(_finding(line) for line in (*report.findings(), *(f"note: {note}" for note in run.notes)))
     count = sum(topic.info.count for topic in report.topics)
@@ -122,7 +122,7 @@ _MOTION_CAPTION = (
 _RATES_CAPTION = "Darker is more messages than usual in that second, white is none; the number is the usual rate."
 
 
-def _draw_motion(figure: Any, run: RecordedRun) -> None:
+def draw_motion(figure: Any, run: RecordedRun) -> None:
     """Draws velocities and contacts above one another, over the same time."""
     parts, rows = panels.velocity_parts(run), len(panels.contact_rows(run))
     axes = figure.subplots(len(parts) + 1, 1, sharex=True, height_ratios=[2.0] * len(parts) + [0.3 + 0.24 * max(rows, 2)])

@@ -1,0 +1,169 @@
+"""Pairs the runs of two trials, and tells in sentences what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gibson_sim.trials.comparing.statistics import LEVEL, Shift, least_differing, shift_of, two_sided_binomial
+from gibson_sim.trials.records import RunResult, RunSpec
+
+MEASURES = (("time", "s"), ("length", "m"))
+"""Measures that are compared where both runs passed, with their units."""
+_NOUNS = {"time": ("faster", "slower"), "length": ("shorter", "longer")}
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The same run in two trials."""
+
+    before: RunResult
+    after: RunResult
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether it passed, and now fails."""
+        return self.before.passed and not self.after.passed
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it failed, and now passes."""
+        return self.after.passed and not self.before.passed
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether physics repeated to the bit."""
+        return bool(self.before.digest) and self.before.digest == self.after.digest
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two trials, run by run."""
+
+    pairs: tuple[Pair, ...]
+    unpaired_before: int
+    """Runs that only the first trial has."""
+    unpaired_after: int
+    p: float
+    """Of the exact McNemar test: probability that chance alone makes such a difference, or a greater one."""
+    shifts: tuple[Shift, ...]
+    """Of the runs that passed in both."""
+
+    @property
+    def worse(self) -> tuple[Pair, ...]:
+        """Runs that passed, and now fail."""
+        return tuple(pair for pair in self.pairs if pair.is_worse)
+
+    @property
+    def better(self) -> tuple[Pair, ...]:
+        """Runs that failed, and now pass."""
+        return tuple(pair for pair in self.pairs if pair.is_better)
+
+    @property
+    def is_decline(self) -> bool:
+        """Whether more runs got worse than better, by more than chance."""
+        return len(self.worse) > len(self.better) and self.p < LEVEL
+
+    def lines(self) -> list[str]:
+        """Returns the findings, one sentence each, the most important first."""
+        if not self.pairs:
+            return [
+                "no run of one trial is in the other: compare trials of the same scenario, with the same seed and number of runs",
+                *self._unpaired(),
+            ]
+        both = sum(pair.before.passed and pair.after.passed for pair in self.pairs)
+        neither = sum(not (pair.before.passed or pair.after.passed) for pair in self.pairs)
+        found = [self.verdict(), f"of {len(self.pairs)} pairs {both} passed in both, {neither} failed in both"]
+        found += [shift_line(shift) for shift in self.shifts]
+        equal = sum(pair.is_equal for pair in self.pairs)
+        if equal:
+            found.append(f"{equal} of {len(self.pairs)} pairs are equal to the bit")
+        return found + self._unpaired()
+
+    def verdict(self) -> str:
+        """Returns the sentence that tells whether the stacks differ."""
+        worse, better = len(self.worse), len(self.better)
+        if not worse and not better:
+            return "no run got better or worse: nothing tells the stacks apart by what passes"
+        told = f"{runs_text(worse)} got worse, {better} got better"
+        chance = f"by chance alone such a difference or a greater one would come about in {percent(self.p)} of cases"
+        if self.p < LEVEL:
+            return f"{told}; {chance}: the stacks differ, and the {'first' if worse > better else 'second'} is better"
+        least = least_differing()
+        hint = f" (fewer than {least} runs that differ never can be; plan more runs)" if worse + better < least else ""
+        return f"{told}; {chance}: that is no evidence that the stacks differ{hint}"
+
+    def _unpaired(self) -> list[str]:
+        counts = ((self.unpaired_before, "first"), (self.unpaired_after, "second"))
+        told = [f"{runs_text(count)} only in the {which} trial" for count, which in counts if count]
+        return [f"left out, without a partner: {', '.join(told)}"] if told else []
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns it as values of JSON."""
+        return {
+            "pairs": len(self.pairs),
+            "worse": [pair.after.run.number for pair in self.worse],
+            "better": [pair.after.run.number for pair in self.better],
+            "unpaired_before": self.unpaired_before,
+            "unpaired_after": self.unpaired_after,
+            "equal_to_the_bit": sum(pair.is_equal for pair in self.pairs),
+            "p": self.p,
+            "decline": self.is_decline,
+            "shifts": {shift.name: {"median": shift.median, "p": shift.p, "pairs": shift.pairs} for shift in self.shifts},
+            "text": self.lines(),
+        }
+
+
+def compare(before: Sequence[RunResult], after: Sequence[RunResult]) -> Comparison:
+    """Pairs runs with the same number, scene, robot, start, goal and seed, and tests what differs.
+
+    Args:
+        before: results of the first trial.
+        after: results of the second trial.
+    """
+    known = {_key(result.run): result for result in before}
+    pairs = tuple(Pair(known[_key(result.run)], result) for result in after if _key(result.run) in known)
+    worse, better = sum(pair.is_worse for pair in pairs), sum(pair.is_better for pair in pairs)
+    passed = [pair for pair in pairs if pair.before.passed and pair.after.passed]
+    shifts = (
+        shift_of(name, unit, [(p.before.measures[name], p.after.measures[name]) for p in passed if _both_have(p, name)])
+        for name, unit in MEASURES
+    )
+    return Comparison(
+        pairs,
+        len(before) - len(pairs),
+        len(after) - len(pairs),
+        two_sided_binomial(worse, better),
+        tuple(shift for shift in shifts if shift is not None),
+    )
+
+
+def shift_line(shift: Shift) -> str:
+    """Returns the sentence about a measure of the runs that passed in both trials."""
+    less, more = _NOUNS[shift.name]
+    where = f"of {runs_text(shift.pairs)} that passed in both"
+    if not shift.smaller and not shift.larger:
+        return f"{where}, every one has the same {shift.name}"
+    told = f"{where}, {shift.larger} got {more} and {shift.smaller} {less} (median {shift.median:+.2f} {shift.unit}, {100 * shift.share:+.1f} %)"
+    verdict = "can be chance" if shift.is_chance else "is more than chance"
+    return f"{told}: that {verdict} ({percent(shift.p)})"
+
+
+def percent(p: float) -> str:
+    """Returns a probability in percent, with one digit where it is small."""
+    value = 100.0 * p
+    return "less than 0.1 %" if value < 0.1 else f"{value:.1f} %" if value < 10.0 else f"{value:.0f} %"
+
+
+def runs_text(count: int) -> str:
+    """Returns a number of runs in words."""
+    return "1 run" if count == 1 else f"{count} runs"
+
+
+def _both_have(pair: Pair, name: str) -> bool:
+    return name in pair.before.measures and name in pair.after.measures
+
+
+def _key(run: RunSpec) -> tuple[Any, ...]:
+    return run.number, run.scene, run.robot, run.start, run.goal, run.seed

@@ -1,0 +1,219 @@
+"""The results of a whole trial: ``results.json``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_file
+from gibson_sim.tasks.metrics import wilson
+from gibson_sim.trials.records import RunResult
+from gibson_sim.types import NS_PER_S
+from gibson_sim.writing import write_file
+
+RESULTS = "results.json"
+"""Name of the file."""
+_FORMAT = 1
+_MOST_BYTES = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """How many of a number of runs passed."""
+
+    passed: int
+    count: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the rate (Wilson)."""
+        return wilson(self.passed, self.count)
+
+    def text(self) -> str:
+        """Returns the rate with its interval."""
+        if not self.count:
+            return "no runs"
+        low, high = self.interval
+        return f"{self.passed} of {self.count} passed ({100 * self.passed / self.count:.0f} %; 95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+
+
+@dataclass(frozen=True, slots=True)
+class TrialResults:
+    """All that is known of a trial."""
+
+    name: str
+    file: str
+    """Scenario file, as it was given."""
+    results: tuple[RunResult, ...]
+    """By number."""
+    planned: int
+    """Runs that were to be made."""
+    scenario: dict[str, Any] = field(default_factory=dict)
+    """All that the scenario says, as values of JSON."""
+    versions: dict[str, str] = field(default_factory=dict)
+    machine: dict[str, Any] = field(default_factory=dict)
+    started: str = ""
+    """ISO 8601, UTC."""
+    wall_time: float = 0.0
+    """Seconds."""
+    workers: str = "1"
+    """Number of processes, or the address of a cluster."""
+    comparison: dict[str, Any] | None = None
+    """With an earlier trial."""
+
+    @property
+    def rate(self) -> Rate:
+        """Of all runs."""
+        return Rate(sum(result.passed for result in self.results), len(self.results))
+
+    @property
+    def failed(self) -> tuple[RunResult, ...]:
+        """Runs that did not pass."""
+        return tuple(result for result in self.results if not result.passed)
+
+    @property
+    def mode(self) -> str:
+        """``lockstep``, ``real time``, or both."""
+        waits = {result.outcome.lockstep for result in self.results}
+        return " and ".join(name for name, is_so in (("lockstep", True), ("real time", False)) if is_so in waits)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all planned runs were made."""
+        return len(self.results) >= self.planned
+
+    def by(self, key: Callable[[RunResult], str]) -> dict[str, Rate]:
+        """Returns the rates of groups of runs, in the order of their first run."""
+        counts: Counter[str] = Counter(key(result) for result in self.results)
+        passed: Counter[str] = Counter(key(result) for result in self.results if result.passed)
+        return {name: Rate(passed[name], count) for name, count in counts.items()}
+
+    def verdicts(self) -> dict[str, Rate]:
+        """Returns how many of the runs that were judged by each verdict passed it."""
+        found: dict[str, list[bool]] = {}
+        for result in self.results:
+            for verdict in result.verdicts:
+                found.setdefault(verdict.name, []).append(verdict.passed)
+        return {name: Rate(sum(passed), len(passed)) for name, passed in found.items()}
+
+    def causes(self) -> dict[str, list[int]]:
+        """Returns the numbers of the failed runs by the kind of their cause, the commonest first."""
+        found: dict[str, list[int]] = {}
+        for result in self.failed:
+            found.setdefault(result.cause.kind if result.cause else "unknown", []).append(result.run.number)
+        return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+
+    def totals(self) -> dict[str, Any]:
+        """Returns what sums up the trial, as values of JSON."""
+        rate, outcomes = self.rate, [result.outcome for result in self.results]
+        low, high = rate.interval
+        return {
+            "planned": self.planned,
+            "runs": rate.count,
+            "passed": rate.passed,
+            "failed": rate.count - rate.passed,
+            "rate": rate.passed / rate.count if rate.count else None,
+            "low": low,
+            "high": high,
+            "simulated_s": sum(max(outcome.end_ns, 0) for outcome in outcomes) / NS_PER_S,
+            "start_up_s": sum(outcome.start_up_s for outcome in outcomes),
+            "running_s": sum(outcome.running_s for outcome in outcomes),
+            "ending_s": sum(outcome.ending_s for outcome in outcomes),
+            "verdicts": {name: asdict(rate) for name, rate in self.verdicts().items()},
+            "causes": self.causes(),
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns it as values of JSON."""
+        return {
+            "format": _FORMAT,
+            "name": self.name,
+            "file": self.file,
+            "started": self.started,
+            "wall_time": self.wall_time,
+            "workers": self.workers,
+            "complete": self.is_complete,
+            "mode": self.mode,
+            "totals": self.totals(),
+            "comparison": self.comparison,
+            "versions": self.versions,
+            "machine": self.machine,
+            "scenario": self.scenario,
+            "results": [result.to_json() for result in self.results],
+        }
+
+
+def write_results(trial: TrialResults, folder: Path) -> Path:
+    """Writes ``results.json`` into a folder; returns its path.
+
+    Raises:
+        WriteError: it cannot be written.
+    """
+    path = folder / RESULTS
+    write_file(path, json_text(trial.to_json()))
+    return path
+
+
+def json_text(values: Any) -> str:
+    """Returns values as a text of JSON, paths as text, and null for numbers that JSON does not have: NaN and infinity."""
+    return json.dumps(_plain(values), indent=1, allow_nan=False) + "\n"
+
+
+def read_results(path: Path) -> TrialResults:
+    """Returns the results of an earlier trial.
+
+    Args:
+        path: the file, or the folder of the trial.
+
+    Raises:
+        ConfigError: it cannot be read, or is of another kind.
+    """
+    file = path / RESULTS if path.is_dir() else path
+    try:
+        values = json.loads(read_file(file, _MOST_BYTES))
+        results = tuple(result_from_json(one) for one in values["results"])
+        return TrialResults(
+            name=str(values["name"]),
+            file=str(values["file"]),
+            results=results,
+            planned=int(values["totals"]["planned"]),
+            scenario=dict(values["scenario"]),
+            versions=dict(values["versions"]),
+            machine=dict(values["machine"]),
+            started=str(values["started"]),
+            wall_time=float(values["wall_time"]),
+            workers=str(values["workers"]),
+            comparison=values["comparison"],
+        )
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read: {error.strerror}; give the {RESULTS} of a trial, or its folder") from error
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise ConfigError(
+            f"{file}: is no {RESULTS} of a trial: {quoted(str(error) or type(error).__name__)}; give the file that "
+            "`gibson-sim trial` wrote"
+        ) from error
+
+
+def _plain(value: Any) -> Any:
+    """Returns values that JSON has."""
+    if isinstance(value, dict):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)
+
+
+def result_from_json(values: dict[str, Any]) -> RunResult:
+    """Returns the result that ``RunResult.to_json`` and ``json_text`` made text of."""
+    kept = {name: value for name, value in values.items() if name != "passed"}
+    kept["measures"] = {name: float(value) for name, value in kept["measures"].items() if value is not None}
+    return RunResult.from_json(kept)

@@ -1,0 +1,131 @@
+"""Lines about runs: their names, how they went, and the commands that repeat them."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from gibson_sim.quoting import clipped
+from gibson_sim.trials.records import PlanarPose, RunResult, RunSpec
+from gibson_sim.types import NS_PER_S
+
+_LONGEST = 200
+"""Characters of a line about a run."""
+_NAME = re.compile(r"[^\w-]+")
+
+
+def run_folder(folder: Path, number: int) -> Path:
+    """Returns the folder of a run within that of its trial."""
+    return folder / "runs" / f"{number:04d}"
+
+
+def scene_name(scene: str) -> str:
+    """Returns the name of a scene, without the folders of its file."""
+    path = Path(scene)
+    return (path.parent.name if path.name in ("scene.yaml", "scene.yml") else path.stem) or scene
+
+
+def robot_name(robot: str) -> str:
+    """Returns the name of a robot, without the folders of its file."""
+    path = Path(robot)
+    return (path.parent.name if path.name in ("robot.yaml", "robot.yml") else path.stem) or robot
+
+
+def identifier(text: str) -> str:
+    """Returns a text of letters, digits, ``_`` and ``-`` alone."""
+    return _NAME.sub("_", text).strip("_") or "_"
+
+
+def place(pose: PlanarPose) -> str:
+    """Returns x and y with one digit, metres."""
+    return f"{pose[0] + 0.0:.1f},{pose[1] + 0.0:.1f}"
+
+
+def way(run: RunSpec) -> str:
+    """Returns start and goal."""
+    return f"{place(run.start)} -> {place(run.goal)}"
+
+
+def seconds_of(result: RunResult) -> float:
+    """Returns the simulated time from the goal to the end, seconds; that of the whole run where no goal was given."""
+    if "time" in result.measures:
+        return result.measures["time"]
+    outcome = result.outcome
+    begin = outcome.goal_ns if outcome.goal_ns >= 0 else 0
+    return max(0.0, (outcome.end_ns - begin) / NS_PER_S)
+
+
+def reason(result: RunResult) -> str:
+    """Returns in one line why a run failed."""
+    if result.cause is not None:
+        return clipped(result.cause.text, _LONGEST)
+    failed = [verdict.text for verdict in result.verdicts if not verdict.passed]
+    return clipped(failed[0] if failed else result.outcome.detail or result.outcome.end, _LONGEST)
+
+
+def success(result: RunResult) -> str:
+    """Returns in one line how a run went that passed."""
+    measures = result.measures
+    told = [f"{result.outcome.end} in {seconds_of(result):.1f} s"]
+    length = measures.get("length")
+    if length is not None:
+        ratio = measures.get("path_ratio", math.nan)
+        told.append(f"{length:.1f} m" + (f" (ratio {ratio:.2f})" if math.isfinite(ratio) else ""))
+    return ", ".join(told)
+
+
+def run_line(result: RunResult) -> str:
+    """Returns the line of a run that has ended."""
+    run = result.run
+    what = success(result) if result.passed else reason(result)
+    return f"{'ok  ' if result.passed else 'FAIL'} {run.number:3d} {scene_name(run.scene)} {way(run)}  {what}"
+
+
+def replay_command(folder: Path, number: int) -> str:
+    """Returns the command that repeats a run from its bag, to the bit.
+
+    Args:
+        folder: of the trial.
+        number: of the run.
+    """
+    return shlex.join(["gibson-sim", "replay", str(run_folder(folder, number) / "bag"), "--verify"])
+
+
+def again_command(file: str, number: int, options: Sequence[str] = ()) -> str:
+    """Returns the command that makes a run again, with the stack.
+
+    Args:
+        file: of the scenario.
+        number: of the run.
+        options: those of the command line that the plan depends on.
+    """
+    return shlex.join(["gibson-sim", "trial", file, *options, "--run", str(number)])
+
+
+def plan_table(runs: Sequence[RunSpec]) -> str:
+    """Returns the planned runs, one a line, below a line of headings."""
+    rows = [("run", "scene", "robot", "start", "goal", "shortest", "seed", "and")]
+    rows += [
+        (
+            str(run.number), scene_name(run.scene), robot_name(run.robot), _pose(run.start), _pose(run.goal), f"{run.shortest:.1f} m",
+            str(run.seed), _extras(run),
+        )
+        for run in runs
+    ]  # fmt: skip
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def _pose(pose: PlanarPose) -> str:
+    x, y, yaw = pose
+    return f"{x + 0.0:.2f},{y + 0.0:.2f},{math.degrees(yaw) + 0.0:.0f}"
+
+
+def _extras(run: RunSpec) -> str:
+    told = [f"{len(run.things)} things"] * bool(run.things) + [f"{len(run.closed_doors)} doors closed"] * bool(run.closed_doors)
+    told += [f"{len(run.people)} people"] * bool(run.people)
+    told += [f"{name} {value:.3g}" for name, value in run.drawn.items()]
+    return ", ".join(told)

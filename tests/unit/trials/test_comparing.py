@@ -1,0 +1,100 @@
+"""Two trials compared, run by run."""
+
+from __future__ import annotations
+
+import pytest
+
+from gibson_sim.trials.comparing.comparison import compare, percent
+from gibson_sim.trials.comparing.statistics import least_differing, shift_of, two_sided_binomial
+from support.trial_results import failed, passed
+
+
+@pytest.mark.parametrize(
+    ("fewer", "more", "p"),
+    [
+        (0, 10, 2 / 2**10),
+        (10, 0, 2 / 2**10),
+        (1, 12, 2 * (1 + 13) / 2**13),
+        (2, 3, 1.0),  # 2 (1 + 5 + 10) / 32
+        (1, 4, 2 * (1 + 5) / 2**5),
+        (5, 5, 1.0),  # the two tails overlap
+        (0, 0, 1.0),
+    ],
+)
+def test_exact_test_has_the_probability_counted_by_hand(fewer: int, more: int, p: float) -> None:
+    assert two_sided_binomial(fewer, more) == pytest.approx(p, rel=1e-12)
+
+
+def test_six_runs_that_all_differ_to_one_side_are_the_fewest_that_tell() -> None:
+    assert least_differing() == 6  # 2 / 2^6 = 3.1 %, 2 / 2^5 = 6.3 %
+
+
+def test_ten_runs_that_got_worse_are_a_decline() -> None:
+    found = compare([passed(n) for n in range(40)], [failed(n) if n < 10 else passed(n) for n in range(40)])
+    assert found.p == pytest.approx(2 / 2**10)
+    assert found.is_decline
+    assert [pair.after.run.number for pair in found.worse] == list(range(10))
+    assert found.lines()[0] == (
+        "10 runs got worse, 0 got better; by chance alone such a difference or a greater one would come about in 0.2 % of cases: "
+        "the stacks differ, and the first is better"
+    )
+
+
+def test_ten_runs_that_got_better_are_no_decline() -> None:
+    found = compare([failed(n) for n in range(10)], [passed(n) for n in range(10)])
+    assert not found.is_decline
+    assert found.lines()[0].endswith("the stacks differ, and the second is better")
+
+
+def test_a_few_runs_that_differ_are_no_evidence() -> None:
+    found = compare([passed(n) for n in range(20)], [failed(n) if n < 3 else passed(n) for n in range(20)])
+    assert not found.is_decline
+    assert "in 25 % of cases: that is no evidence that the stacks differ (fewer than 6 runs" in found.lines()[0]
+
+
+def test_a_trial_does_not_differ_from_itself() -> None:
+    results = [passed(n, digest=f"d{n}") if n % 3 else failed(n) for n in range(30)]
+    lines = compare(results, results).lines()
+    assert lines[0] == "no run got better or worse: nothing tells the stacks apart by what passes"
+    assert lines[1] == "of 30 pairs 20 passed in both, 10 failed in both"
+    assert "20 of 30 pairs are equal to the bit" in lines
+
+
+def test_runs_are_paired_by_number_scene_robot_start_goal_and_seed() -> None:
+    others = [
+        passed(0, scene="orchard_house"), passed(1, robot="other_bot"), passed(2, start=(1.0, 1.0, 0.0)), passed(3, goal=(2.0, 2.0, 0.0)),
+        passed(4, seed=7), passed(9),
+    ]  # fmt: skip
+    found = compare([passed(n) for n in range(7)], [*others, passed(6)])
+    assert [pair.after.run.number for pair in found.pairs] == [6]
+    assert (found.unpaired_before, found.unpaired_after) == (6, 6)
+    assert found.lines()[-1] == "left out, without a partner: 6 runs only in the first trial, 6 runs only in the second trial"
+
+
+def test_trials_of_other_runs_are_not_compared() -> None:
+    assert compare([passed(0)], [passed(1)]).lines()[0].startswith("no run of one trial is in the other")
+
+
+def test_times_are_compared_where_both_passed() -> None:
+    before = [passed(n, time=10.0) for n in range(10)] + [passed(10), failed(11)]
+    after = [passed(n, time=11.0 if n < 9 else 9.0) for n in range(10)] + [failed(10), passed(11)]
+    time, length = compare(before, after).shifts
+    assert (time.pairs, time.larger, time.smaller) == (10, 9, 1)
+    assert time.median == pytest.approx(1.0)
+    assert time.share == pytest.approx(0.1)
+    assert time.p == pytest.approx(2 * (1 + 10) / 2**10)
+    assert (length.larger, length.smaller, length.p) == (0, 0, 1.0)
+    line = compare(before, after).lines()[2]
+    assert (
+        line
+        == "of 10 runs that passed in both, 9 got slower and 1 faster (median +1.00 s, +10.0 %): that is more than chance (2.1 %)"
+    )
+
+
+def test_a_measure_without_pairs_has_no_shift() -> None:
+    assert shift_of("time", "s", []) is None
+
+
+@pytest.mark.parametrize(("p", "text"), [(0.0034, "0.3 %"), (0.00001, "less than 0.1 %"), (0.39, "39 %"), (1.0, "100 %")])
+def test_probabilities_are_told_in_percent(p: float, text: str) -> None:
+    assert percent(p) == text
