@@ -17,7 +17,7 @@ from pathlib import Path
 
 VARIABLE = "GIBSON_SIM_JOBS"
 """Environment variable of all descendants: the marks of a worker, outermost first, with colons between."""
-TERM_S = 5.0
+TERM_S = 3.0
 """Wall time between SIGTERM and SIGKILL, seconds."""
 _PERIOD_S = 0.02
 

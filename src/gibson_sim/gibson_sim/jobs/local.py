@@ -251,10 +251,9 @@ class Pool:
                         waiting.appendleft(task)
                     elif task is not None:
                         on_result(task.result(error=f"{reason}, at attempt {task.attempts}", stopped=deadline is not None))
-                elif deadline is not None and (time.monotonic() > deadline or interrupts.count > 1):
-                    task = self._bury(worker)
-                    if task is not None:
-                        on_result(task.result(error="stopped, and ended since it went on", stopped=True))
+            if deadline is not None and (time.monotonic() > deadline or interrupts.count > 1):
+                for task in self._bury_all():
+                    on_result(task.result(error="stopped, and ended since it went on", stopped=True))
 
     def close(self, interrupts: Interrupts) -> None:
         """Ends all processes; a second call does nothing. A worker may finish what it does at its exit, unless there is an interrupt."""
@@ -266,8 +265,7 @@ class Pool:
                 if worker.process.poll() is not None:
                     self._bury(worker)
             time.sleep(_EXIT_PERIOD_S)
-        for worker in self._running():
-            self._bury(worker)
+        self._bury_all()
         self._selector.close()
         self._janitor.close()
 
@@ -292,6 +290,12 @@ class Pool:
         self._workers[self._workers.index(worker)] = None
         worker.end()
         return worker.task
+
+    def _bury_all(self) -> list[_Task]:
+        """Ends all workers and all that they started; returns the units that they had."""
+        end_marked(self._mark)
+        tasks = [self._bury(worker) for worker in self._running()]
+        return [task for task in tasks if task is not None]
 
 
 class Interrupts:
