@@ -45,6 +45,9 @@ class Graph:
     def get_logger(self) -> logging.Logger:
         return logging.getLogger("simulation")
 
+    def get_namespace(self) -> str:
+        return "/"
+
     def resolve_topic_name(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"/{topic}"
 

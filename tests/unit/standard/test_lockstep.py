@@ -42,19 +42,19 @@ def test_commands_on_their_way_hold_the_tick_in_either_order() -> None:
     lockstep = joined("a")
     lockstep.begin_tick(10, (), 0)
     lockstep.tick_done("a", 10, ["cmd_vel", "cmd_vel"], 1)
-    lockstep.receive_command("cmd_vel", 2)
+    lockstep.receive("cmd_vel", 2)
     assert not lockstep.is_open
-    lockstep.receive_command("cmd_vel", 3)
+    lockstep.receive("cmd_vel", 3)
     assert lockstep.is_open
     lockstep.begin_tick(20, (), 4)
-    lockstep.receive_command("cmd_vel", 5)
+    lockstep.receive("cmd_vel", 5)
     lockstep.tick_done("a", 20, ["cmd_vel"], 6)
     assert lockstep.is_open
 
 
 def test_a_command_of_the_tick_before_does_not_count() -> None:
     lockstep = joined("a")
-    lockstep.receive_command("cmd_vel", 0)
+    lockstep.receive("cmd_vel", 0)
     lockstep.begin_tick(10, (), 1)
     lockstep.tick_done("a", 10, ["cmd_vel"], 2)
     assert not lockstep.is_open
@@ -65,9 +65,9 @@ def test_commands_of_two_participants_on_one_topic_are_counted_together() -> Non
     lockstep.begin_tick(10, (), 0)
     lockstep.tick_done("a", 10, ["cmd_vel"], 1)
     lockstep.tick_done("b", 10, ["cmd_vel"], 1)
-    lockstep.receive_command("cmd_vel", 2)
+    lockstep.receive("cmd_vel", 2)
     assert not lockstep.is_open
-    lockstep.receive_command("cmd_vel", 3)
+    lockstep.receive("cmd_vel", 3)
     assert lockstep.is_open
 
 
@@ -97,7 +97,7 @@ def test_a_participant_by_rule_answers_with_its_command() -> None:
     assert lockstep.is_open, "it does not concern it"
     lockstep.begin_tick(20, {"odom"}, 1)
     assert lockstep.waits_for == ("follow",)
-    lockstep.receive_command("cmd_vel", 2)
+    lockstep.receive("cmd_vel", 2)
     assert lockstep.is_open
 
 
@@ -108,8 +108,142 @@ def test_a_participant_by_rule_with_a_period_answers_once_in_it() -> None:
         lockstep.begin_tick(tick * 10_000_000, (), 0)
         if not lockstep.is_open:
             waited.append(tick)
-            lockstep.receive_command("cmd_vel", 0)
-    assert waited == [1, 5, 10]
+            lockstep.receive("cmd_vel", 0)
+    assert waited == [5, 10], "a timer that began at time 0 wakes then"
+
+
+def nav(rule: str = "cmd_vel every 0.05 from goal_pose") -> Lockstep:
+    return Lockstep(parse_participants(f"nav={rule}"))
+
+
+MS = 1_000_000
+
+
+def ticks_that_wait(lockstep: Lockstep, stamps_ms: range) -> list[int]:
+    """Returns the ticks that waited, milliseconds; each is answered at once."""
+    waited = []
+    for stamp_ms in stamps_ms:
+        lockstep.begin_tick(stamp_ms * MS, {"scan"}, 0)
+        if not lockstep.is_open:
+            waited.append(stamp_ms)
+            lockstep.receive("cmd_vel", 0)
+    return waited
+
+
+def test_the_period_begins_anew_with_a_message_between_the_ticks_that_wait() -> None:
+    lockstep = nav("cmd_vel every 0.05")
+    assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
+    lockstep.receive("cmd_vel", 0)  # after the tick at 60 ms: the node wakes at another time than time 0 would suggest
+    assert ticks_that_wait(lockstep, range(70, 181, 10)) == [110, 160]
+
+
+def test_the_period_of_a_tick_that_went_on_without_an_answer_begins_at_it() -> None:
+    lockstep = nav("cmd_vel every 0.05")
+    lockstep.begin_tick(50 * MS, (), 0)
+    assert lockstep.skip_late(1) == ("nav",)
+    assert ticks_that_wait(lockstep, range(60, 111, 10)) == [100]
+
+
+def test_after_a_reset_periods_begin_as_at_the_start() -> None:
+    lockstep = nav("cmd_vel every 0.05")
+    assert ticks_that_wait(lockstep, range(10, 1001, 10))[-1] == 1000
+    lockstep.reset()
+    assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
+
+
+def test_ticks_wait_from_a_message_on_the_topic_of_from_on() -> None:
+    lockstep = nav()
+    assert lockstep.received_topics == {"cmd_vel", "goal_pose"}
+    assert ticks_that_wait(lockstep, range(10, 101, 10)) == []
+    assert lockstep.receive("goal_pose", 0) == ()
+    assert ticks_that_wait(lockstep, range(110, 201, 10)) == [150, 200], "a period after the tick at which the goal came"
+
+
+def test_a_goal_before_the_first_tick_counts_from_time_0() -> None:
+    lockstep = nav()
+    lockstep.receive("goal_pose", 0)
+    assert ticks_that_wait(lockstep, range(10, 101, 10)) == [50, 100]
+
+
+def test_an_answer_after_each_scan_from_the_initial_pose_on() -> None:
+    lockstep = nav("pose after scan from initialpose")
+    lockstep.begin_tick(10, {"scan"}, 0)
+    assert lockstep.is_open
+    lockstep.receive("initialpose", 1)
+    assert lockstep.is_open
+    lockstep.begin_tick(20, {"odom"}, 2)
+    assert lockstep.is_open, "it does not concern it"
+    lockstep.begin_tick(30, {"scan"}, 3)
+    assert lockstep.waits_for == ("nav",)
+    lockstep.receive("pose", 4)
+    assert lockstep.is_open
+
+
+def test_one_that_has_answered_and_is_silent_rests_until_its_next_goal() -> None:
+    lockstep = nav()
+    lockstep.receive("goal_pose", 0)
+    assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
+    lockstep.begin_tick(100 * MS, (), 1000)
+    assert lockstep.rest_silent(1000 + 5, 5) == ()
+    assert lockstep.rest_silent(1000 + 6, 5) == ("nav",)
+    assert lockstep.is_open
+    assert lockstep.participants[0].missed == 0, "nothing is missing: it is idle"
+    assert ticks_that_wait(lockstep, range(110, 401, 10)) == []
+    assert lockstep.receive("goal_pose", 0) == ()
+    assert ticks_that_wait(lockstep, range(410, 501, 10)) == [450, 500]
+
+
+def test_one_that_has_never_answered_has_twice_the_time() -> None:
+    lockstep = nav()
+    lockstep.receive("goal_pose", 0)
+    lockstep.begin_tick(50 * MS, (), 1000)
+    assert lockstep.rest_silent(1000 + 10, 5) == ()
+    assert lockstep.rest_silent(1000 + 11, 5) == ("nav",)
+
+
+def test_one_without_from_never_rests() -> None:
+    lockstep = nav("cmd_vel every 0.05")
+    lockstep.begin_tick(50 * MS, (), 0)
+    assert lockstep.rest_silent(10**12, 5) == ()
+    assert not lockstep.is_open
+
+
+def test_one_that_answers_while_it_rests_was_slow_and_is_named() -> None:
+    lockstep = nav()
+    lockstep.receive("goal_pose", 0)
+    assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
+    lockstep.begin_tick(100 * MS, (), 0)
+    lockstep.rest_silent(6, 5)
+    lockstep.begin_tick(110 * MS, (), 0)
+    assert lockstep.receive("cmd_vel", 0) == ("nav",)
+    assert ticks_that_wait(lockstep, range(120, 211, 10)) == [160, 210]
+
+
+def test_one_that_begins_with_its_own_first_message_is_not_called_slow() -> None:
+    lockstep = nav("cmd_vel every 0.05 from cmd_vel")
+    assert ticks_that_wait(lockstep, range(10, 101, 10)) == []
+    assert lockstep.receive("cmd_vel", 0) == ()
+    assert ticks_that_wait(lockstep, range(110, 201, 10)) == [150, 200]
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("a=/robot_1/pose after robot_1/scan", ParticipantRule("a", "/robot_1/pose", "robot_1/scan")),
+        ("n = cmd_vel every 0.05s from goal_pose", ParticipantRule("n", "cmd_vel", "", 0.05, "goal_pose")),
+        ("n=map every 5 from map", ParticipantRule("n", "map", "", 5.0, "map")),
+        ("d=detections after camera/image_raw", ParticipantRule("d", "detections", "camera/image_raw")),
+    ],
+)
+def test_a_rule_is_read_with_its_names_as_they_are_written(text: str, rule: ParticipantRule) -> None:
+    assert parse_participants(text) == (rule,)
+
+
+def test_names_of_a_rule_are_resolved_but_for_cameras() -> None:
+    rule = ParticipantRule("a", "pose", CAMERAS, begins="/goal").resolved(
+        lambda name: f"ns/{name}" if name[0] != "/" else name[1:]
+    )
+    assert rule == ParticipantRule("a", "ns/pose", CAMERAS, begins="goal")
 
 
 def test_a_participant_that_rejoined_needs_the_tick_again() -> None:
@@ -160,7 +294,23 @@ def test_waiting_times_are_counted_for_each_participant() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["a b", "follow=", "follow=cmd_vel", "n=cmd_vel every 0", "n=cmd_vel every 1.2.3", "a=b after", "=x"]
+    "text",
+    [
+        "a b",
+        "follow=",
+        "follow=cmd_vel",
+        "n=cmd_vel every 0",
+        "n=cmd_vel every 1.2.3",
+        "a=b after",
+        "=x",
+        "n=b every 1e3",
+        "n=b every 4000",
+        "n=b every 0.0001",
+        "n=b every 1 from",
+        "n=b from c",
+        "n from c",
+        "n=b after c every 1",
+    ],
 )
 def test_what_is_no_rule_is_refused_with_the_form_that_is_allowed(text: str) -> None:
     with pytest.raises(ConfigError, match="cmd_vel after odom"):

@@ -4,17 +4,20 @@ The node's loop::
 
     if lockstep.is_open: make the steps of the next tick, publish it, then lockstep.begin_tick(stamp_ns, topics)
     at a TickDone:       lockstep.join / tick_done / leave
-    at a command:        lockstep.receive_command(topic)
+    at a command, or at a message on a topic of ``received_topics``: lockstep.receive(topic)
 
 A participant either announces itself (``join``, then ``tick_done`` for every tick), or is declared by a rule on its output: with
-``follow=cmd_vel after odom``, the first command on ``cmd_vel`` after a tick at which ``odom`` was published is the sign that the tick is done.
+``follow=cmd_vel after odom``, the first message on ``cmd_vel`` after a tick at which ``odom`` was published is the sign that the tick is done.
+With ``nav=cmd_vel every 0.05``, a tick waits if the last message on ``cmd_vel`` came 0.05 s of simulation time before it, or earlier. This needs
+no knowledge of when the node wakes: a message that comes between two such ticks moves the next of them. With ``from goal_pose`` a rule counts
+from a message on ``goal_pose`` on, until its participant rests: a node without a goal cannot be told from a slow one but by waiting.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
@@ -22,8 +25,11 @@ from gibson_sim.types import NS_PER_S
 
 CAMERAS = "cameras"
 """Stands for a topic in ``after``: ticks at which any camera is due, which renderers draw."""
-_RULE = re.compile(r"\s*([\w./-]+)\s*(?:=\s*([\w./-]+)\s+(after\s+([\w./-]+)|every\s+([\d.]+)\s*s?))?\s*")
-_ALLOWED = "`render`, `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`, separated by `;`"
+_NAME = r"([\w./-]+)"
+_RULE = re.compile(
+    rf"\s*{_NAME}\s*(?:=\s*{_NAME}\s+(?:after\s+{_NAME}|every\s+(\d+(?:\.\d*)?|\.\d+)\s*s?)(?:\s+from\s+{_NAME})?)?\s*", re.ASCII
+)
+_ALLOWED = "`render`, `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05 from goal_pose`, separated by `;`; a period is 0.001 to 3600 s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +38,20 @@ class ParticipantRule:
 
     name: str
     answer: str = ""
-    """Topic of the commands that count as its answer; empty = it joins and reports each tick itself."""
+    """Topic of the messages that count as its answer; empty = it joins and reports each tick itself."""
     after: str = ""
     """Topic that it answers to; empty = every tick, or as ``every_s`` says."""
     every_s: float = 0.0
-    """Period in which it answers once, seconds of simulation time; 0 = none."""
+    """Longest time between two answers, seconds of simulation time; 0 = none."""
+    begins: str = ""
+    """Topic of the messages from which on it answers; empty = always."""
+
+    def resolved(self, resolve: Callable[[str], str]) -> ParticipantRule:
+        """Returns the rule with the full names of its topics."""
+        answer, after, begins = (
+            name and (name if name == CAMERAS else resolve(name)) for name in (self.answer, self.after, self.begins)
+        )
+        return replace(self, answer=answer, after=after, begins=begins)
 
 
 def parse_participants(text: str) -> tuple[ParticipantRule, ...]:
@@ -48,12 +63,13 @@ def parse_participants(text: str) -> tuple[ParticipantRule, ...]:
     found: list[ParticipantRule] = []
     for part in filter(str.strip, text.split(";")):
         match = _RULE.fullmatch(part)
-        every = float(match[5]) if match and match[5] and match[5].count(".") < 2 else 0.0
-        if match is None or (match[5] and not every > 0.0):
+        name, answer, after, every, begins = match.groups(default="") if match else ("",) * 5
+        every_s = float(every or 0.0)
+        if match is None or (every and not 0.001 <= every_s <= 3600.0):
             raise ConfigError(f"setting 'participants' has {quoted(part.strip())}, must be {_ALLOWED}")
-        if any(match[1] == other.name for other in found):
-            raise ConfigError(f"setting 'participants' names {quoted(match[1])} twice; each needs a name of its own")
-        found.append(ParticipantRule(match[1], (match[2] or "").lstrip("/"), (match[4] or "").lstrip("/"), every))
+        if any(name == other.name for other in found):
+            raise ConfigError(f"setting 'participants' names {quoted(name)} twice; each needs a name of its own")
+        found.append(ParticipantRule(name, answer, after, every_s, begins))
     return tuple(found)
 
 
@@ -66,6 +82,9 @@ class Participant:
     """See ``ParticipantRule``."""
     after: str = ""
     every_ns: int = 0
+    begins: str = ""
+    rests: bool = False
+    """Whether no tick waits for it: a message on ``begins`` has not come, or it has been silent for long since."""
     pending: bool = False
     """Whether the present tick still waits for it."""
     in_flight: dict[str, int] = field(default_factory=dict)
@@ -78,8 +97,8 @@ class Participant:
     longest_ns: int = 0
     missed: int = 0
     """Ticks that went on without it."""
-    next_ns: int = 0
-    """Simulation time of its next answer; for a rule with a period."""
+    last_ns: int | None = None
+    """Stamp of the tick at which it answered last, or began; None = not yet. For a rule with a period."""
 
 
 class Lockstep:
@@ -89,6 +108,8 @@ class Lockstep:
         self._missing = {rule.name for rule in rules if not rule.answer}
         self._participants = {rule.name: _participant_of(rule) for rule in rules if rule.answer}
         self._received: dict[str, int] = {}
+        self._newest_ns: int | None = None
+        """Stamp of the tick that began last."""
         self._stamp_ns: int | None = None
         self._opened_ns = 0
 
@@ -122,6 +143,11 @@ class Lockstep:
         """Topics whose presence at a tick matters to ``begin_tick``."""
         return frozenset(p.after for p in self._participants.values() if p.after)
 
+    @property
+    def received_topics(self) -> frozenset[str]:
+        """Topics whose messages ``receive`` must be told of."""
+        return frozenset(t for p in self._participants.values() for t in (p.answer, p.begins) if t)
+
     def waited_ns(self, now_ns: int) -> int:
         """Returns how long the present tick has waited."""
         return 0 if self._stamp_ns is None else now_ns - self._opened_ns
@@ -153,7 +179,8 @@ class Lockstep:
             topics: those of ``topics`` that were published at it.
             now_ns: now.
         """
-        self._stamp_ns, self._opened_ns = stamp_ns, now_ns
+        self._stamp_ns = self._newest_ns = stamp_ns
+        self._opened_ns = now_ns
         self._received.clear()
         for participant in self._participants.values():
             participant.pending = _is_concerned(participant, stamp_ns, topics)
@@ -182,14 +209,43 @@ class Lockstep:
         self._update(now_ns)
         return True
 
-    def receive_command(self, topic: str, now_ns: int) -> None:
-        """Handles the arrival of a command."""
+    def receive(self, topic: str, now_ns: int) -> tuple[str, ...]:
+        """Handles the arrival of a command or of another message that rules name.
+
+        Returns:
+            Names of the participants that rested and no longer do, though only an answer of theirs has come: they were slow, not idle.
+        """
+        resumed = []
         for participant in self._participants.values():
-            if participant.answer == topic and participant.pending:
-                participant.answered = True
+            if topic not in (participant.answer, participant.begins):
+                continue
+            if participant.rests:
+                participant.rests, participant.last_ns = False, self._newest_ns
+                if topic != participant.begins:
+                    resumed.append(participant.name)
+            if topic == participant.answer:
+                participant.answered |= participant.pending
+                participant.last_ns = self._newest_ns
         self._received[topic] = self._received.get(topic, 0) + 1
         self._match_commands()
         self._update(now_ns)
+        return tuple(resumed)
+
+    def rest_silent(self, now_ns: int, silent_ns: int) -> tuple[str, ...]:
+        """Lets participants rest that may, and that the present tick has waited for since ``silent_ns``; returns their names.
+
+        One that has never answered has twice the time: its node may still be starting.
+        """
+        waited_ns = self.waited_ns(now_ns)
+        idle = [
+            p
+            for p in self._participants.values()
+            if p.begins and p.pending and waited_ns > (silent_ns if p.ticks else 2 * silent_ns)
+        ]
+        for participant in idle:
+            participant.rests, participant.pending = True, False
+        self._update(now_ns)
+        return tuple(p.name for p in idle)
 
     def skip_late(self, now_ns: int) -> tuple[str, ...]:
         """Ends the present tick without its pending participants; returns their names."""
@@ -197,15 +253,16 @@ class Lockstep:
         for participant in late:
             participant.missed += 1
             participant.pending, participant.in_flight = False, {}
+            participant.last_ns = self._stamp_ns
         self._update(now_ns)
         return tuple(p.name for p in late)
 
     def reset(self) -> None:
         """Forgets the present tick: the simulation was reset."""
-        self._stamp_ns = None
+        self._stamp_ns = self._newest_ns = None
         self._received.clear()
         for participant in self._participants.values():
-            participant.pending, participant.answered, participant.next_ns = False, False, 0
+            participant.pending, participant.answered, participant.last_ns = False, False, None
             participant.in_flight = {}
 
     def _match_commands(self) -> None:
@@ -235,14 +292,18 @@ class Lockstep:
 
 
 def _participant_of(rule: ParticipantRule) -> Participant:
-    return Participant(rule.name, rule.answer, rule.after, round(rule.every_s * NS_PER_S))
+    return Participant(
+        rule.name, rule.answer, rule.after, round(rule.every_s * NS_PER_S), begins=rule.begins, rests=bool(rule.begins)
+    )
 
 
 def _is_concerned(participant: Participant, stamp_ns: int, topics: Collection[str]) -> bool:
     """Returns whether a tick waits for an answer of a participant."""
+    if participant.rests:
+        return False
     if participant.every_ns:
-        if stamp_ns < participant.next_ns:
-            return False
-        participant.next_ns = (stamp_ns // participant.every_ns + 1) * participant.every_ns
-        return True
+        if participant.last_ns is None:
+            # As if it had answered at the last whole period before: timers that began at time 0 wake at whole periods.
+            participant.last_ns = (stamp_ns - 1) // participant.every_ns * participant.every_ns
+        return stamp_ns - participant.last_ns >= participant.every_ns
     return not participant.after or participant.after in topics

@@ -5,28 +5,33 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any
 
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.errors import LockstepError
+from gibson_sim.errors import ConfigError, LockstepError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.answer_subscriptions import AnswerSubscriptions
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.topics.stamped_commands import StampedCommands
 from gibson_sim.standard.job_folder import STATUS, note_of_job
-from gibson_sim.standard.lockstep import CAMERAS, Lockstep, parse_participants
+from gibson_sim.standard.lockstep import CAMERAS, Lockstep, Participant, parse_participants
 from gibson_sim.types import NS_PER_S
 
 LATE_NS = 2 * NS_PER_S
 """Wall time after which a waiting tick is logged as late, and then again, ns."""
 JOIN_TIMEOUT_S = 120.0
-"""Least wall time that declared participants have to join, s."""
+"""Least wall time that declared participants have to join, and those known by a rule to be discovered, s."""
+IDLE_NS = 5 * NS_PER_S
+"""Wall time of silence after which a participant whose rule has a ``from`` counts as idle, ns."""
 _DISCOVERY_TIMEOUT_NS = 3 * NS_PER_S
 """Wall time after which a new participant counts as matched, ns."""
 _REPUBLISH_PERIOD_NS = NS_PER_S // 2
@@ -44,10 +49,16 @@ class LockstepGate:
 
     Subscribes:
         tick_done (gibson_msgs/TickDone): participants join, report ticks as done, and leave.
+        The topics that rules name, of any type, but for those of commands, which the node receives.
     """
 
     def __init__(
-        self, node: Node, config: PhysicsConfig, on_open: Callable[[], None], publish_again: Callable[[bool], None]
+        self,
+        node: Node,
+        config: PhysicsConfig,
+        on_open: Callable[[], None],
+        publish_again: Callable[[bool], None],
+        is_command: Callable[[str], bool] = lambda topic: False,
     ) -> None:
         """Receives nothing before ``subscribe``.
 
@@ -57,12 +68,15 @@ class LockstepGate:
             on_open: is called when a tick is done.
             publish_again: publishes the state of the present tick once more, for a participant that rejoined; with True
                 all of the tick, for one that knows nothing of lockstep.
+            is_command: whether a topic, by its full name, is one of commands: the node then calls ``receive_command``.
 
         Raises:
             ConfigError: setting ``participants`` is not of the form that the message shows.
         """
-        self.core = Lockstep(parse_participants(config.participants))
+        self.core = Lockstep([rule.resolved(partial(_short_name, node)) for rule in parse_participants(config.participants)])
+        self._answers = AnswerSubscriptions(node, self.core.received_topics, self._receive, is_command)
         self._node, self._config, self._on_open, self._publish_again = node, config, on_open, publish_again
+        self._in_namespace = node.get_namespace() != "/"
         self._started_ns = time.monotonic_ns()
         self._reported_ns = self._republished_ns = 0
         self._rejoined: set[str] = set()
@@ -98,15 +112,35 @@ class LockstepGate:
 
     def begin_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
         """Closes the gate for a tick that was published; ``topics`` returns what was published at it, and is called only if that matters."""
-        core = self.core
-        core.begin_tick(stamp_ns, topics() if core.topics else (), time.monotonic_ns())
+        core, found = self.core, set[str]()
+        if core.topics:
+            found.update(topics())
+            if self._in_namespace:
+                found.update([_short_name(self._node, topic) for topic in found])
+        core.begin_tick(stamp_ns, found, time.monotonic_ns())
 
     def receive_command(self, topic: str) -> None:
         """Handles the arrival of a command; opens the gate if the tick waited for nothing else."""
+        self._receive(topic.lstrip("/"))
+
+    def note_command(self, topic: str) -> None:
+        """Handles the arrival of a command, as ``receive_command`` does, but for a caller that looks itself whether the gate is open now."""
+        self._note(topic.lstrip("/"))
+
+    def _receive(self, topic: str) -> None:
+        """Handles the arrival of a message that may be an answer, given the topic without its leading slash."""
         was_open = self.core.is_open
-        self.core.receive_command(topic.lstrip("/"), time.monotonic_ns())
+        self._note(topic)
         if self.core.is_open and not was_open:
             self._on_open()
+
+    def _note(self, topic: str) -> None:
+        for name in self.core.receive(topic, time.monotonic_ns()):
+            self.timeouts += 1
+            self._node.get_logger().warning(
+                f"lockstep: {quoted(name)} sends again on {topic}: it was slow, or waited for time to pass, and had not ended; "
+                "the run cannot be repeated to the bit"
+            )
 
     def reset(self) -> None:
         """Forgets the present tick: the simulation was reset."""
@@ -115,21 +149,24 @@ class LockstepGate:
     def may_step(self) -> bool:
         """Returns whether the next tick may begin; logs which participants are late, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
-        timeout_s, opened_ns = self._config.participant_timeout, self._started_ns
-        if core.missing:
-            timeout_s = max(JOIN_TIMEOUT_S, timeout_s)
-        elif not core.is_open:
-            opened_ns = now_ns - core.waited_ns(now_ns)
-            self._republish_tick(now_ns)
-        elif self._all_matched(now_ns):
-            return True
-        elif not self._unmatched_rules:
-            return False
+        timeout_s, opened_ns = max(JOIN_TIMEOUT_S, self._config.participant_timeout), self._started_ns
+        self._answers.find(now_ns)
+        if not core.missing:
+            if not core.is_open:
+                timeout_s, opened_ns = self._config.participant_timeout, now_ns - core.waited_ns(now_ns)
+                self._republish_tick(now_ns)
+                self._let_rest(now_ns)
+            if core.is_open:
+                if self._all_matched(now_ns):
+                    return True
+                if not self._unmatched_rules:
+                    return False
         waited_ns = now_ns - opened_ns
         if waited_ns > timeout_s * NS_PER_S:
             return self._time_out(waited_ns, now_ns)
         if waited_ns > LATE_NS and now_ns - self._reported_ns > LATE_NS:
             self._reported_ns = now_ns
+            self._answers.find_again()
             if self._remove_gone_watchers(now_ns):
                 return core.is_open
             if not core.missing or any(_loading(name) is None for name in core.missing):  # what loads tells so itself
@@ -219,6 +256,17 @@ class LockstepGate:
         self._node.get_logger().warning(f"{what}: this tick goes on without it; the run cannot be repeated to the bit")
         return True
 
+    def _let_rest(self, now_ns: int) -> None:
+        """Stops waiting for participants that are silent and may be idle."""
+        stamp_ns = self.core.stamp_ns or 0
+        for name in self.core.rest_silent(now_ns, IDLE_NS):
+            rule = next(p for p in self.core.participants if p.name == name)
+            topics = rule.answer if rule.answer == rule.begins else f"{rule.answer} or {rule.begins}"
+            self._node.get_logger().info(
+                f"lockstep: {quoted(name)} has sent nothing on {rule.answer} in answer to {stamp_ns / NS_PER_S:.3f} s; time goes on without it "
+                f"until there is a message on {topics}"
+            )
+
     def _remove_gone_watchers(self, now_ns: int) -> list[str]:
         """Removes pending participants that only watched and whose nodes have gone; returns their names."""
         there = self._participating_nodes()
@@ -242,7 +290,7 @@ class LockstepGate:
         parts = []
         for name in core.waits_for or self._unmatched_rules:
             if answer := answers.get(name):
-                known_of_it = f"no {'message' if self._node.count_publishers(answer) else 'publisher'} on {answer}"
+                known_of_it = self._answers.problem(answer) or f"no message on {answer}"
             else:
                 known_of_it = "the node hangs or is slow" if name in there else self._known_of(name)
             parts.append(f"{quoted(name)} {what} ({known_of_it})")
@@ -267,8 +315,8 @@ class LockstepGate:
             for name, since in self._unmatched.items()
             if now_ns - since < _DISCOVERY_TIMEOUT_NS and not self._is_matched_both_ways(name)
         }
-        answers = {p.name: p.answer for p in self.core.participants}
-        matched = {n: since or now_ns if self._rule_is_matched(answers[n]) else 0 for n, since in self._unmatched_rules.items()}
+        rules = {p.name: p for p in self.core.participants}
+        matched = {n: since or now_ns if self._rule_is_matched(rules[n]) else 0 for n, since in self._unmatched_rules.items()}
         self._unmatched_rules = {n: since for n, since in matched.items() if not since or now_ns - since < _SETTLED_NS}
         return not self._unmatched and not self._unmatched_rules
 
@@ -290,10 +338,11 @@ class LockstepGate:
             for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
         )
 
-    def _rule_is_matched(self, answer: str) -> bool:
-        """Returns whether the topic of a rule has publishers, and all that their nodes subscribe to reaches them."""
-        found = [p for p in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(answer)) if p.node_name]
-        return bool(found) and all(map(self._node_is_matched, found))
+    def _rule_is_matched(self, rule: Participant) -> bool:
+        """Returns whether the topic of a rule has publishers, all that their nodes subscribe to reaches them, and their messages arrive here."""
+        found = [p for p in self._node.get_publishers_info_by_topic(f"/{rule.answer}") if p.node_name]
+        received = [topic for topic in (rule.answer, rule.begins) if topic]
+        return bool(found) and all(map(self._node_is_matched, found)) and all(map(self._answers.is_matched, received))
 
     def _node_is_matched(self, endpoint: Any, topic: str = "") -> bool:
         """Returns whether all that the node of an endpoint subscribes to reaches it, a certain topic among it.
@@ -313,6 +362,21 @@ class LockstepGate:
             return False
         ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
         return all(is_fully_matched(node, publisher) for publisher in ours)
+
+
+def _short_name(node: Node, topic: str) -> str:
+    """Returns the full name of a topic, without its leading slash.
+
+    Raises:
+        ConfigError: this is no name of a topic.
+    """
+    try:
+        return str(node.resolve_topic_name(topic)).lstrip("/")
+    except InvalidTopicNameException:
+        raise ConfigError(
+            f"setting 'participants' has {quoted(topic)}, which is no name of a topic: letters, digits, _ and /, no digit at the beginning "
+            "of a part"
+        ) from None
 
 
 def _full_name(info: Any) -> str:

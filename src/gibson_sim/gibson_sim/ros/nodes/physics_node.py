@@ -96,7 +96,9 @@ class PhysicsNode(Node):
         self._ticks = TickPublisher(self, config, self._simulator, self._robots, self._world_topics, self._objects, self._digests)
         self._gate: LockstepGate | None = None
         if config.lockstep:
-            self._ticks.gate = self._gate = LockstepGate(self, config, self._on_gate_open, self._ticks.publish_again)
+            self._ticks.gate = self._gate = LockstepGate(
+                self, config, self._on_gate_open, self._ticks.publish_again, self._is_command
+            )
         self._images: ImageGate | None = None
         if config.image_timeout and not config.lockstep:
             self._ticks.images = self._images = ImageGate(
@@ -262,7 +264,7 @@ class PhysicsNode(Node):
             note_in_job(READY, "")
         if gate is not None and self._stamped is not None:
             for topic in self._stamped.pop_arrived():
-                gate.core.receive_command(topic.lstrip("/"), now_ns)
+                gate.note_command(topic)
         if (gate is None or gate.may_step()) and (images is None or images.may_step()):
             # Not while a tick waits: a renderer that has the next scene already could not draw it.
             self._publish_changes()
@@ -325,6 +327,9 @@ class PhysicsNode(Node):
         """Tells the lockstep gate that a command arrived: the tick may have waited for it."""
         if self._gate is not None:
             self._gate.receive_command(topic)
+
+    def _is_command(self, topic: str) -> bool:
+        return any(topic in one.command_topics for one in (*self._robots.values(), self._objects))
 
     def _apply_scheduled(self) -> bool:
         """Applies the inputs scheduled for the next step. In lockstep it is called once a tick is done: before, some may not have arrived.
