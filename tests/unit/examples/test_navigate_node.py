@@ -73,6 +73,29 @@ class Fed:
         msg.ranges = array("f", ranges.astype(np.float32).tobytes())
         self.node._on_scan(msg)
 
+    def initial_pose(self) -> None:
+        msg = PoseWithCovarianceStamped()
+        msg.pose.pose.position.x = msg.pose.pose.position.y = 2.0
+        msg.pose.pose.orientation.w = 1.0
+        self.node._on_initial_pose(msg)
+
+    def goal(self, x: float) -> None:
+        self.node._on_goal(conversions.goal_msg(Pose2D(x, 2.0, 0.0), 0, "map"))
+
+
+def velocities(fed: Fed) -> list[tuple[float, float]]:
+    return [(msg.linear.x, msg.angular.z) for msg in fed.sent]
+
+
+def drive(fed: Fed, *, scan_first: bool = False) -> None:
+    """Drives straight on for a second, at 0.2 m/s, with twenty transforms and ten scans."""
+    for ms in range(50, 1001, 50):
+        odom = Pose2D(0.0002 * ms, 0.0, 0.0)
+        fed.odometry(ms)
+        for what in (fed.scan, fed.tf) if scan_first else (fed.tf, fed.scan):
+            if what == fed.tf or ms % 100 == 0:
+                what(ms, odom)
+
 
 @pytest.fixture
 def context(ros_domain: int) -> Iterator[Any]:
@@ -96,7 +119,7 @@ HERE = Pose2D(0.0, 0.0, 0.0)
 def test_robot_drives_once_map_scan_odometry_and_tf_are_there(fed: Fed) -> None:
     fed.odometry(100)
     fed.tf(100, HERE)
-    assert fed.sent == []
+    assert velocities(fed) == [(0.0, 0.0)], "it stands still until it knows where it is"
     fed.scan(100, HERE)
     fed.tf(200, HERE)
     assert fed.sent[-1].linear.x > 0.0
@@ -143,9 +166,68 @@ def test_commands_come_at_twenty_hertz_of_the_robots_time(fed: Fed) -> None:
     fed.odometry(0)
     fed.tf(0, HERE)
     fed.scan(0, HERE)
+    fed.sent.clear()
     for ms in range(10, 501, 10):
         fed.tf(ms, HERE)
     assert len(fed.sent) == 10
+
+
+def test_the_first_command_comes_at_a_whole_period(fed: Fed) -> None:
+    for ms in (16, 33):
+        fed.tf(ms, HERE)
+    assert fed.sent == []
+    fed.tf(50, HERE)
+    assert velocities(fed) == [(0.0, 0.0)]
+
+
+def test_a_period_begins_with_a_new_goal(fed: Fed) -> None:
+    fed.tf(50, HERE)
+    fed.tf(80, HERE)
+    fed.goal(3.0)
+    fed.sent.clear()
+    fed.tf(120, HERE)
+    assert fed.sent == []
+    fed.tf(130, HERE)
+    assert len(fed.sent) == 1
+
+
+def test_a_command_does_not_depend_on_whether_the_scan_of_its_time_is_there(context: Any) -> None:
+    drives = []
+    for scan_first in (False, True):
+        fed = Fed(context, initial_pose="2,2,0", goal="4,3,0")
+        fed.node._on_map(map_msg())
+        drive(fed, scan_first=scan_first)
+        drives.append((velocities(fed), [conversions.stamp_ns(tf.transforms[0].header.stamp) for tf in fed.tfs]))
+        fed.node.destroy_node()
+    assert drives[0] == drives[1]
+    assert drives[0][0][-1][0] > 0.0, "it drives"
+    assert drives[0][1] == [ms * MS + 200 * MS for ms in range(100, 1001, 100)], "each scan is answered by a transform"
+
+
+def test_a_drive_after_a_reset_repeats_the_first_one(context: Any) -> None:
+    fed = Fed(context)
+    fed.node._on_map(map_msg())
+    drives = []
+    for _ in range(2):
+        fed.sent.clear()
+        fed.initial_pose()
+        fed.goal(4.0)
+        drive(fed)
+        drives.append(velocities(fed))
+    assert drives[0] == drives[1]
+    assert drives[0][0] == (0.0, 0.0), "not localised after the reset"
+    assert drives[0][-1][0] > 0.0
+    fed.node.destroy_node()
+
+
+def test_what_waited_for_the_map_is_answered_when_it_comes(context: Any) -> None:
+    fed = Fed(context, initial_pose="2,2,0", goal="4,2,0")
+    fed.tf(50, HERE)
+    fed.scan(50, HERE)
+    assert (fed.sent, fed.tfs) == ([], [])
+    fed.node._on_map(map_msg())
+    assert (velocities(fed), len(fed.tfs)) == ([(0.0, 0.0)], 1)
+    fed.node.destroy_node()
 
 
 def test_jump_back_in_time_localises_anew(fed: Fed) -> None:
@@ -171,14 +253,13 @@ def test_initial_pose_by_topic_starts_the_robot(context: Any) -> None:
     fed.tf(0, HERE)
     fed.scan(0, HERE)
     assert fed.node._status == "waiting for initialpose"
-    pose = PoseWithCovarianceStamped()
-    pose.pose.pose.position.x = pose.pose.pose.position.y = 2.0
-    pose.pose.pose.orientation.w = 1.0
-    fed.node._on_initial_pose(pose)
+    fed.initial_pose()
+    fed.odometry(50)
     fed.scan(50, HERE)
     fed.tf(50, HERE)
+    fed.tf(100, HERE)
     assert fed.sent[-1].twist.linear.x > 0.0
-    assert conversions.stamp_ns(fed.sent[-1].header.stamp) == 50 * MS
+    assert conversions.stamp_ns(fed.sent[-1].header.stamp) == 100 * MS
     fed.node.destroy_node()
 
 

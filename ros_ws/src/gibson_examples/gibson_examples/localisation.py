@@ -52,7 +52,7 @@ class ParticleFilter:
 
     def __init__(self, grid: Grid, settings: FilterSettings, rng: np.random.Generator) -> None:
         """Computes the likelihood of a hit in every cell of the map."""
-        self._grid, self._settings, self._rng = grid, settings, rng
+        self._grid, self._settings, self.rng = grid, settings, rng
         s = settings
         distance = distance_to(grid.occupied, grid.resolution)
         likelihood = np.exp(-0.5 * (distance / s.sigma_hit) ** 2) + s.random_share
@@ -68,7 +68,7 @@ class ParticleFilter:
 
     def initialise(self, pose: Pose2D, sigma_xy: float, sigma_yaw: float) -> None:
         """Draws particles around a pose in the map frame; standard deviations in metres and radians."""
-        spread = self._rng.standard_normal(self._particles.shape) * (sigma_xy, sigma_xy, sigma_yaw)
+        spread = self.rng.standard_normal(self._particles.shape) * (sigma_xy, sigma_xy, sigma_yaw)
         self._particles = np.array([pose.x, pose.y, pose.yaw]) + spread
         self._weights.fill(1.0 / len(self._weights))
 
@@ -84,8 +84,8 @@ class ParticleFilter:
         turned = abs(first) + abs(second)
         rotation = math.hypot(s.rotation_from_rotation * turned, s.rotation_from_translation * distance)
         translation = math.hypot(s.translation_from_translation * distance, s.translation_from_rotation * turned)
-        turns = np.array([first, second])[:, None] + math.sqrt(0.5) * rotation * self._rng.standard_normal((2, n))
-        distances = distance + translation * self._rng.standard_normal(n)
+        turns = np.array([first, second])[:, None] + math.sqrt(0.5) * rotation * self.rng.standard_normal((2, n))
+        distances = distance + translation * self.rng.standard_normal(n)
         heading = self._particles[:, 2] + turns[0]
         self._particles[:, 0] += distances * np.cos(heading)
         self._particles[:, 1] += distances * np.sin(heading)
@@ -118,7 +118,7 @@ class ParticleFilter:
     def _resample(self) -> None:
         """Resamples the particles by their weights with one random number (low-variance sampling)."""
         n = len(self._weights)
-        at = (self._rng.random() + np.arange(n)) / n
+        at = (self.rng.random() + np.arange(n)) / n
         chosen = np.minimum(np.searchsorted(np.cumsum(self._weights), at), n - 1)
         self._particles = self._particles[chosen]
         self._weights = np.full(n, 1.0 / n)
@@ -161,7 +161,7 @@ class Localiser:
     """Estimates the transform from the odom frame to the map, with the particle filter and odometry."""
 
     def __init__(self, grid: Grid, settings: FilterSettings | None = None, seed: int = 0) -> None:
-        self._settings = settings or FilterSettings()
+        self._settings, self._seed = settings or FilterSettings(), seed
         self._filter = ParticleFilter(grid, self._settings, np.random.default_rng(seed))
         self._odom: Pose2D | None = None
         self._map_from_odom: Pose2D | None = None
@@ -179,7 +179,11 @@ class Localiser:
         return self._filter.particles
 
     def initialise(self, pose: Pose2D, sigma_xy: float, sigma_yaw: float, odom: Pose2D) -> None:
-        """Starts at T_map_base ``pose`` with odometry T_odom_base ``odom``; standard deviations in metres and radians."""
+        """Starts at T_map_base ``pose`` with odometry T_odom_base ``odom``; standard deviations in metres and radians.
+
+        The random numbers are those of the seed again: what follows does not depend on what was before.
+        """
+        self._filter.rng = np.random.default_rng(self._seed)
         self._filter.initialise(pose, sigma_xy, sigma_yaw)
         self._odom = None
         self.covariance = np.diag([sigma_xy**2, sigma_xy**2, sigma_yaw**2])

@@ -86,7 +86,7 @@ class Navigator:
         self._goal, self._routes, self._follower = goal, None, None
         self.state, self.reason = "driving", ""
         self._recoveries, self._recovery, self._aligning, self._there_s = 0, [], False, 0.0
-        self._progress_s = -math.inf
+        self._last_s = self._planned_s = self._progress_s = -math.inf
 
     def step(self, pose: Pose2D, now_s: float) -> Velocity | None:
         """Returns the command at a pose in the map frame; None without an active goal."""

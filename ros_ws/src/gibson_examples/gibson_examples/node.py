@@ -39,6 +39,9 @@ class NavigateNode(Node):
     Messages drive everything, not timers: a scan updates the localisation, a transform odom -> base triggers a command. The node
     therefore behaves the same at any rate of the simulation, and pauses with it.
 
+    A command at time t depends on scans before t, never on one of t: that may arrive before or after the transform of t. With every scan
+    answered by a pose and every period by a command before time goes on, a drive repeats to the bit.
+
     Parameters: the fields of ``gibson_examples.settings.NavigationSettings``.
 
     Subscribes:
@@ -46,7 +49,8 @@ class NavigateNode(Node):
         initialpose (geometry_msgs/PoseWithCovarianceStamped), goal_pose (geometry_msgs/PoseStamped): in the map frame.
 
     Publishes:
-        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): while there is a goal.
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): while there is a goal that is neither reached nor failed; 0
+            before the robot is localised.
         plan (nav_msgs/Path), pose (geometry_msgs/PoseWithCovarianceStamped), /tf: map -> odom.
         navigation/status (std_msgs/String, latched): ``<state> <goal>[: <why>]``; the state is waiting, driving, recovering,
             reached or failed, the goal is x,y,yaw_deg.
@@ -73,7 +77,10 @@ class NavigateNode(Node):
         self._goal = parse_pose(s.goal, "parameter goal") if s.goal else None
         self._scans: deque[Any] = deque(maxlen=10)
         """Scans that wait for the transforms of their time: on a busy machine /tf arrives later."""
-        self._newest_scan_ns = self._scanned_ns = self._odometry_ns = self._commanded_ns = -_NEVER
+        self._newest_scan_ns = self._scanned_ns = self._odometry_ns = -_NEVER
+        self._commanded_ns: int | None = None
+        """Time of the last command, or of the goal if that is newer: the next command is due a period after it."""
+        self._period_ns = int(NS_PER_S / s.control_hz)
         self._status = ""
         """Last status published."""
         self._planned: Any = None
@@ -92,16 +99,16 @@ class NavigateNode(Node):
         self._status_pub = self.create_publisher(String, "navigation/status", LATCHED)
 
     def _make_subscriptions(self) -> None:
+        """Subscribes. Of messages that wait, the executor takes those of the first subscription first: poses and goals before what uses them."""
+        latched = QoSProfile(depth=100, durability=LATCHED.durability)
+        self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, 10)
+        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
         self.create_subscription(OccupancyGrid, "map", self._on_map, LATCHED)
-        self.create_subscription(LaserScan, "scan", self._on_scan, qos_profile_sensor_data)
+        self.create_subscription(TFMessage, "/tf_static", self._on_tf_static, latched)
         self.create_subscription(Odometry, "odom", self._on_odometry, 1)
         # A short queue: on a busy machine, a command from the newest transform matters more than one from each old transform.
         self.create_subscription(TFMessage, "/tf", self._on_tf, 10)
-        self.create_subscription(
-            TFMessage, "/tf_static", self._on_tf_static, QoSProfile(depth=100, durability=LATCHED.durability)
-        )
-        self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._on_initial_pose, 10)
-        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
+        self.create_subscription(LaserScan, "scan", self._on_scan, qos_profile_sensor_data)
 
     def _on_map(self, msg: Any) -> None:
         try:
@@ -118,6 +125,8 @@ class NavigateNode(Node):
         if self._goal is not None and (drove is None or drove.active):
             self._navigator.set_goal(self._goal)
         self.get_logger().info(f"map of {grid.shape[1]} x {grid.shape[0]} cells of {grid.resolution:g} m")
+        self._control()
+        self._localise()
 
     def _on_initial_pose(self, msg: Any) -> None:
         try:
@@ -137,6 +146,7 @@ class NavigateNode(Node):
         except NavigationError as error:
             self.get_logger().error(str(error))
             return
+        self._commanded_ns = self._tf.newest_ns(self._settings.base_frame)
         if self._navigator is not None:
             self._navigator.set_goal(self._goal)
 
@@ -149,14 +159,22 @@ class NavigateNode(Node):
     def _on_tf_static(self, msg: Any) -> None:
         for t in msg.transforms:
             self._tf.set_static(t.header.frame_id, t.child_frame_id, *conversions.translation_and_quat(t.transform))
+        self._localise()
 
     def _on_tf(self, msg: Any) -> None:
+        s, moved = self._settings, False
         for t in msg.transforms:
-            if t.header.frame_id != self._settings.map_frame:  # this node publishes that one
-                translation, quat = conversions.translation_and_quat(t.transform)
-                self._tf.add(conversions.stamp_ns(t.header.stamp), t.header.frame_id, t.child_frame_id, translation, quat)
+            if t.header.frame_id == s.map_frame:  # this node publishes that one
+                continue
+            ns, child = conversions.stamp_ns(t.header.stamp), t.child_frame_id
+            if child == s.base_frame:
+                moved = True
+                if ns < (self._tf.newest_ns(child) or 0):
+                    self._reset()
+            self._tf.add(ns, t.header.frame_id, child, *conversions.translation_and_quat(t.transform))
+        if moved:
+            self._control()
         self._localise()
-        self._control()
 
     def _on_odometry(self, msg: Any) -> None:
         self._odometry_ns = conversions.stamp_ns(msg.header.stamp)
@@ -218,7 +236,8 @@ class NavigateNode(Node):
         """Discards the localisation after time has jumped back: the simulation was reset, and the odometry with it."""
         self.get_logger().warning("time has jumped back: the robot must be localised again")
         self._scans.clear()
-        self._odometry_ns = self._scanned_ns = -_NEVER
+        self._tf.forget_moving()
+        self._newest_scan_ns = self._odometry_ns = self._scanned_ns = -_NEVER
         if self._localiser is not None and self._costmap is not None:
             self._localiser.forget()
             self._costmap.forget_obstacles()
@@ -234,17 +253,21 @@ class NavigateNode(Node):
 
     def _control(self) -> None:
         """Publishes the next command if it is due."""
-        if self._navigator is None or self._localiser is None or self._localiser.map_from_odom is None or self._goal is None:
+        navigator, ns = self._navigator, self._tf.newest_ns(self._settings.base_frame)
+        if ns is None:
             return
-        ns = self._tf.newest_ns(self._settings.base_frame)
-        if ns is None or 0 <= ns - self._commanded_ns < NS_PER_S / self._settings.control_hz:
+        if self._commanded_ns is None or ns < self._commanded_ns:
+            # As if the last command had been at a whole period before.
+            self._commanded_ns = (ns - 1) // self._period_ns * self._period_ns
+        if navigator is None or self._goal is None or ns - self._commanded_ns < self._period_ns:
             return
         self._commanded_ns = ns
-        try:
-            pose = self._localiser.map_from_odom @ self._odom_pose(None)
-        except TransformError:
+        pose = self._pose()
+        if pose is None:
+            if navigator.active:
+                self._send(STOP, ns)
             return
-        command = self._navigator.step(pose, ns / NS_PER_S)
+        command = navigator.step(pose, ns / NS_PER_S)
         blind = ns - min(self._scanned_ns, self._odometry_ns) > SENSOR_TIMEOUT_S * NS_PER_S
         if command is not None and blind:
             missing = "scan" if self._scanned_ns < self._odometry_ns else "odometry"
@@ -253,6 +276,15 @@ class NavigateNode(Node):
         if command is not None:
             self._send(command, ns)
         self._publish_progress(ns)
+
+    def _pose(self) -> Pose2D | None:
+        """Returns T_map_base by the newest odometry; None = the robot is not localised."""
+        if self._localiser is None or self._localiser.map_from_odom is None:
+            return None
+        try:
+            return self._localiser.map_from_odom @ self._odom_pose(None)
+        except TransformError:
+            return None
 
     def _send(self, command: Velocity, ns: int) -> None:
         s = self._settings
@@ -281,7 +313,7 @@ class NavigateNode(Node):
     def stop(self) -> None:
         """Stops the robot."""
         if self._goal is not None and self._navigator is not None:
-            self._send(STOP, max(self._commanded_ns, 0))
+            self._send(STOP, self._commanded_ns or 0)
 
 
 def configure_logging() -> None:

@@ -54,6 +54,12 @@ class TransformBuffer:
         while samples[0].stamp_ns < stamp_ns - self._keep_ns:
             samples.popleft()
 
+    def forget_moving(self) -> None:
+        """Discards all transforms but constant ones."""
+        for child in self._moving:
+            del self._parents[child]
+        self._moving.clear()
+
     def newest_ns(self, child: str) -> int | None:
         """Returns the stamp of the newest transform of ``child``; None if it has none, or a constant one."""
         samples = self._moving.get(child)
