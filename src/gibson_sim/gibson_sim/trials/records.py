@@ -112,6 +112,8 @@ class Outcome:
     """Whether time waited for the stack; else the run was in real time, and cannot be repeated with the stack to the bit."""
     goal_ns: int = -1
     """Stamp at which the goal was given; -1 = it was not."""
+    decided_ns: int = -1
+    """Stamp at which the stack told its end, or the robot began to stand at the goal; the run goes on until the robot stands still."""
     end_ns: int = -1
     """Stamp of the last tick."""
     exit_code: int | None = None
@@ -151,6 +153,8 @@ CauseKind = Literal[
     "never ready",
     "stack silent",
     "no plan",
+    "no command",
+    "gave up",
     "plan through obstacle",
     "localisation jumped",
     "localisation off",
