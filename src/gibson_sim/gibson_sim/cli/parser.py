@@ -29,7 +29,7 @@ class ExitCode(IntEnum):
 
 MEANING = {
     ExitCode.OK: "success; or a command without an end of its own (run, record, top, drive) was stopped by Ctrl-C or SIGTERM",
-    ExitCode.ERROR: "the command failed: one line on stderr says why",
+    ExitCode.ERROR: "the command failed: one line on stderr says why; trial: a run failed",
     ExitCode.USAGE: "the command line is invalid",
     ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already; for top: none does",
     ExitCode.NODE_DIED: "a node crashed or was killed",

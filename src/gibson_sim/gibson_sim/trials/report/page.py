@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gibson_sim.reading import read_file
 from gibson_sim.trials.records import RunResult
-from gibson_sim.trials.report.evidence import FILM, PICTURES
+from gibson_sim.trials.report.keeping import FILM, PICTURES
 from gibson_sim.trials.report.log_tail import CONTROL, log_tail
 from gibson_sim.trials.report.maps import SceneMap, map_svg, scene_map
 from gibson_sim.trials.report.page_style import STYLE

@@ -25,7 +25,7 @@ _DPI = 100.0
 _log = logging.getLogger(__name__)
 
 
-def keep_evidence(result: RunResult, folder: Path, keep: Literal["failed", "all"]) -> None:
+def keep_of_run(result: RunResult, folder: Path, keep: Literal["failed", "all"]) -> None:
     """Writes the path of a run, and pictures if it failed; then removes its bags if it passed and they are not to be kept.
 
     What cannot be shown is left out, with a warning: the result of the run stands.

@@ -1,0 +1,192 @@
+"""The runs of a trial as units of work: which are made, what they leave, and what goes on after an interruption."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.jobs.units import Unit, UnitResult
+from gibson_sim.trials import execution, judging, running
+from gibson_sim.trials.records import Outcome, RunResult, RunSpec
+from gibson_sim.trials.running import Changes, broken, chosen, finished, make_run, make_runs, prepare
+from gibson_sim.trials.scenario_spec import Scenario, StackSpec
+from support.trial_results import failed, passed, spec
+
+
+class Here:
+    """Makes units in this process, one after the other; stops before the unit of a number."""
+
+    def __init__(self, stop_before: int = -1) -> None:
+        self.made: list[int] = []
+        self._stop_before = stop_before
+
+    def run(
+        self,
+        units: Sequence[Unit],
+        output: Path,
+        on_result: Callable[[UnitResult], None],
+        on_progress: Callable[[str, str], None],
+        stop: Callable[[], bool],
+    ) -> None:
+        for unit in units:
+            if int(unit.id) == self._stop_before:
+                raise KeyboardInterrupt
+            self.made.append(int(unit.id))
+            (output / unit.id).mkdir()
+            try:
+                value = make_run(
+                    json.loads(json.dumps(unit.arguments)),
+                    output / unit.id,
+                    Context(lambda text, u=unit: on_progress(u.id, text)),
+                )
+                on_result(UnitResult(unit.id, value))
+            except GibsonSimError as error:
+                on_result(UnitResult(unit.id, error=str(error)))
+
+
+class Context:
+    """That of a unit in this process."""
+
+    def __init__(self, progress: Callable[[str], None] = lambda text: None) -> None:
+        self.progress = progress
+
+    def stop(self) -> bool:
+        return False
+
+    def path(self, path: str | Path) -> Path:
+        return Path(path)
+
+
+@pytest.fixture
+def scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scenario:
+    """A scenario whose runs with an odd number fail, and whose simulation breaks in run 4."""
+    (tmp_path / "trial").mkdir()
+    file = tmp_path / "trial" / "rooms.yaml"
+    file.write_text("")
+    made = Scenario("rooms", file, ("linden_flat",), StackSpec(("true",), folder=tmp_path / "trial"))
+
+    def execute(
+        given: Scenario, run: RunSpec, folder: Path, *, on_progress: Callable[[str], None], stop: Callable[[], bool]
+    ) -> Outcome:
+        if run.number == 4:
+            raise GibsonSimError("no free ROS domain")
+        on_progress("4.2 s")
+        (folder / "bag").mkdir()
+        return Outcome("reached", "", lockstep=bool(given.stack.lockstep))
+
+    def judge(given: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> RunResult:
+        return failed(run.number) if run.number % 2 else passed(run.number)
+
+    monkeypatch.setattr(running, "load_scenario", lambda path: made)
+    monkeypatch.setattr(execution, "execute", execute)
+    monkeypatch.setattr(judging, "judge", judge)
+    return made
+
+
+def made(
+    scenario: Scenario, runs: Sequence[RunSpec], folder: Path, backend: Any = None
+) -> tuple[list[RunResult], list[tuple[int, str]]]:
+    results: list[RunResult] = []
+    told: list[tuple[int, str]] = []
+    make_runs(
+        scenario, Changes(), runs, backend or Here(), folder, results.append, lambda number, text: told.append((number, text))
+    )
+    return results, told
+
+
+def test_each_run_leaves_its_plan_and_its_result(tmp_path: Path, scenario: Scenario) -> None:
+    results, told = made(scenario, [spec(0), spec(1)], tmp_path / "out")
+    assert results == [passed(0), failed(1)]
+    assert told == [(0, "4.2 s"), (0, "judging"), (1, "4.2 s"), (1, "judging")]
+    assert RunSpec.from_json(json.loads((tmp_path / "out/runs/0001/run.json").read_text())) == spec(1)
+    assert json.loads((tmp_path / "out/runs/0001/result.json").read_text())["passed"] is False
+
+
+def test_bags_of_failed_runs_alone_are_kept(tmp_path: Path, scenario: Scenario) -> None:
+    made(scenario, [spec(0), spec(1)], tmp_path)
+    assert not (tmp_path / "runs/0000/bag").exists()
+    assert (tmp_path / "runs/0001/bag").is_dir()
+
+
+def test_all_bags_are_kept_where_that_is_wanted(tmp_path: Path, scenario: Scenario) -> None:
+    make_runs(scenario, Changes(keep="all"), [spec(0)], Here(), tmp_path, lambda result: None, lambda number, text: None)
+    assert (tmp_path / "runs/0000/bag").is_dir()
+
+
+def test_a_run_whose_worker_fails_is_a_failed_run_and_the_others_go_on(tmp_path: Path, scenario: Scenario) -> None:
+    results, _ = made(scenario, [spec(4), spec(6)], tmp_path)
+    assert [result.passed for result in results] == [False, True]
+    assert results[0] == broken(scenario, spec(4), "no free ROS domain")
+    assert results[0].cause is not None
+    assert results[0].cause.kind == "simulation failed"
+    assert finished(tmp_path, [spec(4)]) == {4: results[0]}
+
+
+def test_after_an_interruption_only_the_rest_is_made(tmp_path: Path, scenario: Scenario) -> None:
+    plan = [spec(n) for n in range(4)]
+    with pytest.raises(KeyboardInterrupt):
+        made(scenario, plan, tmp_path, Here(stop_before=2))
+    before = finished(tmp_path, plan)
+    assert before == {0: passed(0), 1: failed(1)}
+    backend = Here()
+    made(scenario, [run for run in plan if run.number not in before], tmp_path, backend)
+    assert backend.made == [2, 3]
+    assert finished(tmp_path, plan) == {0: passed(0), 1: failed(1), 2: passed(2), 3: failed(3)}
+
+
+def test_a_run_that_is_planned_otherwise_is_made_again(tmp_path: Path, scenario: Scenario) -> None:
+    made(scenario, [spec(0)], tmp_path)
+    assert finished(tmp_path, [spec(0, seed=9)]) == {}
+    assert finished(tmp_path, [spec(1)]) == {}
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"run": 1}'])
+def test_a_damaged_result_is_made_again(tmp_path: Path, scenario: Scenario, text: str) -> None:
+    made(scenario, [spec(0)], tmp_path)
+    (tmp_path / "runs/0000/result.json").write_text(text)
+    assert finished(tmp_path, [spec(0)]) == {}
+    results, _ = made(scenario, [spec(0)], tmp_path)
+    assert results == [passed(0)]
+
+
+def test_an_output_folder_is_new_or_empty(tmp_path: Path) -> None:
+    prepare(tmp_path / "new", resume=False)
+    prepare(tmp_path, resume=False)
+    prepare(tmp_path / "new", resume=True)
+
+
+def test_a_folder_with_other_content_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(ConfigError, match=r"holds 'thesis\.tex' already; give a new one$"):
+        prepare(tmp_path, resume=False)
+    with pytest.raises(ConfigError, match="no trial to go on with"):
+        prepare(tmp_path, resume=True)
+
+
+def test_a_folder_with_a_trial_goes_on_with_resume_alone(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    with pytest.raises(ConfigError, match="or add --resume to go on"):
+        prepare(tmp_path, resume=False)
+    prepare(tmp_path, resume=True)
+
+
+def test_runs_are_chosen_by_number() -> None:
+    plan = [spec(n) for n in range(5)]
+    assert chosen(plan, []) == tuple(plan)
+    assert chosen(plan, [3, 1]) == (spec(1), spec(3))
+    with pytest.raises(ConfigError, match="--run 7: there is no such run; the plan has runs 0 to 4"):
+        chosen(plan, [7])
+
+
+def test_changes_of_the_command_line_count(scenario: Scenario) -> None:
+    changed = Changes(runs=3, restart="never", keep="all").applied(scenario)
+    assert (changed.runs, changed.stack.restart, changed.record.keep) == (3, "never", "all")
+    assert Changes().applied(scenario) == scenario
+    assert Changes(runs=3, restart="never", keep="all").options() == ("--runs", "3", "--restart", "never")
+    with pytest.raises(ConfigError, match="--runs is 0, must be at least 1"):
+        Changes(runs=0).applied(scenario)
