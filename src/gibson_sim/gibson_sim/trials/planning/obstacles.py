@@ -1,0 +1,295 @@
+"""What stands and walks in the way of a run: things beside its path that leave a way round, and people who cross it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.body import BodySpec
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.maps.bodies import body_triangles
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.free_poses import random_free_poses
+from gibson_sim.maps.paths import path_length
+from gibson_sim.quoting import quoted
+from gibson_sim.scenes.spawning import SpawnError, load_spawnable
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.trials.planning.places import NoPlaceError, Places
+from gibson_sim.trials.planning.seeds import stream
+from gibson_sim.trials.planning.site import XY, Site
+from gibson_sim.trials.records import Person, PlacedThing
+from gibson_sim.trials.scenario_spec import SAMPLED, Obstacles, PersonRule, SpawnRule
+from gibson_sim.types import Pose
+
+F64 = NDArray[np.float64]
+ON_PATH = "path"
+_TRIES = 60
+"""Places that are tried for a thing or a person."""
+_APART = 0.3
+"""Least distance of things and people from the robot's circle at start and goal, metres."""
+_BESIDE = 0.45
+"""Largest distance of a thing from the path, metres."""
+_ALONG = (0.15, 0.85)
+"""Part of the path on which things stand and people cross."""
+_WALK = (0.7, 2.5)
+"""Least and largest distance of a person's turning points from the robot's path, metres."""
+_STEP = 0.05
+"""Increment in the search for turning points, metres."""
+
+
+class NoRoomError(NoPlaceError):
+    """There is no room for an obstacle in this run; with another start and goal there may be."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """The bounding box of an object's collision shapes, root frame, metres."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    def corners(self, x: float, y: float, yaw: float) -> F64:
+        """Returns the corners (4, 2) of its footprint, world frame, metres, counter-clockwise."""
+        (x0, y0, _), (x1, y1, _) = self.low, self.high
+        own = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        c, s = math.cos(yaw), math.sin(yaw)
+        return np.asarray(own @ np.array([[c, s], [-s, c]]) + (x, y))
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle about its origin that contains its footprint, metres."""
+        return float(np.hypot(*np.abs([self.low, self.high])[:, :2].max(axis=0)))
+
+
+@lru_cache(maxsize=256)
+def _shape(object_name: str) -> _Shape:
+    """Returns the size of an object.
+
+    Raises:
+        ConfigError: it cannot be spawned, or is no object; without the key.
+    """
+    try:
+        body = load_spawnable(object_name, "", name="thing", pose=Pose())
+    except SpawnError as error:
+        raise ConfigError(f"is {quoted(object_name)}: {error}") from error
+    if not isinstance(body, BodySpec):
+        raise ConfigError(f"is {quoted(object_name)}, a robot; must be an object, see docs/objects.md")
+    points, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
+    if not len(points):
+        raise ConfigError(f"is {quoted(object_name)}, which has no collision shapes, so that nothing can touch it")
+    (ax, ay, az), (bx, by, bz) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return _Shape((ax, ay, az), (bx, by, bz))
+
+
+def obstructed(
+    site: Site, places: Places, obstacles: Obstacles, seed: int, attempt: int
+) -> tuple[Places, tuple[PlacedThing, ...], tuple[Person, ...]]:
+    """Returns start and goal with the shortest path around the things, the things, and the people.
+
+    Args:
+        site: scene and robot.
+        places: start, goal, and the path between them.
+        obstacles: what is to stand in the way.
+        seed: of the run.
+        attempt: number of the attempt for this run; another one draws other places.
+
+    Raises:
+        NoRoomError: there is no room with this start and goal.
+        NoPlaceError: a given place is impossible, or an object cannot be spawned.
+    """
+    if not (obstacles.spawn or obstacles.people):
+        return places, (), ()
+    placer = _Placer(site, places)
+    things = [
+        placer.place(f"obstacles.spawn[{i}]", rule, k, stream(seed, "spawn", i, k, attempt))
+        for i, rule in enumerate(obstacles.spawn)
+        for k in range(rule.count)
+    ]
+    if things:
+        shortest, path = placer.path()
+        places = replace(places, shortest=round(shortest, 4), path=path)
+    people = tuple(
+        _person(site, places, rule, placer.floor, f"obstacles.people[{i}]", i, stream(seed, "person", i, attempt))
+        for i, rule in enumerate(obstacles.people)
+    )
+    return places, tuple(things), people
+
+
+class _Placer:
+    """Puts one thing after the other on the floor."""
+
+    def __init__(self, site: Site, places: Places) -> None:
+        self._site, self._places = site, places
+        self._names = {body.name for body in site.scene.bodies}
+        self._polygons: list[F64] = []
+        self.floor: FloorMap = site.floor
+
+    def path(self) -> tuple[float, F64]:
+        """Returns the shortest path around all things, as ``Site.shortest``."""
+        return self._site.shortest(self._places.start[:2], self._places.goal[:2], self.floor)
+
+    def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedThing:
+        """Returns a thing at a place that leaves a way round, and adds it to the map."""
+        try:
+            shape = _shape(rule.object)
+        except ConfigError as error:
+            raise NoPlaceError(f"{key}.object", str(error)) from error
+        if rule.at not in (ON_PATH, SAMPLED):
+            x, y, yaw = self._given(f"{key}.at", rule, shape)
+        else:
+            x, y, yaw = self._drawn(key, rule, shape, rng)
+        self._polygons.append(shape.corners(x, y, yaw))
+        self.floor = self._site.floor_with(self._polygons)
+        return PlacedThing(
+            self._name(rule.object, number), rule.object, (x, y, yaw), round(self._site.floor.floor_z - shape.low[2], 4)
+        )
+
+    def _drawn(self, key: str, rule: SpawnRule, shape: _Shape, rng: np.random.Generator) -> tuple[float, float, float]:
+        for _ in range(_TRIES):
+            yaw = round(float(rng.uniform(-math.pi, math.pi)), 5)
+            place = self._beside_path(rng) if rule.at == ON_PATH else self._anywhere(rng, shape)
+            if place is not None and not self._wrong(shape, *place, yaw):
+                return (*place, yaw)
+        raise NoRoomError(
+            key,
+            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene.name)} that leaves robot "
+            f"{quoted(self._site.robot_name)} of radius {self._site.robot.radius:.2f} m a way from {_text(self._places.start)} to "
+            f"{_text(self._places.goal)}; fewer or smaller things may fit",
+        )
+
+    def _given(self, key: str, rule: SpawnRule, shape: _Shape) -> tuple[float, float, float]:
+        if rule.count > 1:
+            raise NoPlaceError(key, f"is {quoted(rule.at)}, one place for {rule.count} things; make a list with a place for each")
+        try:
+            x, y, yaw = self._site.given_pose(rule.at)
+        except ConfigError as error:
+            raise NoPlaceError(key, str(error).replace("must be sampled,", "must be path, sampled,", 1)) from error
+        wrong = self._wrong(shape, x, y, yaw)
+        if wrong:
+            raise NoRoomError(key, f"is {quoted(rule.at)}, where {quoted(rule.object)} {wrong}")
+        return round(x, 6), round(y, 6), round(yaw, 6)
+
+    def _beside_path(self, rng: np.random.Generator) -> XY:
+        at, across = rng.uniform(*_ALONG), rng.uniform(-_BESIDE, _BESIDE)
+        (x, y), (dx, dy) = _along(self._places.path, at)
+        return round(x - across * dy, 4), round(y + across * dx, 4)
+
+    def _anywhere(self, rng: np.random.Generator, shape: _Shape) -> XY | None:
+        region = self._site.floor.largest_free_region(self._site.reach)
+        try:
+            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, self._site.reach), region=region)
+        except SceneError:
+            return None
+        return round(pose.position[0], 4), round(pose.position[1], 4)
+
+    def _wrong(self, shape: _Shape, x: float, y: float, yaw: float) -> str:
+        """Returns why a thing cannot stand at a place; empty = it can."""
+        corners = shape.corners(x, y, yaw)
+        cells = self._site.grid.cover(corners[None])
+        if not cells.any() or (cells & ~self.floor.free).any():
+            return f"would stand in something else or outside the map of scene {quoted(self._site.scene.name)}"
+        for what, pose in (("start", self._places.start), ("goal", self._places.goal)):
+            if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _APART:
+                return f"would stand within {_APART:g} m of the robot at the {what} ({pose[0]:.2f}, {pose[1]:.2f})"
+        floor = self._site.floor_with([*self._polygons, corners])
+        if not self._site.connected(self._places.start[:2], self._places.goal[:2], floor):
+            return f"would leave no way from {_text(self._places.start)} to {_text(self._places.goal)}"
+        return ""
+
+    def _name(self, object_name: str, number: int) -> str:
+        stem = re.sub(r"\W", "_", Path(object_name).stem, flags=re.ASCII) or "thing"
+        name = next(
+            text for k in range(number + 1, number + 3 + len(self._names)) if (text := f"in_the_way_{stem}_{k}") not in self._names
+        )
+        self._names.add(name)
+        return name
+
+
+def _person(
+    site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, number: int, rng: np.random.Generator
+) -> Person:
+    """Returns a person on the path of the rule, or across the robot's path."""
+    path = rule.path or _across(site, places, rule, floor, key, rng)
+    room = rule.radius + site.robot.radius + _APART
+    for point in rule.path:
+        if not floor.look_up(np.ones(floor.shape, dtype=bool), point, outside=False):
+            raise NoPlaceError(f"{key}.path", f"has ({point[0]:g}, {point[1]:g}), outside the map of scene {quoted(site.scene.name)}")
+    if rule.path and path_length(path) < _STEP:
+        raise NoPlaceError(f"{key}.path", f"is {path_length(path):.2f} m long, must be {_STEP:g} m or more")
+    if min(_distance_to_line(places.start[:2], a, b) for a, b in zip(path, path[1:], strict=False)) < room:
+        raise NoRoomError(
+            f"{key}.path",
+            f"leads over the start {_text(places.start)} in scene {quoted(site.scene.name)}, where the robot stands before it has a goal; "
+            f"must be {room:.2f} m away or more",
+        )
+    return Person(f"person_{number + 1}", path, rule.speed, rule.radius, rule.height)
+
+
+def _across(
+    site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, rng: np.random.Generator
+) -> tuple[XY, ...]:
+    """Returns two free points on both sides of the robot's path, with a free line between them."""
+    room = rule.radius + site.robot.radius + _APART
+    for _ in range(_TRIES):
+        (x, y), (dx, dy) = _along(places.path, float(rng.uniform(*_ALONG)))
+        if min(math.dist((x, y), end[:2]) for end in (places.start, places.goal)) < room:
+            continue
+        turn = rng.uniform(-0.6, 0.6)
+        c, s = math.cos(turn), math.sin(turn)
+        nx, ny = -dy * c - dx * s, dx * c - dy * s
+        ends = []
+        for side in (1.0, -1.0):
+            distances = np.arange(_STEP, _WALK[1] + _STEP / 2, _STEP)
+            line = np.array([x, y]) + side * distances[:, None] * np.array([nx, ny])
+            free = floor.clearance(line) >= rule.radius
+            walked = len(free) if free.all() else int((~free).argmax())
+            ends.append((walked * _STEP, (round(float(x + side * walked * _STEP * nx), 4), round(float(y + side * walked * _STEP * ny), 4))))
+        if min(walked for walked, _ in ends) < _WALK[0]:
+            continue
+        a, b = ends[0][1], ends[1][1]
+        if _distance_to_line(places.start[:2], a, b) >= room:
+            return a, b
+    raise NoRoomError(
+        key,
+        f"finds no place in scene {quoted(site.scene.name)} to walk across the way from {_text(places.start)} to {_text(places.goal)}; "
+        "give its path, or a longer way (sampling.path_length)",
+    )
+
+
+def _along(path: F64, part: float) -> tuple[XY, XY]:
+    """Returns a point of a path (K, 2), metres, at a part of its length, 0 to 1, and the unit vector along the path there."""
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(lengths)])
+    at = part * arc[-1]
+    leg = min(int(np.searchsorted(arc, at, side="right")) - 1, len(lengths) - 1)
+    dx, dy = ((path[leg + 1] - path[leg]) / max(float(lengths[leg]), 1e-9)).tolist()
+    return (float(np.interp(at, arc, path[:, 0])), float(np.interp(at, arc, path[:, 1]))), (dx, dy)
+
+
+def _distance_to_line(point: Sequence[float], a: XY, b: XY) -> float:
+    """Returns the distance of a point from the straight line between two others, metres."""
+    p, start, along = np.asarray(point), np.asarray(a), np.subtract(b, a)
+    length = float(along @ along)
+    part = float(np.clip((p - start) @ along / length, 0.0, 1.0)) if length else 0.0
+    return float(np.linalg.norm(p - start - part * along))
+
+
+def _distance_to_polygon(point: Sequence[float], corners: F64) -> float:
+    """Returns the distance of a point from a convex polygon (K, 2), counter-clockwise, metres; 0 inside."""
+    nexts = np.roll(corners, -1, axis=0)
+    edges, offsets = nexts - corners, np.asarray(point) - corners
+    if (edges[:, 0] * offsets[:, 1] - edges[:, 1] * offsets[:, 0] >= 0.0).all():
+        return 0.0
+    return min(_distance_to_line(point, tuple(a), tuple(b)) for a, b in zip(corners.tolist(), nexts.tolist(), strict=True))
+
+
+def _text(pose: Sequence[float]) -> str:
+    return f"({pose[0]:.2f}, {pose[1]:.2f})"

@@ -1,0 +1,162 @@
+"""Makes the list of runs of a scenario: for each scene, each robot and each number what is drawn for it.
+
+Equal scenarios give equal plans, to the bit. The seed of a run depends on the scenario's seed, the scene, the robot and its number among the runs of
+both, so that another scene or robot, or more runs, change none of the others.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.placement import furnished_floor_map
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.trials.planning.obstacles import NoRoomError, obstructed
+from gibson_sim.trials.planning.places import NoPlaceError, places_of
+from gibson_sim.trials.planning.robots import VariedRobot, check_variants, ranges_of
+from gibson_sim.trials.planning.seeds import seed_of, stream
+from gibson_sim.trials.planning.site import Site, with_closed_doors
+from gibson_sim.trials.records import PlanarPose, RunSpec
+from gibson_sim.trials.scenario.load import ScenarioError
+from gibson_sim.trials.scenario_spec import SAMPLED, InitialPose, Scenario
+
+_ATTEMPTS = 20
+"""Starts and goals that are drawn for a run until there is room for its obstacles."""
+_MOST_SIGMAS = 2.0
+"""Largest error of the initial pose, standard deviations."""
+
+
+def plan_runs(scenario: Scenario) -> tuple[RunSpec, ...]:
+    """Returns all runs, numbered from 0: those of the first scene and robot first.
+
+    Raises:
+        ScenarioError: the scenario cannot be met, such as by a goal in a wall; the message names the key.
+    """
+    robots = [_robot(scenario, k) for k in range(len(scenario.robots))]
+    varied = {name: variants for name, (_, variants) in zip(scenario.robots, robots, strict=True)}
+    runs: list[RunSpec] = []
+    for number, name in enumerate(scenario.scenes):
+        for site in _sites(scenario, number, [spec for spec, _ in robots]):
+            runs += [
+                replace(_run(scenario, site, varied[site.robot_name], k, name), number=len(runs) + k) for k in range(scenario.runs)
+            ]
+    return tuple(runs)
+
+
+def _robot(scenario: Scenario, number: int) -> tuple[RobotSpec, VariedRobot | None]:
+    """Returns a robot, and its variants; None = it is the same in all runs."""
+    name, key = scenario.robots[number], _key("robots", number, scenario.robots)
+    try:
+        robot = load_robot(name)
+    except GibsonSimError as error:
+        raise _error(scenario, f"{key} is {quoted(name)}: {error}") from error
+    if robot.drive is None:
+        raise _error(scenario, f"{key} is {quoted(name)}, which has no drive; must be a robot that can drive to a goal")
+    ranges = ranges_of(scenario.randomise)
+    if not ranges:
+        return robot, None
+    try:
+        varied = VariedRobot(name)
+        check_variants(varied, ranges)
+    except ConfigError as error:
+        raise _error(scenario, f"{error} ({key} is {quoted(name)})") from error
+    except GibsonSimError as error:
+        raise _error(scenario, f"{key} is {quoted(name)}: {error}") from error
+    return robot, varied
+
+
+def _sites(scenario: Scenario, number: int, robots: Sequence[RobotSpec]) -> list[Site]:
+    """Returns a scene with each of the robots; those of equal height share a map."""
+    name, key = scenario.scenes[number], _key("scenes", number, scenario.scenes)
+    try:
+        scene = load_scene(name)
+    except GibsonSimError as error:
+        raise _error(scenario, f"{key} is {quoted(name)}: {error}") from error
+    try:
+        closed, doors = with_closed_doors(scene, scenario.obstacles.closed_doors)
+    except ConfigError as error:
+        raise _error(scenario, f"obstacles.closed_doors {error}") from error
+    maps: dict[float, FloorMap] = {}
+    sites = []
+    for robot_name, robot in zip(scenario.robots, robots, strict=True):
+        try:
+            if robot.height not in maps:
+                maps[robot.height] = furnished_floor_map(closed, robot)
+        except GibsonSimError as error:
+            raise _error(scenario, f"{key} is {quoted(name)}: {error}") from error
+        sites.append(Site(name, robot_name, closed, robot, maps[robot.height], scene, doors))
+    return sites
+
+
+def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int, scene: str) -> RunSpec:
+    """Returns a run; ``number`` counts those of this scene and robot."""
+    seed = seed_of(scenario.seed, _identity(scenario, scene), _identity(scenario, site.robot_name), number)
+    s, g = number % len(scenario.starts), number % len(scenario.goals)
+    start, goal = scenario.starts[s], scenario.goals[g]
+    keys = (_key("starts", s, scenario.starts), _key("goals", g, scenario.goals))
+    attempts = _ATTEMPTS if SAMPLED in (start, goal) else 1
+    for attempt in range(attempts):
+        try:
+            places = places_of(site, start, goal, scenario.sampling, seed, attempt, keys)
+            places, things, people = obstructed(site, places, scenario.obstacles, seed, attempt)
+            break
+        except NoRoomError as error:
+            if attempt == attempts - 1:
+                raise _error(scenario, f"{error.key} {error}") from error
+        except NoPlaceError as error:
+            raise _error(scenario, f"{error.key} {error}") from error
+    drawn = {
+        name: round(float(stream(seed, "drawn", name).uniform(*limits)), 6)
+        for name, limits in (ranges_of(scenario.randomise).items() if varied else ())
+    }
+    physics: dict[str, Any] = dict(scenario.physics)
+    if scenario.randomise.looks:
+        physics |= {"randomise": scenario.randomise.looks, "randomise_seed": seed_of(seed, "looks")}
+    return RunSpec(
+        number=number,
+        scene=scene,
+        robot=varied.file if varied else site.robot_name,
+        seed=seed,
+        start=places.start,
+        goal=places.goal,
+        shortest=places.shortest,
+        radius=round(site.robot.radius, 6),
+        initial_error=_initial_error(scenario.stack.initial_pose, seed),
+        things=things,
+        closed_doors=site.closed_doors,
+        people=people,
+        physics=physics,
+        drawn=drawn,
+        files=varied.files(drawn) if varied else {},
+    )
+
+
+def _initial_error(given: InitialPose, seed: int) -> PlanarPose:
+    x, y, yaw = np.clip(stream(seed, "initial_pose").standard_normal(3), -_MOST_SIGMAS, _MOST_SIGMAS).tolist()
+    # Without a negative zero, which JSON would show.
+    x, y, yaw = (round(float(v), 6) + 0.0 for v in (x * given.error_xy, y * given.error_xy, yaw * math.radians(given.error_yaw_deg)))
+    return x, y, yaw
+
+
+def _identity(scenario: Scenario, name: str) -> str:
+    """Returns what the seed of a run knows of a scene or robot: its name, or its path from the scenario's file, the same in every folder."""
+    return os.path.relpath(name, scenario.path.parent) if Path(name).is_absolute() else name
+
+
+def _key(key: str, number: int, values: Sequence[str]) -> str:
+    return f"{key}[{number}]" if len(values) > 1 else key
+
+
+def _error(scenario: Scenario, mistake: str) -> ScenarioError:
+    return ScenarioError(scenario.path, [mistake])

@@ -1,0 +1,221 @@
+"""A scene with its doors as a scenario has them, a robot, and the map of the floor: where runs can take place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gibson_sim.description.body import BodySpec
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.rasterise import Grid
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.named_poses import NamedPose, named_poses
+from gibson_sim.maps.paths import PathPlanner, path_length
+from gibson_sim.maps.placement import furnished_floor_map
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.settings import nearest
+from gibson_sim.trials.records import PlanarPose
+from gibson_sim.trials.scenario.keys import ALL
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+XY = tuple[float, float]
+
+MARGIN = 0.04
+"""Clearance of paths beyond the robot's radius, metres: stacks need some, and a path without any cannot be driven."""
+_HANDLES = ("handle", "lever", "knob")
+"""Ends of the names of joints that open nothing."""
+_SAME_FLOOR = 0.5
+"""Largest difference of a pose's height from that of the floor, metres."""
+_SAMPLES = 8
+"""Poses whose names a message lists."""
+
+
+def with_closed_doors(scene: SceneSpec, names: Sequence[str]) -> tuple[SceneSpec, tuple[str, ...]]:
+    """Returns the scene with doors closed, and the names of their bodies.
+
+    Args:
+        scene: the scene.
+        names: of bodies with a door; ``all`` = all whose root is fixed, as that of a door in a doorway.
+
+    Raises:
+        ConfigError: there is no such body, or it has no door; without the key.
+    """
+    doors = [body.name for body in scene.bodies if _openings(body)]
+    for name in names:
+        if name != ALL and name not in doors:
+            is_body = any(body.name == name for body in scene.bodies)
+            hint = nearest(name, doors)
+            raise ConfigError(
+                f"is {quoted(name)}, which {'has no door' if is_body else 'is not'} in scene {quoted(scene.name)}; "
+                f"{f'{hint} ' if hint else ''}known: {', '.join(doors[:20]) or 'none'}"
+            )
+    fixed = [body.name for body in scene.bodies if body.static and body.name in doors]
+    chosen = tuple(fixed if ALL in names else [name for name in doors if name in names])
+    return replace(scene, bodies=tuple(_closed(body) if body.name in chosen else body for body in scene.bodies)), chosen
+
+
+def _openings(body: BodySpec) -> dict[str, float]:
+    """Returns the joints of a body's doors and drawers, and the positions at which they are closed."""
+    return {
+        joint.name: min(max(0.0, joint.lower), joint.upper)
+        for joint in body.model.joints
+        if joint.is_bounded and joint.kind in ("revolute", "prismatic") and joint.lower < joint.upper and not joint.name.endswith(_HANDLES)
+    }
+
+
+def _closed(body: BodySpec) -> BodySpec:
+    return replace(body, joints=tuple({**dict(body.joints), **_openings(body)}.items()))
+
+
+@dataclass(frozen=True)
+class Site:
+    """A scene and a robot of a trial."""
+
+    scene_name: str
+    """As in the scenario."""
+    robot_name: str
+    scene: SceneSpec
+    """Without robots; doors are closed as the scenario says."""
+    robot: RobotSpec
+    floor: FloorMap
+    """With the bodies where they stand at load."""
+    open_scene: SceneSpec
+    """With the doors as they are at load."""
+    closed_doors: tuple[str, ...] = ()
+    _planners: dict[float, PathPlanner] = field(default_factory=dict)
+
+    @property
+    def reach(self) -> float:
+        """Distance that paths keep from obstacles, metres."""
+        return self.robot.radius + MARGIN
+
+    @property
+    def planner(self) -> PathPlanner:
+        """Plans paths that keep ``reach``."""
+        return self.planner_of(self.reach)
+
+    def planner_of(self, radius: float) -> PathPlanner:
+        """Returns a planner whose paths keep ``radius`` from obstacles, metres."""
+        if radius not in self._planners:
+            self._planners[radius] = PathPlanner(self.floor, radius)
+        return self._planners[radius]
+
+    @cached_property
+    def named_poses(self) -> tuple[NamedPose, ...]:
+        """Named poses of the scene as it is at load, with the robot in it, as the simulation lists them."""
+        return named_poses(replace(self.open_scene, robots=(self.robot,)))
+
+    def floor_with(self, polygons: Sequence[F64]) -> FloorMap:
+        """Returns the map with more obstacles: polygons (K, 2), world frame, metres."""
+        covered = self.floor.occupied
+        for polygon in polygons:
+            covered = covered | self.grid.cover(np.asarray(polygon)[None])
+        return replace(self.floor, occupied=covered)
+
+    @property
+    def grid(self) -> Grid:
+        """The cells of the map."""
+        return Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
+
+    def shortest(self, start: XY, goal: XY, floor: FloorMap | None = None) -> tuple[float, F64]:
+        """Returns the length of the shortest path, metres, and its corners (K, 2).
+
+        Args:
+            start: world metres.
+            goal: world metres.
+            floor: another map than that of the site; None = that one.
+
+        Raises:
+            SceneError: there is none.
+        """
+        error: SceneError | None = None
+        for radius in (self.reach, self.robot.radius):
+            try:
+                path = (self.planner_of(radius) if floor is None else PathPlanner(floor, radius)).path(start, goal)
+            except SceneError as e:
+                error = error or e
+            else:
+                return path_length(path), path
+        assert error is not None
+        raise error
+
+    def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
+        """Returns whether a path leads from one place to another on a map; quicker than planning it."""
+        labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
+        cells = np.argwhere(labels > 0)
+        if not len(cells):
+            return False
+        ends = []
+        for place in (start, goal):
+            nearest_cell = cells[int(np.sum((floor.centers(cells) - np.asarray(place)) ** 2, axis=1).argmin())]
+            ends.append(int(labels[tuple(nearest_cell)]))
+        return ends[0] == ends[1]
+
+    def wrong_place(self, xy: XY) -> str:
+        """Returns why the robot cannot stand at a place, world metres; empty = it can."""
+        scene = quoted(self.scene.name)
+        row, column = (int(i) for i in self.floor.cells(xy))
+        rows, columns = self.floor.shape
+        if not (0 <= row < rows and 0 <= column < columns):
+            low = self.floor.origin
+            high = (low[0] + columns * self.floor.resolution, low[1] + rows * self.floor.resolution)
+            return (
+                f"outside the map of scene {scene}, must be from x {low[0]:.1f} to {high[0]:.1f} and y {low[1]:.1f} to {high[1]:.1f} m"
+            )
+        if self.floor.occupied[row, column]:
+            what = "in a wall, furniture or another obstacle"
+        elif not self.floor.floor[row, column]:
+            what = "where there is no floor"
+        # Cells that an obstacle only touches are occupied as a whole, so that the map is stricter than the simulation.
+        elif self.floor.distance_to_obstacle[row, column] + self.floor.resolution * math.sqrt(0.5) < self.robot.radius:
+            room = float(self.floor.distance_to_obstacle[row, column])
+            what = f"{room:.2f} m from an obstacle, nearer than the radius of the robot, {self.robot.radius:.2f} m,"
+        else:
+            return ""
+        free = self.floor.nearest_free(xy, self.robot.radius)
+        return f"{what} in scene {scene}{f'; the nearest free place is {free[0]:.2f},{free[1]:.2f}' if free else ''}"
+
+    def given_pose(self, text: str) -> PlanarPose:
+        """Returns the pose that a text stands for: ``x,y,yaw_deg``, or a name.
+
+        Raises:
+            ConfigError: it is none, or on another floor; without the key.
+        """
+        parts = text.split(",")
+        try:
+            numbers = [float(part) for part in parts]
+        except ValueError:
+            numbers = []
+        if len(numbers) == 3 and all(map(math.isfinite, numbers)):
+            x, y, yaw_deg = numbers
+            return x, y, math.radians(math.remainder(yaw_deg, 360.0))
+        if len(parts) > 1:
+            raise ConfigError(f"is {quoted(text)}, must be x,y,yaw_deg: three finite numbers, metres and degrees, in quotes")
+        poses = {start.name: start.pose for start in self.open_scene.starts}
+        if text not in poses:
+            poses = {**{named.name: named.pose for named in self.named_poses}, **poses}
+        if text not in poses:
+            hint, known = nearest(text, tuple(poses)), ", ".join(list(poses)[:_SAMPLES])
+            raise ConfigError(
+                f"is {quoted(text)}, must be sampled, x,y,yaw_deg in quotes, or a named pose of scene {quoted(self.scene.name)}; "
+                f"{f'{hint} ' if hint else ''}known: {known}{', ...' if len(poses) > _SAMPLES else ''}"
+            )
+        (x, y, z), (_, _, qz, qw) = poses[text].position, poses[text].quat_xyzw
+        if abs(z - self.floor.floor_z) > _SAME_FLOOR:
+            raise ConfigError(
+                f"is {quoted(text)}, which is {z:.1f} m high in scene {quoted(self.scene.name)}; trials are on the floor at {self.floor.floor_z:g} m"
+            )
+        return x, y, math.remainder(2.0 * math.atan2(qz, qw), 2.0 * math.pi)
+
+    def doors_cut(self, start: XY, goal: XY) -> bool:
+        """Returns whether it is the closed doors that leave no path."""
+        return bool(self.closed_doors) and self.connected(start, goal, furnished_floor_map(self.open_scene, self.robot))

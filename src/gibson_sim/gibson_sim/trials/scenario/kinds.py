@@ -1,0 +1,477 @@
+"""Kinds of values of a scenario file: each reads a value of YAML, and describes itself as JSON schema. ``keys`` declares the file with them.
+
+A mistake is noted with the path of its key, and reading goes on, so that all mistakes of a file are found at once.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from typing import Any, Protocol
+
+from gibson_sim.field_docs import field_docs
+from gibson_sim.quoting import quoted
+from gibson_sim.settings import nearest
+from gibson_sim.trials.scenario_spec import SAMPLED
+
+Schema = dict[str, Any]
+_LONGEST_TEXT = 4096
+"""Characters of a text."""
+_MOST_MISTAKES = 20
+"""Mistakes of a file that are noted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place in a file, and the mistakes that were found in the file."""
+
+    path: str
+    """Path of the key, such as ``obstacles.people[1].path``; empty = the file itself."""
+    mistakes: list[str]
+
+    def key(self, name: str) -> Place:
+        """Returns the place of a key of the mapping here."""
+        return Place(f"{self.path}.{name}" if self.path else name, self.mistakes)
+
+    def item(self, number: int) -> Place:
+        """Returns the place of an item of the list here."""
+        return Place(f"{self.path}[{number}]", self.mistakes)
+
+    def note(self, text: str) -> None:
+        """Notes a mistake, ``text`` without the place."""
+        if len(self.mistakes) < _MOST_MISTAKES:
+            self.mistakes.append(f"{self.path} {text}" if self.path else text)
+
+    def refuse(self, value: object, required: str) -> None:
+        """Notes that a value is not allowed."""
+        self.note(f"is {quoted(value)}, must be {required}" if value is not None else f"has no value, must be {required}")
+
+
+class Kind(Protocol):
+    """A kind of value."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns the value that a scenario holds; after a mistake, which is noted, anything."""
+
+    def schema(self) -> Schema:
+        """Returns the JSON schema of what is read."""
+
+    @property
+    def words(self) -> str:
+        """What is allowed, for messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A finite number within limits, which may be infinite."""
+
+    low: float
+    high: float
+    whole: bool = False
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns a float, or an int where it is whole."""
+        if not _is_number(value) or not self.low <= value <= self.high or (self.whole and value != int(value)):
+            return at.refuse(value, self.words)
+        return int(value) if self.whole else float(value)
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        limits = {name: limit for name, limit in (("minimum", self.low), ("maximum", self.high)) if math.isfinite(limit)}
+        return {"type": "integer" if self.whole else "number", **limits}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        to = f"to {_number(self.high)}" if math.isfinite(self.high) else "on"
+        return f"a {'whole ' if self.whole else ''}number from {_number(self.low)} {to}"
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """True or false."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """See ``Kind``."""
+        return value if isinstance(value, bool) else at.refuse(value, self.words)
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        return {"type": "boolean"}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return "true or false"
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A text."""
+
+    words: str = "text"
+    pattern: str = ""
+    """Regular expression, of Python and ECMA alike, that it must match as a whole; empty = any."""
+    check: Callable[[str], str] | None = None
+    """Returns what is wrong with a text that matches; empty = nothing."""
+    empty: bool = False
+    """Whether it may be empty."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """See ``Kind``."""
+        if not isinstance(value, str) or not (value or self.empty) or len(value) > _LONGEST_TEXT:
+            return at.refuse(value, self.words)
+        if value and self.pattern and not re.fullmatch(self.pattern, value):
+            return at.refuse(value, self.words)
+        wrong = self.check(value) if value and self.check else ""
+        return at.note(f"is {quoted(value)}: {wrong}") if wrong else value
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        out: Schema = {"type": "string", "minLength": 0 if self.empty else 1, "maxLength": _LONGEST_TEXT}
+        if self.pattern:
+            out["pattern"] = f"^(?:{self.pattern})?$" if self.empty else f"^(?:{self.pattern})$"
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One of some texts."""
+
+    texts: tuple[str, ...]
+
+    def read(self, value: Any, at: Place) -> Any:
+        """See ``Kind``."""
+        # YAML reads on and off as true and false.
+        value = ("off", "on")[value] if isinstance(value, bool) and {"on", "off"} <= set(self.texts) else value
+        if isinstance(value, str) and value in self.texts:
+            return value
+        hint = nearest(value, self.texts) if isinstance(value, str) else ""
+        return at.refuse(value, f"{self.words}{f'; {hint}' if hint else ''}")
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        return {"enum": list(self.texts)}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"one of {', '.join(self.texts)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Smallest and largest value of a range, or one number for both."""
+
+    low: float
+    high: float
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns (smallest, largest)."""
+        pair = value if isinstance(value, list) else [value, value]
+        good = len(pair) == 2 and all(_is_number(v) and self.low <= v <= self.high for v in pair)
+        if not good or pair[0] > pair[1]:
+            return at.refuse(value, self.words)
+        return float(pair[0]), float(pair[1])
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        one = Number(self.low, self.high).schema()
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 2, "maxItems": 2}]}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"a number from {_number(self.low)} to {_number(self.high)}, or [smallest, largest] of them"
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Two coordinates."""
+
+    far: float
+    """Largest distance from the origin along an axis, metres."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns (x, y)."""
+        if not isinstance(value, list) or len(value) != 2 or not all(_is_number(v) and abs(v) <= self.far for v in value):
+            return at.refuse(value, self.words)
+        return float(value[0]), float(value[1])
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        return {"type": "array", "items": Number(-self.far, self.far).schema(), "minItems": 2, "maxItems": 2}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"[x, y] in metres, each from {_number(-self.far)} to {_number(self.far)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Many:
+    """Several values of a kind."""
+
+    kind: Kind
+    most: int
+    least: int = 1
+    alone: bool = True
+    """Whether a single value need not stand in a list."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns a tuple."""
+        if not isinstance(value, list):
+            return (self.kind.read(value, at),) if self.alone else at.refuse(value, self.words)
+        if not self.least <= len(value) <= self.most:
+            return at.note(f"has {len(value)} values, must have {self.least} to {self.most}")
+        return tuple(self.kind.read(item, at.item(i)) for i, item in enumerate(value))
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        one = self.kind.schema()
+        several = {"type": "array", "items": one, "minItems": self.least, "maxItems": self.most}
+        return {"anyOf": [one, several]} if self.alone else several
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"a list, each {self.kind.words}"
+
+
+@dataclass(frozen=True, slots=True)
+class OrNone:
+    """A value, or null."""
+
+    kind: Kind
+    none: Any = None
+    """What null stands for."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """See ``Kind``."""
+        return self.none if value is None else self.kind.read(value, at)
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        inner = self.kind.schema()
+        return {"anyOf": [*(inner["anyOf"] if set(inner) == {"anyOf"} else [inner]), {"type": "null"}]}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"{self.kind.words}, or null"
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """A command line: one text that is split as a shell would, or a list of texts."""
+
+    most: int
+    split: Callable[[str], list[str]]
+    """Raises ValueError."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns a tuple of texts."""
+        if isinstance(value, str) and len(value) <= _LONGEST_TEXT:
+            try:
+                value = self.split(value)
+            except ValueError as error:
+                return at.note(f"is {quoted(value)}: {str(error).lower()}")
+        good = isinstance(value, list) and all(isinstance(word, str) and len(word) <= _LONGEST_TEXT for word in value)
+        if not good or not 1 <= len(value) <= self.most or not value[0]:
+            return at.refuse(value, self.words)
+        return tuple(value)
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        text = {"type": "string", "maxLength": _LONGEST_TEXT}
+        return {"anyOf": [{**text, "minLength": 1}, {"type": "array", "items": text, "minItems": 1, "maxItems": self.most}]}
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"a command line, as one text or a list of at most {self.most} texts; quote numbers"
+
+
+@dataclass(frozen=True, slots=True)
+class Variables:
+    """Texts by the names of environment variables."""
+
+    reserved: tuple[str, ...]
+    """Names that are not allowed."""
+    most: int = 200
+    pattern: str = r"[A-Za-z_][A-Za-z0-9_]*"
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns a dictionary; numbers become texts."""
+        if not isinstance(value, Mapping) or len(value) > self.most:
+            return at.refuse(value, self.words)
+        out = {}
+        for name, text in value.items():
+            place = at.key(str(name) if isinstance(name, str) and len(name) < 80 else quoted(name))
+            if not isinstance(name, str) or not re.fullmatch(self.pattern, name):
+                place.note("is no name of a variable: letters, digits and _, no digit first")
+            elif name in self.reserved:
+                place.note("is set by the trial; leave it out")
+            elif isinstance(text, bool) or not isinstance(text, (str, int, float)) or len(str(text)) > _LONGEST_TEXT:
+                place.refuse(text, "text or a number; quote true and false")
+            else:
+                out[name] = str(text)
+        return out
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        return {
+            "type": "object",
+            "propertyNames": {"pattern": f"^{self.pattern}$", "not": {"enum": list(self.reserved)}},
+            "additionalProperties": {"type": ["string", "number"], "maxLength": _LONGEST_TEXT},
+            "maxProperties": self.most,
+        }
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return f"a mapping of at most {self.most} names to texts"
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A mapping that fills a dataclass."""
+
+    cls: type
+    kinds: Mapping[str, Kind]
+    """By key; all fields of the class that a file may set."""
+    short: str = ""
+    """Key that a bare value stands for; empty = a mapping is needed."""
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns an instance of the class; None after a mistake."""
+        if not isinstance(value, Mapping):
+            if self.short and value is not None:
+                return self.cls(**{self.short: self.kinds[self.short].read(value, at)})
+            return at.refuse(value, self.words)
+        before = len(at.mistakes)
+        values = self.values(value, at)
+        return None if len(at.mistakes) > before else self.cls(**values)
+
+    def values(self, value: Mapping[Any, Any], at: Place) -> dict[str, Any]:
+        """Returns the values of the keys that are there."""
+        out = {}
+        for key, content in value.items():
+            kind = self.kinds.get(key) if isinstance(key, str) else None
+            if kind is None:
+                hint = nearest(str(key), tuple(self.kinds)) if isinstance(key, str) else ""
+                name = key if isinstance(key, str) and key.isprintable() and 0 < len(key) < 80 else quoted(key)
+                at.key(name).note(f"is no key; {f'{hint} ' if hint else ''}known: {', '.join(self.kinds)}")
+            else:
+                out[key] = kind.read(content, at.key(key))
+        for name in self._required():
+            if name not in value:
+                at.key(name).note(f"is missing: {field_docs(self.cls).get(name, self.kinds[name].words)}")
+        return out
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        docs = field_docs(self.cls)
+        known = {f.name: f for f in fields(self.cls)}
+        properties = {}
+        for name, kind in self.kinds.items():
+            described = docs.get(name) or (_summary(kind.cls) if isinstance(kind, Section) else "")
+            properties[name] = {
+                **({"description": described.replace("``", "`")} if described else {}),
+                **kind.schema(),
+                **_default(known.get(name)),
+            }
+        mapping: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+        if self._required():
+            mapping["required"] = self._required()
+        return {"anyOf": [self.kinds[self.short].schema(), mapping]} if self.short else mapping
+
+    def _required(self) -> list[str]:
+        missing = (f.name for f in fields(self.cls) if f.default is MISSING and f.default_factory is MISSING)
+        return [name for name in missing if name in self.kinds]
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        other = f"{self.kinds[self.short].words}, or " if self.short else ""
+        return f"{other}a mapping with {', '.join(self.kinds)}"
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsOf:
+    """Settings of a node: a mapping whose keys are fields of its dataclass, made with ``settings.setting``."""
+
+    cls: type
+    without: tuple[str, ...] = ()
+    """Settings that are not allowed here."""
+    _fields: dict[str, Field[Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_fields", {f.name: f for f in fields(self.cls) if f.name not in self.without})
+
+    def read(self, value: Any, at: Place) -> Any:
+        """Returns a dictionary."""
+        if not isinstance(value, Mapping):
+            return at.refuse(value, self.words)
+        out = {}
+        for key, content in value.items():
+            if key in self.without:
+                at.key(key).note("is set by the trial; leave it out")
+            elif key not in self._fields:
+                hint = nearest(str(key), tuple(self._fields))
+                name = key if isinstance(key, str) and key.isprintable() and 0 < len(key) < 80 else quoted(key)
+                at.key(name).note(f"is no setting that a trial takes{f'; {hint}' if hint else ''} See docs/parameters.md")
+            else:
+                out[key] = self._kind(self._fields[key]).read(content, at.key(key))
+        return out
+
+    def schema(self) -> Schema:
+        """See ``Kind``."""
+        properties = {}
+        for name, f in self._fields.items():
+            unit = f" ({f.metadata['unit']})" if f.metadata["unit"] else ""
+            properties[name] = {
+                "description": f"{f.metadata['doc']}{unit}".replace("``", "`"),
+                **self._kind(f).schema(),
+                "default": f.default,
+            }
+        return {"type": "object", "properties": properties, "additionalProperties": False}
+
+    @staticmethod
+    def _kind(f: Field[Any]) -> Kind:
+        if isinstance(f.default, bool):
+            return Flag()
+        if isinstance(f.default, (int, float)):
+            return Number(f.metadata["minimum"], f.metadata["maximum"], isinstance(f.default, int))
+        return Choice(f.metadata["choices"]) if f.metadata["choices"] else Text(empty=True)
+
+    @property
+    def words(self) -> str:
+        """See ``Kind``."""
+        return "a mapping of settings, see docs/parameters.md"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number(value: float) -> str:
+    return f"{value:g}" if abs(value) < 1e6 else f"{value:.0f}" if abs(value) < 1e15 else str(int(value))
+
+
+def _summary(cls: type) -> str:
+    """Returns the first sentence of a class."""
+    return " ".join((cls.__doc__ or "").split("\n\n")[0].split())
+
+
+def _default(f: Field[Any] | None) -> Schema:
+    """Returns the default of a field as an entry of a schema, empty if it has none that a file could hold."""
+    if f is None or f.default is MISSING:
+        return {}
+    if f.default == (SAMPLED,):
+        return {"default": SAMPLED}
+    if isinstance(f.default, tuple):
+        return {"default": list(f.default)}
+    return {"default": f.default} if f.default is None or isinstance(f.default, (bool, int, float, str)) else {}
