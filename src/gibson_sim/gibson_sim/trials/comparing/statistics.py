@@ -20,7 +20,7 @@ def two_sided_binomial(fewer: int, more: int) -> float:
     if not count:
         return 1.0
     tail = sum(comb(count, k) for k in range(least + 1))
-    return min(1.0, 2 * tail / 2**count)
+    return min(1.0, float(2 * tail / 2**count))
 
 
 def least_differing() -> int:

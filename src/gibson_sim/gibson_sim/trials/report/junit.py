@@ -46,7 +46,8 @@ def junit_xml(trial: TrialResults, folder: Path, options: Sequence[str] = ()) ->
     for result in trial.results:
         _add_case(suite, result, trial.file, folder, options)
     ElementTree.indent(top)
-    return ElementTree.tostring(top, encoding="utf-8", xml_declaration=True) + b"\n"
+    text: bytes = ElementTree.tostring(top, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
 
 
 def _add_case(suite: ElementTree.Element, result: RunResult, file: str, folder: Path, options: Sequence[str]) -> None:

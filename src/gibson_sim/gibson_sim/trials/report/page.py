@@ -188,12 +188,12 @@ def _maps(trial: TrialResults, folder: Path, maps: dict[str, SceneMap | None] | 
         svg = map_svg(scene_map(scene) if maps is None else maps.get(scene), runs)
         rate = Rate(sum(result.passed for result, _ in runs), len(runs))
         if svg:
-            parts.append(f"<h3>{_text(scene_name(scene))}: {_short(rate)}</h3>{svg}")
+            parts.append(f"<div><h3>{_text(scene_name(scene))}: {_short(rate)}</h3>{svg}</div>")
     caption = (
         '<p class="quiet">True paths of the robot: <span class="good">solid = passed</span>, <span class="bad">dashed = failed</span>, '
         "with the number of the run at its end, ✗; a circle is a start, a diamond the goal of a failed run.</p>"
     )
-    return f"<h2>Paths</h2>{caption}{''.join(parts)}" if parts else ""
+    return f"<h2>Paths</h2>{caption}<div class='maps'>{''.join(parts)}</div>" if parts else ""
 
 
 def _failures(trial: TrialResults, folder: Path, options: Sequence[str]) -> str:
@@ -226,7 +226,7 @@ class _Pictures:
             return ""
         self._room -= size
         figures = "".join(
-            f'<figure{" class=wide" if name == FILM else ""}><img alt="{PICTURES[name]}" loading="lazy" '
+            f'<figure{" class=wide" if name == FILM else ""}><img alt="{PICTURES[name]}" '
             f'src="data:image/{"jpeg" if name.endswith(".jpg") else "png"};base64,{base64.b64encode(data).decode()}"></figure>'
             for name, data in found.items()
         )
@@ -255,7 +255,7 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     listed = "".join(f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in facts if value)
     log = log_tail(own / "stack.log")
     shown_log = (
-        f'<h3>End of the stack\'s output</h3><pre class="log">{_text(log)}</pre>'
+        f'<h3>End of the stack\'s output</h3><pre class="log"><span>{_text(log)}</span></pre>'
         if log
         else '<p class="quiet">The stack printed nothing.</p>'
     )
@@ -271,7 +271,7 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     shown = "".join(f'<h3>{name}</h3><pre class="command">{_text(command)}</pre>' for name, command in commands)
     return (
         f'<details class="run" id="run-{run.number}"{" open" if is_open else ""}><summary><b>{run.number}</b>'
-        f'<span class="bad">{_text(kind)}</span> {_text(reason(result))} <span class="quiet">{_text(title)}</span></summary>'
+        f'<span class="bad">{_text(kind)}:</span> {_text(reason(result))} · <span class="quiet">{_text(title)}</span></summary>'
         f'<ul class="verdicts">{verdicts}</ul>{pictures.of(own)}<dl>{listed}</dl>{shown_log}{shown}'
         f'<p class="quiet">{" · ".join(links)}</p></details>'
     )

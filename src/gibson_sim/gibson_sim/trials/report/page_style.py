@@ -32,7 +32,9 @@ a { color: var(--good); }
 .rate i { position: absolute; top: 0; height: 100%; background: var(--bar); border-radius: 2px; }
 .rate b { position: absolute; top: -.1em; height: 1.1em; width: 3px; margin-left: -1.5px; background: var(--good); }
 .total .rate { display: block; width: 100%; max-width: 34em; height: .7em; margin-top: .5em; }
-.map { display: block; max-width: 820px; max-height: 85vh; margin: .4em 0 1em; border: 1px solid var(--line); }
+.maps { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 480px), 1fr)); gap: 0 1.5em; }
+.maps > div { max-width: 820px; }
+.map { display: block; max-height: 85vh; margin: .4em 0 1em; border: 1px solid var(--line); }
 .map image { image-rendering: pixelated; }
 .map polyline, .map path { fill: none; stroke-width: 1.6px; vector-effect: non-scaling-stroke; stroke-linejoin: round; }
 .map circle { vector-effect: non-scaling-stroke; stroke-width: 1.4px; }
@@ -58,7 +60,7 @@ pre {
   background: var(--box); padding: .6em .8em; margin: .3em 0 .8em; overflow-x: auto; border-radius: 4px;
   font: .82em/1.45 ui-monospace, Menlo, Consolas, monospace;
 }
-pre.log { max-height: 20em; overflow-y: auto; white-space: pre-wrap; overflow-wrap: anywhere; }
+pre.log { max-height: 20em; overflow-y: auto; white-space: pre-wrap; overflow-wrap: anywhere; display: flex; flex-direction: column-reverse; }
 pre.command { white-space: pre-wrap; user-select: all; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .15em 1em; margin: .4em 0; } dt { color: var(--quiet); } dd { margin: 0; }
 @media (max-width: 600px) {
