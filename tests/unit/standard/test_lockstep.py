@@ -309,6 +309,9 @@ def test_waiting_times_are_counted_for_each_participant() -> None:
         "n=b every 1 from",
         "n=b from c",
         "n from c",
+        "n=9lives after c",
+        "n=a//b after c",
+        "n=a/ after c",
         "n=b after c every 1",
     ],
 )

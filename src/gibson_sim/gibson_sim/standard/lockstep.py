@@ -25,9 +25,10 @@ from gibson_sim.types import NS_PER_S
 
 CAMERAS = "cameras"
 """Stands for a topic in ``after``: ticks at which any camera is due, which renderers draw."""
-_NAME = r"([\w./-]+)"
+_TOPIC = r"(/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)"
 _RULE = re.compile(
-    rf"\s*{_NAME}\s*(?:=\s*{_NAME}\s+(?:after\s+{_NAME}|every\s+(\d+(?:\.\d*)?|\.\d+)\s*s?)(?:\s+from\s+{_NAME})?)?\s*", re.ASCII
+    rf"\s*([\w./-]+)\s*(?:=\s*{_TOPIC}\s+(?:after\s+{_TOPIC}|every\s+(\d+(?:\.\d*)?|\.\d+)\s*s?)(?:\s+from\s+{_TOPIC})?)?\s*",
+    re.ASCII,
 )
 _ALLOWED = "`render`, `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05 from goal_pose`, separated by `;`; a period is 0.001 to 3600 s"
 

@@ -109,15 +109,15 @@ class AnswerSubscriptions:
             reliability=ReliabilityPolicy.RELIABLE if kind[1] else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.VOLATILE,
         )
-        received.kind = kind
-        received.subscription = self._node.create_subscription(
-            message_type,
-            f"/{topic}",
-            partial(self._receive, topic),
-            profile,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
+        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+        try:
+            received.subscription = self._node.create_subscription(
+                message_type, f"/{topic}", partial(self._receive, topic), profile, raw=True, event_callbacks=silent
+            )
+        except RuntimeError:  # a DDS participant has a topic under one type
+            received.problem = f"the simulation itself has {topic} under another type than {kind[0]}"
+        else:
+            received.kind = kind
 
     def _receive(self, topic: str, _: bytes) -> None:
         if not self._is_command(f"/{topic}"):

@@ -8,14 +8,13 @@ from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.errors import ConfigError, LockstepError
+from gibson_sim.errors import LockstepError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.answer_subscriptions import AnswerSubscriptions
@@ -365,18 +364,8 @@ class LockstepGate:
 
 
 def _short_name(node: Node, topic: str) -> str:
-    """Returns the full name of a topic, without its leading slash.
-
-    Raises:
-        ConfigError: this is no name of a topic.
-    """
-    try:
-        return str(node.resolve_topic_name(topic)).lstrip("/")
-    except InvalidTopicNameException:
-        raise ConfigError(
-            f"setting 'participants' has {quoted(topic)}, which is no name of a topic: letters, digits, _ and /, no digit at the beginning "
-            "of a part"
-        ) from None
+    """Returns the full name of a topic, without its leading slash."""
+    return str(node.resolve_topic_name(topic)).lstrip("/")
 
 
 def _full_name(info: Any) -> str:
