@@ -93,6 +93,7 @@ setup(
     ],
     zip_safe=False,
     entry_points={
+        "pytest11": ["gibson_sim.pytest = gibson_sim.pytest"],
         "console_scripts": [
             "gibson-sim = gibson_sim.cli.main:main",
             "physics_node = gibson_sim.ros.nodes.start:physics_node",

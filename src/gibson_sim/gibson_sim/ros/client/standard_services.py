@@ -12,6 +12,8 @@ from gibson_sim.quoting import quoted
 from gibson_sim.ros.client.requests import OK, SERVICES, move_request, spawn_request, state_request
 from gibson_sim.settings import nearest
 
+__tracebackhide__ = True
+"""pytest shows the line of the test, not those of this module; ``--full-trace`` shows all."""
 Call = Callable[[str, Any, Any], Any]
 """(name of a service, its type, request) -> response; blocks."""
 

@@ -1,0 +1,606 @@
+"""A client of one simulation that blocks while time passes, for tests and scripts. It works in the thread that calls it, in no other.
+
+In lockstep it is a participant: time passes only within its calls, tick by tick, and a call sees all that the simulation published up to
+the present tick and nothing later, images of the tick itself excepted: those come with the next one. The same calls in the same order therefore
+give the same values.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from simulation_interfaces.msg import SimulationState
+
+from gibson_msgs.msg import CollisionCount, Contacts, TickDigest
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import quoted
+from gibson_sim.ros import conversions
+from gibson_sim.ros.client.collisions import Collision, CollisionLog
+from gibson_sim.ros.client.requests import SERVICES, flat_pose
+from gibson_sim.ros.client.standard_services import StandardServices
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
+from gibson_sim.ros.nodes.node_main import make_executor
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, type_name_of
+from gibson_sim.settings import nearest
+from gibson_sim.types import NS_PER_S, WORLD_FRAME
+
+__tracebackhide__ = True
+"""pytest shows the line of the test, not those of this module; ``--full-trace`` shows all."""
+START_S = 120.0
+"""Wall time for a simulation to answer, s: a large scene loads for long."""
+STALL_S = 30.0
+"""Wall time without a tick after which a call gives up, s."""
+ANSWER_S = 60.0
+"""Wall time for the answer of a service, s."""
+DISCOVERY_S = 10.0
+"""Wall time for a topic to be known, or a subscriber to be matched, s."""
+_SETTLED_S = 2.0
+"""Wall time to wait for the first message of a new subscription that the simulation has published, s: it may not have been matched."""
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo")
+_LARGE = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2")
+MOST_MESSAGES, MOST_LARGE = 100_000, 200
+"""Messages of a topic that are kept, the newest; for images and point clouds fewer."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPose:
+    """A pose in the map frame."""
+
+    x: float
+    """Metres."""
+    y: float
+    z: float
+    yaw: float
+    """Heading about the vertical, radians, -pi to pi."""
+
+    def distance_to(self, x: float, y: float) -> float:
+        """Returns the distance on the floor to a point, metres."""
+        return math.hypot(self.x - x, self.y - y)
+
+    def __str__(self) -> str:
+        return f"x {self.x:.2f} m, y {self.y:.2f} m, yaw {round(math.degrees(self.yaw))} deg"
+
+
+@dataclass(frozen=True, slots=True)
+class _Tick:
+    stamp_ns: int
+    epoch: int
+    topics: frozenset[str]
+    """Published at it by physics; resolved names."""
+
+
+@dataclass(slots=True)
+class _Subscribed:
+    """A topic that is subscribed to."""
+
+    handle: Any
+    messages: deque[Any]
+    held: deque[Any]
+    """Images that came before the tick at which they are shown."""
+    is_image: bool
+    last_ns: int = -1
+    """Stamp of the last message, simulation time, ns."""
+    is_matched: bool = False
+    """Whether a message has arrived, or cannot be expected any more to arrive with its tick."""
+
+
+class Client:
+    """Talks to the simulation of a ROS domain."""
+
+    def __init__(
+        self,
+        domain_id: int,
+        robots: Mapping[str, str],
+        *,
+        name: str,
+        lockstep: bool,
+        stamped: bool = False,
+        check: Callable[[], None],
+        waits_for: Callable[[], str] = str,
+    ) -> None:
+        """Joins the domain, and waits for nothing yet: see ``connect``.
+
+        Args:
+            domain_id: of the simulation.
+            robots: name of each robot -> namespace of its topics, with a slash at its end, or empty.
+            name: of this client's node, and of the participant in lockstep.
+            lockstep: whether the simulation is in lockstep and waits for this client.
+            stamped: whether robots are commanded by TwistStamped.
+            check: raises if the simulation or something that it needs has ended; is called while a call waits.
+            waits_for: returns what the simulation says that it waits for; empty = nothing.
+        """
+        self._check, self._waits_for, self._lockstep, self._stamped = check, waits_for, lockstep, stamped
+        self._context: Any = rclpy.Context()
+        self._context.init(domain_id=domain_id)
+        self.node: Any = Node(
+            name, context=self._context, use_global_arguments=False, start_parameter_services=False, enable_rosout=False
+        )
+        self._executor: Any = make_executor(context=self._context)
+        self._executor.add_node(self.node)
+        self._robots = dict(robots)
+        self._clients: dict[str, Any] = {}
+        self._publishers: dict[str, Any] = {}
+        self._subscribed: dict[str, _Subscribed] = {}
+        self._participant: LockstepParticipant | None = None
+        self._ticks: deque[_Tick] = deque()
+        self._held: _Tick | None = None
+        """The present tick of lockstep, which ends with ``tick_done``."""
+        self._sent: list[str] = []
+        """Topics of the commands since the last tick, once for each."""
+        self._now_ns, self._epoch, self._is_paused = 0, 0, False
+        self._matched_by = 0.0
+        """Monotonic clock until which the first message of a subscription is awaited, s."""
+        self._events = 0
+        """Messages received, for ``_drain``."""
+        self._truth: dict[str, Any] = {}
+        self._moved: set[str] = set()
+        """Robots that a request may have moved since their last pose arrived."""
+        self._counts: dict[str, CollisionCount] = {}
+        """Robot -> its last count of collisions, which is not in the log yet."""
+        self._collisions = {robot: CollisionLog(robot) for robot in robots}
+        self._contacts: Any = None
+        self._map: Any = None
+        self.services = StandardServices(self.call)
+
+    # Begin and end
+
+    def connect(self) -> None:
+        """Waits until the simulation answers, and, in lockstep, lets its first tick begin.
+
+        Raises:
+            GibsonSimError: it has ended, or does not answer.
+        """
+        volatile = QoSProfile(depth=1000)
+        self.node.create_subscription(TickDigest, names.TICK_DIGEST, self._on_digest, volatile)
+        self.node.create_subscription(Contacts, names.CONTACTS, self._on_contacts, volatile)
+        self.node.create_subscription(OccupancyGrid, names.MAP, self._on_map, qos.LATCHED)
+        for robot, namespace in self._robots.items():
+            truth, collisions = f"{namespace}{names.GROUND_TRUTH}", f"{namespace}{names.COLLISIONS}"
+            self._watch(truth, Odometry, partial(self._on_truth, robot))
+            self._watch(collisions, CollisionCount, partial(self._on_collisions, robot))
+        for service in ("get_simulation_state", "spawn_entity", "reset_simulation"):
+            self._client(service, SERVICES[service])
+        self._work(
+            START_S, lambda: all(client.service_is_ready() for client in self._clients.values()), "the simulation to answer"
+        )
+        if self._lockstep:
+            self._participant = LockstepParticipant(self.node)
+        if self._initial_state() == SimulationState.STATE_PLAYING:
+            self.next_tick(START_S)
+
+    def _initial_state(self) -> int:
+        state = int(self.services.ask("get_simulation_state").state.state)
+        if state == SimulationState.STATE_STOPPED:
+            self.set_playing(False)  # a stopped simulation makes no steps
+        self._is_paused = state != SimulationState.STATE_PLAYING
+        return state
+
+    def _watch(self, topic: str, kind: Any, then: Callable[[Any], None]) -> None:
+        """Subscribes to a topic of every tick; ``then`` gets each message."""
+        name = self.node.resolve_topic_name(topic)
+        subscribed = self._subscribed[f"{name} (own)"] = _Subscribed(None, deque(maxlen=1), deque(), False)
+
+        def on_message(msg: Any) -> None:
+            subscribed.last_ns, subscribed.is_matched = _stamp_ns(msg), True
+            self._events += 1
+            then(msg)
+
+        subscribed.handle = self.node.create_subscription(kind, name, on_message, QoSProfile(depth=1000))
+
+    def close(self) -> None:
+        """Leaves the domain."""
+        if self._context is None:
+            return
+        if self._participant is not None:
+            self._participant.leave()
+            self._participant = None
+        self._executor.shutdown(timeout_sec=5.0)
+        self.node.destroy_node()
+        self._context.try_shutdown()
+        self._context = None
+
+    def raise_if_ended(self) -> None:
+        """Raises if the simulation, or something that it needs, has ended."""
+        self._check()
+
+    # Time
+
+    @property
+    def now(self) -> float:
+        """Simulation time since it began or was reset, s."""
+        return self._now_ns / NS_PER_S
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time was paused by this client."""
+        return self._is_paused
+
+    def next_tick(self, patience_s: float = STALL_S) -> None:
+        """Lets time pass until the next tick has been published, and all of it that is subscribed to has arrived.
+
+        Raises:
+            GibsonSimError: time is paused, it stands still for ``patience_s`` of wall time, or something has ended.
+        """
+        if self._is_paused:
+            raise GibsonSimError("the simulation is paused, so that nothing happens in it: call play(), or step(seconds)")
+        self._end_tick()
+        self._work(patience_s, self._begin_tick, "")
+
+    def _end_tick(self) -> None:
+        if self._participant is not None and self._held is not None:
+            self._participant.tick_done(conversions.time_to_msg(self._held.stamp_ns), self._sent)
+        if self._held is not None:
+            self._sent, self._held = [], None
+
+    def _begin_tick(self) -> bool:
+        """Returns whether a tick is here as a whole; it is the present one from now on."""
+        while self._ticks and self._ticks[0].epoch < self._epoch:
+            self._ticks.popleft()
+        if not self._ticks or not self._is_whole(self._ticks[0]):
+            return False
+        tick = self._held = self._ticks.popleft()
+        self._now_ns, self._epoch = tick.stamp_ns, tick.epoch
+        for subscribed in self._subscribed.values():
+            while subscribed.held and _stamp_ns(subscribed.held[0]) < tick.stamp_ns:
+                subscribed.messages.append(subscribed.held.popleft())
+        self._note_collisions()
+        return True
+
+    def _is_whole(self, tick: _Tick) -> bool:
+        for name, subscribed in self._subscribed.items():
+            if not subscribed.is_image and name.partition(" ")[0] in tick.topics and subscribed.last_ns < tick.stamp_ns:
+                if subscribed.is_matched or time.monotonic() < self._matched_by:
+                    return False
+                subscribed.is_matched = True
+        return True
+
+    def _work(self, patience_s: float, until: Callable[[], bool], what: str) -> None:
+        """Works until a condition holds.
+
+        Args:
+            patience_s: wall time after which it gives up.
+            until: the condition.
+            what: that is awaited; empty = the next tick.
+
+        Raises:
+            GibsonSimError: it does not hold in time, or something has ended.
+        """
+        began = time.monotonic()
+        self._matched_by = began + _SETTLED_S
+        while not until():
+            self._executor.spin_once(timeout_sec=0.05)
+            self._check()
+            if time.monotonic() - began > patience_s:
+                said = self._waits_for()
+                where = f"waited {patience_s:g} s for {what}" if what else f"simulation time stands still for {patience_s:g} s"
+                raise GibsonSimError(f"{where}, at {self.now:.3f} s of simulation time{f': {said}' if said else ''}")
+
+    def work_in_time(self, until: Callable[[], bool], patience_s: float, what: str) -> None:
+        """Works until a condition holds; time passes meanwhile, unless it is paused.
+
+        Args:
+            until: the condition.
+            patience_s: wall time after which it gives up.
+            what: that is awaited.
+        """
+
+        def holds() -> bool:
+            if self._held is None:
+                self._begin_tick()
+            if until():
+                return True
+            self._end_tick()
+            return False
+
+        if not until():
+            self._end_tick()
+            self._work(patience_s, holds, what)
+            if self._held is None and not self._is_paused:
+                self.next_tick()
+
+    def step(self, steps: int, step_hz: int) -> None:
+        """Makes physics steps, of which ``step_hz`` are a second, of a paused simulation."""
+        target_ns = (round(self._now_ns * step_hz / NS_PER_S) + steps) * NS_PER_S // step_hz
+        future = self._send("step_simulation", SERVICES["step_simulation"], SERVICES["step_simulation"].Request(steps=steps))
+
+        def done() -> bool:
+            if self._begin_tick() and not future.done():
+                self._end_tick()
+            return bool(future.done())
+
+        self._end_tick()
+        self._work(max(ANSWER_S, 0.1 * steps), done, "the steps to be made")
+        self._drain()
+        result = future.result().result
+        if result.result != 1:
+            raise GibsonSimError(result.error_message)
+        while self._begin_tick():
+            pass
+        self._now_ns = target_ns  # it may lie between two ticks
+
+    def set_playing(self, playing: bool) -> None:
+        """Lets time pass, or holds it."""
+        self.services.set_state(SimulationState.STATE_PLAYING if playing else SimulationState.STATE_PAUSED)
+        self._is_paused = not playing
+
+    def set_rate(self, rate: float) -> None:
+        """Sets the speed of time against wall time; 0 = as fast as possible."""
+        value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
+        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        result = self.call("physics/set_parameters", SetParameters, request).results[0]
+        if not result.successful:
+            raise GibsonSimError(result.reason)
+
+    def reset(self) -> None:
+        """Resets everything, and forgets what was received."""
+        self.services.ask("reset_simulation")
+        self._end_tick()  # the reset is published once the present tick is done
+        self._drain()
+        self._epoch += 1
+        self._now_ns, self._held, self._sent = 0, None, []
+        self._truth.clear()
+        self._counts.clear()
+        self._contacts = None
+        for log in self._collisions.values():
+            log.clear()
+        for subscribed in self._subscribed.values():
+            subscribed.messages.clear()
+            subscribed.held.clear()
+            subscribed.last_ns = -1
+        if not self._is_paused:
+            self.next_tick()
+
+    def _drain(self) -> None:
+        """Receives all that has arrived."""
+        idle = 0
+        while idle < 3:
+            before = self._events
+            self._executor.spin_once(timeout_sec=0.0)
+            idle = idle + 1 if self._events == before else 0
+
+    # Services
+
+    def call(self, name: str, kind: Any, request: Any) -> Any:
+        """Returns the response of a service; time stands still in lockstep meanwhile.
+
+        Raises:
+            GibsonSimError: nothing offers it, or it does not answer.
+        """
+        self._moved.update(self._truth)
+        future = self._send(name, kind, request)
+        self._work(ANSWER_S, future.done, f"the answer of {name}")
+        return future.result()
+
+    def _send(self, name: str, kind: Any, request: Any) -> Any:
+        client = self._client(name, kind)
+        self._work(DISCOVERY_S, client.service_is_ready, f"the service {name}")
+        return client.call_async(request)
+
+    def _client(self, name: str, kind: Any) -> Any:
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        return self._clients[name]
+
+    # Topics
+
+    def topics(self) -> dict[str, str]:
+        """Returns topic -> type of the topics that have publishers now."""
+        found = {}
+        for name, kinds in self.node.get_topic_names_and_types():
+            if self.node.count_publishers(name):
+                found[name] = str(kinds[0])
+        return found
+
+    def subscribe(self, topic: str, kind: Any = None) -> None:
+        """Subscribes to a topic; does nothing if it is subscribed to already.
+
+        Args:
+            topic: its name; without a leading slash it is completed.
+            kind: message class; None = that of its publishers, which must be there.
+
+        Raises:
+            GibsonSimError: it has no publisher, or its type is not installed.
+        """
+        name = self.node.resolve_topic_name(topic)
+        if name in self._subscribed:
+            return
+        if kind is None:
+            if name not in self.topics():
+                self._settle(lambda: name in self.topics())
+            known = self.topics()
+            if name not in known:
+                hint = nearest(name, list(known))
+                raise GibsonSimError(
+                    f"topic {quoted(name)} has no publisher{f'; {hint}' if hint else ''}; give its type if it will have one later"
+                )
+            kind = _message_class(known[name])
+        is_image = type_name_of(kind) in _IMAGES and self._lockstep
+        depth = MOST_LARGE if type_name_of(kind) in _LARGE else MOST_MESSAGES
+        subscribed = self._subscribed[name] = _Subscribed(None, deque(maxlen=depth), deque(maxlen=depth), is_image)
+
+        def on_message(msg: Any) -> None:
+            subscribed.is_matched = True
+            self._events += 1
+            if hasattr(msg, "header"):
+                subscribed.last_ns = _stamp_ns(msg)
+            else:
+                subscribed.last_ns = max(subscribed.last_ns, self._now_ns)
+            (subscribed.held if is_image else subscribed.messages).append(msg)
+
+        subscribed.handle = self.node.create_subscription(kind, name, on_message, self._profile(name, min(depth, 1000)))
+        self._settle(lambda: not self.node.count_publishers(name) or subscribed.handle.handle.get_publisher_count() > 0)
+        # A round trip: the simulation has discovered the subscription before it answers.
+        self.services.ask("get_simulation_state")
+
+    def _settle(self, until: Callable[[], bool]) -> None:
+        """Works for a moment, in which others may be discovered."""
+        deadline = time.monotonic() + _SETTLED_S
+        while not until() and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.02)
+            self._check()
+
+    def _profile(self, name: str, depth: int) -> QoSProfile:
+        """Returns a quality of service that matches all publishers of a topic, as reliable and as latched as they are."""
+        offered = [info.qos_profile for info in self.node.get_publishers_info_by_topic(name)]
+        reliable = bool(offered) and all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+        latched = bool(offered) and all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+        return QoSProfile(
+            depth=depth,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+
+    def resolve(self, topic: str) -> str:
+        """Returns the full name of a topic."""
+        return str(self.node.resolve_topic_name(topic))
+
+    def is_subscribed(self, topic: str) -> bool:
+        """Returns whether ``subscribe`` was called for a topic."""
+        return self.resolve(topic) in self._subscribed
+
+    def messages(self, topic: str) -> Sequence[Any]:
+        """Returns the messages of a topic since it was subscribed to, or since a reset, the oldest first."""
+        self.subscribe(topic)
+        self.catch_up()
+        return list(self._subscribed[self.node.resolve_topic_name(topic)].messages)
+
+    def catch_up(self) -> None:
+        """Receives what has arrived, where time passes by itself."""
+        if not self._lockstep:
+            self._drain()
+            while self._begin_tick():
+                pass
+
+    def unsubscribe_all(self) -> None:
+        """Ends all subscriptions that ``subscribe`` made."""
+        for name in [name for name in self._subscribed if not name.endswith(" (own)")]:
+            self.node.destroy_subscription(self._subscribed.pop(name).handle)
+
+    # The robot
+
+    def pose(self, robot: str) -> RobotPose:
+        """Returns the true pose of a robot, or of any entity, in the map frame."""
+        self.catch_up()
+        if robot not in self._truth or robot in self._moved:
+            pose = self.services.pose(robot)
+            if robot not in self._robots:
+                return robot_pose(pose)
+            self._truth[robot] = pose
+            self._moved.discard(robot)
+        return robot_pose(self._truth[robot])
+
+    def last_pose(self, robot: str) -> RobotPose | None:
+        """Returns the last pose of a robot that is known without asking; None = none is."""
+        found = self._truth.get(robot)
+        return None if found is None else robot_pose(found)
+
+    def collisions(self) -> list[Collision]:
+        """Returns the collisions of all robots since the beginning or a reset, in their order."""
+        return sorted((one for log in self._collisions.values() for one in log.found), key=lambda one: one.time)
+
+    def command(self, robot: str, linear: float, angular: float) -> None:
+        """Sends a velocity, m/s and rad/s, which takes effect with the next step."""
+        topic = f"{self._robots[robot]}{names.CMD_VEL}"
+        publisher = self._publisher(topic, TwistStamped if self._stamped else Twist)
+        message = TwistStamped() if self._stamped else Twist()
+        twist = message.twist if self._stamped else message
+        if self._stamped:
+            message.header.stamp = conversions.time_to_msg(self._now_ns)
+        twist.linear.x, twist.angular.z = float(linear), float(angular)
+        publisher.publish(message)
+        self._sent.append(publisher.topic_name)
+
+    def send_goal(self, topic: str, x: float, y: float, yaw: float, patience_s: float) -> None:
+        """Publishes a goal pose in the map frame, metres and radians, once a node subscribes to it; time passes meanwhile."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self.node.create_publisher(PoseStamped, topic, 10)
+        publisher = self._publishers[topic]
+        self.work_in_time(lambda: publisher.get_subscription_count() > 0, patience_s, f"a subscriber of {topic}")
+        message = PoseStamped(pose=flat_pose(x, y, 0.0, yaw))
+        message.header.frame_id, message.header.stamp = WORLD_FRAME, conversions.time_to_msg(self._now_ns)
+        publisher.publish(message)
+
+    def _publisher(self, topic: str, kind: Any) -> Any:
+        if topic not in self._publishers:
+            publisher = self.node.create_publisher(kind, topic, qos.COMMAND)
+            try:
+                self._work(DISCOVERY_S, lambda: publisher.get_subscription_count() > 0, f"a robot that subscribes to {topic}")
+            except GibsonSimError:
+                self.node.destroy_publisher(publisher)
+                raise
+            self._publishers[topic] = publisher
+        return self._publishers[topic]
+
+    def floor(self) -> Any:
+        """Returns the nav_msgs/OccupancyGrid of the simulation.
+
+        Raises:
+            GibsonSimError: there is none.
+        """
+        self._work(DISCOVERY_S, lambda: self._map is not None, "the floor map on the topic map")
+        return self._map
+
+    # Messages
+
+    def _on_digest(self, msg: TickDigest) -> None:
+        if f"/{names.SCENE_STATE}" in msg.topics:  # that of physics, not of a renderer
+            self._events += 1
+            self._ticks.append(_Tick(_stamp_ns(msg), int(msg.epoch), frozenset(msg.topics)))
+
+    def _on_truth(self, robot: str, msg: Odometry) -> None:
+        self._truth[robot] = msg.pose.pose
+        self._moved.discard(robot)
+
+    def _on_contacts(self, msg: Contacts) -> None:
+        self._contacts = msg
+
+    def _on_collisions(self, robot: str, msg: CollisionCount) -> None:
+        self._counts[robot] = msg
+
+    def _note_collisions(self) -> None:
+        """Adds the counts of a tick to the logs, now that its contact points are here as well."""
+        points = self._contacts.contacts if self._contacts is not None else ()
+        for robot, msg in self._counts.items():
+            touching = [(p.link_a, p.body_b) for p in points if p.body_a == robot]
+            touching += [(p.link_b, p.body_a) for p in points if p.body_b == robot]
+            self._collisions[robot].add(_stamp_ns(msg) / NS_PER_S, int(msg.count), (msg.last_link, msg.last_body), touching)
+        self._counts.clear()
+
+    def _on_map(self, msg: OccupancyGrid) -> None:
+        if self._map is None:  # the first is the simulation's; a map server or SLAM may publish others
+            self._map = msg
+
+
+def robot_pose(pose: Any) -> RobotPose:
+    """Returns a geometry_msgs/Pose as a ``RobotPose``."""
+    q = pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return RobotPose(pose.position.x, pose.position.y, pose.position.z, yaw)
+
+
+def _stamp_ns(msg: Any) -> int:
+    return int(conversions.time_from_msg(msg.header.stamp))
+
+
+def _message_class(name: str) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of the parser that generated messages load
+            return message_class(name)
+    except UNKNOWN as error:
+        raise GibsonSimError(f"the message type {name} is not installed in this environment") from error
