@@ -19,6 +19,7 @@ from gibson_sim.jobs import units as units_module
 from gibson_sim.jobs.descendants import VARIABLE, end_marked, marked, with_mark
 from gibson_sim.jobs.local import LocalWorkers, shares
 from gibson_sim.jobs.units import Unit, UnitResult, run_units
+from support.processes import is_running, wait_for_end
 
 TESTS = Path(__file__).resolve().parents[2]
 DRIVER = """
@@ -47,24 +48,6 @@ def work(name: str, output: Path, *, function: str = "", workers: int = 1, **arg
     """Runs one unit, whose function has its name."""
     (result,) = run_units([Unit(name, f"support.work:{function or name}", arguments)], LocalWorkers(workers), output=output)
     return result
-
-
-def is_running(pid: int) -> bool:
-    """Returns whether a process is neither gone nor a zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except OSError:
-        return False
-
-
-def wait_for_end(pids: list[int]) -> None:
-    for pid in pids:
-        try:
-            descriptor = os.pidfd_open(pid)
-        except ProcessLookupError:
-            continue
-        select.select([descriptor], [], [])
-        os.close(descriptor)
 
 
 class Waiting:
@@ -148,7 +131,7 @@ def test_a_unit_that_always_kills_its_worker_fails_at_the_third_attempt_and_the_
         *(Unit(f"u{k}", "support.work:square", {"x": k}) for k in range(3)),
     ]
     crash, *others = run_units(units, LocalWorkers(1), output=tmp_path)
-    assert (crash.error, crash.attempts, crash.value) == ("its worker was killed by SIGSEGV, at attempt 3", 3, None)
+    assert (crash.error, crash.attempts, crash.died, crash.value) == ("its worker was killed by SIGSEGV", 3, True, None)
     assert crash.log is not None
     assert crash.log.read_text().count("Segmentation fault") == 3
     assert [r.value for r in others] == [{"square": 0}, {"square": 1}, {"square": 4}]

@@ -58,7 +58,7 @@ class Janitor:
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", __file__, mark, str(folder)],
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
@@ -66,7 +66,11 @@ class Janitor:
     def close(self) -> None:
         """Waits until all has ended; a second call does nothing."""
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.close()
+        if not self._process.stdout.closed:
+            self._process.stdout.read()  # it ends with the last process that holds it
+            self._process.stdout.close()
         self._process.wait()
 
 
@@ -90,6 +94,8 @@ def _send(pid: int, number: signal.Signals) -> None:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if os.fork():  # no child of the caller: Ray ends the children of a worker with it
+        os._exit(0)
     sys.stdin.buffer.read()
     end_marked(sys.argv[1])
     shutil.rmtree(sys.argv[2], ignore_errors=True)

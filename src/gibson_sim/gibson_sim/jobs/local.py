@@ -197,8 +197,9 @@ class Pool:
     def __init__(self, count: int, *, bind: bool = False) -> None:
         """``count``: number of processes; ``bind``: whether each has its share of the cores; they start with the first units."""
         self._mark = uuid4().hex
-        self._folder = Path(tempfile.mkdtemp(prefix="gibson-sim-units-"))
-        self._janitor = Janitor(self._mark, self._folder)
+        self.folder = Path(tempfile.mkdtemp(prefix="gibson-sim-units-"))
+        """For temporary files; it is removed once this process closes the pool or ends, however it ends."""
+        self._janitor = Janitor(self._mark, self.folder)
         self._cores = shares(sorted(os.sched_getaffinity(0)), count) if bind else [[]] * count
         self._workers: list[_Worker | None] = [None] * count
         self._selector = selectors.DefaultSelector()
@@ -250,7 +251,7 @@ class Pool:
                         on_progress(task.unit.id, f"{reason}: repeated")
                         waiting.appendleft(task)
                     elif task is not None:
-                        on_result(task.result(error=f"{reason}, at attempt {task.attempts}", stopped=deadline is not None))
+                        on_result(task.result(error=reason, stopped=deadline is not None, died=deadline is None))
             if deadline is not None and (time.monotonic() > deadline or interrupts.count > 1):
                 for task in self._bury_all():
                     on_result(task.result(error="stopped, and ended since it went on", stopped=True))
@@ -279,7 +280,7 @@ class Pool:
                 return
             worker = self._workers[k]
             if worker is None:
-                worker = self._workers[k] = _Worker(self._mark, self._folder, self._cores[k])
+                worker = self._workers[k] = _Worker(self._mark, self.folder, self._cores[k])
                 self._selector.register(worker.answers, selectors.EVENT_READ, worker)
             if worker.task is None:
                 worker.give(waiting.popleft())

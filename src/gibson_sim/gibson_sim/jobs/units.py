@@ -92,6 +92,8 @@ class UnitResult:
     """All that it printed, and the whole traceback; None = nothing."""
     stopped: bool = False
     """Whether it failed because all was stopped."""
+    died: bool = False
+    """Whether it failed because its worker died at every attempt."""
     seconds: float = 0.0
     """Wall time of the last attempt."""
 
