@@ -1,0 +1,49 @@
+"""Judges one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import clipped
+from gibson_sim.trials.judging.cause import cause_without_bag, find_cause
+from gibson_sim.trials.judging.evidence import read_evidence
+from gibson_sim.trials.judging.measures import measure
+from gibson_sim.trials.judging.verdicts import NOT_JUDGED, failed_verdicts, verdicts_of
+from gibson_sim.trials.records import Outcome, RunResult, RunSpec
+from gibson_sim.trials.scenario_spec import Scenario
+
+_LONGEST = 400
+"""Longest reason why a bag cannot be read, characters."""
+
+
+def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> RunResult:
+    """Returns the result of a run: verdicts, measures, digest, and the cause if it failed. Nothing that is wrong with a bag raises.
+
+    Args:
+        scenario: what is judged.
+        run: the run as it was planned.
+        outcome: how it ended.
+        folder: of the run, with its bag in ``bag``.
+    """
+    bag = folder / "bag"
+    try:
+        evidence = read_evidence(bag, outcome, [f"/{rate.topic.lstrip('/')}" for rate in scenario.verdicts.rates])
+        problem = ""
+    except GibsonSimError as error:
+        evidence, problem = None, clipped(str(error), _LONGEST)
+    # What a damaged bag decodes to can be anything.
+    except (ValueError, IndexError, KeyError, AttributeError, OverflowError, MemoryError) as error:
+        evidence, problem = (
+            None,
+            f"bag {bag} holds values that make no sense ({type(error).__name__}: {clipped(str(error), _LONGEST)})",
+        )
+    digest = "" if evidence is None else evidence.digest
+    if evidence is None or outcome.goal_ns < 0:
+        why = f"{outcome.end}: {outcome.detail}" if outcome.end in (*NOT_JUDGED, "stack died") or not problem else problem
+        verdicts = failed_verdicts(scenario, outcome, why)
+        return RunResult(run, outcome, verdicts, {}, digest, cause_without_bag(outcome, why))
+    measured = measure(run, outcome, evidence)
+    verdicts = verdicts_of(scenario, run, outcome, evidence, measured, bag)
+    cause = find_cause(scenario, run, outcome, evidence, measured, verdicts)
+    return RunResult(run, outcome, verdicts, measured.values, digest, cause)
