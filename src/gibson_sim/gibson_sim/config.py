@@ -157,7 +157,7 @@ class PhysicsConfig:
     participants: str = setting(
         "",
         "Nodes that must join lockstep before time starts, separated by `;`: names of nodes that report their own "
-        "progress, as `render`; or rules for other nodes, as `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`",
+        "progress, as `render`; or rules for other nodes, as `localise=pose after scan` or `nav=cmd_vel every 0.05 from goal_pose`",
         names="participants",
     )
     participant_timeout: float = setting(
