@@ -16,7 +16,7 @@ FLAKY_LIST = Path(__file__).resolve().parents[1] / "flaky.txt"
 MAY_BE_MISSING = {
     "graphics card": r"\bGPU\b|CUDA|graphics card|nvidia|UUIDs of their own",
     "PyTorch, CuPy and JAX": r"no (PyTorch|CuPy|JAX)\b|could not import '(torch|cupy|jax)'",
-    "optional tools, which the package index has": r"Blender|Open3D|usd-core|coacd|mujoco|pyrender",
+    "optional tools, which the package index has": r"Blender|Open3D|usd-core|coacd|mujoco|pyrender|no Ray\b",
     "worlds of others": r"no real worlds|GIBSON_SIM_TEST_DATA|not among the worlds",
     "rights of root": r"by root alone|needs? root\b|network namespace|unshare",
 }
