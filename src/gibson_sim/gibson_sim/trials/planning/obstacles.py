@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 
 from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import ConfigError, SceneError
-from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.maps.free_poses import random_free_poses
@@ -134,6 +134,9 @@ class _Placer:
 
     def path(self) -> tuple[float, F64]:
         """Returns the shortest path around all things, as ``Site.shortest``."""
+        # Things only make ways longer: a path that they leave alone stays the shortest, and needs no search.
+        if self._site.is_clear(self._places.path, self.floor):
+            return self._places.shortest, self._places.path
         return self._site.shortest(self._places.start[:2], self._places.goal[:2], self.floor)
 
     def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedThing:
@@ -207,7 +210,9 @@ class _Placer:
     def _name(self, object_name: str, number: int) -> str:
         stem = re.sub(r"\W", "_", Path(object_name).stem, flags=re.ASCII) or "thing"
         name = next(
-            text for k in range(number + 1, number + 3 + len(self._names)) if (text := f"in_the_way_{stem}_{k}") not in self._names
+            text
+            for k in range(number + 1, number + 3 + len(self._names))
+            if (text := f"in_the_way_{stem}_{k}") not in self._names
         )
         self._names.add(name)
         return name
@@ -221,10 +226,12 @@ def _person(
     room = rule.radius + site.robot.radius + _APART
     for point in rule.path:
         if not floor.look_up(np.ones(floor.shape, dtype=bool), point, outside=False):
-            raise NoPlaceError(f"{key}.path", f"has ({point[0]:g}, {point[1]:g}), outside the map of scene {quoted(site.scene.name)}")
+            raise NoPlaceError(
+                f"{key}.path", f"has ({point[0]:g}, {point[1]:g}), outside the map of scene {quoted(site.scene.name)}"
+            )
     if rule.path and path_length(path) < _STEP:
         raise NoPlaceError(f"{key}.path", f"is {path_length(path):.2f} m long, must be {_STEP:g} m or more")
-    if min(_distance_to_line(places.start[:2], a, b) for a, b in zip(path, path[1:], strict=False)) < room:
+    if min(_distance_to_line(places.start[:2], a, b) for a, b in pairwise(path)) < room:
         raise NoRoomError(
             f"{key}.path",
             f"leads over the start {_text(places.start)} in scene {quoted(site.scene.name)}, where the robot stands before it has a goal; "
@@ -233,9 +240,7 @@ def _person(
     return Person(f"person_{number + 1}", path, rule.speed, rule.radius, rule.height)
 
 
-def _across(
-    site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, rng: np.random.Generator
-) -> tuple[XY, ...]:
+def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, rng: np.random.Generator) -> tuple[XY, ...]:
     """Returns two free points on both sides of the robot's path, with a free line between them."""
     room = rule.radius + site.robot.radius + _APART
     for _ in range(_TRIES):
@@ -251,7 +256,12 @@ def _across(
             line = np.array([x, y]) + side * distances[:, None] * np.array([nx, ny])
             free = floor.clearance(line) >= rule.radius
             walked = len(free) if free.all() else int((~free).argmax())
-            ends.append((walked * _STEP, (round(float(x + side * walked * _STEP * nx), 4), round(float(y + side * walked * _STEP * ny), 4))))
+            ends.append(
+                (
+                    walked * _STEP,
+                    (round(float(x + side * walked * _STEP * nx), 4), round(float(y + side * walked * _STEP * ny), 4)),
+                )
+            )
         if min(walked for walked, _ in ends) < _WALK[0]:
             continue
         a, b = ends[0][1], ends[1][1]

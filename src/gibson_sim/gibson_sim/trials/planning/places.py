@@ -126,7 +126,9 @@ def _between(site: Site, start: PlanarPose, goal: PlanarPose, keys: tuple[str, s
         shortest, path = site.shortest(start[:2], goal[:2])
     except SceneError as error:
         if site.doors_cut(start[:2], goal[:2]):
-            raise NoPlaceError("obstacles.closed_doors", f"leave no path from {way}; leave one open, or give other places") from error
+            raise NoPlaceError(
+                "obstacles.closed_doors", f"leave no path from {way}; leave one open, or give other places"
+            ) from error
         raise NoPlaceError(
             keys[1],
             f"cannot be reached: no path leads from {way} for robot {quoted(site.robot_name)} of radius {site.robot.radius:.2f} m",

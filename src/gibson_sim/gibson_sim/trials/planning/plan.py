@@ -49,7 +49,8 @@ def plan_runs(scenario: Scenario) -> tuple[RunSpec, ...]:
     for number, name in enumerate(scenario.scenes):
         for site in _sites(scenario, number, [spec for spec, _ in robots]):
             runs += [
-                replace(_run(scenario, site, varied[site.robot_name], k, name), number=len(runs) + k) for k in range(scenario.runs)
+                replace(_run(scenario, site, varied[site.robot_name], k, name), number=len(runs) + k)
+                for k in range(scenario.runs)
             ]
     return tuple(runs)
 
@@ -145,7 +146,9 @@ def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int
 def _initial_error(given: InitialPose, seed: int) -> PlanarPose:
     x, y, yaw = np.clip(stream(seed, "initial_pose").standard_normal(3), -_MOST_SIGMAS, _MOST_SIGMAS).tolist()
     # Without a negative zero, which JSON would show.
-    x, y, yaw = (round(float(v), 6) + 0.0 for v in (x * given.error_xy, y * given.error_xy, yaw * math.radians(given.error_yaw_deg)))
+    x, y, yaw = (
+        round(float(v), 6) + 0.0 for v in (x * given.error_xy, y * given.error_xy, yaw * math.radians(given.error_yaw_deg))
+    )
     return x, y, yaw
 
 

@@ -24,7 +24,6 @@ from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError
 from gibson_sim.formats.yaml_map import read_yaml_map
-from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_xml, read_file
 from gibson_sim.robots.load import derive_file, find_robot_file, load_robot
 from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES
@@ -150,7 +149,9 @@ def check_variants(robot: VariedRobot, ranges: Mapping[str, Range]) -> None:
         ConfigError: it cannot, or has no noise to change; the message begins with the key.
     """
     if "noise" in ranges and not robot.has_noise:
-        raise ConfigError("randomise.noise is a factor, and the robot has no noise that it could change; take one as gibson_bot_real")
+        raise ConfigError(
+            "randomise.noise is a factor, and the robot has no noise that it could change; take one as gibson_bot_real"
+        )
     for end in (0, 1):
         drawn = {name: limits[end] for name, limits in ranges.items()}
         try:
@@ -178,7 +179,11 @@ def _scaled(values: dict[str, Any], factor: float) -> dict[str, Any]:
         out["cameras"] = [
             {
                 **camera,
-                **{key: _multiplied(camera[key], key, factor) for key in ("effects", "depth_noise") if camera.get(key) is not None},
+                **{
+                    key: _multiplied(camera[key], key, factor)
+                    for key in ("effects", "depth_noise")
+                    if camera.get(key) is not None
+                },
             }
             for camera in out["cameras"]
         ]
@@ -234,9 +239,7 @@ def _add_payload(top: ET.Element, model: UrdfModel, mass: float, base: str, cent
     moment = mass * _PAYLOAD_SIZE**2 / 6.0
     inertial = ET.SubElement(ET.SubElement(top, "link", name=name), "inertial")
     ET.SubElement(inertial, "mass", value=f"{mass:.9g}")
-    ET.SubElement(
-        inertial, "inertia", ixx=f"{moment:.9g}", ixy="0", ixz="0", iyy=f"{moment:.9g}", iyz="0", izz=f"{moment:.9g}"
-    )
+    ET.SubElement(inertial, "inertia", ixx=f"{moment:.9g}", ixy="0", ixz="0", iyy=f"{moment:.9g}", iyz="0", izz=f"{moment:.9g}")
     joint = ET.SubElement(top, "joint", name=f"{name}_joint", type="fixed")
     ET.SubElement(joint, "parent", link=base)
     ET.SubElement(joint, "child", link=name)

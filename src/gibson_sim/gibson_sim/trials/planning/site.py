@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,9 @@ _HANDLES = ("handle", "lever", "knob")
 """Ends of the names of joints that open nothing."""
 _SAME_FLOOR = 0.5
 """Largest difference of a pose's height from that of the floor, metres."""
-_SAMPLES = 8
+_SAMPLES_PER_CELL = 4
+"""Points of a path that are looked up, for each cell of its length."""
+_MOST_NAMED = 8
 """Poses whose names a message lists."""
 
 
@@ -68,7 +71,10 @@ def _openings(body: BodySpec) -> dict[str, float]:
     return {
         joint.name: min(max(0.0, joint.lower), joint.upper)
         for joint in body.model.joints
-        if joint.is_bounded and joint.kind in ("revolute", "prismatic") and joint.lower < joint.upper and not joint.name.endswith(_HANDLES)
+        if joint.is_bounded
+        and joint.kind in ("revolute", "prismatic")
+        and joint.lower < joint.upper
+        and not joint.name.endswith(_HANDLES)
     }
 
 
@@ -148,6 +154,15 @@ class Site:
         assert error is not None
         raise error
 
+    def is_clear(self, path: F64, floor: FloorMap) -> bool:
+        """Returns whether a path (K, 2), world metres, keeps ``reach`` from the obstacles of a map."""
+        places = floor.free & (floor.distance_to_obstacle >= self.reach)
+        for a, b in pairwise(path):
+            count = int(np.linalg.norm(b - a) * _SAMPLES_PER_CELL / floor.resolution) + 2
+            if not floor.look_up(places, a + (b - a) * np.linspace(0.0, 1.0, count)[:, None], outside=False).all():
+                return False
+        return True
+
     def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
         """Returns whether a path leads from one place to another on a map; quicker than planning it."""
         labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
@@ -168,9 +183,7 @@ class Site:
         if not (0 <= row < rows and 0 <= column < columns):
             low = self.floor.origin
             high = (low[0] + columns * self.floor.resolution, low[1] + rows * self.floor.resolution)
-            return (
-                f"outside the map of scene {scene}, must be from x {low[0]:.1f} to {high[0]:.1f} and y {low[1]:.1f} to {high[1]:.1f} m"
-            )
+            return f"outside the map of scene {scene}, must be from x {low[0]:.1f} to {high[0]:.1f} and y {low[1]:.1f} to {high[1]:.1f} m"
         if self.floor.occupied[row, column]:
             what = "in a wall, furniture or another obstacle"
         elif not self.floor.floor[row, column]:
@@ -204,10 +217,10 @@ class Site:
         if text not in poses:
             poses = {**{named.name: named.pose for named in self.named_poses}, **poses}
         if text not in poses:
-            hint, known = nearest(text, tuple(poses)), ", ".join(list(poses)[:_SAMPLES])
+            hint, known = nearest(text, tuple(poses)), ", ".join(list(poses)[:_MOST_NAMED])
             raise ConfigError(
                 f"is {quoted(text)}, must be sampled, x,y,yaw_deg in quotes, or a named pose of scene {quoted(self.scene.name)}; "
-                f"{f'{hint} ' if hint else ''}known: {known}{', ...' if len(poses) > _SAMPLES else ''}"
+                f"{f'{hint} ' if hint else ''}known: {known}{', ...' if len(poses) > _MOST_NAMED else ''}"
             )
         (x, y, z), (_, _, qz, qw) = poses[text].position, poses[text].quat_xyzw
         if abs(z - self.floor.floor_z) > _SAME_FLOOR:

@@ -14,7 +14,12 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 def schema() -> dict[str, Any]:
     """Returns the schema."""
-    return {"$schema": DRAFT, "title": "Scenario file of gibson-sim trial", "description": "See docs/trial_file.md.", **SCENARIO.schema()}
+    return {
+        "$schema": DRAFT,
+        "title": "Scenario file of gibson-sim trial",
+        "description": "See docs/trial_file.md.",
+        **SCENARIO.schema(),
+    }
 
 
 def schema_text() -> str:

@@ -18,11 +18,40 @@ from gibson_sim.quoting import quoted
 from gibson_sim.settings import nearest
 from gibson_sim.standard.lockstep import parse_participants
 from gibson_sim.trials.scenario.kinds import (
-    Choice, Flag, Kind, Many, Number, OrNone, Place, Point, Schema, Section, SettingsOf, Span, Text, Variables, Words,
+    Choice,
+    Flag,
+    Kind,
+    Many,
+    Number,
+    OrNone,
+    Place,
+    Point,
+    Schema,
+    Section,
+    SettingsOf,
+    Span,
+    Text,
+    Variables,
+    Words,
 )  # fmt: skip
 from gibson_sim.trials.scenario_spec import (
-    GoalInterface, InitialPose, Limits, Obstacles, PersonRule, Randomisation, RateLimit, Reached, Ready, Recording, Region, Sampling,
-    Scenario, SpawnRule, StackSpec, Status, Verdicts,
+    GoalInterface,
+    InitialPose,
+    Limits,
+    Obstacles,
+    PersonRule,
+    Randomisation,
+    RateLimit,
+    Reached,
+    Ready,
+    Recording,
+    Region,
+    Sampling,
+    Scenario,
+    SpawnRule,
+    StackSpec,
+    Status,
+    Verdicts,
 )  # fmt: skip
 
 MOST_RUNS = 10_000
@@ -41,6 +70,7 @@ _DAY = 86_400.0
 _ROS_NAME = r"/?(?!.*__)[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _TOPIC = Text("the name of a topic: letters, digits, _ and /, no digit at the beginning of a part", _ROS_NAME)
 _NAME = Text("a name or a file")
+_RULE = "a rule of lockstep, as `cmd_vel after odom` or `cmd_vel every 0.05 from goal_pose`"
 
 
 def _or_none(text: Text) -> Text:
@@ -66,13 +96,14 @@ def _wrong_rule(text: str) -> str:
             return ""
     except ConfigError:
         pass
-    return "is no rule of lockstep, must be as `cmd_vel after odom` or `cmd_vel every 0.05`; see docs/lockstep.md"
+    return f"must be {_RULE}; see docs/lockstep.md"
 
 
 @dataclass(frozen=True, slots=True)
 class _Goal:
     """How the goal is given: ``task``, or a mapping with one of ``topic``, ``action`` and ``service``."""
 
+    cls: ClassVar[type] = GoalInterface
     ways: ClassVar[Mapping[str, Kind]] = {"topic": _TOPIC, "action": _ros_name("action"), "service": _ros_name("service")}
     types: ClassVar[Mapping[str, Text]] = {
         "action": Text("a type of actions, as nav2_msgs/action/NavigateToPose", r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*"),
@@ -89,7 +120,9 @@ class _Goal:
             return None
         given = [way for way in self.ways if way in value]
         if len(given) != 1:
-            at.note(f"has {' and '.join(given) or 'none of topic, action and service'}, must have one of topic, action and service")
+            at.note(
+                f"has {' and '.join(given) or 'none of topic, action and service'}, must have one of topic, action and service"
+            )
             return None
         (way,) = given
         known = (way,) if way == "topic" else (way, "type", "field")
@@ -127,7 +160,7 @@ class _Goal:
 
 
 _REGEX = Text("a regular expression", check=_wrong_regex)
-_REGIONS = OrNone(Many(Section(Region, {"name": Text("a name"), "corners": Many(Point(_FAR), 1000, 3, alone=False)}), 100), ())
+_REGIONS = OrNone(Many(Section(Region, {"name": Text("a name"), "corners": Many(Point(_FAR), 1000, 3, alone=False)}), 100, 0), ())
 _POSES = Many(Text("sampled, the name of a pose, or 'x,y,yaw_deg' in quotes"), 1000)
 _ANGLE = Number(0.0, 180.0)
 
@@ -151,7 +184,7 @@ _STACK = Section(StackSpec, {
     }), InitialPose(topic="")),
     "goal": _Goal(),
     "status": Section(Status, {"topic": _or_none(_TOPIC), "reached": _REGEX, "failed": _REGEX}),
-    "lockstep": Many(Text("a rule of lockstep, as `cmd_vel after odom` or `cmd_vel every 0.05`", check=_wrong_rule), 20, 0),
+    "lockstep": Many(Text(_RULE, r"[A-Za-z0-9_./-]+\s+(after|every)\s+\S.*", _wrong_rule), 20, 0),
 })  # fmt: skip
 
 _OBSTACLES = Section(Obstacles, {
@@ -187,9 +220,9 @@ _VERDICTS = Section(Verdicts, {
     "path_ratio": OrNone(Number(1.0, 1000.0)),
     "time": OrNone(Number(0.1, _DAY)),
     "max_acceleration": OrNone(Number(0.001, 1000.0)),
-    "rates": OrNone(Many(Section(RateLimit, {"topic": _TOPIC, "least": Number(0.001, 100_000.0)}), 100), ()),
+    "rates": OrNone(Many(Section(RateLimit, {"topic": _TOPIC, "least": Number(0.001, 100_000.0)}), 100, 0), ()),
     "alive": OrNone(Flag(), False),
-    "predicates": OrNone(Many(Text("module:function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"), 100), ()),
+    "predicates": OrNone(Many(Text("module:function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"), 100, 0), ()),
 })  # fmt: skip
 
 SCENARIO = Section(Scenario, {

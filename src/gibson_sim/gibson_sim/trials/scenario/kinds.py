@@ -123,7 +123,7 @@ class Text:
         """See ``Kind``."""
         if not isinstance(value, str) or not (value or self.empty) or len(value) > _LONGEST_TEXT:
             return at.refuse(value, self.words)
-        if value and self.pattern and not re.fullmatch(self.pattern, value):
+        if value and self.pattern and not re.fullmatch(self.pattern, value, re.ASCII):
             return at.refuse(value, self.words)
         wrong = self.check(value) if value and self.check else ""
         return at.note(f"is {quoted(value)}: {wrong}") if wrong else value
@@ -144,8 +144,7 @@ class Choice:
 
     def read(self, value: Any, at: Place) -> Any:
         """See ``Kind``."""
-        # YAML reads on and off as true and false.
-        value = ("off", "on")[value] if isinstance(value, bool) and {"on", "off"} <= set(self.texts) else value
+        value = ("off", "on")[value] if isinstance(value, bool) and self._is_switch else value
         if isinstance(value, str) and value in self.texts:
             return value
         hint = nearest(value, self.texts) if isinstance(value, str) else ""
@@ -153,7 +152,12 @@ class Choice:
 
     def schema(self) -> Schema:
         """See ``Kind``."""
-        return {"enum": list(self.texts)}
+        return {"enum": [*self.texts, *([True, False] if self._is_switch else [])]}
+
+    @property
+    def _is_switch(self) -> bool:
+        """Whether true and false are meant for texts: YAML 1.1 reads on and off as them."""
+        return {"on", "off"} <= set(self.texts)
 
     @property
     def words(self) -> str:
@@ -286,7 +290,14 @@ class Words:
     def schema(self) -> Schema:
         """See ``Kind``."""
         text = {"type": "string", "maxLength": _LONGEST_TEXT}
-        return {"anyOf": [{**text, "minLength": 1}, {"type": "array", "items": text, "minItems": 1, "maxItems": self.most}]}
+        several = {
+            "type": "array",
+            "prefixItems": [{**text, "minLength": 1}],
+            "items": text,
+            "minItems": 1,
+            "maxItems": self.most,
+        }
+        return {"anyOf": [{**text, "minLength": 1}, several]}
 
     @property
     def words(self) -> str:
@@ -310,7 +321,7 @@ class Variables:
         out = {}
         for name, text in value.items():
             place = at.key(str(name) if isinstance(name, str) and len(name) < 80 else quoted(name))
-            if not isinstance(name, str) or not re.fullmatch(self.pattern, name):
+            if not isinstance(name, str) or not re.fullmatch(self.pattern, name, re.ASCII):
                 place.note("is no name of a variable: letters, digits and _, no digit first")
             elif name in self.reserved:
                 place.note("is set by the trial; leave it out")
@@ -377,11 +388,11 @@ class Section:
         known = {f.name: f for f in fields(self.cls)}
         properties = {}
         for name, kind in self.kinds.items():
-            described = docs.get(name) or (_summary(kind.cls) if isinstance(kind, Section) else "")
+            described = docs.get(name) or _summary(kind)
             properties[name] = {
                 **({"description": described.replace("``", "`")} if described else {}),
                 **kind.schema(),
-                **_default(known.get(name)),
+                **_default(known.get(name), kind),
             }
         mapping: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
         if self._required():
@@ -461,17 +472,20 @@ def _number(value: float) -> str:
     return f"{value:g}" if abs(value) < 1e6 else f"{value:.0f}" if abs(value) < 1e15 else str(int(value))
 
 
-def _summary(cls: type) -> str:
-    """Returns the first sentence of a class."""
-    return " ".join((cls.__doc__ or "").split("\n\n")[0].split())
+def _summary(kind: Kind) -> str:
+    """Returns the first sentence of the class that a kind fills; empty = none."""
+    while isinstance(kind, (Many, OrNone)):
+        kind = kind.kind
+    cls = getattr(kind, "cls", None)
+    return " ".join((cls.__doc__ or "").split("\n\n")[0].split()) if cls is not None else ""
 
 
-def _default(f: Field[Any] | None) -> Schema:
+def _default(f: Field[Any] | None, kind: Kind) -> Schema:
     """Returns the default of a field as an entry of a schema, empty if it has none that a file could hold."""
     if f is None or f.default is MISSING:
         return {}
     if f.default == (SAMPLED,):
         return {"default": SAMPLED}
     if isinstance(f.default, tuple):
-        return {"default": list(f.default)}
+        return {} if isinstance(kind, Many) and len(f.default) < kind.least else {"default": list(f.default)}
     return {"default": f.default} if f.default is None or isinstance(f.default, (bool, int, float, str)) else {}

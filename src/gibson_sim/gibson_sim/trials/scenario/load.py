@@ -64,7 +64,10 @@ def load_scenario(path: str | Path) -> Scenario:
     mistakes: list[str] = []
     top = Place("", mistakes)
     if not isinstance(document, Mapping):
-        top.refuse({} if document is None else document, SCENARIO.words)
+        if document is None:
+            top.note(f"is empty, must be {SCENARIO.words}")
+        else:
+            top.refuse(document, SCENARIO.words)
         raise ScenarioError(file, mistakes)
     values = SCENARIO.values(document, top)
     if mistakes:
@@ -160,6 +163,13 @@ class _Resolver:
                 at.key("command").note(
                     f"is {quoted(' '.join(stack.command))}: the program {quoted(program)} is not found in PATH; install it, source the "
                     "workspace that has it, or give its path"
+                )
+        # Each rule is a participant of lockstep that has the name of its topic.
+        topics = [rule.split()[0].strip("/") for rule in stack.lockstep]
+        for i, rule_at in enumerate(self._places(len(topics), "stack", "lockstep")):
+            if topics[i] in topics[:i]:
+                rule_at.note(
+                    f"is {quoted(stack.lockstep[i])}, a second rule for topic {quoted(topics[i])}, must be one for each topic"
                 )
         return replace(stack, folder=folder, command=(program, *stack.command[1:]))
 
