@@ -16,13 +16,17 @@ require("rclpy", "gibson_msgs", "pybullet")
 
 OUTPUTS = "rgb,depth,semantic,instance,normal,normal_world,position,flow"
 RIGHTS = ("publish", "subscribe", "reply", "request")
-NODES = ("physics", "render", "drive", "record", "snapshot", "task", "top")
+NODES = ("physics", "render", "drive", "record", "snapshot", "task", "top", "web", "foxglove")
 """Nodes whose rights are compared; ``physics_stamped_commands`` and ``_record_intake`` are in processes of the first and the fourth."""
 _ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
 _ACTION_TOPICS = ("feedback", "status")
 ONLY_SOMETIMES = {
     ("task", "subscribe", "/joint_states"),  # tasks with an arm
     ("task", "subscribe", "/grasp_state"),
+    ("web", "publish", "/cmd_vel"),  # a page drives
+    ("web", "publish", "/goal_pose"),
+    ("web", "publish", "/initialpose"),
+    ("foxglove", "request", "/*"),  # its client asks
 }
 """Rights that the simulation of this test does not need."""
 
@@ -70,6 +74,8 @@ def simulation(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Ite
         launched += [
             Launched("snapshot", str(folder / "pictures")),
             Launched("top"),
+            Launched("web", "--port", "0"),
+            Launched("web", "--foxglove", "--port", "0"),
             Launched("task", "point-goal", "--scene", "flat"),
         ]
         yield folder
@@ -94,4 +100,13 @@ def test_policy_gives_each_node_what_it_uses_and_nothing_else(simulation: Path, 
             ]
         return found
 
-    wait_until(lambda: not differences(), f"agreement of rights and use: {differences()}")
+    last: list[tuple[str, str, str]] = []
+
+    def agree() -> bool:
+        last[:] = differences()
+        return not last
+
+    try:
+        wait_until(agree, "agreement of rights and use")
+    finally:
+        print("rights and use differ:", last)
