@@ -137,7 +137,7 @@ class _Placer:
         # Things only make ways longer: a path that they leave alone stays the shortest, and needs no search.
         if self._site.is_clear(self._places.path, self.floor):
             return self._places.shortest, self._places.path
-        return self._site.shortest(self._places.start[:2], self._places.goal[:2], self.floor)
+        return self._site.shortest_on(self.floor, self._places.start[:2], self._places.goal[:2])
 
     def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedThing:
         """Returns a thing at a place that leaves a way round, and adds it to the map."""
@@ -163,7 +163,7 @@ class _Placer:
                 return (*place, yaw)
         raise NoRoomError(
             key,
-            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene.name)} that leaves robot "
+            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene_name)} that leaves robot "
             f"{quoted(self._site.robot_name)} of radius {self._site.robot.radius:.2f} m a way from {_text(self._places.start)} to "
             f"{_text(self._places.goal)}; fewer or smaller things may fit",
         )
@@ -198,7 +198,7 @@ class _Placer:
         corners = shape.corners(x, y, yaw)
         cells = self._site.grid.cover(corners[None])
         if not cells.any() or (cells & ~self.floor.free).any():
-            return f"would stand in something else or outside the map of scene {quoted(self._site.scene.name)}"
+            return f"would stand in something else or outside the map of scene {quoted(self._site.scene_name)}"
         for what, pose in (("start", self._places.start), ("goal", self._places.goal)):
             if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _APART:
                 return f"would stand within {_APART:g} m of the robot at the {what} ({pose[0]:.2f}, {pose[1]:.2f})"
@@ -227,14 +227,14 @@ def _person(
     for point in rule.path:
         if not floor.look_up(np.ones(floor.shape, dtype=bool), point, outside=False):
             raise NoPlaceError(
-                f"{key}.path", f"has ({point[0]:g}, {point[1]:g}), outside the map of scene {quoted(site.scene.name)}"
+                f"{key}.path", f"has ({point[0]:g}, {point[1]:g}), outside the map of scene {quoted(site.scene_name)}"
             )
     if rule.path and path_length(path) < _STEP:
         raise NoPlaceError(f"{key}.path", f"is {path_length(path):.2f} m long, must be {_STEP:g} m or more")
     if min(_distance_to_line(places.start[:2], a, b) for a, b in pairwise(path)) < room:
         raise NoRoomError(
             f"{key}.path",
-            f"leads over the start {_text(places.start)} in scene {quoted(site.scene.name)}, where the robot stands before it has a goal; "
+            f"leads over the start {_text(places.start)} in scene {quoted(site.scene_name)}, where the robot stands before it has a goal; "
             f"must be {room:.2f} m away or more",
         )
     return Person(f"person_{number + 1}", path, rule.speed, rule.radius, rule.height)
@@ -269,7 +269,7 @@ def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: 
             return a, b
     raise NoRoomError(
         key,
-        f"finds no place in scene {quoted(site.scene.name)} to walk across the way from {_text(places.start)} to {_text(places.goal)}; "
+        f"finds no place in scene {quoted(site.scene_name)} to walk across the way from {_text(places.start)} to {_text(places.goal)}; "
         "give its path, or a longer way (sampling.path_length)",
     )
 

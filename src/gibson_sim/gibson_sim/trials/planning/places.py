@@ -88,7 +88,7 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
     what = f"from {quoted(start if given[0] else goal)} " if given[0] or given[1] else ""
     raise NoPlaceError(
         "sampling.path_length",
-        f"is {low:g} to {high:g} m, but scene {quoted(site.scene.name)} has no such way {what}for robot {quoted(site.robot_name)} of radius "
+        f"is {low:g} to {high:g} m, but scene {quoted(site.scene_name)} has no such way {what}for robot {quoted(site.robot_name)} of radius "
         f"{site.robot.radius:.2f} m, {clearance:.2f} m from obstacles at both ends; the longest that was found is {longest:.1f} m",
     )
 
@@ -113,7 +113,7 @@ def _draw(site: Site, rng: np.random.Generator, clearance: float, region: NDArra
     except SceneError as error:
         raise NoPlaceError(
             "sampling.clearance",
-            f"is such that scene {quoted(site.scene.name)} has no place with {clearance:.2f} m around robot {quoted(site.robot_name)}; "
+            f"is such that scene {quoted(site.scene_name)} has no place with {clearance:.2f} m around robot {quoted(site.robot_name)}; "
             "give less, or another scene",
         ) from error
     # A tenth of a millimetre, and exact in JSON.
@@ -121,7 +121,7 @@ def _draw(site: Site, rng: np.random.Generator, clearance: float, region: NDArra
 
 
 def _between(site: Site, start: PlanarPose, goal: PlanarPose, keys: tuple[str, str]) -> Places:
-    way = f"{_text(start)} to {_text(goal)} in scene {quoted(site.scene.name)}"
+    way = f"{_text(start)} to {_text(goal)} in scene {quoted(site.scene_name)}"
     try:
         shortest, path = site.shortest(start[:2], goal[:2])
     except SceneError as error:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -98,6 +98,7 @@ class Site:
     """With the doors as they are at load."""
     closed_doors: tuple[str, ...] = ()
     _planners: dict[float, PathPlanner] = field(default_factory=dict)
+    _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
 
     @property
     def reach(self) -> float:
@@ -132,27 +133,19 @@ class Site:
         """The cells of the map."""
         return Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
 
-    def shortest(self, start: XY, goal: XY, floor: FloorMap | None = None) -> tuple[float, F64]:
+    def shortest(self, start: XY, goal: XY) -> tuple[float, F64]:
         """Returns the length of the shortest path, metres, and its corners (K, 2).
-
-        Args:
-            start: world metres.
-            goal: world metres.
-            floor: another map than that of the site; None = that one.
 
         Raises:
             SceneError: there is none.
         """
-        error: SceneError | None = None
-        for radius in (self.reach, self.robot.radius):
-            try:
-                path = (self.planner_of(radius) if floor is None else PathPlanner(floor, radius)).path(start, goal)
-            except SceneError as e:
-                error = error or e
-            else:
-                return path_length(path), path
-        assert error is not None
-        raise error
+        if (start, goal) not in self._paths:
+            self._paths[start, goal] = _shortest(start, goal, self.planner_of, (self.reach, self.robot.radius))
+        return self._paths[start, goal]
+
+    def shortest_on(self, floor: FloorMap, start: XY, goal: XY) -> tuple[float, F64]:
+        """Returns the same on another map."""
+        return _shortest(start, goal, partial(PathPlanner, floor), (self.reach, self.robot.radius))
 
     def is_clear(self, path: F64, floor: FloorMap) -> bool:
         """Returns whether a path (K, 2), world metres, keeps ``reach`` from the obstacles of a map."""
@@ -177,7 +170,7 @@ class Site:
 
     def wrong_place(self, xy: XY) -> str:
         """Returns why the robot cannot stand at a place, world metres; empty = it can."""
-        scene = quoted(self.scene.name)
+        scene = quoted(self.scene_name)
         row, column = (int(i) for i in self.floor.cells(xy))
         rows, columns = self.floor.shape
         if not (0 <= row < rows and 0 <= column < columns):
@@ -219,16 +212,32 @@ class Site:
         if text not in poses:
             hint, known = nearest(text, tuple(poses)), ", ".join(list(poses)[:_MOST_NAMED])
             raise ConfigError(
-                f"is {quoted(text)}, must be sampled, x,y,yaw_deg in quotes, or a named pose of scene {quoted(self.scene.name)}; "
+                f"is {quoted(text)}, must be sampled, x,y,yaw_deg in quotes, or a named pose of scene {quoted(self.scene_name)}; "
                 f"{f'{hint} ' if hint else ''}known: {known}{', ...' if len(poses) > _MOST_NAMED else ''}"
             )
         (x, y, z), (_, _, qz, qw) = poses[text].position, poses[text].quat_xyzw
         if abs(z - self.floor.floor_z) > _SAME_FLOOR:
             raise ConfigError(
-                f"is {quoted(text)}, which is {z:.1f} m high in scene {quoted(self.scene.name)}; trials are on the floor at {self.floor.floor_z:g} m"
+                f"is {quoted(text)}, which is {z:.1f} m high in scene {quoted(self.scene_name)}; trials are on the floor at {self.floor.floor_z:g} m"
             )
         return x, y, math.remainder(2.0 * math.atan2(qz, qw), 2.0 * math.pi)
 
     def doors_cut(self, start: XY, goal: XY) -> bool:
         """Returns whether it is the closed doors that leave no path."""
         return bool(self.closed_doors) and self.connected(start, goal, furnished_floor_map(self.open_scene, self.robot))
+
+
+def _shortest(start: XY, goal: XY, planner_of: Callable[[float], PathPlanner], radii: Sequence[float]) -> tuple[float, F64]:
+    """Returns the shortest path with the first of some clearances, metres, with which there is one.
+
+    Raises:
+        SceneError: there is none with any of them.
+    """
+    for radius in radii[:-1]:
+        try:
+            path = planner_of(radius).path(start, goal)
+        except SceneError:
+            continue
+        return path_length(path), path
+    path = planner_of(radii[-1]).path(start, goal)
+    return path_length(path), path
