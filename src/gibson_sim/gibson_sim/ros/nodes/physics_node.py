@@ -328,8 +328,12 @@ class PhysicsNode(Node):
         if self._gate is not None:
             self._gate.receive_command(topic)
 
+    @property
+    def _receivers(self) -> tuple[RobotInterface | ObjectJoints, ...]:
+        return (*self._robots.values(), self._objects)
+
     def _is_command(self, topic: str) -> bool:
-        return any(topic in one.command_topics for one in (*self._robots.values(), self._objects))
+        return any(topic in one.command_topics for one in self._receivers)
 
     def _apply_scheduled(self) -> bool:
         """Applies the inputs scheduled for the next step. In lockstep it is called once a tick is done: before, some may not have arrived.
@@ -340,8 +344,7 @@ class PhysicsNode(Node):
         requested = False
         while scheduled := self._journal.pop_due():
             for name, message in scheduled:
-                receivers: tuple[RobotInterface | ObjectJoints, ...] = (*self._robots.values(), self._objects)
-                receiver = next((one for one in receivers if name in one.command_topics), None)
+                receiver = next((one for one in self._receivers if name in one.command_topics), None)
                 try:
                     if receiver is not None:
                         receiver.receive_command(name, message)
