@@ -1,7 +1,7 @@
 """Robots that differ from run to run: a ``robot.yaml`` and a URDF as text, with other slip, noise, latency, friction and payload.
 
-Both are files of the run, so that it can be made on a machine that does not have the original. Only meshes with relative names become absolute
-paths of this machine.
+Both are files of the run, so that it can be made on a machine that does not have the original. Only meshes that are in no installed package become
+absolute paths of this machine.
 """
 
 from __future__ import annotations
@@ -52,6 +52,10 @@ _TRACTION = {"skid_steer": 0.8, "omni": 0.5}
 _LEAST_TRACTION = 1e-3
 _LEAST_PAYLOAD = 1e-3
 """Mass below which there is no payload, kg."""
+_ANYWHERE = Path("/robot.urdf")
+"""A place with no packages beside it."""
+_MOST_PARENTS = 6
+"""Folders above a mesh that may be its package."""
 _PAYLOAD_SIZE = 0.1
 """Edge of the cube that a payload is, metres."""
 
@@ -86,7 +90,7 @@ class VariedRobot:
                 for key, value in (self._values.pop("xacro_args", None) or {}).items()
             }
         self._source = plain_description(file, arguments)
-        self._top = _without_relative_meshes(parse_xml(read_file(self._source)), self._source)
+        self._top = _with_lasting_meshes(parse_xml(read_file(self._source)), self._source)
         self._model = parse_urdf(ET.tostring(self._top), self._source)
         self._payload_at = _place_of_payload(self._model)
 
@@ -208,15 +212,22 @@ def _plain(value: float) -> float:
     return float(f"{value:.9g}")
 
 
-def _without_relative_meshes(top: ET.Element, source: Path) -> ET.Element:
-    """Changes names of meshes and textures that are found only from the place of their file to absolute ones."""
-    elsewhere = Path(tempfile.gettempdir(), "gibson-sim", "robot.urdf")
+def _with_lasting_meshes(top: ET.Element, source: Path) -> ET.Element:
+    """Changes names of meshes and textures that are found only from the place of their file to ones that are found from any."""
     for element in (*top.iter("mesh"), *top.iter("texture")):
         name = element.get("filename", "")
         found = resolve_mesh(name, source.absolute()) if name else None
-        if found is not None and not (name.startswith(PACKAGE_SCHEME) and resolve_mesh(name, elsewhere) == found):
-            element.set("filename", found.as_uri())
+        if found is not None:
+            element.set("filename", _lasting_name(name, found))
     return top
+
+
+def _lasting_name(name: str, found: Path) -> str:
+    """Returns a name of a file: in a package that is found from anywhere, which another machine may have elsewhere; else its path."""
+    packages = (folder for folder in list(found.parents)[:_MOST_PARENTS] if folder.name.isidentifier())
+    in_packages = (f"{PACKAGE_SCHEME}{folder.name}/{found.relative_to(folder).as_posix()}" for folder in packages)
+    known = (name, *in_packages) if name.startswith(PACKAGE_SCHEME) else in_packages
+    return next((text for text in known if resolve_mesh(text, _ANYWHERE) == found), found.as_uri())
 
 
 def _place_of_payload(model: UrdfModel) -> tuple[str, tuple[float, float, float]]:
