@@ -120,10 +120,13 @@ def test_ctrl_c_keeps_the_results_and_says_how_to_go_on(
     )
     found = results_in(tmp_path / "out")
     assert (found["complete"], found["totals"]["runs"]) == (False, 2)
+    (tmp_path / "out" / "results.json").write_text(json.dumps({**found, "wall_time": 1000.0}))
     backend.interrupted_after = 1000
     assert run("rooms.yaml", "--runs", "4", "--output", "out", "--resume") == ExitCode.OK
     assert backend.made == [0, 1, 2, 3]
-    assert results_in(tmp_path / "out")["totals"]["runs"] == 4
+    found = results_in(tmp_path / "out")
+    assert found["totals"]["runs"] == 4
+    assert found["wall_time"] >= 1000.0  # of both parts
 
 
 def test_the_plan_is_printed_and_nothing_is_made(backend: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

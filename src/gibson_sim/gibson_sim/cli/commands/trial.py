@@ -176,15 +176,21 @@ class _Trial:
     def made(self) -> int:
         """Makes the runs, writes the report, and returns the exit code."""
         from gibson_sim.cli.trial_progress import TrialProgress
+        from gibson_sim.trials.comparing.comparison import runs_text
+        from gibson_sim.trials.execution import check_stack
+        from gibson_sim.trials.report.results import RESULTS
         from gibson_sim.trials.running import finished, make_runs, prepare
 
         prepare(self._folder, resume=self._args.resume)
         backend = _backend(self._args)
+        check_stack(self._scenario.stack)
+        spent = 0.0
         if self._args.resume:
             self._results = finished(self._folder, self._plan)
+            spent = _results(self._folder).wall_time if (self._folder / RESULTS).exists() else 0.0
         todo = [one for one in self._runs if one.number not in self._results]
-        if len(todo) < len(self._runs):
-            say(f"{len(self._runs) - len(todo)} of {len(self._runs)} runs have a result already")
+        before = f", {len(self._runs) - len(todo)} of them made before" if len(todo) < len(self._runs) else ""
+        say(f"{self._scenario.name}: {runs_text(len(self._runs))}{before}; results go into {self._folder}")
         progress = TrialProgress(len(self._runs), len(self._runs) - len(todo))
         started, begin = datetime.now(timezone.utc), time.monotonic()
 
@@ -200,12 +206,12 @@ class _Trial:
             interrupted = True
         finally:
             progress.close()
-        trial = self._write(started, time.monotonic() - begin)
+        trial = self._write(started, spent + time.monotonic() - begin)
         self._print(trial)
         if interrupted:
             return self._say_how_to_go_on(trial)
         declined = self._args.fail_if_worse and self._comparison is not None and self._comparison.is_decline
-        return ExitCode.ERROR if trial.failed or declined else ExitCode.OK
+        return ExitCode.ERROR if trial.failed or not trial.is_complete or declined else ExitCode.OK
 
     def _write(self, started: datetime, wall_time: float) -> TrialResults:
         """Writes all files of the report; returns what they say."""
@@ -229,7 +235,7 @@ class _Trial:
             versions={"gibson_sim": __version__, "python": platform.python_version(), "system": platform.platform()},
             machine={"name": platform.node(), "processor": _processor()},
             started=started.isoformat(timespec="seconds"),
-            wall_time=wall_time,
+            wall_time=wall_time,  # of all parts of a trial that was interrupted
             workers=self._args.ray or str(self._args.workers),
             comparison=compared,
         )

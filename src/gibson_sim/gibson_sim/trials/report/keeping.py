@@ -21,7 +21,7 @@ PICTURES = {FILM: "film strip", PATH_PLOT: "path on the map", MOTION_PLOT: "velo
 """Files of pictures in the folder of a run, in the order of the page -> what they show."""
 _COLUMNS, _WIDTH = 6, 240
 """Moments of a film strip, and the width of each, pixels."""
-_DPI = 100.0
+_DPI = 130.0
 _log = logging.getLogger(__name__)
 
 
@@ -71,5 +71,5 @@ def _write_plots(bag: Path, folder: Path) -> None:
 
     rows = max(len(panels.contact_rows(run)), 2)
     height = 1.7 * len(panels.velocity_parts(run)) + 0.8 + 0.24 * rows
-    write_file(folder / PATH_PLOT, drawn((6.6, 6.2), draw_path, form="png", dpi=_DPI))
-    write_file(folder / MOTION_PLOT, drawn((8.4, height), lambda figure: draw_motion(figure, run), form="png", dpi=_DPI))
+    write_file(folder / PATH_PLOT, drawn((5.8, 5.6), draw_path, form="png", dpi=_DPI))
+    write_file(folder / MOTION_PLOT, drawn((6.2, height), lambda figure: draw_motion(figure, run), form="png", dpi=_DPI))

@@ -336,7 +336,8 @@ def _all_runs(trial: TrialResults) -> str:
 def _about(trial: TrialResults) -> str:
     outcomes = [result.outcome for result in trial.results]
     busy = sum(o.start_up_s + o.running_s + o.ending_s for o in outcomes)
-    facts = [(name, str(value)) for name, value in (*trial.machine.items(), *trial.versions.items())]
+    labels = {"name": "machine"}
+    facts = [(labels.get(name, name), str(value)) for name, value in (*trial.machine.items(), *trial.versions.items())]
     facts.append(("workers", trial.workers))
     if busy > 0.0:
         starting = sum(o.start_up_s for o in outcomes) / busy
