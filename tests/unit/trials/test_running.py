@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,16 +51,16 @@ class Here:
 
 
 class Context:
-    """That of a unit in this process."""
+    """That of a unit in this process, or on a machine that has its files in a folder."""
 
-    def __init__(self, progress: Callable[[str], None] = lambda text: None) -> None:
-        self.progress = progress
+    def __init__(self, progress: Callable[[str], None] = lambda text: None, root: str = "") -> None:
+        self.progress, self._root = progress, root
 
     def stop(self) -> bool:
         return False
 
     def path(self, path: str | Path) -> Path:
-        return Path(path)
+        return Path(f"{self._root}{path}")
 
 
 @pytest.fixture
@@ -190,3 +191,35 @@ def test_changes_of_the_command_line_count(scenario: Scenario) -> None:
     assert Changes(runs=3, restart="never", keep="all").options() == ("--runs", "3", "--restart", "never")
     with pytest.raises(ConfigError, match="--runs is 0, must be at least 1"):
         Changes(runs=0).applied(scenario)
+
+
+def test_files_are_taken_from_where_they_are_on_the_machine_of_a_worker(
+    tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def execute(given: Scenario, run: RunSpec, folder: Path, **_: Any) -> Outcome:
+        seen.append((given.stack.folder, run.scene, run.robot))
+        return Outcome("reached", "", lockstep=True)
+
+    monkeypatch.setattr(execution, "execute", execute)
+    run = spec(0, scene="/data/my_flat", robot="gibson_bot")
+    arguments = {"scenario": "/home/me/t.yaml", "folder": "/home/me", "changes": {}, "run": json.loads(json.dumps(run.to_json()))}
+    make_run(arguments, tmp_path, Context(root="/elsewhere"))
+    assert seen == [(Path("/elsewhere/home/me"), "/elsewhere/data/my_flat", "gibson_bot")]
+    assert finished_run(tmp_path) == run
+
+
+def finished_run(folder: Path) -> RunSpec:
+    """Returns the run that is written in a folder, of its plan and of its result."""
+    planned = json.loads((folder / "run.json").read_text())
+    assert json.loads((folder / "result.json").read_text())["run"] == planned
+    return RunSpec.from_json(planned)
+
+
+def test_folders_of_scenes_and_robots_in_files_travel_once(tmp_path: Path, scenario: Scenario) -> None:
+    (tmp_path / "worlds").mkdir()
+    (tmp_path / "worlds" / "hall.sdf").write_text("")
+    given = replace(scenario, scenes=("flat", str(tmp_path / "worlds" / "hall.sdf")), robots=(str(tmp_path / "worlds"),))
+    assert running._files(given) == (tmp_path / "trial", tmp_path / "worlds")
+    assert running._files(replace(given, stack=replace(given.stack, folder=tmp_path))) == (tmp_path,)

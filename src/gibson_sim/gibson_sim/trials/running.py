@@ -197,9 +197,9 @@ def broken(scenario: Scenario, run: RunSpec, error: str) -> RunResult:
 
 
 def _files(scenario: Scenario) -> tuple[Path, ...]:
-    """Returns what the workers read, which travels to other machines: the folders of scenario and stack, scenes and robots that are files."""
-    named = (path for path in map(Path, (*scenario.scenes, *scenario.robots)) if path.is_absolute())
-    found = [scenario.path.parent, scenario.stack.folder, *named]
+    """Returns what the workers read, which travels to other machines: the folders of scenario and stack, and of scenes and robots in files."""
+    named = [path for path in map(Path, (*scenario.scenes, *scenario.robots)) if path.is_absolute()]
+    found = [scenario.path.parent, scenario.stack.folder, *(path.parent if path.is_file() else path for path in named)]
     return tuple(dict.fromkeys(path for path in found if not any(other in path.parents for other in found)))
 
 
