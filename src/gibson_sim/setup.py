@@ -67,9 +67,11 @@ setup(
         "torch": ["torch>=2.3"],
         "lerobot": ["pyarrow>=15"],
         "fast": ["numba>=0.61"],
-        "gym": ["gymnasium>=1.0"],
+        "gym": ["gymnasium>=1.1"],
+        "learn": ["gymnasium>=1.1", "stable-baselines3>=2.6", "torch>=2.3", "matplotlib>=3.8"],
         "analysis": ["matplotlib>=3.8"],
         "foxglove": ["foxglove-sdk>=0.30"],
+        "ray": ["ray>=2.40"],
         # Levels of detail, compressed glTF, simplified scans. Has no wheels: pip compiles it.
         "meshes": ["meshoptimizer>=0.2.30a0"],
         # The nodes, on the ROS packages of PyPI; a ROS installation has all of them. Both lists: docs/install_pip.md.

@@ -6,17 +6,22 @@ No other file imports Gymnasium, which is optional: ``pip install gibson_sim[gym
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AsyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.tasks.controls import Controls
+from gibson_sim.tasks.distance import DrivingDistance
 from gibson_sim.tasks.episode import item_body
 from gibson_sim.tasks.observing import full_state, own_state
 from gibson_sim.tasks.pictures import FARTHEST_DEPTH, TaskCamera
@@ -25,9 +30,15 @@ from gibson_sim.tasks.run import CONTROL_HZ, STEP_HZ, TaskRun
 
 ObservationArrays = NDArray[np.float32] | dict[str, NDArray[Any]]
 OBSERVATIONS = ("state", "rgbd")
+AUTORESETS = {
+    "next_step": AutoresetMode.NEXT_STEP,
+    "same_step": AutoresetMode.SAME_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
+"""When the environments of a vector begin their next episodes, by name."""
 NAMESPACE, VERSION = "GibsonSim", 0
 SUCCESS_REWARD, STEP_REWARD, COLLISION_REWARD = 10.0, -0.01, -0.1
-"""Added to the distance by which the goal came nearer in a step, metres (or radians)."""
+"""Added to the distance by which the goal came nearer in a step: metres along the shortest path, or the task's own measure."""
 _HIGHEST_SEED = 2**31
 
 
@@ -112,16 +123,18 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         run.reset(int(self.np_random.integers(_HIGHEST_SEED)) if seed is None else seed)
         self._classes = tuple(item_body(item).semantic_class for item in run.episode.items)
         self._controls.begin(run.observation)
+        self._driving_distance = self._path_to_goal()
+        self._left = self._remaining()
         self._collisions = 0
         return self._observe(), {"seed": run.episode.seed, "goal": run.episode.goal.text}
 
     def step(self, action: NDArray[np.float32]) -> tuple[ObservationArrays, float, bool, bool, dict[str, Any]]:
         """Applies an action for one control period; ``info`` has the metrics of the episode so far, with SPL if the task defines it."""
         run = self._running()
-        before = run.remaining
+        before = self._left
         run.step(self._controls.action(action, run.observation))
-        metrics = run.metrics
-        nearer, collided = before - run.remaining, metrics.collisions - self._collisions
+        metrics, self._left = run.metrics, self._remaining()
+        nearer, collided = before - self._left, metrics.collisions - self._collisions
         self._collisions = metrics.collisions
         reward = nearer + STEP_REWARD + COLLISION_REWARD * collided + SUCCESS_REWARD * run.succeeded
         info = {
@@ -154,6 +167,16 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         rgb, depth = self._task_camera().rgbd()
         return {"rgb": rgb, "depth": depth, "state": own_state(layout, run.episode, run.observation)}
 
+    def _path_to_goal(self) -> DrivingDistance | None:
+        run = self._running()
+        goal = run.episode.goal.position
+        return None if goal is None or not self._task.rewards_by_path else DrivingDistance(run.ground, goal[:2])
+
+    def _remaining(self) -> float:
+        """Returns what rewards derive from: the length of the path to the goal, or the task's own measure."""
+        run = self._running()
+        return run.remaining if self._driving_distance is None else self._driving_distance(run.observation.xy)
+
     def _rays(self, origins: NDArray[np.float64], directions: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
         run = self._running()
         return run.world.cast_rays(origins, directions, longest, ignore=run.robot.name)
@@ -169,9 +192,47 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         return self._run
 
 
-def in_processes(count: int, task: str, **options: Any) -> AsyncVectorEnv:
-    """Returns ``count`` environments of a task, each in a spawned process; the options are those of ``TaskEnvironment``."""
-    return AsyncVectorEnv([lambda: TaskEnvironment(task, **options)] * count, context="spawn")
+def in_processes(count: int, task: str, *, autoreset: str = "next_step", **options: Any) -> AsyncVectorEnv:
+    """Returns environments of a task as one vector, each in a spawned process, where it keeps its world from episode to episode.
+
+    ``reset(seed=s)`` begins the episodes of the seeds s, s + 1, ...; each environment draws the seeds of its later ones from a
+    generator of its own. Rasteriser threads share the cores (``LP_NUM_THREADS``, unless it is set). Programs that call this need
+    ``if __name__ == "__main__":``, since a spawned process imports them again.
+
+    Args:
+        count: number of environments, 1 or more.
+        task: name of the task.
+        autoreset: ``next_step``: the step after the last one of an episode begins the next episode, its action counts for nothing, and
+            its reward is 0; ``same_step``: the last step itself does, and what it observed is in ``info["final_obs"]``, with
+            ``info["final_info"]``; ``disabled``: the caller begins episodes, by ``reset(options={"reset_mask": ...})``.
+        options: those of ``TaskEnvironment``.
+
+    Raises:
+        ConfigError: an argument is not allowed.
+        RobotError: there is no such robot.
+    """
+    if count < 1:
+        raise ConfigError(f"count is {count}, must be 1 or more environments")
+    if autoreset not in AUTORESETS:
+        raise ConfigError(f"autoreset is {quoted(autoreset)}, must be one of {', '.join(AUTORESETS)}")
+    make = _InProcess(task, options, max(1, len(os.sched_getaffinity(0)) // count))
+    return AsyncVectorEnv([make] * count, context="spawn", autoreset_mode=AUTORESETS[autoreset])
+
+
+@dataclass(frozen=True)
+class _InProcess:
+    """Makes the environment of a process of a vector."""
+
+    task: str
+    options: dict[str, Any]
+    threads: int
+    """Of the rasteriser."""
+
+    def __call__(self) -> TaskEnvironment:
+        # Gymnasium also makes one in the process of the caller, for its spaces; that process keeps its settings.
+        if multiprocessing.parent_process() is not None:
+            os.environ.setdefault("LP_NUM_THREADS", str(self.threads))
+        return TaskEnvironment(self.task, **self.options)
 
 
 def register() -> None:

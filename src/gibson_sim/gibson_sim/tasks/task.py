@@ -35,6 +35,8 @@ class Task(ABC):
     robot: ClassVar[str] = "gibson_bot"
     """Default robot."""
     baselines: ClassVar[tuple[str, ...]] = BASELINES
+    rewards_by_path: ClassVar[bool] = False
+    """Rewards derive from the length of the shortest path to the goal's position, not from ``remaining``: for tasks that only drive there."""
 
     @abstractmethod
     def generate(self, seed: int, ground: Ground) -> Episode:
@@ -45,7 +47,7 @@ class Task(ABC):
         """
 
     def remaining(self, episode: Episode, obs: Observation, ground: Ground) -> float:
-        """Returns the remaining distance to the goal, 0 = reached: metres to its position unless a task overrides it. Rewards derive from it."""
+        """Returns the remaining distance to the goal, 0 = reached: metres to its position unless a task overrides it."""
         assert episode.goal.position is not None
         return obs.distance_to(episode.goal.position)
 

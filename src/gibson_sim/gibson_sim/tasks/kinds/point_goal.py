@@ -26,6 +26,7 @@ class PointGoal(Task):
     name = "point-goal"
     environment = "PointGoal"
     about = "drive to a position; movable objects lie in the way"
+    rewards_by_path = True
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``."""

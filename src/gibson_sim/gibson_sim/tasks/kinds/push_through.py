@@ -40,6 +40,7 @@ class PushThrough(Task):
     environment = "PushThrough"
     about = "get through a doorway that boxes block"
     baselines = (*BASELINES, "careful")
+    rewards_by_path = True
 
     def generate(self, seed: int, ground: Ground) -> Episode:
         """Returns the episode of a seed; see ``Task.generate``."""

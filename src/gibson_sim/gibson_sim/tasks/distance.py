@@ -1,0 +1,39 @@
+"""How far the robot still has to drive to a place, from any point of the floor. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gibson_sim.tasks.ground import Ground
+
+F64 = NDArray[np.float64]
+
+
+class DrivingDistance:
+    """Length of the shortest path around static obstacles to one goal, as a function of the robot's place; loose objects are ignored.
+
+    It has no jumps: between centres of cells it is interpolated, and where no path begins (closer to an obstacle than paths come) it is
+    the distance to the nearest place where one does, plus the length of that path. So its decrease is a fair reward for a step.
+
+    Args:
+        ground: the floor and the robot.
+        goal: x, y, world frame, metres.
+
+    Raises:
+        SceneError: the robot cannot be at the goal.
+    """
+
+    def __init__(self, ground: Ground, goal: tuple[float, float]) -> None:
+        self._floor = ground.floor
+        lengths = ground.planner.distances(goal)
+        reachable = np.isfinite(lengths)
+        gap, nearest = ndimage.distance_transform_edt(~reachable, sampling=ground.floor.resolution, return_indices=True)
+        self._lengths: F64 = lengths[tuple(nearest)] + gap
+
+    def __call__(self, xy: tuple[float, float]) -> float:
+        """Returns the distance from a place, world frame, in metres."""
+        floor = self._floor
+        column, row = (np.asarray(xy, dtype=np.float64) - floor.origin) / floor.resolution - 0.5
+        return float(ndimage.map_coordinates(self._lengths, [[row], [column]], order=1, mode="nearest")[0])
