@@ -201,6 +201,21 @@ def test_every_key_says_what_it_means() -> None:
     check(schema(), "")
 
 
+def test_the_documentation_names_every_key() -> None:
+    page = (CONFIG.parent / "docs" / "trial_file.md").read_text(encoding="utf-8")
+
+    def check(form: Any) -> None:
+        if isinstance(form, dict):
+            for name, content in form.get("properties", {}).items():
+                assert re.search(rf"`[^`]*\b{name}\b[^`]*`", page), name
+                if name != "physics":
+                    check(content)
+            for one in (*form.get("anyOf", ()), form.get("items")):
+                check(one)
+
+    check(schema())
+
+
 def test_defaults_of_the_schema_are_allowed_by_it() -> None:
     def check(form: Any) -> None:
         if isinstance(form, dict):

@@ -107,7 +107,8 @@ class _Resolver:
 
     def _places(self, count: int, *keys: str) -> list[Place]:
         """Returns the places of the values under a key: a list, or one value alone."""
-        place, content = self._top, self._document
+        place = self._top
+        content: Any = self._document
         for key in keys:
             place, content = place.key(key), content.get(key, {})
         return [place.item(i) if isinstance(content, list) else place for i in range(count)]
