@@ -100,6 +100,18 @@ def test_a_topic_that_somebody_waits_for_is_subscribed_to_before_anybody_publish
     assert answers.problem("goal_pose") == "no publisher on goal_pose"
 
 
+def test_messages_of_a_publisher_that_comes_after_who_waits_for_it_arrive_whatever_its_quality_of_service(two: Two) -> None:
+    answers = two.answers("goal_pose")
+    two.stack.create_subscription(PoseStamped, "/goal_pose", lambda msg: None, BEST_EFFORT)
+    looks = found(answers, "goal_pose")
+    two.until(lambda: not looks() and two.sim.count_subscribers("/goal_pose") == 2, "a subscription")
+    publisher = two.stack.create_publisher(PoseStamped, "/goal_pose", BEST_EFFORT)
+    two.until(looks, "another one")
+    two.until(lambda: publisher.get_subscription_count() == 2, "its match")
+    publisher.publish(PoseStamped())
+    two.until(lambda: two.received == ["goal_pose"], "a message")
+
+
 def test_a_topic_of_several_types_is_named_with_them(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = two.answers("pose")
     pretend(two, monkeypatch, "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String")

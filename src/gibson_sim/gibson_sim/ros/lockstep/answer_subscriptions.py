@@ -28,7 +28,7 @@ class _Received:
     kind: tuple[str, bool] = ("", True)
     """Type, and whether the subscription is reliable."""
     problem: str = ""
-    """Why there is no subscription."""
+    """Why no message can arrive."""
 
 
 class AnswerSubscriptions:
@@ -90,7 +90,8 @@ class AnswerSubscriptions:
         if len(types) > 1:
             received.problem = f"{topic} has several types, {', '.join(types)}; remap all but one"
         elif types:
-            received.problem = ""
+            if publishers:
+                received.problem = ""
             reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
             self._subscribe(topic, received, (types[0], reliable))
 
