@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from gibson_sim.bags.export.run import export_bag  # noqa: E402
 from gibson_sim.bags.reader import BagReader, image_to_array  # noqa: E402
 from gibson_sim.bags.stamps import header_stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
+from gibson_sim.cli.command_line import run  # noqa: E402
 from gibson_sim.client_config import RenderBagConfig  # noqa: E402
 from gibson_sim.config import RenderConfig  # noqa: E402
 from gibson_sim.description.shapes import Shape, VisualSpec  # noqa: E402
@@ -262,3 +265,32 @@ def test_a_view_is_drawn_where_tf_says_beside_the_cameras_of_the_run(viewed: Pat
 def test_a_view_that_the_bag_has_already_is_refused(viewed: Path) -> None:
     with pytest.raises(ConfigError, match="'view_top': the scene has a camera of this name already"):
         render_bag(RenderBagConfig(bag=str(viewed), output=str(viewed.parent / "again"), views="top"), RENDER)
+
+
+def test_workers_draw_several_bags_as_one_process_draws_each(drive: Path, drawn: tuple[Path, Path], tmp_path: Path) -> None:
+    shutil.copytree(drive, tmp_path / "second")
+    words = [
+        "render",
+        str(drive),
+        str(tmp_path / "second"),
+        "--output",
+        str(tmp_path / "new"),
+        "--workers",
+        "2",
+        "--cache",
+        "none",
+    ]
+    assert run([*words, "--cameras", str(drive.parent / "eye.yaml")]) == 0
+    for name in ("bag", "second"):
+        assert _plain(_all_messages(tmp_path / "new" / name)) == _plain(_all_messages(drawn[1]))
+
+
+def _plain(value: Any) -> Any:
+    """Returns a message with all arrays as bytes, which can be compared; its own bytes have padding that nobody sets."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.tobytes()
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_plain(entry) for entry in value]
+    return [_plain(entry) for entry in vars(value).values()] if is_dataclass(value) else value

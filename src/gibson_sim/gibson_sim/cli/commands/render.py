@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+import sys
 from dataclasses import asdict
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gibson_sim.bags.folders import check_bag
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, given, settings_from_args
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import become
+from gibson_sim.cli.workers import add_workers, backend_of, files_of
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
+from gibson_sim.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gibson_sim.jobs.units import Backend
 
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "detail_px", "compress_textures", "cache", "register_depth", "asset_roots")
+_FILES = ("bag", "cameras", "lights", "randomise")
+"""Settings that can be files."""
+_FUNCTION = "gibson_sim.ros.nodes.render_units:render_one"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -25,8 +37,14 @@ def add_parser(subparsers: Any) -> None:
         description="Draws the states of a bag and writes a new bag with the images and everything else of the old one. "
         "The bag must have /scene and /scene_state, as bags of `gibson-sim run --record` have.",
     )
-    parser.add_argument("bag", metavar="DIR", help="folder of the recorded bag")
-    parser.add_argument("--output", required=True, metavar="DIR", help="folder of the new bag; it must not exist, or be empty")
+    parser.add_argument("bag", nargs="+", metavar="DIR", help="folder of the recorded bag; several are drawn by workers")
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="DIR",
+        help="folder of the new bag, which must not exist, or be empty; of several, a folder for new bags of the same names",
+    )
+    add_workers(parser, "bags")
     add_settings(
         parser,
         RenderBagConfig,
@@ -42,10 +60,47 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    """Replaces this process by the one that draws, which thus owns the terminal, the signals and the exit code."""
+    """Replaces this process by the one that draws, which thus owns the terminal, the signals and the exit code; or draws with workers."""
     require_nodes()
+    bags, output = args.bag, args.output
+    backend = backend_of(args)
+    if len(bags) > 1 or args.ray is not None:
+        return _run_over(args, bags, output, backend)
+    args.bag = bags[0]
     job = settings_from_args(RenderBagConfig, args)
     render = RenderConfig(**given(args, _RENDER))
     check_bag(args.bag)
     environment = node_environment()
     become("render_bag", [json.dumps({"bag": asdict(job), "render": asdict(render)})], environment)
+
+
+def _run_over(args: argparse.Namespace, bags: list[str], output: str, backend: Backend | None) -> int:
+    """Draws each bag on a worker; prints one line for each."""
+    from gibson_sim.jobs.local import LocalWorkers
+    from gibson_sim.jobs.units import Unit, UnitResult, run_units
+
+    render = asdict(RenderConfig(**given(args, _RENDER)))
+    units: list[Unit] = []
+    names: dict[str, str] = {}
+    """Name of a new bag -> recorded one."""
+    for bag in bags:
+        check_bag(bag)
+        args.bag = bag
+        job = asdict(settings_from_args(RenderBagConfig, args))
+        files = files_of(job, _FILES)
+        shipped = [key for key in _FILES if Path(job[key]) in files]
+        name = re.sub(r"[^A-Za-z0-9._-]", "_", Path(job["bag"]).resolve().name)
+        if name in names:
+            raise ConfigError(
+                f"bags {names[name]} and {bag} would both become {Path(output) / name}; rename one, or draw them apart"
+            )
+        names[name] = bag
+        units.append(Unit(name, _FUNCTION, {"bag": job, "render": render, "files": shipped}, files))
+
+    def on_result(result: UnitResult) -> None:
+        said = result.value if not result.error else f"error: {result.error}"
+        where = "" if result.log is None else f" (see {result.log})"
+        print(f"{Path(output) / result.id}: {said}{where}", flush=True, file=sys.stderr if result.error else sys.stdout)
+
+    results = run_units(units, backend or LocalWorkers(1), output=Path(output), on_result=on_result)
+    return ExitCode.ERROR if any(result.error for result in results) else ExitCode.OK
