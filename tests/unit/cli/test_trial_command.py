@@ -173,7 +173,6 @@ def test_a_decline_beyond_chance_ends_with_1_where_that_is_wanted(tmp_path: Path
         (("rooms.yaml", "--compare", "a.json", "b.json"), "--compare has 2 files"),
         (("rooms.yaml", "--fail-if-worse"), "--fail-if-worse is for --compare"),
         (("rooms.yaml", "--resume"), "--resume needs --output DIR"),
-        (("rooms.yaml", "--workers", "2", "--ray", "auto"), "exclude each other"),
         (("rooms.yaml", "--compare", "none.json"), "none.json: cannot be read: No such file"),
         (("rooms.yaml", "--run", "9"), "--run 9: there is no such run; the plan has runs 0 to 3"),
         (("rooms.yaml", "--runs", "0"), "--runs is 0, must be at least 1"),

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from gibson_sim import __version__
 from gibson_sim.cli.console import say
 from gibson_sim.cli.parser import ExitCode
+from gibson_sim.cli.workers import add_workers, backend_of
 from gibson_sim.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,10 +40,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("scenario", nargs="?", metavar="FILE", help="scenario file, trial.yaml, or the name of one of ours")
     parser.add_argument("--output", type=Path, metavar="DIR", help="new folder for the results (default: out/trials/NAME_TIME)")
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="runs at the same time, each in processes of its own (default: 1)"
-    )
-    parser.add_argument("--ray", metavar="ADDRESS", help="make the runs on a Ray cluster, such as auto or ray://host:10001")
+    add_workers(parser, "runs")
     parser.add_argument(
         "--run", dest="numbers", type=int, nargs="+", action="extend", default=[], metavar="N", help="only these runs of the plan"
     )
@@ -116,10 +114,6 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError("--fail-if-worse is for --compare: give the results.json of the trial to compare with")
     if args.resume and args.output is None:
         raise ConfigError("--resume needs --output DIR, the folder of the trial to go on with")
-    if args.ray is not None and args.workers != 1:
-        raise ConfigError(
-            "--workers and --ray exclude each other: a cluster decides itself how many runs it makes at the same time"
-        )
 
 
 def _results(path: Path) -> TrialResults:
@@ -236,7 +230,7 @@ class _Trial:
             machine={"name": platform.node(), "processor": _processor()},
             started=started.isoformat(timespec="seconds"),
             wall_time=wall_time,  # of all parts of a trial that was interrupted
-            workers=self._args.ray or str(self._args.workers),
+            workers=self._args.ray or str(self._args.workers or 1),
             comparison=compared,
         )
         options = self._changes.options()
@@ -269,14 +263,10 @@ class _Trial:
 
 
 def _backend(args: argparse.Namespace) -> Backend:
-    """Returns where the runs are made."""
-    if args.ray is not None:
-        from gibson_sim.jobs.ray_cluster import RayCluster
-
-        return RayCluster(args.ray)
+    """Returns where the runs are made: in one worker if nothing is said."""
     from gibson_sim.jobs.local import LocalWorkers
 
-    return LocalWorkers(args.workers)
+    return backend_of(args) or LocalWorkers(1)
 
 
 def _processor() -> str:
