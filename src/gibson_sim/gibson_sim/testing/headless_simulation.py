@@ -388,22 +388,43 @@ class HeadlessSimulation:
 
     # The robot's programs
 
-    def start(self, command: Sequence[str], *, environment: Mapping[str, str] | None = None, may_fail: bool = False) -> Program:
+    def start(
+        self,
+        command: Sequence[str],
+        *,
+        answers: str = "",
+        environment: Mapping[str, str] | None = None,
+        may_fail: bool = False,
+        patience: float = 60.0,
+    ) -> Program:
         """Starts a program of the robot in the domain of the simulation; it ends, with all that it started, at the end of the test at the latest.
 
-        Unless the setting ``rate`` is given, or ``participants`` has a rule for its output, the simulation runs in real time from now on: a program
-        that lockstep does not wait for could not keep up with a faster one.
+        With ``answers``, every tick waits until the program has answered it, so that time passes as fast as both can, and the run repeats if the
+        program's decisions do not depend on wall time. Without, the simulation runs in real time from now on, unless the setting ``rate`` is
+        given: the program could not keep up with a faster one.
 
         Args:
             command: program and arguments, as for ``subprocess.Popen``.
+            answers: rule of lockstep, ``TOPIC after TOPIC`` or ``TOPIC every SECONDS``, such as ``cmd_vel after scan``: what the program publishes
+                in answer to what; empty = time does not wait for it.
             environment: further variables.
             may_fail: whether it may end with an exit code other than 0; otherwise the next call after that raises.
+            patience: with ``answers``, seconds of wall time until it must publish the topic.
         """
+        from gibson_sim.ros.client.answers import parse_rule
+
         client = self._running
-        if self.settings.lockstep and not self.settings.has_rate and not self.settings.follows_programs and not self._programs:
+        earlier: frozenset[tuple[int, ...]] = frozenset()
+        if answers:
+            earlier = client.publishers(parse_rule(answers).answer)
+            if not self.settings.lockstep:
+                raise ConfigError("answers is given, but time waits for nothing with lockstep=False: leave one of them out")
+        elif self.settings.lockstep and not self.settings.has_rate:
             client.set_rate(1.0)
         program = Program(command, {**self.environment, **(environment or {})}, self._folder, may_fail=may_fail)
         self._programs.append(program)
+        if answers:
+            client.follow(answers, earlier, lambda: program.returncode is not None, patience)
         return program
 
     @property

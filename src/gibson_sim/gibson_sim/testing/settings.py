@@ -50,6 +50,11 @@ class SimulationSettings:
         own = {name: kind() for name, kind in OWN.items()} | {"lockstep": True}
         physics: dict[str, Any] = {"scene": SCENE, "digests": True}
         render: dict[str, Any] = {}
+        if "participants" in given:
+            raise ConfigError(
+                "simulation setting 'participants' would have time wait for programs before the test can start them: give each its rule by "
+                'sim.start([...], answers="cmd_vel after scan")'
+            )
         names = {config: [f.name for f in fields(config) if f.name not in _OURS] for config in (PhysicsConfig, RenderConfig)}
         for name, value in given.items():
             if name in OWN:
@@ -72,7 +77,7 @@ class SimulationSettings:
             )
         if own["lockstep"]:
             ours = [PARTICIPANT] + ["render"] * own["cameras"] + ["record"] * own["record"]
-            physics["participants"] = "; ".join(filter(None, (*ours, physics.get("participants", ""))))
+            physics["participants"] = "; ".join(ours)
             physics.setdefault("participant_timeout", _FOREVER_S)
         physics["lockstep"] = own["lockstep"]
         physics.setdefault("rate", 0.0 if own["lockstep"] else 1.0)
@@ -83,11 +88,6 @@ class SimulationSettings:
             config, RenderConfig(**render, digests=True) if own["cameras"] else None, own["lockstep"], "rate" in given,
             own["record"], own["fresh"],
         )  # fmt: skip
-
-    @property
-    def follows_programs(self) -> bool:
-        """Whether lockstep has a rule for another node's output, so that time waits for the robot's programs."""
-        return "=" in self.physics.participants
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -101,6 +101,6 @@ class SimulationSettings:
 
     def to_text(self) -> str:
         """Returns all that the process of the simulation needs, as JSON."""
-        nodes = {"physics": self.physics, **({"render": self.render} if self.render is not None else {})}
+        nodes: dict[str, Any] = {"physics": self.physics, **({"render": self.render} if self.render is not None else {})}
         values = {name: {f.name: getattr(config, f.name) for f in fields(config)} for name, config in nodes.items()}
         return json.dumps({"nodes": values, "record": self.record})

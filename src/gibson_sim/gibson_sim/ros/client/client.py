@@ -21,7 +21,7 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from simulation_interfaces.msg import SimulationState
 
@@ -29,6 +29,7 @@ from gibson_msgs.msg import CollisionCount, Contacts, TickDigest
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
+from gibson_sim.ros.client.answers import AnswerRule, parse_rule
 from gibson_sim.ros.client.collisions import Collision, CollisionLog
 from gibson_sim.ros.client.requests import SERVICES, flat_pose
 from gibson_sim.ros.client.standard_services import StandardServices
@@ -51,6 +52,8 @@ DISCOVERY_S = 10.0
 """Wall time for a topic to be known, or a subscriber to be matched, s."""
 _SETTLED_S = 2.0
 """Wall time to wait for the first message of a new subscription that the simulation has published, s: it may not have been matched."""
+_PHYSICS = "physics"
+"""Name of the simulation's node."""
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo")
 _LARGE = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2")
 MOST_MESSAGES, MOST_LARGE = 100_000, 200
@@ -99,6 +102,18 @@ class _Subscribed:
     """Whether a message has arrived, or cannot be expected any more to arrive with its tick."""
 
 
+@dataclass(slots=True)
+class _Followed:
+    """A program whose answers the ticks wait for."""
+
+    rule: AnswerRule
+    topic: str
+    is_over: Callable[[], bool]
+    is_command: bool
+    """Whether the simulation receives its answers: a tick then ends when they have arrived there, too."""
+    handle: Any = None
+
+
 class Client:
     """Talks to the simulation of a ROS domain."""
 
@@ -136,6 +151,7 @@ class Client:
         self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
         self._subscribed: dict[str, _Subscribed] = {}
+        self._followed: list[_Followed] = []
         self._participant: LockstepParticipant | None = None
         self._ticks: deque[_Tick] = deque()
         self._held: _Tick | None = None
@@ -143,6 +159,8 @@ class Client:
         self._sent: list[str] = []
         """Topics of the commands since the last tick, once for each."""
         self._now_ns, self._epoch, self._is_paused = 0, 0, False
+        self._held_since = 0.0
+        """Monotonic clock at which the present tick began here, s."""
         self._matched_by = 0.0
         """Monotonic clock until which the first message of a subscription is awaited, s."""
         self._events = 0
@@ -238,23 +256,84 @@ class Client:
         """
         if self._is_paused:
             raise GibsonSimError("the simulation is paused, so that nothing happens in it: call play(), or step(seconds)")
-        self._end_tick()
+        self._work(patience_s, self._end_tick, "the answers of programs")
         self._work(patience_s, self._begin_tick, "")
 
-    def _end_tick(self) -> None:
-        if self._participant is not None and self._held is not None:
+    def _end_tick(self) -> bool:
+        """Lets the simulation go on; returns False if a program has not answered the present tick yet."""
+        if self._held is None:
+            return True
+        for followed in [one for one in self._followed if one.is_over()]:
+            self._followed.remove(followed)
+            self.node.destroy_subscription(followed.handle)
+        for followed in self._followed:
+            rule = followed.rule
+            # The very first answer may be lost: the program may have discovered the simulation, but not yet been discovered itself.
+            if not rule.is_answered and (rule.has_answered or time.monotonic() < self._held_since + _SETTLED_S):
+                return False
+        for followed in self._followed:
+            count = followed.rule.end_tick()
+            self._sent += [followed.topic] * (count if followed.is_command else 0)
+        if self._participant is not None:
             self._participant.tick_done(conversions.time_to_msg(self._held.stamp_ns), self._sent)
-        if self._held is not None:
-            self._sent, self._held = [], None
+        self._sent, self._held = [], None
+        return True
+
+    def publishers(self, topic: str) -> frozenset[tuple[int, ...]]:
+        """Returns what identifies each publisher of a topic that is known now."""
+        return frozenset(tuple(info.endpoint_gid) for info in self.node.get_publishers_info_by_topic(self.resolve(topic)))
+
+    def follow(self, text: str, earlier: frozenset[tuple[int, ...]], is_over: Callable[[], bool], patience_s: float) -> None:
+        """Waits until a program publishes on the topic of a rule, and from now on in every tick for its answer, in lockstep.
+
+        Args:
+            text: rule, such as ``cmd_vel after scan``.
+            earlier: publishers of its topic before the program was started: those of killed programs are known for a while.
+            is_over: whether the program has ended, and the rule with it.
+            patience_s: wall time for the program to be there.
+
+        Raises:
+            GibsonSimError: the rule is none, or the program does not publish in time.
+        """
+        rule = AnswerRule(parsed := parse_rule(text))
+        topic = self.resolve(parsed.answer)
+
+        def is_there() -> bool:
+            found = [one for one in self.node.get_publishers_info_by_topic(topic) if tuple(one.endpoint_gid) not in earlier]
+            return bool(found) and (not parsed.after or all(self._subscribes(info, parsed.after) for info in found))
+
+        answers_to = f", in a node that subscribes to {parsed.after}" if parsed.after else ""
+        self._work(patience_s, is_there, f"a publisher of {parsed.answer}{answers_to}")
+        kind = _message_class(self.node.get_publishers_info_by_topic(topic)[0].topic_type)
+        is_command = any(info.node_name == _PHYSICS for info in self.node.get_subscriptions_info_by_topic(topic))
+        followed = _Followed(rule, topic, is_over, is_command)
+        followed.handle = self.node.create_subscription(
+            kind, topic, lambda data: rule.receive(), self._profile(topic, 1000), raw=True
+        )
+        self._settle(lambda: followed.handle.handle.get_publisher_count() > 0)
+        self.services.ask("get_simulation_state")
+        self._followed.append(followed)
+
+    def _subscribes(self, info: Any, topic: str) -> bool:
+        if not info.node_namespace.startswith("/"):
+            return False  # its name is not known yet
+        try:
+            found = self.node.get_subscriber_names_and_types_by_node(info.node_name, info.node_namespace)
+        except NodeNameNonExistentError:
+            return False
+        return self.resolve(topic) in {name for name, _ in found}
 
     def _begin_tick(self) -> bool:
         """Returns whether a tick is here as a whole; it is the present one from now on."""
         while self._ticks and self._ticks[0].epoch < self._epoch:
             self._ticks.popleft()
-        if not self._ticks or not self._is_whole(self._ticks[0]):
-            return False
+        if not self._ticks or (len(self._ticks) == 1 and not self._is_whole(self._ticks[0])):
+            return False  # with a later tick behind it, it is whole: messages arrive in the order in which they were published
         tick = self._held = self._ticks.popleft()
-        self._now_ns, self._epoch = tick.stamp_ns, tick.epoch
+        self._now_ns, self._epoch, self._held_since = tick.stamp_ns, tick.epoch, time.monotonic()
+        topics = {name.lstrip("/") for name in tick.topics} if self._followed else set()
+        for followed in self._followed:
+            followed.rule.begin_tick(tick.stamp_ns, topics)
         for subscribed in self._subscribed.values():
             while subscribed.held and _stamp_ns(subscribed.held[0]) < tick.stamp_ns:
                 subscribed.messages.append(subscribed.held.popleft())
@@ -319,7 +398,9 @@ class Client:
         future = self._send("step_simulation", SERVICES["step_simulation"], SERVICES["step_simulation"].Request(steps=steps))
 
         def done() -> bool:
-            if self._begin_tick() and not future.done():
+            if self._held is None:
+                self._begin_tick()
+            if not future.done():
                 self._end_tick()
             return bool(future.done())
 
@@ -342,17 +423,16 @@ class Client:
         """Sets the speed of time against wall time; 0 = as fast as possible."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
-        result = self.call("physics/set_parameters", SetParameters, request).results[0]
+        result = self.call(f"{_PHYSICS}/set_parameters", SetParameters, request).results[0]
         if not result.successful:
             raise GibsonSimError(result.reason)
 
     def reset(self) -> None:
         """Resets everything, and forgets what was received."""
         self.services.ask("reset_simulation")
-        self._end_tick()  # the reset is published once the present tick is done
         self._drain()
         self._epoch += 1
-        self._now_ns, self._held, self._sent = 0, None, []
+        self._now_ns = 0
         self._truth.clear()
         self._counts.clear()
         self._contacts = None
@@ -362,6 +442,10 @@ class Client:
             subscribed.messages.clear()
             subscribed.held.clear()
             subscribed.last_ns = -1
+        for followed in self._followed:
+            followed.rule.reset()
+        # The reset is published once the present tick is done, and then the first tick of the new time.
+        self._end_tick()
         if not self._is_paused:
             self.next_tick()
 
