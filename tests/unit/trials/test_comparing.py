@@ -91,6 +91,11 @@ def test_times_are_compared_where_both_passed() -> None:
     )
 
 
+def test_a_tick_more_or_less_is_no_difference() -> None:
+    time, _ = compare([passed(n, time=10.0) for n in range(9)], [passed(n, time=10.033) for n in range(9)]).shifts
+    assert (time.larger, time.smaller, time.is_chance) == (0, 0, True)
+
+
 def test_a_measure_without_pairs_has_no_shift() -> None:
     assert shift_of("time", "s", []) is None
 

@@ -9,8 +9,9 @@ from typing import Any
 from gibson_sim.trials.comparing.statistics import LEVEL, Shift, least_differing, shift_of, two_sided_binomial
 from gibson_sim.trials.records import RunResult, RunSpec
 
-MEASURES = (("time", "s"), ("length", "m"))
-"""Measures that are compared where both runs passed, with their units."""
+MEASURES = (("time", "s", 0.1), ("length", "m", 0.05))
+"""Measures that are compared where both runs passed, with their units, and the difference up to which two values count as equal: a run whose
+stack tells that it has arrived ends a tick sooner or later, also where all else is equal to the bit."""
 _NOUNS = {"time": ("faster", "slower"), "length": ("shorter", "longer")}
 
 
@@ -127,8 +128,10 @@ def compare(before: Sequence[RunResult], after: Sequence[RunResult]) -> Comparis
     worse, better = sum(pair.is_worse for pair in pairs), sum(pair.is_better for pair in pairs)
     passed = [pair for pair in pairs if pair.before.passed and pair.after.passed]
     shifts = (
-        shift_of(name, unit, [(p.before.measures[name], p.after.measures[name]) for p in passed if _both_have(p, name)])
-        for name, unit in MEASURES
+        shift_of(
+            name, unit, [(p.before.measures[name], p.after.measures[name]) for p in passed if _both_have(p, name)], resolution
+        )
+        for name, unit, resolution in MEASURES
     )
     return Comparison(
         pairs,

@@ -55,17 +55,18 @@ class Shift:
         return self.p >= LEVEL
 
 
-def shift_of(name: str, unit: str, pairs: Sequence[tuple[float, float]]) -> Shift | None:
+def shift_of(name: str, unit: str, pairs: Sequence[tuple[float, float]], resolution: float = 0.0) -> Shift | None:
     """Returns the shift of a measure; None without pairs.
 
     Args:
         name: of the measure.
         unit: of the measure.
         pairs: its value in the first and in the second trial.
+        resolution: difference up to which two values count as equal.
     """
     if not pairs:
         return None
-    smaller, larger = sum(b < a for a, b in pairs), sum(b > a for a, b in pairs)
+    smaller, larger = sum(b < a - resolution for a, b in pairs), sum(b > a + resolution for a, b in pairs)
     shares = [(b - a) / a for a, b in pairs if a > 0.0]
     return Shift(
         name,
