@@ -65,7 +65,7 @@ def found(answers: AnswerSubscriptions, topic: str) -> Callable[[], bool]:
     now_ns = iter(range(0, 10**15, 10**9))
 
     def looks() -> bool:
-        answers.find(next(now_ns))
+        answers.find(next(now_ns), again=True)
         return not answers.problem(topic) and answers.is_matched(topic)
 
     return looks
@@ -110,6 +110,13 @@ def test_messages_of_a_publisher_that_comes_after_who_waits_for_it_arrive_whatev
     two.until(lambda: publisher.get_subscription_count() == 2, "its match")
     publisher.publish(PoseStamped())
     two.until(lambda: two.received == ["goal_pose"], "a message")
+
+
+def test_a_latched_goal_arrives_though_it_was_given_before_the_simulation_subscribed(two: Two) -> None:
+    answers = two.answers("goal_pose")
+    two.stack.create_publisher(PoseStamped, "/goal_pose", LATCHED).publish(PoseStamped())
+    two.until(found(answers, "goal_pose"), "a subscription")
+    two.until(lambda: two.received == ["goal_pose"], "the goal")
 
 
 def test_a_topic_of_several_types_is_named_with_them(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:

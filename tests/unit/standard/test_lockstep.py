@@ -155,7 +155,9 @@ def test_ticks_wait_from_a_message_on_the_topic_of_from_on() -> None:
     lockstep = nav()
     assert lockstep.received_topics == {"cmd_vel", "goal_pose"}
     assert ticks_that_wait(lockstep, range(10, 101, 10)) == []
+    assert lockstep.any_rests
     assert lockstep.receive("goal_pose", 0) == ()
+    assert not lockstep.any_rests
     assert ticks_that_wait(lockstep, range(110, 201, 10)) == [150, 200], "a period after the tick at which the goal came"
 
 

@@ -140,6 +140,11 @@ class Lockstep:
         return (*self.missing, *(p.name for p in self._participants.values() if p.pending))
 
     @property
+    def any_rests(self) -> bool:
+        """Whether there is a participant that no tick waits for, until there is a message on the topic with which it begins."""
+        return any(p.rests for p in self._participants.values())
+
+    @property
     def topics(self) -> frozenset[str]:
         """Topics whose presence at a tick matters to ``begin_tick``."""
         return frozenset(p.after for p in self._participants.values() if p.after)

@@ -25,8 +25,8 @@ class _Received:
     """A topic."""
 
     subscription: Any = None
-    kind: tuple[str, bool] = ("", True)
-    """Type, and whether the subscription is reliable."""
+    kind: tuple[str, bool, bool] = ("", True, False)
+    """Type, and whether the subscription is reliable and latched."""
     problem: str = ""
     """Why no message can arrive."""
 
@@ -50,17 +50,18 @@ class AnswerSubscriptions:
         self._looked_ns: int | None = None
         self._complete = not topics
 
-    def find(self, now_ns: int) -> None:
-        """Subscribes to topics that have appeared, now and then; costs nothing once all are found."""
-        if not self._complete and (self._looked_ns is None or now_ns - self._looked_ns > _PERIOD_NS):
+    def find(self, now_ns: int, *, again: bool = False) -> None:
+        """Subscribes to topics that have appeared, now and then; costs nothing once all are found.
+
+        Args:
+            now_ns: now, of any steady clock.
+            again: look at all topics again: a publisher may have come with another type, reliability or durability.
+        """
+        if (again or not self._complete) and (self._looked_ns is None or now_ns - self._looked_ns > _PERIOD_NS):
             self._looked_ns = now_ns
             for topic, received in self._topics.items():
                 self._update(topic, received)
             self._complete = all(not received.problem for received in self._topics.values())
-
-    def find_again(self) -> None:
-        """Lets ``find`` look at all topics again: a publisher may have come back with another type or reliability."""
-        self._complete = not self._topics
 
     def is_matched(self, topic: str) -> bool:
         """Returns whether the messages of all present publishers of a topic arrive here; a topic that nobody has yet counts as matched."""
@@ -92,10 +93,13 @@ class AnswerSubscriptions:
         elif types:
             if publishers:
                 received.problem = ""
-            reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
-            self._subscribe(topic, received, (types[0], reliable))
+            # As much as all publishers offer: a latched goal arrives though it was published before this subscription was there.
+            profiles = [publisher.qos_profile for publisher in publishers]
+            reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
+            latched = bool(profiles) and all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
+            self._subscribe(topic, received, (types[0], reliable, latched))
 
-    def _subscribe(self, topic: str, received: _Received, kind: tuple[str, bool]) -> None:
+    def _subscribe(self, topic: str, received: _Received, kind: tuple[str, bool, bool]) -> None:
         if received.subscription is not None and received.kind == kind:
             return
         self._end(received)
@@ -108,7 +112,7 @@ class AnswerSubscriptions:
             history=HistoryPolicy.KEEP_LAST,
             depth=_DEPTH,
             reliability=ReliabilityPolicy.RELIABLE if kind[1] else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.VOLATILE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if kind[2] else DurabilityPolicy.VOLATILE,
         )
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
         try:

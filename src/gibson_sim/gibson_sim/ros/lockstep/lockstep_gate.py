@@ -149,7 +149,7 @@ class LockstepGate:
         """Returns whether the next tick may begin; logs which participants are late, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
         timeout_s, opened_ns = max(JOIN_TIMEOUT_S, self._config.participant_timeout), self._started_ns
-        self._answers.find(now_ns)
+        self._answers.find(now_ns, again=core.any_rests)
         if not core.missing:
             if not core.is_open:
                 timeout_s, opened_ns = self._config.participant_timeout, now_ns - core.waited_ns(now_ns)
@@ -165,7 +165,7 @@ class LockstepGate:
             return self._time_out(waited_ns, now_ns)
         if waited_ns > LATE_NS and now_ns - self._reported_ns > LATE_NS:
             self._reported_ns = now_ns
-            self._answers.find_again()
+            self._answers.find(now_ns, again=True)
             if self._remove_gone_watchers(now_ns):
                 return core.is_open
             if not core.missing or any(_loading(name) is None for name in core.missing):  # what loads tells so itself
