@@ -3,6 +3,7 @@
     GibsonSimError                 the base class; its message is one line for a user
       TextError                    a text is no YAML or no XML, or too large
       ConfigError                  a setting has an invalid value
+        trials.scenario.load.ScenarioError  a scenario file has mistakes, or cannot be met
       SceneError                   a scene cannot be loaded
         SceneNotFoundError         a path leads to nothing, or to nothing that can be read
         MeshError                  a mesh or a texture file is broken

@@ -148,7 +148,7 @@ def _find(
     text = str(name_or_path)
     if not text.strip():
         raise error(f"{what}: the name is empty; give a name or a path")
-    path = Path(text).expanduser()
+    path = Path(os.path.expanduser(text))  # unlike pathlib, it leaves the home of an unknown user as it is
     # A bare name is a name first: a folder of that name in the current directory must not hide an installed scene.
     is_path = path.is_absolute() or text.startswith(("./", "../", "~")) or text in (".", "..")
     if is_path:

@@ -130,6 +130,7 @@ class _Placer:
         self._site, self._places = site, places
         self._names = {body.name for body in site.scene.bodies}
         self._polygons: list[F64] = []
+        self._region: NDArray[np.bool_] | None = None
         self.floor: FloorMap = site.floor
 
     def path(self) -> tuple[float, F64]:
@@ -186,9 +187,10 @@ class _Placer:
         return round(x - across * dy, 4), round(y + across * dx, 4)
 
     def _anywhere(self, rng: np.random.Generator, shape: _Shape) -> XY | None:
-        region = self._site.floor.largest_free_region(self._site.reach)
+        if self._region is None:
+            self._region = self._site.floor.largest_free_region(self._site.reach)
         try:
-            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, self._site.reach), region=region)
+            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, self._site.reach), region=self._region)
         except SceneError:
             return None
         return round(pose.position[0], 4), round(pose.position[1], 4)

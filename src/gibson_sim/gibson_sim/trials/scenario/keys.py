@@ -14,7 +14,6 @@ from typing import Any, ClassVar
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.field_docs import field_docs
-from gibson_sim.quoting import quoted
 from gibson_sim.settings import nearest
 from gibson_sim.standard.lockstep import parse_participants
 from gibson_sim.trials.scenario.kinds import (
@@ -33,6 +32,7 @@ from gibson_sim.trials.scenario.kinds import (
     Text,
     Variables,
     Words,
+    shown,
 )  # fmt: skip
 from gibson_sim.trials.scenario_spec import (
     GoalInterface,
@@ -129,9 +129,7 @@ class _Goal:
         for key in value:
             if key not in known:
                 hint = nearest(str(key), known)
-                at.key(key if isinstance(key, str) and key.isidentifier() else quoted(key)).note(
-                    f"is no key here; {f'{hint} ' if hint else ''}known: {', '.join(known)}"
-                )
+                at.key(shown(key)).note(f"is no key here; {f'{hint} ' if hint else ''}known: {', '.join(known)}")
         name = self.ways[way].read(value[way], at.key(way))
         if way == "topic":
             return GoalInterface("topic", name)

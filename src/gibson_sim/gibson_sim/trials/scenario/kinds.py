@@ -19,6 +19,8 @@ from gibson_sim.trials.scenario_spec import SAMPLED
 Schema = dict[str, Any]
 _LONGEST_TEXT = 4096
 """Characters of a text."""
+_LONGEST_KEY = 80
+"""Characters of an unknown key that a message shows as it is."""
 _MOST_MISTAKES = 20
 """Mistakes of a file that are noted."""
 
@@ -320,7 +322,7 @@ class Variables:
             return at.refuse(value, self.words)
         out = {}
         for name, text in value.items():
-            place = at.key(str(name) if isinstance(name, str) and len(name) < 80 else quoted(name))
+            place = at.key(shown(name))
             if not isinstance(name, str) or not re.fullmatch(self.pattern, name, re.ASCII):
                 place.note("is no name of a variable: letters, digits and _, no digit first")
             elif name in self.reserved:
@@ -373,8 +375,7 @@ class Section:
             kind = self.kinds.get(key) if isinstance(key, str) else None
             if kind is None:
                 hint = nearest(str(key), tuple(self.kinds)) if isinstance(key, str) else ""
-                name = key if isinstance(key, str) and key.isprintable() and 0 < len(key) < 80 else quoted(key)
-                at.key(name).note(f"is no key; {f'{hint} ' if hint else ''}known: {', '.join(self.kinds)}")
+                at.key(shown(key)).note(f"is no key; {f'{hint} ' if hint else ''}known: {', '.join(self.kinds)}")
             else:
                 out[key] = kind.read(content, at.key(key))
         for name in self._required():
@@ -432,8 +433,7 @@ class SettingsOf:
                 at.key(key).note("is set by the trial; leave it out")
             elif key not in self._fields:
                 hint = nearest(str(key), tuple(self._fields))
-                name = key if isinstance(key, str) and key.isprintable() and 0 < len(key) < 80 else quoted(key)
-                at.key(name).note(f"is no setting that a trial takes{f'; {hint}' if hint else ''} See docs/parameters.md")
+                at.key(shown(key)).note(f"is no setting that a trial takes{f'; {hint}' if hint else ''} See docs/parameters.md")
             else:
                 out[key] = self._kind(self._fields[key]).read(content, at.key(key))
         return out
@@ -466,6 +466,11 @@ class SettingsOf:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def shown(key: object) -> str:
+    """Returns a key of a file as a part of a path in a message."""
+    return key if isinstance(key, str) and key.isprintable() and 0 < len(key) < _LONGEST_KEY else quoted(key)
 
 
 def _number(value: float) -> str:

@@ -53,7 +53,7 @@ def load_scenario(path: str | Path) -> Scenario:
         ScenarioError: a key or a value is wrong, or something that it names is not there.
         ConfigError: there is no such file, or it is no YAML.
     """
-    file = Path(path).expanduser()
+    file = Path(os.path.expanduser(path))
     file = (file if is_file(file) else find_config(path, FOLDER)).absolute()
     try:
         document = read_yaml_file(file, _MAX_BYTES)
@@ -105,6 +105,10 @@ class _Resolver:
             verdicts=self._verdicts(scenario.verdicts),
         )
 
+    def _path(self, text: str) -> Path:
+        """Returns the path that a text stands for, from the folder of the file."""
+        return self._folder / os.path.expanduser(text)
+
     def _places(self, count: int, *keys: str) -> list[Place]:
         """Returns the places of the values under a key: a list, or one value alone."""
         place = self._top
@@ -136,7 +140,7 @@ class _Resolver:
         """Returns a name as it is, and a file or folder as an absolute path."""
         if text in known:
             return text
-        path = self._folder / Path(text).expanduser()
+        path = self._path(text)
         if is_file(path) or is_folder(path):
             return os.path.normpath(path)
         try:
@@ -147,14 +151,15 @@ class _Resolver:
 
     def _stack(self, stack: StackSpec) -> StackSpec:
         at = self._top.key("stack")
-        folder = Path(os.path.normpath(self._folder / stack.folder))
+        folder = Path(os.path.normpath(self._path(str(stack.folder))))
         if not is_folder(folder):
             at.key("folder").refuse(str(stack.folder), f"a folder; there is none at {folder}")
         program = stack.command[0]
         if program in _PYTHON:
             program = sys.executable
         elif "/" in program:
-            path = folder / program
+            path = folder / os.path.expanduser(program)
+            program = str(path) if program.startswith("~") else program
             if not (is_file(path) and os.access(path, os.X_OK)):
                 what = "cannot be executed" if is_file(path) else "is not there"
                 at.key("command").note(f"is {quoted(' '.join(stack.command))}: {path} {what}")
@@ -180,7 +185,7 @@ class _Resolver:
         known = known_objects()
         rules = []
         for rule, place in zip(obstacles.spawn, self._places(len(obstacles.spawn), "obstacles", "spawn"), strict=True):
-            path = self._folder / Path(rule.object).expanduser()
+            path = self._path(rule.object)
             if rule.object not in known and not (is_file(path) or is_folder(path)):
                 hint = nearest(rule.object, known)
                 place.key("object").refuse(
@@ -193,7 +198,7 @@ class _Resolver:
         if not text:
             return text
         at = self._top.key("randomise").key("looks")
-        path = self._folder / Path(text).expanduser()
+        path = self._path(text)
         try:
             found = path if is_file(path) else find_config(text, "randomisation")
             load_rules(found)
