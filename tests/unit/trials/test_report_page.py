@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.trials.comparing.comparison import compare
-from gibson_sim.trials.records import Cause, RunResult, Verdict
+from gibson_sim.trials.records import Cause, PlacedThing, RunResult, Verdict
 from gibson_sim.trials.report.maps import SceneMap, map_svg
 from gibson_sim.trials.report.page import trial_page
 from gibson_sim.trials.report.paths import read_path, simplified
 from gibson_sim.trials.report.results import TrialResults
 from support.trial_results import failed, passed, trial
 
-VOID = ("meta", "img", "image", "circle", "path", "polyline", "br")
+VOID = ("meta", "img", "image", "circle", "path", "polyline", "rect", "br")
 
 
 class Page(HTMLParser):
@@ -154,6 +154,14 @@ def test_map_tells_failed_paths_by_more_than_colour() -> None:
     assert svg.index('class="passed"') < svg.index('class="failed"')
     assert svg.count('<path class="end"') == 1  # a cross
     assert ">2</text>" in svg
+
+
+def test_map_shows_what_was_in_the_way_of_a_failed_run() -> None:
+    things = (PlacedThing("box", "box_cardboard", (1.0, 2.0, 0.0)),)
+    runs = [(made(0, things=things), ((0.0, 0.0), (10.0, 0.0))) for made in (passed, failed)]
+    unit = 0.106  # a hundredth of the width, 10 m and the margins
+    assert map_svg(None, runs).count("<rect") == 1
+    assert f'<rect class="thing" x="{1.0 - 0.7 * unit:.3f}" y="{-2.0 - 0.7 * unit:.3f}"' in map_svg(None, runs)
 
 
 def test_numbers_on_a_map_do_not_cover_each_other() -> None:

@@ -113,6 +113,11 @@ def _path(result: RunResult, path: Points, unit: float, labels: _Labels) -> str:
             f'<path class="goal" d="M{goal_x:.3f} {goal_y - r:.3f}l{r:.3f} {r:.3f}l{-r:.3f} {r:.3f}l{-r:.3f} {-r:.3f}z"/>'
             f'<path class="end" d="M{x1 - r:.3f} {-y1 - r:.3f}l{2 * r:.3f} {2 * r:.3f}m0 {-2 * r:.3f}l{-2 * r:.3f} {2 * r:.3f}"/>'
         )
+        half = 0.7 * unit
+        marks += "".join(
+            f'<rect class="thing" x="{x - half:.3f}" y="{-y - half:.3f}" width="{2 * half:.3f}" height="{2 * half:.3f}"/>'
+            for x, y, _ in (thing.pose for thing in run.things)
+        )
         labels.add(str(run.number), x1, -y1)
     drawing = f'<g class="{kind}"><title>{html.escape(title)}</title><polyline points="{line}"/>{marks}</g>'
     return drawing if result.passed else f'<a href="#run-{run.number}">{drawing}</a>'

@@ -36,7 +36,7 @@ a { color: var(--good); }
 .maps > div { max-width: 820px; }
 .map { display: block; max-height: 85vh; margin: .4em 0 1em; border: 1px solid var(--line); }
 .map image { image-rendering: pixelated; }
-.map polyline, .map path { fill: none; stroke-width: 1.6px; vector-effect: non-scaling-stroke; stroke-linejoin: round; }
+.map polyline, .map path, .map rect { fill: none; stroke-width: 1.6px; vector-effect: non-scaling-stroke; stroke-linejoin: round; }
 .map circle { vector-effect: non-scaling-stroke; stroke-width: 1.4px; }
 .map .passed { stroke: var(--good); } .map .passed polyline { opacity: .55; }
 .map .failed { stroke: var(--bad); } .map .failed polyline { stroke-dasharray: 6 4; stroke-width: 2.2px; }

@@ -12,7 +12,7 @@ from gibson_sim.quoting import clipped
 from gibson_sim.trials.records import PlanarPose, RunResult, RunSpec
 from gibson_sim.types import NS_PER_S
 
-_LONGEST = 200
+_LONGEST = 400
 """Characters of a line about a run."""
 _NAME = re.compile(r"[^\w-]+")
 
