@@ -191,7 +191,8 @@ def _maps(trial: TrialResults, folder: Path, maps: dict[str, SceneMap | None] | 
             parts.append(f"<div><h3>{_text(scene_name(scene))}: {_short(rate)}</h3>{svg}</div>")
     caption = (
         '<p class="quiet">True paths of the robot: <span class="good">solid = passed</span>, <span class="bad">dashed = failed</span>, '
-        "with the number of the run at its end, ✗. A circle is a start; of a failed run a diamond is the goal, a square something that was in its way.</p>"
+        "with the number of the run at its end, ✗. A circle is a start; of a failed run a diamond is the goal, "
+        "a square something that was in its way.</p>"
     )
     return f"<h2>Paths</h2>{caption}<div class='maps'>{''.join(parts)}</div>" if parts else ""
 
