@@ -31,7 +31,7 @@ class AnswerRule:
     """Whether a program has answered the present tick, by the messages that it publishes on one topic."""
 
     def __init__(self, rule: ParticipantRule) -> None:
-        self.topic, self._after, self._every_ns = rule.answer, rule.after, round(rule.every_s * NS_PER_S)
+        self.topic, self._after, self._every_ns = rule.answer.lstrip("/"), rule.after.lstrip("/"), round(rule.every_s * NS_PER_S)
         self._next_ns = 0
         self._is_due = False
         self.received = 0
