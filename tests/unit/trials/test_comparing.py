@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from gibson_sim.trials.comparing.comparison import compare, percent
 from gibson_sim.trials.comparing.statistics import least_differing, shift_of, two_sided_binomial
+from gibson_sim.trials.records import RunResult, Verdict
 from support.trial_results import failed, passed
 
 
@@ -75,6 +78,32 @@ def test_trials_of_other_runs_are_not_compared() -> None:
     assert compare([passed(0)], [passed(1)]).lines()[0].startswith("no run of one trial is in the other")
 
 
+def judged(number: int, **verdicts: bool) -> RunResult:
+    return replace(passed(number), verdicts=tuple(Verdict(name, good, "") for name, good in verdicts.items()))
+
+
+def test_a_stack_that_reaches_more_and_hits_more_is_told_by_its_verdicts() -> None:
+    before = [judged(n, reached=n >= 8, collisions=True) for n in range(16)]
+    after = [judged(n, reached=True, collisions=n < 8) for n in range(16)]
+    found = compare(before, after)
+    assert (len(found.worse), len(found.better), found.p) == (8, 8, 1.0)
+    reached, collisions = found.verdicts
+    assert (reached.name, reached.worse, reached.better) == ("reached", 0, 8)
+    assert (collisions.name, collisions.worse, collisions.better) == ("collisions", 8, 0)
+    assert collisions.p == pytest.approx(2 * 2 / 2**8)  # for two verdicts
+    assert found.is_decline
+    assert found.lines()[0].endswith("in 100 % of cases; but the stacks differ by more than chance in: reached, collisions")
+    assert "collisions: 8 runs got worse, 0 got better: that is more than chance (1.6 %)" in found.lines()
+
+
+def test_verdicts_that_can_never_tell_do_not_count_as_tests() -> None:
+    before = [judged(n, collisions=True, time=n < 15) for n in range(16)]
+    after = [judged(n, collisions=n >= 6, time=True) for n in range(16)]
+    collisions, time = compare(before, after).verdicts
+    assert collisions.p == pytest.approx(2 / 2**6)
+    assert (time.p, time.is_chance) == (1.0, True)
+
+
 def test_times_are_compared_where_both_passed() -> None:
     before = [passed(n, time=10.0) for n in range(10)] + [passed(10), failed(11)]
     after = [passed(n, time=11.0 if n < 9 else 9.0) for n in range(10)] + [failed(10), passed(11)]
@@ -84,7 +113,7 @@ def test_times_are_compared_where_both_passed() -> None:
     assert time.share == pytest.approx(0.1)
     assert time.p == pytest.approx(2 * (1 + 10) / 2**10)
     assert (length.larger, length.smaller, length.p) == (0, 0, 1.0)
-    line = compare(before, after).lines()[2]
+    line = compare(before, after).lines()[3]
     assert (
         line
         == "of 10 runs that passed in both, 9 got slower and 1 faster (median +1.00 s, +10.0 %): that is more than chance (2.1 %)"

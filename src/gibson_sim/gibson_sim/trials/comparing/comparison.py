@@ -39,6 +39,32 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
+class VerdictShift:
+    """How often one verdict differs between the runs of two trials: a stack may reach more goals and hit more things."""
+
+    name: str
+    worse: int
+    better: int
+    p: float
+    """Of the exact McNemar test, times the number of verdicts that it could tell apart (Bonferroni): more tests find more by chance."""
+
+    @property
+    def is_chance(self) -> bool:
+        """Whether it can be chance."""
+        return self.p >= LEVEL
+
+    @property
+    def is_decline(self) -> bool:
+        """Whether more runs got worse than better, by more than chance."""
+        return self.worse > self.better and not self.is_chance
+
+    def line(self) -> str:
+        """Returns the sentence about it."""
+        kind = "can be chance" if self.is_chance else "is more than chance"
+        return f"{self.name}: {runs_text(self.worse)} got worse, {self.better} got better: that {kind} ({percent(self.p)})"
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """Two trials, run by run."""
 
@@ -50,6 +76,8 @@ class Comparison:
     """Of the exact McNemar test: probability that chance alone makes such a difference, or a greater one."""
     shifts: tuple[Shift, ...]
     """Of the runs that passed in both."""
+    verdicts: tuple[VerdictShift, ...] = ()
+    """Those that differ in any pair."""
 
     @property
     def worse(self) -> tuple[Pair, ...]:
@@ -63,8 +91,9 @@ class Comparison:
 
     @property
     def is_decline(self) -> bool:
-        """Whether more runs got worse than better, by more than chance."""
-        return len(self.worse) > len(self.better) and self.p < LEVEL
+        """Whether more runs got worse than better by more than chance, as a whole or by one verdict."""
+        whole = len(self.worse) > len(self.better) and self.p < LEVEL
+        return whole or any(verdict.is_decline for verdict in self.verdicts)
 
     def lines(self) -> list[str]:
         """Returns the findings, one sentence each, the most important first."""
@@ -76,6 +105,7 @@ class Comparison:
         both = sum(pair.before.passed and pair.after.passed for pair in self.pairs)
         neither = sum(not (pair.before.passed or pair.after.passed) for pair in self.pairs)
         found = [self.verdict(), f"of {len(self.pairs)} pairs {both} passed in both, {neither} failed in both"]
+        found += [verdict.line() for verdict in self.verdicts]
         found += [shift_line(shift) for shift in self.shifts]
         equal = sum(pair.is_equal for pair in self.pairs)
         if equal:
@@ -85,12 +115,17 @@ class Comparison:
     def verdict(self) -> str:
         """Returns the sentence that tells whether the stacks differ."""
         worse, better = len(self.worse), len(self.better)
+        telling = ", ".join(verdict.name for verdict in self.verdicts if not verdict.is_chance)
         if not worse and not better:
+            if telling:
+                return f"no run got better or worse as a whole, but the stacks differ by more than chance in: {telling}"
             return "no run got better or worse: nothing tells the stacks apart by what passes"
         told = f"{runs_text(worse)} got worse, {better} got better"
         chance = f"by chance alone such a difference or a greater one would come about in {percent(self.p)} of cases"
         if self.p < LEVEL:
             return f"{told}; {chance}: the stacks differ, and the {'first' if worse > better else 'second'} is better"
+        if telling:
+            return f"{told}; {chance}; but the stacks differ by more than chance in: {telling}"
         least = least_differing()
         hint = f" (fewer than {least} runs that differ never can be; plan more runs)" if worse + better < least else ""
         return f"{told}; {chance}: that is no evidence that the stacks differ{hint}"
@@ -111,6 +146,7 @@ class Comparison:
             "equal_to_the_bit": sum(pair.is_equal for pair in self.pairs),
             "p": self.p,
             "decline": self.is_decline,
+            "verdicts": {one.name: {"worse": one.worse, "better": one.better, "p": one.p} for one in self.verdicts},
             "shifts": {shift.name: {"median": shift.median, "p": shift.p, "pairs": shift.pairs} for shift in self.shifts},
             "text": self.lines(),
         }
@@ -139,6 +175,23 @@ def compare(before: Sequence[RunResult], after: Sequence[RunResult]) -> Comparis
         len(after) - len(pairs),
         two_sided_binomial(worse, better),
         tuple(shift for shift in shifts if shift is not None),
+        _verdicts(pairs),
+    )
+
+
+def _verdicts(pairs: Sequence[Pair]) -> tuple[VerdictShift, ...]:
+    """Returns the verdicts that differ in any pair."""
+    counts: dict[str, list[int]] = {}
+    for pair in pairs:
+        before = {verdict.name: verdict.passed for verdict in pair.before.verdicts}
+        for verdict in pair.after.verdicts:
+            if before.get(verdict.name, verdict.passed) != verdict.passed:
+                counts.setdefault(verdict.name, [0, 0])[verdict.passed] += 1
+    # Tests that can never tell do not count (Tarone 1990).
+    tests = max(1, sum(worse + better >= least_differing() for worse, better in counts.values()))
+    return tuple(
+        VerdictShift(name, worse, better, min(1.0, tests * two_sided_binomial(worse, better)))
+        for name, (worse, better) in counts.items()
     )
 
 
