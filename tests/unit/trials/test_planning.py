@@ -233,8 +233,8 @@ def test_things_stand_beside_the_path_and_leave_a_way_round() -> None:
             assert min(math.dist(thing.pose[:2], end[:2]) for end in (run.start, run.goal)) > 0.175 + 0.3
         for a, b in itertools.combinations(run.things, 2):
             assert math.dist(a.pose[:2], b.pose[:2]) > 0.15
-        # Boxes are at most 0.45 m beside the straight line; the chair may be anywhere.
-        assert all(abs(thing.pose[1] - 2.2) <= 0.451 for thing in run.things[:3])
+        # Boxes are at most 0.3 m beside the robot on the straight line; the chair may be anywhere.
+        assert all(abs(thing.pose[1] - 2.2) <= 0.476 for thing in run.things[:3])
         assert run.shortest >= 5.5 - 1e-3
 
 

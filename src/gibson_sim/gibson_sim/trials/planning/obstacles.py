@@ -35,8 +35,8 @@ _TRIES = 60
 """Places that are tried for a thing or a person."""
 _APART = 0.3
 """Least distance of things and people from the robot's circle at start and goal, metres."""
-_BESIDE = 0.45
-"""Largest distance of a thing from the path, metres."""
+_BESIDE = 0.3
+"""Largest distance of a thing's origin from the edge of the robot on the path, metres."""
 _ALONG = (0.15, 0.85)
 """Part of the path on which things stand and people cross."""
 _WALK = (0.7, 2.5)
@@ -182,7 +182,8 @@ class _Placer:
         return round(x, 6), round(y, 6), round(yaw, 6)
 
     def _beside_path(self, rng: np.random.Generator) -> XY:
-        at, across = rng.uniform(*_ALONG), rng.uniform(-_BESIDE, _BESIDE)
+        beside = self._site.robot.radius + _BESIDE
+        at, across = rng.uniform(*_ALONG), rng.uniform(-beside, beside)
         (x, y), (dx, dy) = _along(self._places.path, at)
         return round(x - across * dy, 4), round(y + across * dx, 4)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError, GibsonSimError, SceneError, TextError
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import is_file, is_folder, read_yaml_file
 from gibson_sim.resources import find_config, find_robot, find_scene, known_objects, list_robots, list_scenes
 from gibson_sim.scenes.randomise import load_rules
@@ -28,6 +28,8 @@ _MAX_BYTES = 1_000_000
 """Largest size of a scenario file."""
 _PYTHON = ("python", "python3")
 """Programs of a stack that stand for the interpreter of this process."""
+_LONGEST = 2000
+"""Characters of a mistake."""
 _MOST_LISTED = 3
 """Further mistakes whose places a message names."""
 
@@ -36,7 +38,7 @@ class ScenarioError(ConfigError):
     """A scenario file has mistakes, or cannot be met. The message is the first mistake."""
 
     def __init__(self, file: Path, mistakes: Sequence[str]) -> None:
-        self.mistakes = tuple(f"{file}: {mistake}" for mistake in mistakes)
+        self.mistakes = tuple(clipped(f"{file}: {mistake}", _LONGEST) for mistake in mistakes)
         """All mistakes, one line each."""
         more = [mistake.split(" ", 1)[0].rstrip(":") for mistake in mistakes[1:]]
         named = ", ".join(more[:_MOST_LISTED]) + (", ..." if len(more) > _MOST_LISTED else "")
