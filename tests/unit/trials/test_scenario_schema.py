@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -66,7 +66,7 @@ Steps = tuple[str | int, ...]
 
 def is_valid(value: Any, form: dict[str, Any]) -> bool:
     """Returns whether a value fulfils a schema: all keywords that ours has."""
-    checks = {
+    checks: dict[str, Callable[[Any], bool]] = {
         "anyOf": lambda forms: any(is_valid(value, one) for one in forms),
         "not": lambda one: not is_valid(value, one),
         "const": lambda constant: value == constant,
@@ -124,7 +124,7 @@ def with_value(document: Any, steps: Steps, value: Any) -> Any:
         return value
     if isinstance(document, dict) and steps[0] not in document:
         return {**document, steps[0]: value}
-    copy = dict(document) if isinstance(document, dict) else list(document)
+    copy: Any = dict(document) if isinstance(document, dict) else list(document)
     copy[steps[0]] = with_value(document[steps[0]], steps[1:], value)
     return copy
 
@@ -133,7 +133,7 @@ def without(document: Any, steps: Steps) -> Any:
     """Returns a copy of a document without the key at a path."""
     if len(steps) == 1:
         return {key: value for key, value in document.items() if key != steps[0]}
-    copy = dict(document) if isinstance(document, dict) else list(document)
+    copy: Any = dict(document) if isinstance(document, dict) else list(document)
     copy[steps[0]] = without(document[steps[0]], steps[1:])
     return copy
 
