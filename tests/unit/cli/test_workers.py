@@ -16,7 +16,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.jobs.local import LocalWorkers
 from gibson_sim.jobs.units import Unit, UnitResult
 
-TASK = ["task", "point-goal", "--in-process", "--baseline", "scripted", "--seed", "1", "--episodes", "2"]
+TASK = ["task", "push-through", "--in-process", "--baseline", "scripted", "--seed", "0", "--episodes", "2"]
 
 
 @pytest.mark.egl
@@ -27,8 +27,8 @@ def test_episodes_over_workers_are_those_of_one_process(tmp_path: Path, capsys: 
         assert run([*TASK, "--json", str(folder / "all.json"), "--pictures", str(folder), *options]) == 0
         printed.append(capsys.readouterr().out)
     assert printed[0] == printed[1]
-    assert [line.split(":")[0] for line in printed[0].splitlines()] == ["seed 1", "seed 2", "point-goal, scripted"]
-    names = ["all.json", "point-goal_1.png", "point-goal_2.png"]
+    assert [line.split(":")[0] for line in printed[0].splitlines()] == ["seed 0", "seed 1", "push-through, scripted"]
+    names = ["all.json", "push-through_0.png", "push-through_1.png"]
     assert sorted(path.name for path in (tmp_path / "two").iterdir()) == names
     for name in names:
         assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
@@ -57,7 +57,7 @@ ANY_METRICS = {
 def test_an_episode_that_fails_ends_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(task_command, "backend_of", lambda args: _Failing())
     assert run(TASK) == 1
-    assert capsys.readouterr() == ("", "gibson-sim: error: episode seed-1: the scene has no room for the task\n")
+    assert capsys.readouterr() == ("", "gibson-sim: error: episode seed-0: the scene has no room for the task\n")
 
 
 def test_workers_need_a_task_in_this_process(capsys: pytest.CaptureFixture[str]) -> None:

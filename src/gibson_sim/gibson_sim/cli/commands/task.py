@@ -106,13 +106,14 @@ def _run_here(config: TaskConfig, pictures: Path | None, show: Callable[[Metrics
     from gibson_sim.tasks.run import TaskRun, run_episode
     from gibson_sim.tasks.units import picture_of
 
-    with TaskRun(task_of(config.task), scene=config.scene, robot=config.robot) as there:
-        for seed in range(config.seed, config.seed + config.episodes):
+    for seed in range(config.seed, config.seed + config.episodes):
+        # A run of its own for each, see tasks/units.py.
+        with TaskRun(task_of(config.task), scene=config.scene, robot=config.robot) as there:
             metrics = run_episode(there, seed, config.baseline)
             picture = _picture(pictures, config.task, seed)
             if picture is not None:
                 picture_of(there, picture)
-            show(metrics, picture)
+        show(metrics, picture)
 
 
 def _run_over(backend: Backend, config: TaskConfig, pictures: Path | None, show: Callable[[Metrics, Path | None], None]) -> None:
