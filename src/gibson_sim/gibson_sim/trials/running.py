@@ -59,6 +59,23 @@ class Changes:
         return tuple(word for name, value in found if value is not None for word in (name, str(value)))
 
 
+def check(scenario: Scenario) -> None:
+    """Checks what can be known of a scenario's stack before anything starts.
+
+    Raises:
+        GibsonSimError: its program is not there, or what is wanted of it cannot be done.
+    """
+    # Loaded here: planning and comparing need no ROS domain.
+    from gibson_sim.trials.execution import check_stack
+
+    if scenario.stack.restart == "never":
+        raise ConfigError(
+            "stack.restart is 'never', which this version cannot do: each run has a simulation of its own, and starts the stack anew; "
+            "leave it out, or set it to each"
+        )
+    check_stack(scenario.stack)
+
+
 def chosen(runs: Sequence[RunSpec], numbers: Sequence[int]) -> tuple[RunSpec, ...]:
     """Returns the runs with these numbers; all for none.
 

@@ -171,13 +171,12 @@ class _Trial:
         """Makes the runs, writes the report, and returns the exit code."""
         from gibson_sim.cli.trial_progress import TrialProgress
         from gibson_sim.trials.comparing.comparison import runs_text
-        from gibson_sim.trials.execution import check_stack
         from gibson_sim.trials.report.results import RESULTS
-        from gibson_sim.trials.running import finished, make_runs, prepare
+        from gibson_sim.trials.running import check, finished, make_runs, prepare
 
         prepare(self._folder, resume=self._args.resume)
         backend = _backend(self._args)
-        check_stack(self._scenario.stack)
+        check(self._scenario)
         spent = 0.0
         if self._args.resume:
             self._results = finished(self._folder, self._plan)

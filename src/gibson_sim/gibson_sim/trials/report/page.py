@@ -272,10 +272,15 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     shown = "".join(f'<h3>{name}</h3><pre class="command">{_text(command)}</pre>' for name, command in commands)
     return (
         f'<details class="run" id="run-{run.number}"{" open" if is_open else ""}><summary><b>{run.number}</b>'
-        f'<span class="bad">{_text(kind)}:</span> {_text(reason(result))} · <span class="quiet">{_text(title)}</span></summary>'
+        f'{_headline(kind, reason(result))} · <span class="quiet">{_text(title)}</span></summary>'
         f'<ul class="verdicts">{verdicts}</ul>{pictures.of(own)}<dl>{listed}</dl>{shown_log}{shown}'
         f'<p class="quiet">{" · ".join(links)}</p></details>'
     )
+
+
+def _headline(kind: str, why: str) -> str:
+    """Returns kind and reason of a failure; a reason that begins with its kind names it once."""
+    return f'<span class="bad">{_text(kind)}:</span> {_text(why.removeprefix(f"{kind}: "))}'
 
 
 _UNITS = {
