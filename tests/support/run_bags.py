@@ -116,7 +116,7 @@ class Run:
             add(t, topic, message)
         with make.writer(folder / "bag") as bag:
             for topic in sorted({"/inputs", *(topic for _, topic, _ in rows)}):
-                bag.add_topic(topic, self.types.get(topic, TYPES[topic]))
+                bag.add_topic(topic, {**TYPES, **self.types}[topic])
             for at, topic, data in sorted(rows, key=lambda row: row[0]):
                 bag.write(topic, data, at, at)
         return folder

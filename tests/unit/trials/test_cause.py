@@ -62,7 +62,7 @@ def test_jump_of_the_localisation_is_blamed_for_the_collision_after_it(tmp_path:
     assert (cause.kind, cause.time) == ("localisation jumped", 5.0)
     assert cause.text == (
         "after 5.0 s, at (3.50, 2.00): the localisation jumped by 0.80 m, from 0.00 m off the truth to 0.80 m; "
-        "2.5 s later the robot hit wall_11; 2.5 s later the robot was blocked by wall_11 for 4.5 s"
+        "2.5 s later the robot hit wall_11 at 0.50 m/s; 2.5 s later the robot was blocked by wall_11 for 4.5 s"
     )
 
 
@@ -94,7 +94,7 @@ def test_localisation_that_recovered_long_before_a_collision_is_not_blamed(tmp_p
     run = Run(corrections=shifted(0.8, 1.0, 3.0), touches=[(8.5, 8.6, "chair")])
     cause = sure(blamed(tmp_path, run, "reached"))
     assert (cause.kind, cause.time) == ("collision", 8.5)
-    assert cause.text == "after 8.5 s, at (5.25, 2.00): the robot hit chair"
+    assert cause.text == "after 8.5 s, at (5.25, 2.00): the robot hit chair at 0.50 m/s"
 
 
 def test_localisation_from_a_pose_topic(tmp_path: Path) -> None:
@@ -203,7 +203,21 @@ def test_commands_of_a_type_that_no_robot_takes(tmp_path: Path) -> None:
     run = Run(truth=stands, commands=[], types={"/cmd_vel": "geometry_msgs/msg/Vector3"}, extra=[(1.0, "/cmd_vel", vector)])
     cause = sure(blamed(tmp_path, run))
     assert cause.kind == "command ignored"
-    assert "/cmd_vel of type geometry_msgs/msg/Vector3, must be Twist or TwistStamped" in cause.text
+    assert "/cmd_vel of type geometry_msgs/msg/Vector3, must be Twist or TwistStamped on cmd_vel" in cause.text
+
+
+def test_commands_on_another_topic(tmp_path: Path) -> None:
+    sent = [(t, "/cmd_vel_nav", messages().twist(v)) for t, v, _ in FOREVER]
+    run = Run(truth=stands, commands=[], types={"/cmd_vel_nav": "geometry_msgs/msg/Twist"}, extra=sent)
+    cause = sure(blamed(tmp_path, run))
+    assert cause.kind == "command ignored"
+    assert "/cmd_vel_nav of type geometry_msgs/msg/Twist, must be Twist or TwistStamped on cmd_vel" in cause.text
+
+
+def test_pause_in_commands_that_are_ignored_does_not_end_them(tmp_path: Path) -> None:
+    """A second without commands."""
+    run = Run(truth=stands, commands=commands((0.0, 3.0, 0.5), (4.0, 12.0, 0.5)))
+    assert "the robot stood for 12.0 s" in sure(blamed(tmp_path, run)).text
 
 
 def test_commands_to_turn_that_are_followed_are_not_ignored(tmp_path: Path) -> None:
@@ -263,7 +277,10 @@ def test_spinning_wheels_against_a_wall_are_blocked_not_slip(tmp_path: Path) -> 
 def test_collision_with_a_person(tmp_path: Path) -> None:
     spec = planned(people=(Person("person_1", ((3.0, 1.0), (3.0, 3.0)), 0.8, 0.25, 1.75),))
     cause = sure(blamed(tmp_path, Run(touches=[(4.0, 4.2, "person_1")]), "reached", spec=spec))
-    assert (cause.kind, cause.text) == ("collision", "after 4.0 s, at (3.00, 2.00): the robot hit the person person_1")
+    assert (cause.kind, cause.text) == (
+        "collision",
+        "after 4.0 s, at (3.00, 2.00): the robot hit the person person_1 at 0.50 m/s",
+    )
 
 
 def test_person_who_walks_into_a_standing_robot(tmp_path: Path) -> None:
@@ -314,7 +331,7 @@ def test_ends_that_speak_for_themselves(tmp_path: Path, end: str, kind: str) -> 
 
 def test_collision_before_the_stack_died_comes_first(tmp_path: Path) -> None:
     cause = sure(blamed(tmp_path, Run(touches=[(4.0, 4.1, "box")]), "stack died", detail="signal 11", exit_code=-11))
-    assert cause.text == "after 4.0 s, at (3.00, 2.00): the robot hit box; 8.0 s later stack died: signal 11"
+    assert cause.text == "after 4.0 s, at (3.00, 2.00): the robot hit box at 0.50 m/s; 8.0 s later stack died: signal 11"
 
 
 def test_wall_time_limit(tmp_path: Path) -> None:

@@ -43,6 +43,8 @@ FOLLOWED = 0.1
 """Share of the commanded motion up to which a robot stands."""
 STANDS_M, STANDS_RAD = 0.02, math.radians(2.0)
 """Motion in this time up to which a robot stands: the trembling of contacts."""
+BEFORE_IMPACT_S = 0.5
+"""Time before a contact over which the robot's speed is told, s."""
 WHEELS = 0.5
 """Share of the commanded motion from which the wheels turned, by odometry."""
 SLIP_S = 5.0
@@ -130,12 +132,14 @@ def find_events(run: RunSpec, outcome: Outcome, evidence: Evidence, walls: Obsta
 def collision(run: RunSpec, evidence: Evidence, touch: Touch) -> Event:
     """Returns a contact as an event."""
     other = name_of(run, touch.other)
-    xy = None
-    what = f"the robot hit {other}"
+    xy, what = None, f"the robot hit {other}"
     if evidence.truth is not None:
-        (x0, y0, _), (x, y, _) = evidence.truth.at(max(0.0, touch.begin - 0.5)), evidence.truth.at(touch.begin)
-        xy = float(x), float(y)
-        if touch.other in {person.name for person in run.people} and math.hypot(x - x0, y - y0) < STANDS_M:
+        before = max(0.0, touch.begin - BEFORE_IMPACT_S)
+        (x0, y0, _), (x, y, _) = evidence.truth.at(before), evidence.truth.at(touch.begin)
+        xy, way = (float(x), float(y)), math.hypot(x - x0, y - y0)
+        if way >= STANDS_M:
+            what += f" at {way / (touch.begin - before):.2f} m/s"
+        elif touch.other in {person.name for person in run.people}:
             what = f"{other} walked into the robot, which stood"
     return Event("collision", touch.begin, max(touch.end, touch.begin), what, xy)
 
@@ -178,7 +182,7 @@ def _stretches(mask: Bools) -> list[tuple[int, int]]:
 def _bad_commands(outcome: Outcome, evidence: Evidence) -> Iterator[Event]:
     """Yields commands that are not finite, or of a type that no robot takes."""
     if evidence.wrong_commands and evidence.commands is None:
-        what = f"the stack sent commands that no robot takes: {evidence.wrong_commands}, must be Twist or TwistStamped"
+        what = f"the stack sent commands that no robot takes: {evidence.wrong_commands}, must be Twist or TwistStamped on cmd_vel"
         yield Event("command ignored", 0.0, evidence.duration, what, _xy(evidence, 0.0))
     bad = ~evidence.commands.is_finite if evidence.commands is not None else np.zeros(0, dtype=bool)
     if evidence.commands is not None and bad.mean() >= BAD_SHARE:
@@ -226,7 +230,20 @@ def _standing(run: RunSpec, evidence: Evidence, motion: Motion) -> Iterator[Even
     go, turn = asked_m >= COMMANDED_M, asked_rad >= COMMANDED_RAD
     stands_m = moved_m <= np.maximum(STANDS_M, FOLLOWED * asked_m)
     stands_rad = moved_rad <= np.maximum(STANDS_RAD, FOLLOWED * asked_rad)
+    x, y, _ = motion.truth
+    stretches: list[tuple[int, int]] = []
     for first, last in _stretches(commanded & (go | turn) & (~go | stands_m) & (~turn | stands_rad)):
+        # A pause in the commands does not end it.
+        before = stretches[-1] if stretches else None
+        if (
+            before is not None
+            and first - before[1] <= 2 * span
+            and math.hypot(x[first] - x[before[1]], y[first] - y[before[1]]) < STANDS_M
+        ):
+            stretches[-1] = before[0], last
+        else:
+            stretches.append((first, last))
+    for first, last in stretches:
         begin, end = float(motion.t[first]), float(motion.t[last + span])
         wheels = 0.0
         if motion.odometry is not None:

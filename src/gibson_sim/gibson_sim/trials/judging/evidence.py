@@ -28,6 +28,9 @@ from gibson_sim.trials.records import Outcome
 from gibson_sim.types import NS_PER_S
 
 F64 = NDArray[np.float64]
+_TWISTS = (roles.TWIST, roles.TWIST_STAMPED)
+_COMMANDS = ("/cmd_vel", "/cmd_vel_applied")
+"""Topics of the robot's commands, the second repeats those that took effect."""
 PATH, DIGEST, INPUT = "nav_msgs/msg/Path", "gibson_msgs/msg/TickDigest", "gibson_msgs/msg/Input"
 _PLAN_NAMES = ("plan", "global_plan", "path", "planned_path", "global_path", "received_global_plan")
 """Last parts of the names of topics with the plan that a robot follows, in order of preference."""
@@ -120,7 +123,7 @@ class Evidence:
     applied: F64 | None
     """(N,), times at which the simulation applied velocity commands, s since the goal."""
     wrong_commands: str
-    """Topic and type of ``cmd_vel`` with messages that no robot takes; empty = there is none."""
+    """Topic and type of commands where the robot's topic has none that it takes; empty = there are none."""
     touches: tuple[Touch, ...] | None
     """Begun before the end and ended after the goal; times in s since the goal."""
     plans: tuple[Plan, ...]
@@ -192,7 +195,9 @@ class _Reading:
         own = {t.removeprefix(self._prefix): info for t, info in infos.items() if t.startswith(f"{self._prefix}/")}
         truths = [t for t, info in own.items() if t.endswith("/ground_truth/odom") and info.type_name == roles.ODOMETRY]
         found = roles.find_topics({t: info for t, info in own.items() if "ground_truth" not in t}, {}, "")
-        self._role: dict[str, str] = {self._prefix + found[r]: r for r in ("cmd_vel", "odom") if r in found}
+        self._role: dict[str, str] = {self._prefix + found["odom"]: "odom"} if "odom" in found else {}
+        commands = [t for name in _COMMANDS if (t := self._prefix + name) in infos and infos[t].type_name in _TWISTS]
+        self._role.update({topic: "cmd_vel" for topic in commands[:1]})
         self._role.update({self._prefix + t: "truth" for t in truths[:1]})
         if "truth" in found:
             self._role[self._prefix + found["truth"]] = "pose"
@@ -269,7 +274,7 @@ class _Reading:
             plans.append(Plan(t, points))
 
     def _add_input(self, t: float, msg: Any) -> None:
-        if msg.type in (roles.TWIST, roles.TWIST_STAMPED) and msg.name.rpartition("/")[2] == "cmd_vel":
+        if msg.type in _TWISTS and msg.name.rpartition("/")[2] == "cmd_vel":
             self._rows.applied.append(t)
 
     def _add_transforms(self, t: float, msg: Any) -> None:
@@ -295,10 +300,10 @@ class _Reading:
         if truth is not None and estimate is not None and float(errors(estimate.poses, truth)[0].max()) < _SAME_M:
             estimate = None
         commands = next((topic for topic, role in self._role.items() if role == "cmd_vel"), "")
-        wrong = [
+        others = [
             f"{topic} of type {info.type_name}"
             for topic, info in self._infos.items()
-            if topic.rpartition("/")[2] == "cmd_vel" and info.type_name not in (roles.TWIST, roles.TWIST_STAMPED)
+            if topic.rpartition("/")[2].startswith("cmd_vel") or info.type_name in _TWISTS
         ]
         touches = tuple(touch for touch in self._touches.touches() if touch.end >= 0.0 and touch.begin <= duration)
         return Evidence(
@@ -309,7 +314,7 @@ class _Reading:
             estimate=estimate,
             commands=_commands(rows.commands, commands),
             applied=np.array(rows.applied, dtype=np.float64) if has_journal else None,
-            wrong_commands=wrong[0] if wrong else "",
+            wrong_commands=others[0] if others and not commands else "",
             touches=touches if self._touches.topics else None,
             plans=tuple(rows.plans),
             floor=_floor(self._map, self._maps[0] if self._maps else ""),
