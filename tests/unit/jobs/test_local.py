@@ -172,14 +172,16 @@ def test_large_arguments_values_outputs_and_much_progress_pass(tmp_path: Path) -
     assert (tmp_path / "u" / "a" / "b.bin").stat().st_size == 20_000_000
 
 
-def test_files_are_where_they_are(tmp_path: Path) -> None:
+def test_files_are_where_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "scene.yaml").write_text("name: hall")
     file = str(tmp_path / "scene" / "scene.yaml")
     unit = Unit("u", "support.work:read", {"path": file}, (tmp_path / "scene",))
     other = Unit("other", "support.work:read", {"path": str(tmp_path / "elsewhere")}, (tmp_path / "scene",))
-    found, refused = run_units([unit, other], LocalWorkers(1), output=tmp_path / "out")
-    assert found.value == ["scene.yaml", "name: hall", False]
+    relative = Unit("relative", "support.work:read", {"path": "scene/../scene/scene.yaml"}, (Path("scene"),))
+    found, refused, also = run_units([unit, other, relative], LocalWorkers(1), output=tmp_path / "out")
+    assert found.value == also.value == ["scene.yaml", "name: hall", False]
     assert refused.error == f"'{tmp_path}/elsewhere' is not among the unit's files: {tmp_path}/scene"
 
 

@@ -121,7 +121,7 @@ def test_a_cluster_gives_the_results_of_local_workers(cluster: tuple[str, dict[s
     units: list[Work] = [
         *((f"u{k}", "square", {"x": k}, []) for k in range(6)),
         ("script", "read", {"path": str(scene / "scripts" / "run.sh")}, shipped),
-        ("link", "read", {"path": str(scene / "same.yaml")}, shipped),
+        ("link", "read", {"path": os.path.relpath(scene / "same.yaml")}, shipped),
         ("large", "echo", {"files": {"a/b.bin": 5_000_000}, "text": "x" * 100_000}, []),
         ("fails", "refuse", {}, []),
         ("divides", "divide", {"x": 0}, []),

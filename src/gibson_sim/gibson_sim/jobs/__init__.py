@@ -3,13 +3,13 @@
 A ``Unit`` is a function by name with arguments of JSON and a folder of its own; ``run_units`` runs many, and a backend says where:
 ``LocalWorkers`` (``local.py``) or ``RayCluster`` (``ray_cluster.py``). The content of a result depends neither on the backend nor on the order.
 
-    # mine/squares.py, which the workers can import
+    # the module my_work, which the workers can import
     def square(arguments, folder, context):
         (folder / "square.txt").write_text(str(arguments["x"] ** 2))
         context.progress("written")
         return {"square": arguments["x"] ** 2}
 
-    units = [Unit(f"{k:04d}", "mine.squares:square", {"x": k}) for k in range(100)]
+    units = [Unit(f"{k:04d}", "my_work:square", {"x": k}) for k in range(100)]
     results = run_units(units, LocalWorkers(2), output=Path("out"), on_result=lambda result: print(result.id, result.error or result.value))
     # out/0007/square.txt is there; results are in the order of the units
 

@@ -78,8 +78,8 @@ def shares(cores: Sequence[int], count: int) -> list[list[int]]:
 class _Task:
     """A unit on its way through the pool."""
 
-    def __init__(self, unit: Unit, output: Path, files: Mapping[str, str]) -> None:
-        self.unit, self.files = unit, files
+    def __init__(self, unit: Unit, output: Path, files: Mapping[str, str], base: str) -> None:
+        self.unit, self.files, self.base = unit, files, base
         self.folder, self.log = output / unit.id, output / (unit.id + LOG_SUFFIX)
         self.attempts, self.began = 0, 0.0
 
@@ -145,6 +145,7 @@ class _Worker:
             "folder": str(task.folder.absolute()),
             "log": str(task.log.absolute()),
             "files": dict(task.files),
+            "base": task.base,
             "result": str(self._result),
         }
         self._result.unlink(missing_ok=True)
@@ -215,6 +216,7 @@ class Pool:
         *,
         repeats: int = REPEATS,
         files: Mapping[str, str] | None = None,
+        base: str = "",
     ) -> None:
         """Runs units, see ``run_units``.
 
@@ -227,8 +229,9 @@ class Pool:
             interrupts: the first one ends as ``stop`` does; a second one does not wait.
             repeats: how often a unit is repeated whose worker died.
             files: path at the caller -> path here; None = they are where the units say.
+            base: folder that the caller works in; empty = that of this process.
         """
-        waiting = deque(_Task(unit, output, _in_place(unit) if files is None else files) for unit in units)
+        waiting = deque(_Task(unit, output, _in_place(unit) if files is None else files, base or os.getcwd()) for unit in units)
         deadline: float | None = None
         """When units that were told to stop are ended, monotonic clock."""
         while waiting or any(worker.task for worker in self._running()):
@@ -320,7 +323,7 @@ class Interrupts:
 
 
 def _in_place(unit: Unit) -> dict[str, str]:
-    return {str(path.absolute()): str(path.absolute()) for path in unit.files}
+    return {place: place for place in (os.path.abspath(path) for path in unit.files)}
 
 
 def _take(worker: _Worker, on_result: Callable[[UnitResult], None], on_progress: Callable[[str, str], None]) -> None:

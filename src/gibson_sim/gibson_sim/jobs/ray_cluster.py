@@ -6,6 +6,7 @@ A Ray worker runs a unit in a worker process as ``LocalWorkers`` does, with the 
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import socket
 import tempfile
@@ -99,7 +100,7 @@ class _Shipped:
 
     def reference(self, path: Path) -> Any:
         """Returns the reference of a file or folder: of its entries and the references of its contents."""
-        path = path.absolute()
+        path = Path(os.path.abspath(path))
         if path not in self._known:
             digests: dict[str, None] = {}
 
@@ -162,8 +163,8 @@ class _Run:
             self._cancel(force=True)
 
     def _submit(self, unit: Unit, attempt: int) -> None:
-        files = {str(path.absolute()): [self._shipped.reference(path)] for path in unit.files}
-        task = self._begin.remote(__version__, unit.id, unit.function, unit.arguments, files)
+        files = {os.path.abspath(path): [self._shipped.reference(path)] for path in unit.files}
+        task = self._begin.remote(__version__, unit.id, unit.function, unit.arguments, files, os.getcwd())
         self._tasks[task] = (unit, attempt)
 
     def _cancel(self, *, force: bool) -> None:
@@ -205,7 +206,7 @@ _POOL: Pool | None = None
 """In a Ray worker: its worker process, which stays for its next units. Both end together."""
 
 
-def _run_here(version: str, name: str, function: str, arguments: Any, files: dict[str, list[Any]]) -> dict[str, Any]:
+def _run_here(version: str, name: str, function: str, arguments: Any, files: dict[str, list[Any]], base: str) -> dict[str, Any]:
     """Runs a unit in a Ray worker; returns result, log, and what it wrote.
 
     Args:
@@ -214,6 +215,7 @@ def _run_here(version: str, name: str, function: str, arguments: Any, files: dic
         function: of the unit.
         arguments: of the unit.
         files: path at the caller -> a list of the reference of its entries, which Ray thus does not fetch by itself.
+        base: folder that the caller works in.
     """
     global _POOL
     host = socket.gethostname()
@@ -236,7 +238,7 @@ def _run_here(version: str, name: str, function: str, arguments: Any, files: dic
     results: list[UnitResult] = []
     with Interrupts() as interrupts, tempfile.TemporaryDirectory(dir=_POOL.folder) as output:
         unit = Unit(name, function, arguments)
-        _POOL.run([unit], Path(output), results.append, ignore, never, interrupts, repeats=0, files=here)
+        _POOL.run([unit], Path(output), results.append, ignore, never, interrupts, repeats=0, files=here, base=base)
         (result,) = results
         kept: Contents = {}
         log = result.log.read_bytes()[-MAX_LOG_BYTES:] if result.log else b""

@@ -29,9 +29,11 @@ _LONGEST = 500
 class WorkerContext:
     """What a unit's function is given, see ``units.Context``."""
 
-    def __init__(self, stopping: threading.Event, send: Callable[[dict[str, Any]], None], files: dict[str, str]) -> None:
-        """``files``: path at the caller -> path here."""
-        self._stopping, self._send, self._files = stopping, send, files
+    def __init__(
+        self, stopping: threading.Event, send: Callable[[dict[str, Any]], None], files: dict[str, str], base: str
+    ) -> None:
+        """``files``: path at the caller -> path here; ``base``: folder of the caller, which relative paths begin at."""
+        self._stopping, self._send, self._files, self._base = stopping, send, files, base
 
     def stop(self) -> bool:
         """Returns whether the unit shall end early."""
@@ -43,7 +45,7 @@ class WorkerContext:
 
     def path(self, path: str | Path) -> Path:
         """Returns where a file of the unit is."""
-        wanted = Path(os.path.abspath(path))
+        wanted = Path(os.path.normpath(os.path.join(self._base, path)))
         for there, here in self._files.items():
             if wanted == Path(there) or Path(there) in wanted.parents:
                 return Path(here) / wanted.relative_to(there)
@@ -121,9 +123,8 @@ def main() -> None:
     while (file := incoming.next()) is not None:
         unit = json.loads(Path(file).read_text(encoding="utf-8"))
         _print_into(unit["log"])
-        result = call(
-            unit["function"], unit["arguments"], Path(unit["folder"]), WorkerContext(incoming.stopping, send, unit["files"])
-        )
+        context = WorkerContext(incoming.stopping, send, unit["files"], unit["base"])
+        result = call(unit["function"], unit["arguments"], Path(unit["folder"]), context)
         _print_into(os.devnull)
         write_file(unit["result"], json.dumps(result), durable=False)
         send({"done": True})
