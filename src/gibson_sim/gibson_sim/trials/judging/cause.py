@@ -90,7 +90,8 @@ def find_cause(
     failures = [_failure(v, scenario, run, outcome, evidence, measured) for v in verdicts if not v.passed]
     if not failures:
         return None
-    events = find_events(run, outcome, evidence, measured.walls)
+    within = 0.0 if scenario.verdicts.reached is None else scenario.verdicts.reached.within
+    events = find_events(run, outcome, evidence, measured.walls, within)
     events += [lost for lost in (_at_the_wrong_place(outcome, evidence, measured),) if lost is not None]
     guilty = [event for event in events if any(_brought_about(event, failure, run, evidence) for failure in failures)]
     guilty += [failure.itself for failure in failures]

@@ -117,11 +117,21 @@ class Motion:
         return cls(t, truth, odometry, *_held(evidence.commands, t, timeout))
 
 
-def find_events(run: RunSpec, outcome: Outcome, evidence: Evidence, walls: Obstacles | None) -> list[Event]:
-    """Returns all events of a run but its collisions, in the order of their beginnings."""
+def find_events(
+    run: RunSpec, outcome: Outcome, evidence: Evidence, walls: Obstacles | None, within: float
+) -> list[Event]:  # fmt: skip
+    """Returns all events of a run but its collisions, in the order of their beginnings.
+
+    Args:
+        run: as it was planned.
+        outcome: how it ended.
+        evidence: what its bag tells.
+        walls: occupied cells of the map; None = unknown.
+        within: distance from the goal at which the robot is there, metres.
+    """
     motion = Motion.of(evidence, float(run.physics.get("cmd_vel_timeout", 0.5)))
     events = [*_bad_commands(outcome, evidence), *_standing(run, evidence, motion), *_slips(evidence, motion)]
-    events += _without_plan_or_command(evidence, motion)
+    events += _without_plan_or_command(run, evidence, motion, within)
     if evidence.estimate is not None:
         events += _localisation(evidence.estimate, evidence.truth, evidence.duration)
     if walls is not None:
@@ -196,14 +206,15 @@ def _bad_commands(outcome: Outcome, evidence: Evidence) -> Iterator[Event]:
         yield Event("bad command", 0.0, evidence.duration, what, _xy(evidence, 0.0))
 
 
-def _without_plan_or_command(evidence: Evidence, motion: Motion) -> Iterator[Event]:
-    """Yields that the stack never planned or never commanded, or stopped commanding."""
+def _without_plan_or_command(run: RunSpec, evidence: Evidence, motion: Motion, within: float) -> Iterator[Event]:
+    """Yields that the stack never planned or never commanded, or stopped commanding before the goal."""
     moving = motion.is_commanded
     if evidence.commands is not None and (~evidence.commands.is_finite).mean() >= BAD_SHARE:
         return
     if moving.any():
         last = float(motion.t[np.flatnonzero(moving)[-1]])
-        if evidence.duration - last >= STOPPED_S:
+        is_there = evidence.truth is not None and math.dist(evidence.truth.last[:2], run.goal[:2]) <= within
+        if evidence.duration - last >= STOPPED_S and not is_there:
             what = f"the stack sent its last command other than zero, {evidence.duration - last:.1f} s before the end"
             yield Event("no command", last, evidence.duration, what, _xy(evidence, last))
     elif not evidence.wrong_commands:
