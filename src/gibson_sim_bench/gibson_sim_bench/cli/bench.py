@@ -12,6 +12,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
 from gibson_sim_bench.cli import (
     compare as bench_compare,
+    learning as bench_learning,
     lockstep as bench_lockstep,
     peers as bench_peers,
     report as bench_report,
@@ -36,7 +37,7 @@ def add_parser(subparsers: Any) -> None:
     for module in (bench_table1, bench_peers, bench_scaling, bench_soak, bench_report, bench_compare):
         module.add_parser(kinds)
     _add_render(kinds)
-    for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks, bench_web):
+    for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks, bench_learning, bench_web):
         module.add_parser(kinds)
 
 
