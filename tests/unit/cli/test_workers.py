@@ -11,6 +11,7 @@ import pytest
 
 from gibson_sim.cli.command_line import run
 from gibson_sim.cli.commands import task as task_command
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.workers import add_workers, backend_of, files_of
 from gibson_sim.errors import ConfigError
 from gibson_sim.jobs.local import LocalWorkers
@@ -58,6 +59,23 @@ def test_an_episode_that_fails_ends_the_command(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(task_command, "backend_of", lambda args: _Failing())
     assert run(TASK) == 1
     assert capsys.readouterr() == ("", "gibson-sim: error: episode seed-0: the scene has no room for the task\n")
+
+
+class _Interrupted:
+    """A backend that Ctrl-C ends after the first unit."""
+
+    def run(self, units: Sequence[Unit], output: Path, on_result: Callable[[UnitResult], None], *_: Any) -> None:
+        on_result(UnitResult(units[0].id, ANY_METRICS))
+        on_result(UnitResult(units[1].id, error="stopped before it began", stopped=True))
+        raise KeyboardInterrupt
+
+
+def test_ctrl_c_shows_the_episodes_that_were_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(task_command, "backend_of", lambda args: _Interrupted())
+    assert run(TASK) == ExitCode.INTERRUPTED
+    out, err = capsys.readouterr()
+    assert [line.split(",")[0] for line in out.splitlines()] == ["seed 0: success after 1.0 s"]
+    assert err == ""
 
 
 def test_workers_need_a_task_in_this_process(capsys: pytest.CaptureFixture[str]) -> None:

@@ -129,6 +129,10 @@ class _Worker:
                     start_new_session=True,
                     pass_fds=(requests, answers),
                 )
+        except BaseException:
+            os.close(self._requests)
+            os.close(self.answers)
+            raise
         finally:
             os.close(requests)
             os.close(answers)

@@ -181,7 +181,11 @@ class FileCache:
             elif entry.kind == "link":
                 path.symlink_to(entry.text)
             else:
-                os.link(self._stored(entry, fetched), path)
+                stored = self._stored(entry, fetched)
+                try:
+                    os.link(stored, path)
+                except OSError:  # a file system without hard links, or with the most that it allows
+                    shutil.copy2(stored, path)
 
     def _stored(self, entry: Entry, fetched: Contents) -> Path:
         """Returns the stored content of a file."""

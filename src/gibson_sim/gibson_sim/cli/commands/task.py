@@ -140,8 +140,10 @@ def _run_over(backend: Backend, config: TaskConfig, pictures: Path | None, show:
 
     def on_result(result: UnitResult) -> None:
         nonlocal next_one
+        if result.stopped:
+            return
         came[result.id] = result
-        if result.error and not result.stopped:
+        if result.error:
             failed.append(result)
         while next_one is not None and next_one.id in came and not failed:
             done = came.pop(next_one.id)

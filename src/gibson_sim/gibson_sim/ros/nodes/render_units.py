@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
+from gibson_sim.errors import RecordError
 from gibson_sim.ros.nodes.node_main import keep_large_blocks
 from gibson_sim.ros.nodes.render_bag import render_bag
 
@@ -35,4 +36,7 @@ def render_one(arguments: dict[str, Any], folder: Path, context: Context) -> str
             raise KeyboardInterrupt
 
     job = RenderBagConfig(**{**values, **here, "output": str(folder)})
-    return render_bag(job, RenderConfig(**arguments["render"]), advance).text()
+    try:
+        return render_bag(job, RenderConfig(**arguments["render"]), advance).text()
+    except KeyboardInterrupt as error:
+        raise RecordError("interrupted: the new bag holds everything up to here") from error
