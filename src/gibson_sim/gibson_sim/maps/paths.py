@@ -74,7 +74,7 @@ class PathPlanner:
         points = self._floor.centers(self._graph.cells[paths.nodes(0, last)])
         for end, given in ((0, start), (-1, goal)):
             exact = np.asarray(given, dtype=np.float64)
-            if self._sees(exact, exact[None])[0]:
+            if self._floor.look_up(self.places, exact, outside=False):
                 points[end] = exact
         return self._taut(points)
 
@@ -88,26 +88,21 @@ class PathPlanner:
         left, following = np.zeros(count), np.arange(1, count + 1)
         for i in range(count - 2, -1, -1):
             lengths = np.linalg.norm(points[i + 1 :] - points[i], axis=1) + left[i + 1 :] + _CORNER_COST
-            seen = self._sees(points[i], points[i + 1 :])
-            seen[0] = True
-            lengths[~seen] = np.inf
-            best = int(lengths.argmin())
+            best = self._cheapest_seen(points[i], points[i + 1 :], lengths)
             left[i], following[i] = lengths[best], i + 1 + best
         chosen = [0]
         while chosen[-1] != count - 1:
             chosen.append(int(following[chosen[-1]]))
         return np.asarray(points[chosen])
 
-    def _sees(self, point: F64, others: F64) -> Bools:
-        """Returns (N,): whether the straight lines from a point (2,) to others (N, 2), world metres, cross places only."""
-        if not len(others):
-            return np.zeros(0, dtype=bool)
+    def _cheapest_seen(self, point: F64, others: F64, costs: F64) -> int:
+        """Returns which of some points (N, 2) has the least cost (N,) among those that another (2,) sees; it always sees the first."""
         longest = float(np.abs(others - point).max()) / self._floor.resolution
         along = np.linspace(0.0, 1.0, int(longest * _SAMPLES_PER_CELL) + 2)
         # Most lines end in a wall that a few of their points find.
-        seen = self._clear(point, others, along[::_SPARSE])
-        seen[seen] = self._clear(point, others[seen], along)
-        return seen
+        likely = self._clear(point, others, along[::_SPARSE])
+        order: list[int] = np.argsort(costs, kind="stable").tolist()
+        return next(k for k in order if k == 0 or (likely[k] and self._clear(point, others[k : k + 1], along)[0]))
 
     def _clear(self, point: F64, others: F64, along: F64) -> Bools:
         """Returns (N,): whether the points at parts ``along`` (S,) of the lines from a point (2,) to others (N, 2), metres, are places."""
