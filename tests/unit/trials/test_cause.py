@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gibson_sim.trials.judging import judge
@@ -164,6 +165,18 @@ def test_plan_through_the_map_elsewhere_is_not_blamed(tmp_path: Path) -> None:
     """The robot hits a box three metres before the place where its plan touches the wall."""
     run = Run(truth=until(2.0, 2.0), plans=[(0.2, ((1.0, 2.0), (5.0, 0.1), (6.0, 2.0)))], touches=[(2.0, 2.1, "box")])
     assert sure(blamed(tmp_path, run)).kind == "collision"
+
+
+def test_the_place_on_the_plan_at_which_it_failed_is_told(tmp_path: Path) -> None:
+    """The plan touches the wall at x = 2, where the robot passes without a contact, and at x = 5, where it has one."""
+    plan = ((1.0, 2.0), (2.0, 0.15), (3.5, 2.0), (5.0, 0.15), (6.0, 2.0))
+    run = Run(
+        truth=lambda t: (along(t)[0], float(np.interp(along(t)[0], *zip(*plan, strict=True))), 0.0), plans=[(0.2, plan)],
+        touches=[(8.0, 8.1, "wall_2")],
+    )  # fmt: skip
+    cause = sure(blamed(tmp_path, run, "reached"))
+    assert cause.kind == "plan through obstacle"
+    assert "the plan led through the map at (5.00, 0.15)" in cause.text
 
 
 def test_plan_that_is_as_near_as_the_robot_is_wide_is_not_blamed(tmp_path: Path) -> None:

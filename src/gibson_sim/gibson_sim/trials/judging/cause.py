@@ -95,7 +95,7 @@ def find_cause(
     events += [lost for lost in (_at_the_wrong_place(outcome, evidence, measured),) if lost is not None]
     guilty = [event for event in events if any(_brought_about(event, failure, run, evidence) for failure in failures)]
     guilty += [failure.itself for failure in failures]
-    guilty.sort(key=lambda event: (round(event.begin, 1), _RANKS.index(event.kind)))
+    guilty.sort(key=lambda event: (round(event.begin, 1), _RANKS.index(event.kind), event.room))
     return _told(guilty, run)
 
 

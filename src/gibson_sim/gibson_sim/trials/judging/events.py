@@ -65,6 +65,8 @@ PLAN_TOLERANCE_M = 0.02
 """The same, metres, for things."""
 PLAN_BEGIN_M = 0.3
 """Length of a plan, m, that does not count: the robot stands there, so it fits."""
+PLAN_SAME_M = 1.0
+"""Greatest distance between places at which two consecutive plans overlap one obstacle that is one place, metres."""
 PLAN_NEAR_M = 0.5
 """Greatest distance, m, between the robot's circle and where its plan overlaps an obstacle at which the two have to do with each other."""
 
@@ -87,6 +89,8 @@ class Event:
     """Where the robot truly was, map frame, metres; None = unknown."""
     spots: tuple[tuple[float, float], ...] = ()
     """Where it matters, metres; empty = everywhere."""
+    room: float = 0.0
+    """Least room that it left the robot, metres: of plans of one time, the tightest comes first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -416,27 +420,50 @@ def _jump(jump: _Jump, end: float, truth: Poses | None) -> Event:
     return Event("localisation jumped", jump.t, end, what, (float(x), float(y)))
 
 
+@dataclass(slots=True)
+class _Overlap:
+    """A place at which one plan after the other leads too near to an obstacle."""
+
+    obstacle: str
+    begin: float
+    """s since the goal."""
+    what: str
+    spots: list[tuple[float, float]]
+    """Of each of the plans, metres."""
+    room: float
+    """Distance between the first plan and the obstacle, metres."""
+
+    def is_at(self, obstacle: str, spot: tuple[float, float]) -> bool:
+        """Returns whether another overlap is the same."""
+        return obstacle == self.obstacle and math.dist(spot, self.spots[-1]) <= PLAN_SAME_M
+
+    def event(self, end: float, evidence: Evidence) -> Event:
+        """Returns it as an event."""
+        return Event("plan through obstacle", self.begin, end, self.what, _xy(evidence, self.begin), tuple(self.spots), self.room)
+
+
 def _plans(run: RunSpec, evidence: Evidence, walls: Obstacles) -> Iterator[Event]:
-    """Yields plans, ahead of the robot, along which its circle overlaps the map or a thing; consecutive ones are one event."""
+    """Yields plans along which, ahead of the robot, its circle overlaps the map or a thing; consecutive ones at one place are one event."""
     if evidence.truth is None or not evidence.plans:
         return
     obstacles = [(walls, PLAN_TOLERANCE * walls.edge), *((thing, PLAN_TOLERANCE_M) for thing in things_of(run))]
-    begin, what = -1.0, ""
-    spots: list[tuple[float, float]] = []
+    going: list[_Overlap] = []
     for plan in evidence.plans:
         x, y, _ = evidence.truth.at(plan.t)
         points = _ahead(plan.points, (float(x), float(y)), walls.edge / 2.0)
-        found = _overlap(points, obstacles, run)
-        if found is None and begin >= 0.0:
-            yield Event("plan through obstacle", begin, plan.t, what, _xy(evidence, begin), tuple(spots))
-            begin = -1.0
-        elif found is not None:
-            if begin < 0.0:
-                begin, spots = plan.t, []
-                what = found[0]
-            spots.append(found[1])
-    if begin >= 0.0:
-        yield Event("plan through obstacle", begin, evidence.duration, what, _xy(evidence, begin), tuple(spots))
+        found = [place for obstacle, tolerance in obstacles for place in _overlaps(points, obstacle, tolerance, run, plan.t)]
+        goes_on = []
+        for one in going:
+            again = next((new for new in found if one.is_at(new.obstacle, new.spots[0])), None)
+            if again is None:
+                yield one.event(plan.t, evidence)
+            else:
+                found.remove(again)
+                one.spots += again.spots
+                goes_on.append(one)
+        going = goes_on + found
+    for one in going:
+        yield one.event(evidence.duration, evidence)
 
 
 def _ahead(points: F64, robot: tuple[float, float], step: float) -> F64:
@@ -450,25 +477,23 @@ def _ahead(points: F64, robot: tuple[float, float], step: float) -> F64:
     return np.asarray(dense[at > at[nearest] + PLAN_BEGIN_M])
 
 
-def _overlap(points: F64, obstacles: list[tuple[Obstacles, float]], run: RunSpec) -> tuple[str, tuple[float, float]] | None:
-    """Returns the first obstacle on a path (N, 2) as a clause, and the point; None = the path is free."""
-    first: tuple[int, str, tuple[float, float]] | None = None
-    for obstacle, tolerance in obstacles:
-        if not len(points):
-            continue
-        limit = run.radius - tolerance
-        rough, _ = obstacle.tree.query(points, distance_upper_bound=limit + obstacle.edge)
-        candidates = np.flatnonzero(np.isfinite(rough))
-        distances = obstacle.distance(points[candidates]) if len(candidates) else np.zeros(0)
-        hits = np.flatnonzero(distances < limit)
-        if len(hits) and (first is None or candidates[hits[0]] < first[0]):
-            # The tightest place of the first stretch tells more than its rim.
-            stretch = hits[: int(np.argmax(np.append(np.diff(candidates[hits]) > 1, True))) + 1]
-            worst = stretch[int(distances[stretch].argmin())]
-            x, y = (float(c) for c in points[candidates[worst]])
-            what = (
-                f"the plan led through {name_of(run, obstacle.name)} at ({x:.2f}, {y:.2f}): {distances[worst]:.2f} m from it, "
-                f"with a robot of {run.radius:.2f} m"
-            )
-            first = int(candidates[hits[0]]), what, (x, y)
-    return None if first is None else (first[1], first[2])
+def _overlaps(points: F64, obstacle: Obstacles, tolerance: float, run: RunSpec, t: float) -> list[_Overlap]:
+    """Returns the tightest place of each stretch of a path (N, 2) along which the robot's circle overlaps an obstacle."""
+    limit = run.radius - tolerance
+    if not len(points) or limit <= 0.0:
+        return []
+    rough, _ = obstacle.tree.query(points, distance_upper_bound=limit + obstacle.edge)
+    near = np.flatnonzero(np.isfinite(rough))
+    distances = np.full(len(points), np.inf)
+    if len(near):
+        distances[near] = obstacle.distance(points[near])
+    out = []
+    for first, last in _stretches(distances < limit):
+        worst = first + int(distances[first : last + 1].argmin())
+        x, y = (float(c) for c in points[worst])
+        what = (
+            f"the plan led through {name_of(run, obstacle.name)} at ({x:.2f}, {y:.2f}): {distances[worst]:.2f} m from it, "
+            f"with a robot of {run.radius:.2f} m"
+        )
+        out.append(_Overlap(obstacle.name, t, what, [(x, y)], float(distances[worst])))
+    return out
