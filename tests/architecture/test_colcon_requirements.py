@@ -29,7 +29,7 @@ BOUNDS = {"numpy"}
 """Packages that the file names only to keep pip from replacing them."""
 WORTH_HAVING = {"numba", "meshoptimizer"}
 """Optional packages that the file installs."""
-WITHOUT = {"gibson_sim.tasks.environments": "gymnasium", "gibson_sim_tools.making.blender": "bpy"}
+WITHOUT = {"gibson_sim.tasks.environments": "gymnasium", "gibson_sim.pytest": "pytest", "gibson_sim_tools.making.blender": "bpy"}
 """Modules, or folders of them, that need an optional package -> that package."""
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 IMPORT_ALL = r"""

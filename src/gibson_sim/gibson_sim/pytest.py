@@ -115,4 +115,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
     report = outcome.get_result()
     simulation = item.stash.get(_SIMULATION, None)
     if report.failed and simulation is not None:
-        report.sections += [(title, text) for title, text in simulation.report_sections() if text.strip()]
+        sections = [(title, text) for title, text in simulation.report_sections() if text.strip()]
+        if hasattr(report.longrepr, "addsection"):  # --junitxml has these
+            for title, text in sections:
+                report.longrepr.addsection(title, text.rstrip())
+        else:
+            report.sections += sections

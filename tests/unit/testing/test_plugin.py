@@ -106,3 +106,10 @@ def test_the_marker_is_listed(pytester: pytest.Pytester) -> None:
     pytester.runpytest_inprocess(*PLUGIN, "--markers").stdout.fnmatch_lines(
         ["@pytest.mark.simulation(*settings*): settings of the fixture `sim`*"]
     )
+
+
+def test_the_junit_report_of_a_failed_test_has_the_log(pytester: pytest.Pytester) -> None:
+    pytester.makeconftest(STAND_IN)
+    pytester.makepyfile("def test_bad(sim): assert False")
+    pytester.runpytest_inprocess(*PLUGIN, "--junitxml=results.xml")
+    assert "it said this" in (pytester.path / "results.xml").read_text()

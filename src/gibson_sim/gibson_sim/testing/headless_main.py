@@ -15,7 +15,7 @@ from gibson_sim.cli.job import CAMERAS, ROBOTS, STATE_TOPIC, Job, run_job
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.standard.contained_process import end_with_parent
+from gibson_sim.testing.contained_process import end_with_parent
 
 
 def plan(values: dict[str, Any], bag: str, folder: Path) -> Job:

@@ -1,6 +1,6 @@
 """A program and all that it starts, as one thing that ends: when it is asked to, or when the process that started it ends, however that ends.
 
-``python -m gibson_sim.standard.contained_process PARENT_PID PROGRAM ...`` runs a program in a session of its own. Orphans of the program become
+``python -m gibson_sim.testing.contained_process PARENT_PID PROGRAM ...`` runs a program in a session of its own. Orphans of the program become
 its children (PR_SET_CHILD_SUBREAPER, prctl(2)), so that no descendant is lost, not even one that made itself a daemon. Its exit code is that
 of the program, 128 + n for signal n. Imports the standard library alone.
 """
@@ -27,7 +27,7 @@ _PERIOD_S = 0.02
 
 def contained(command: Sequence[str]) -> list[str]:
     """Returns the command line that runs a program contained in this process."""
-    return [sys.executable, "-m", "gibson_sim.standard.contained_process", str(os.getpid()), *command]
+    return [sys.executable, "-m", "gibson_sim.testing.contained_process", str(os.getpid()), *command]
 
 
 def end_with_parent(parent_pid: int) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.standard.contained_process import NOT_FOUND, contained
+from gibson_sim.testing.contained_process import NOT_FOUND, contained
 from support.simulation import PATIENCE_S, wait_until
 
 DAEMON = """
@@ -86,7 +86,7 @@ def test_a_daemon_ends_when_the_program_is_asked_to_end(start: Start, tmp_path: 
 
 def test_all_end_when_the_process_that_started_them_is_killed(tmp_path: Path) -> None:
     source = (
-        "import subprocess, sys\nfrom gibson_sim.standard.contained_process import contained\n"
+        "import subprocess, sys\nfrom gibson_sim.testing.contained_process import contained\n"
         "subprocess.Popen(contained([sys.executable, '-c', sys.argv[1], sys.argv[2]])).wait()"
     )
     parent = subprocess.Popen([sys.executable, "-c", source, DAEMON.format(then="time.sleep(1000)"), str(tmp_path / "pid")])
