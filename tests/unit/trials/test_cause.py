@@ -384,3 +384,14 @@ def test_detour_is_explained_by_what_held_the_robot_up(tmp_path: Path) -> None:
     run = Run(duration=16.0, truth=late, touches=[(4.0, 9.0, "person")], commands=commands((0.0, 15.0, 0.5), (15.0, 16.0, 0.0)))
     cause = sure(blamed(tmp_path, run, "reached", limits=scenario(collisions=None, time=12.0)))
     assert (cause.kind, cause.time) == ("blocked", 4.0)
+
+
+def test_of_two_tight_places_of_a_plan_the_one_of_the_first_failure_is_told(tmp_path: Path) -> None:
+    """It has contact near x = 2, where the plan leaves 0.10 m, and gives up at x = 5, where it leaves 0.05 m."""
+    plan = ((1.0, 2.0), (2.0, 0.15), (3.5, 2.0), (5.0, 0.10), (6.0, 2.0))
+    run = Run(
+        truth=lambda t: (min(5.0, along(t)[0]), float(np.interp(min(5.0, along(t)[0]), *zip(*plan, strict=True))), 0.0),
+        plans=[(0.2, plan)], touches=[(2.0, 2.1, "wall_2")],
+    )  # fmt: skip
+    cause = sure(blamed(tmp_path, run, "gave up"))
+    assert "the plan led through the map at (2.00, 0.1" in cause.text

@@ -93,10 +93,19 @@ def find_cause(
     within = 0.0 if scenario.verdicts.reached is None else scenario.verdicts.reached.within
     events = find_events(run, outcome, evidence, measured.walls, within)
     events += [lost for lost in (_at_the_wrong_place(outcome, evidence, measured),) if lost is not None]
-    guilty = [event for event in events if any(_brought_about(event, failure, run, evidence) for failure in failures)]
-    guilty += [failure.itself for failure in failures]
-    guilty.sort(key=lambda event: (round(event.begin, 1), _RANKS.index(event.kind), event.room))
-    return _told(guilty, run)
+    # What an event is told for is the first failure that it brought about.
+    guilty = [(failure.itself, failure.itself) for failure in failures]
+    for event in events:
+        brought = [failure.itself for failure in failures if _brought_about(event, failure, run, evidence)]
+        guilty += [(event, min(brought, key=lambda one: one.begin))] if brought else []
+    guilty.sort(key=_order)
+    return _told([event for event, _ in guilty], run)
+
+
+def _order(told: tuple[Event, Event]) -> tuple[object, ...]:
+    """Returns the key by which an event is sorted, with the failure that it brought about: of plans, that through what was hit is first."""
+    event, failure = told
+    return round(event.begin, 1), _RANKS.index(event.kind), failure.begin, event.other != failure.other, event.room
 
 
 def _told(guilty: list[Event], run: RunSpec) -> Cause:

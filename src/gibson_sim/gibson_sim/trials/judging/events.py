@@ -89,6 +89,8 @@ class Event:
     """Where the robot truly was, map frame, metres; None = unknown."""
     spots: tuple[tuple[float, float], ...] = ()
     """Where it matters, metres; empty = everywhere."""
+    other: str = ""
+    """Name of the obstacle or body that it is about."""
     room: float = 0.0
     """Least room that it left the robot, metres: of plans of one time, the tightest comes first."""
 
@@ -155,7 +157,7 @@ def collision(run: RunSpec, evidence: Evidence, touch: Touch) -> Event:
             what += f" at {way / (touch.begin - before):.2f} m/s"
         elif touch.other in {person.name for person in run.people}:
             what = f"{other} walked into the robot, which stood"
-    return Event("collision", touch.begin, max(touch.end, touch.begin), what, xy)
+    return Event("collision", touch.begin, max(touch.end, touch.begin), what, xy, other=touch.other)
 
 
 def name_of(run: RunSpec, body: str) -> str:
@@ -439,7 +441,16 @@ class _Overlap:
 
     def event(self, end: float, evidence: Evidence) -> Event:
         """Returns it as an event."""
-        return Event("plan through obstacle", self.begin, end, self.what, _xy(evidence, self.begin), tuple(self.spots), self.room)
+        return Event(
+            "plan through obstacle",
+            self.begin,
+            end,
+            self.what,
+            _xy(evidence, self.begin),
+            tuple(self.spots),
+            self.obstacle,
+            self.room,
+        )
 
 
 def _plans(run: RunSpec, evidence: Evidence, walls: Obstacles) -> Iterator[Event]:
