@@ -24,10 +24,11 @@ import sys
 
 import pytest
 
-found = []
+found, domains = [], set()
 
 @pytest.mark.parametrize("attempt", [1, 2])
 def test_the_same_drive_gives_the_same_poses_and_scans(sim, attempt):
+    domains.add(sim.domain_id)
     assert sim.spawn("box_cardboard", at=(2.5, 4.7, 0.0), name="box") == "box"
     assert set(sim.entities()) >= {"robot", "box"}
     sim.subscribe("scan")
@@ -53,9 +54,11 @@ def test_time_stands_still_between_calls_and_passes_exactly(sim):
     sim.play()
 
 def test_expiry(sim):
+    domains.add(sim.domain_id)
     sim.wait_until(lambda: sim.robot_pose().x > 90, timeout=0.5)
 
 def test_program(sim):
+    assert domains == {sim.domain_id}, "a reset sufficed"
     sim.start([sys.executable, "-c", "raise SystemExit('no map')"])
     sim.wait_until(lambda: False)
 """

@@ -326,7 +326,9 @@ class Client:
     def _begin_tick(self) -> bool:
         """Returns whether a tick is here as a whole; it is the present one from now on."""
         while self._ticks and self._ticks[0].epoch < self._epoch:
-            self._ticks.popleft()
+            late = self._ticks.popleft()
+            if self._participant is not None:  # the simulation publishes the reset once this tick is done
+                self._participant.tick_done(conversions.time_to_msg(late.stamp_ns))
         if not self._ticks or (len(self._ticks) == 1 and not self._is_whole(self._ticks[0])):
             return False  # with a later tick behind it, it is whole: messages arrive in the order in which they were published
         tick = self._held = self._ticks.popleft()
