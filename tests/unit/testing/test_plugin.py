@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
-import gibson_sim.testing.pool  # noqa: F401 - loaded once, not anew in each inner session: NumPy warns of that
+import gibson_sim.pytest
+import gibson_sim.testing.pool  # loaded once, not anew in each inner session: NumPy warns of that
 
-PLUGIN = ("-p", "gibson_sim.pytest", "-p", "no:cacheprovider", "-W", "error")
+OPTIONS = ("-p", "no:cacheprovider", "-W", "error")
 STAND_IN = """
 import os
 import pytest
@@ -53,6 +54,11 @@ def _no_other_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
 
+def _run(pytester: pytest.Pytester, *options: str) -> pytest.RunResult:
+    """Runs an inner session with the plugin in this process."""
+    return pytester.runpytest_inprocess(*OPTIONS, *options, plugins=[gibson_sim.pytest])
+
+
 def test_it_loads_neither_ros_nor_numpy_nor_the_rest_of_the_package() -> None:
     source = "import sys, gibson_sim.pytest; print(*sorted(name for name in sys.modules if name.startswith(('gibson', 'rclpy', 'numpy'))))"
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
@@ -63,7 +69,7 @@ def test_the_nearest_marker_comes_first_and_the_fixture_last(pytester: pytest.Py
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     pytester.makeconftest(STAND_IN)
     pytester.makepyfile(NEAREST_COMES_FIRST)
-    result = pytester.runpytest_inprocess(*PLUGIN, "-s", "--strict-markers")
+    result = _run(pytester, "-s", "--strict-markers")
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*settings [[]('cameras', True), ('publish_hz', 20), ('scene', 'arena'), ('seed', 2)[]]"])
     result.stdout.fnmatch_lines(["*given back None"])  # the variables are as before
@@ -72,7 +78,7 @@ def test_the_nearest_marker_comes_first_and_the_fixture_last(pytester: pytest.Py
 def test_only_the_report_of_a_failed_test_has_the_log(pytester: pytest.Pytester) -> None:
     pytester.makeconftest(STAND_IN)
     pytester.makepyfile("def test_good(sim): pass\ndef test_bad(sim): assert False")
-    result = pytester.runpytest_inprocess(*PLUGIN)
+    result = _run(pytester)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
         ["*_ test_bad _*", "*- simulation -*", "robot at x 1", "*- log of the simulation -*", "it said this"]
@@ -84,7 +90,7 @@ def test_only_the_report_of_a_failed_test_has_the_log(pytester: pytest.Pytester)
 def test_a_failed_test_gives_its_simulation_back(pytester: pytest.Pytester) -> None:
     pytester.makeconftest(STAND_IN)
     pytester.makepyfile("def test_bad(sim): assert False")
-    pytester.runpytest_inprocess(*PLUGIN, "-s", "-x").stdout.fnmatch_lines(["*given back*"])
+    _run(pytester, "-s", "-x").stdout.fnmatch_lines(["*given back*"])
 
 
 @pytest.mark.parametrize(
@@ -97,19 +103,17 @@ def test_a_failed_test_gives_its_simulation_back(pytester: pytest.Pytester) -> N
 )
 def test_a_wrong_marker_is_an_error_of_one_line(pytester: pytest.Pytester, marker: str, said: str) -> None:
     pytester.makepyfile(f"import pytest\n@pytest.mark.simulation({marker})\ndef test_it(sim): pass")
-    result = pytester.runpytest_inprocess(*PLUGIN)
+    result = _run(pytester)
     result.assert_outcomes(errors=1)
     result.stdout.fnmatch_lines(["*_ ERROR at setup of test_it _*", said, "*= short test summary info =*"], consecutive=True)
 
 
 def test_the_marker_is_listed(pytester: pytest.Pytester) -> None:
-    pytester.runpytest_inprocess(*PLUGIN, "--markers").stdout.fnmatch_lines(
-        ["@pytest.mark.simulation(*settings*): settings of the fixture `sim`*"]
-    )
+    _run(pytester, "--markers").stdout.fnmatch_lines(["@pytest.mark.simulation(*settings*): settings of the fixture `sim`*"])
 
 
 def test_the_junit_report_of_a_failed_test_has_the_log(pytester: pytest.Pytester) -> None:
     pytester.makeconftest(STAND_IN)
     pytester.makepyfile("def test_bad(sim): assert False")
-    pytester.runpytest_inprocess(*PLUGIN, "--junitxml=results.xml")
+    _run(pytester, "--junitxml=results.xml")
     assert "it said this" in (pytester.path / "results.xml").read_text()
