@@ -5,7 +5,7 @@ A ``Unit`` is a function by name with arguments of JSON and a folder of its own;
 
     # the module my_work, which the workers can import
     def square(arguments, folder, context):
-        (folder / "square.txt").write_text(str(arguments["x"] ** 2))
+        write_file(folder / "square.txt", str(arguments["x"] ** 2))  # gibson_sim.writing
         context.progress("written")
         return {"square": arguments["x"] ** 2}
 
