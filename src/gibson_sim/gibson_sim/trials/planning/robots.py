@@ -29,6 +29,7 @@ from gibson_sim.robots.load import derive_file, find_robot_file, load_robot
 from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES
 from gibson_sim.scenes.robot_files import mesh_points
 from gibson_sim.trials.scenario_spec import Randomisation, Range
+from gibson_sim.writing import write_file
 
 FOLDER = "robot"
 """Folder in that of a run."""
@@ -163,7 +164,7 @@ def check_variants(robot: VariedRobot, ranges: Mapping[str, Range]) -> None:
                 for name, text in robot.files(drawn).items():
                     file = Path(folder, name)
                     file.parent.mkdir(exist_ok=True)
-                    file.write_text(text, encoding="utf-8")
+                    write_file(file, text, durable=False)
                 load_robot(Path(folder, robot.file))
         except GibsonSimError as error:
             values = ", ".join(f"{name} {value:g}" for name, value in drawn.items())
