@@ -206,6 +206,17 @@ class TaskConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class TrialConfig:
+    """Settings of the trial node, which gives the stack of a run its goal, and ends the run; ``gibson-sim trial`` starts it."""
+
+    plan: str = setting("", "File of what to do, which `gibson-sim trial` writes")
+    output: str = setting("", "File for a report of the run as JSON")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
 class WebConfig:
     """Settings of the web node, which serves the live page."""
 

@@ -1,0 +1,167 @@
+"""The node server: forks processes of nodes that have their modules loaded already, and starts programs beside them.
+
+A node takes a second of processor time to import its modules; a fork of this process takes milliseconds. Requests come as packets on a
+socket that ``trials.execution.node_server`` holds. When that socket closes, however its holder ended, all that was started here is ended.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NoReturn
+
+from gibson_sim.standard.leftovers import end_marked
+from gibson_sim.standard.node_process import PARENT_VARIABLE
+from gibson_sim.trials.execution.node_server import SOCKET_VARIABLE
+
+PRELOADED = ("physics_node", "record_node", "trial_node")
+"""Modules of nodes whose imports every fork has."""
+_LARGEST = 1 << 20
+"""Largest packet, bytes."""
+_PATIENCE_S = 3.0
+"""Wall time that processes have to end after SIGTERM, seconds."""
+_PR_SET_PDEATHSIG = 1
+"""Option of prctl(2)."""
+Task = Callable[[], None]
+
+
+class NodeServer:
+    """Starts processes on request, and reports those that ended. One thread, so that it may fork at any time."""
+
+    def __init__(self, requests: socket.socket) -> None:
+        self._requests = requests
+        self._names: dict[int, str] = {}
+        """Process id -> the name that the request gave it."""
+        self._markers: set[tuple[str, str]] = set()
+        """Environment variables, with their values, of programs that were started."""
+        self._wake, self._woken = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.set_wakeup_fd(self._woken)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def serve(self) -> Task | None:
+        """Serves until the socket closes. Returns None then; in a forked process, what that process is to do."""
+        while True:
+            ready = select.select([self._requests, self._wake], [], [])[0]
+            if self._wake in ready:
+                os.read(self._wake, 4096)
+                self._reap()
+            if self._requests in ready:
+                data, descriptors, _, _ = socket.recv_fds(self._requests, _LARGEST, 1)
+                if not data:
+                    self._end_all()
+                    return None
+                task = self._handle(json.loads(data), descriptors)
+                if task is not None:
+                    return task
+
+    def _handle(self, request: dict[str, Any], descriptors: list[int]) -> Task | None:
+        if request["do"] == "signal":
+            for process_id in [pid for pid, name in self._names.items() if name == request["name"]]:
+                _signal_group(process_id, request["number"])
+            return None
+        if request["marker"]:
+            self._markers.add(tuple(request["marker"]))
+        process_id = os.fork()
+        if process_id:
+            self._names[process_id] = request["name"]
+            os.close(descriptors[0])
+            return None
+        self._become(request, descriptors[0])
+        if request["do"] == "program":
+            _run_program(request["command"])
+        return lambda: _run_node(request["module"], request["arguments"])
+
+    def _become(self, request: dict[str, Any], output: int) -> None:
+        """Turns a fork into a process of its own: session, environment, output, folder."""
+        os.setsid()
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        for descriptor in (self._requests.fileno(), self._wake, self._woken):
+            os.close(descriptor)
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        for number, descriptor in enumerate((nothing, output, output)):
+            os.dup2(descriptor, number)
+        os.close(nothing)
+        os.close(output)
+        for name, value in request["environment"].items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        if request["do"] == "node":
+            os.environ[PARENT_VARIABLE] = str(os.getppid())
+        os.chdir(request["folder"])
+
+    def _reap(self) -> None:
+        """Reports the processes that have ended."""
+        while True:
+            try:
+                process_id, status = os.waitpid(-1, os.WNOHANG)
+            except ChildProcessError:
+                return
+            if not process_id:
+                return
+            name = self._names.pop(process_id, "")
+            event = {"ended": name, "code": os.waitstatus_to_exitcode(status)}
+            try:
+                self._requests.send(json.dumps(event).encode())
+            except OSError:  # its holder has ended, which the next read tells
+                continue
+
+    def _end_all(self) -> None:
+        """Ends all that was started here, and what came of it."""
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            for process_id in self._names:
+                _signal_group(process_id, number)
+            deadline = time.monotonic() + _PATIENCE_S
+            while self._names and time.monotonic() < deadline:
+                self._reap()
+                time.sleep(0.02)
+        for variable, value in self._markers:
+            end_marked(variable, value)
+
+
+def _signal_group(process_id: int, number: int) -> None:
+    for send in (os.killpg, os.kill):  # a new process may have no group yet
+        try:
+            send(process_id, number)
+        except ProcessLookupError:
+            continue
+        return
+
+
+def _run_program(command: list[str]) -> NoReturn:
+    try:
+        os.execvpe(command[0], command, os.environ)
+    except OSError as error:
+        os.write(2, f"error: {command[0]} cannot be started: {error.strerror}\n".encode())
+        os._exit(127)
+
+
+def _run_node(module: str, arguments: list[str]) -> None:
+    from gibson_sim.ros.nodes.start import run
+
+    sys.argv = [module, *arguments]
+    run(module)
+
+
+def main() -> None:
+    """Runs the server; in a forked process, the node."""
+    requests = socket.socket(fileno=int(os.environ.pop(SOCKET_VARIABLE)))
+    os.set_inheritable(requests.fileno(), False)
+    for name in PRELOADED:
+        import_module(f"gibson_sim.ros.nodes.{name}")
+    task = NodeServer(requests).serve()
+    if task is not None:
+        task()

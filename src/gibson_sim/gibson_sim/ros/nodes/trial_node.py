@@ -1,0 +1,566 @@
+"""The trial node: sets a run of a trial up, gives the stack under test its goal, and ends the run at a definite tick.
+
+It uses only public interfaces: it spawns and moves with simulation_interfaces, and speaks to the stack by its topics, services and actions. The
+rules by which a run ends are in ``gibson_sim.trials.execution.monitor``. In lockstep the goal is given before the first tick if the stack can
+be ready without time passing, and the run ends at a tick that this node never reports as done: no step follows.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from simulation_interfaces import msg as sim_msg, srv
+from std_msgs.msg import String
+
+from gibson_msgs.msg import Scene
+from gibson_sim.client_config import TrialConfig
+from gibson_sim.errors import ConfigError, EnvironmentProblemError, GibsonSimError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_file
+from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
+from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, write_summary
+from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.recording.raw_subscriptions import recording_profile
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.topics.discovery import is_fully_matched
+from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
+from gibson_sim.standard.job_folder import note_in_job
+from gibson_sim.trials.execution.monitor import Decision, RunMonitor
+from gibson_sim.trials.execution.plan import IMAGES, PROGRESS, TrialPlan, TrialReport
+from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
+from gibson_sim.trials.records import PlanarPose
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
+
+OURS = frozenset({"physics", "render", "record", "_record_intake", "trial"})
+"""Names of the nodes of a trial beside the stack's."""
+STANDSTILL_S = 3.0
+"""Wall time that a stack whose goal can be given has to be ready while time stands still, seconds; then time passes, as its sensors may need."""
+SETTLED_S = 0.3
+"""Wall time without new topics after which a stack counts as discovered, seconds."""
+TOLD_SILENCE_S = 0.5
+"""Wall time without a tick after which a run ends whose stack has told its end, seconds: many stacks send no commands then."""
+_ANSWER_S = 20.0
+"""Wall time that the simulation has to answer a request, seconds."""
+_ACKNOWLEDGED_S = 1.0
+"""Wall time that a message has to arrive, seconds."""
+_LOOK_S = 0.1
+"""Period of looking at the ROS graph, seconds of wall time."""
+_PROGRESS_S = 0.5
+_OK = sim_msg.Result.RESULT_OK
+_ACTIVE = 3
+"""lifecycle_msgs/State.PRIMARY_STATE_ACTIVE."""
+_SUCCEEDED = 4
+"""action_msgs/GoalStatus.STATUS_SUCCEEDED."""
+
+
+class TrialNode(Node):
+    """Runs one run of a trial.
+
+    Parameters: the fields of ``gibson_sim.client_config.TrialConfig``.
+
+    Subscribes:
+        ground_truth/odom (nav_msgs/Odometry): every tick, and where the robot is. scene (gibson_msgs/Scene, latched): cameras.
+        The stack's topic of readiness, and its status (std_msgs/String).
+
+    Publishes:
+        The initial pose (geometry_msgs/PoseWithCovarianceStamped) and the goal (geometry_msgs/PoseStamped), both latched, once each.
+        object_joint_command (sensor_msgs/JointState): closes doors.
+
+    Calls:
+        spawn_entity, set_entity_state, set_simulation_state; the stack's service or action of the goal, and ``get_state`` of its node.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Reads the plan. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            EnvironmentProblemError: a message type of the stack is not installed.
+        """
+        super().__init__("trial", **kwargs)
+        self._config = config_from_parameters(self, TrialConfig)
+        self._plan = plan = TrialPlan.from_json(read_file(Path(self._config.plan)).decode())
+        self._monitor = RunMonitor(plan)
+        self._report = TrialReport()
+        self._decision: Decision | None = None
+        self._began_s = self._last_tick_s = time.monotonic()
+        self._plays = self._ready = False
+        self._ticks = 0
+        self._told_s = 0.0
+        """When the progress was told last."""
+        self._graph: tuple[frozenset[str], float] = (frozenset(), self._began_s)
+        """All topics, and since when there are no others, seconds of CLOCK_MONOTONIC."""
+        self._scene: Any = None
+        self._doors: tuple[str, ...] | None = None
+        """Joints of doors to close, and then their positions; None = not known yet."""
+        self._ready_topic = _ReadyTopic(self, plan.ready.topic) if plan.ready.topic else None
+        self._executor = make_executor()
+        self._executor.add_node(self)
+        self._make_interfaces()
+        self._goal = _goal_of(self, plan, self._monitor)
+        self._initial_pub = self._publisher(PoseWithCovarianceStamped, plan.initial_pose.topic)
+        self._initial_given = False
+        self._lockstep = LockstepParticipant(self) if plan.lockstep else None
+
+    def _make_interfaces(self) -> None:
+        plan = self._plan
+        self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_truth, qos.STATE)
+        self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
+        if plan.status.topic:
+            self.create_subscription(String, plan.status.topic, lambda msg: self._monitor.receive_status(msg.data), qos.COMMAND)
+        if plan.run.closed_doors:
+            self._door_pub = self.create_publisher(JointState, names.OBJECT_JOINT_COMMAND, qos.LATCHED)
+            kind = _class_of(message_class, "control_msgs/msg/DynamicJointState")
+            self.create_subscription(kind, names.OBJECT_JOINT_STATES, self._on_joints, qos.LATCHED)
+        self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
+        self._place = self.create_client(srv.SetEntityState, "set_entity_state")
+        self._set_state = self.create_client(srv.SetSimulationState, "set_simulation_state")
+        node = plan.ready.node
+        self._lifecycle = (
+            self.create_client(_class_of(service_class, "lifecycle_msgs/srv/GetState"), f"{node}/get_state") if node else None
+        )
+        self._lifecycle_future: Any = None
+
+    def _publisher(self, kind: Any, topic: str) -> Publisher | None:
+        return self.create_publisher(kind, topic, qos.LATCHED) if topic else None
+
+    def spin(self) -> int:
+        """Runs the run; returns 0.
+
+        Raises:
+            GibsonSimError: the simulation refuses what the run needs.
+        """
+        self._set_up()
+        self._make_ready()
+        while is_running() and self._decision is None:
+            self._executor.spin_once(timeout_sec=0.1)
+            self._tell_progress()
+            silence_s = time.monotonic() - self._last_tick_s
+            if self._lockstep is not None and (not self._monitor.was_told or silence_s > TOLD_SILENCE_S):
+                self._decision = self._decision or self._monitor.silence(silence_s)
+        return 0
+
+    # Before the first tick
+
+    def _set_up(self) -> None:
+        """Spawns things and people and closes doors, while time stands still."""
+        run = self._plan.run
+        for thing in run.things:
+            self._spawn_at(thing.name, thing.object, "", thing.pose, thing.z)
+        for person in run.people:
+            self._spawn_at(person.name, "", person_urdf(person), person_pose(person, 0.0), 0.0)
+        if run.closed_doors:
+            self._wait(lambda: self._doors is not None, "message on object_joint_states")
+            assert self._doors is not None
+            self._wait(lambda: _others(self, self._door_pub.topic_name, ours={"physics"}), "simulation that closes doors")
+            self._door_pub.publish(JointState(name=list(self._doors), position=[0.0] * len(self._doors)))
+            _acknowledged(self._door_pub)
+
+    def _spawn_at(self, name: str, uri: str, text: str, pose: PlanarPose, z: float) -> None:
+        request = srv.SpawnEntity.Request(name=name)
+        resource = request.entity_resource if hasattr(request, "entity_resource") else request
+        resource.uri, resource.resource_string = uri, text
+        request.initial_pose.header.frame_id = WORLD_FRAME
+        request.initial_pose.pose = conversions.pose_to_msg(_pose(pose, z))
+        self._call(self._spawn, request)
+
+    def _on_joints(self, msg: Any) -> None:
+        closed = self._plan.run.closed_doors
+        found = [name for name in msg.joint_names if "all" in closed or name in closed or name.partition("/")[0] in closed]
+        self._doors = tuple(name for name in found if not name.endswith(("handle", "lever", "knob")))
+
+    def _make_ready(self) -> None:
+        """Waits until the stack is ready, and gives it its initial pose and its goal; time stands still meanwhile if that is possible."""
+        limit_s = self._plan.ready.within
+        there_s = math.inf
+        while is_running() and self._decision is None:
+            missing = self._missing()
+            if not missing:
+                self._become_ready()
+                return
+            now_s = time.monotonic()
+            if now_s - self._began_s > limit_s:
+                text = f"after {limit_s:g} s of wall time there is {' and '.join(missing)}"
+                self._decision = Decision("never ready", text, self._monitor.now_ns)
+                return
+            there_s = min(there_s, now_s) if self._goal.is_there() else math.inf
+            if now_s - there_s > STANDSTILL_S and not self._plays:
+                self._play()
+            self._spin_until(lambda: False, _LOOK_S)
+            self._tell_progress()
+
+    def _missing(self) -> list[str]:
+        """Returns what the stack lacks, in words; gives the initial pose on the way, which it may need for the rest."""
+        ready, missing = self._plan.ready, []
+        if not self._is_settled():
+            missing.append("still a new topic every moment")
+        if not self._goal.is_there():
+            missing.append(f"no {self._goal.what}")
+        elif not missing:
+            self._give_initial_pose()
+            self._offer_images()
+        if self._ready_topic is not None and not self._ready_topic.is_met():
+            missing.append(f"no message on {quoted(ready.topic)}")
+        if ready.service and not self._has_service(ready.service):
+            missing.append(f"no service {quoted(ready.service)}")
+        if self._lifecycle is not None and not self._is_active():
+            missing.append(f"no active node {quoted(ready.node)}")
+        return missing
+
+    def _is_settled(self) -> bool:
+        """Returns whether no topic of a stack has appeared for a moment."""
+        found, now_s = frozenset(name for name, _ in self.get_topic_names_and_types()), time.monotonic()
+        before, since_s = self._graph
+        self._graph = (found, since_s if found == before else now_s)
+        return now_s - self._graph[1] >= SETTLED_S
+
+    def _give_initial_pose(self) -> None:
+        publisher = self._initial_pub
+        if self._initial_given or publisher is None or not _others(self, publisher.topic_name):
+            return
+        self._initial_given = True
+        run, spec = self._plan.run, self._plan.initial_pose
+        x, y, yaw = _composed(run.start, run.initial_error)
+        message = PoseWithCovarianceStamped(header=conversions.header_to_msg(max(0, self._monitor.now_ns), WORLD_FRAME))
+        message.pose.pose = conversions.pose_to_msg(_pose((x, y, yaw)))
+        covariance = [0.0] * 36
+        covariance[0] = covariance[7] = spec.sigma_xy**2
+        covariance[35] = math.radians(spec.sigma_yaw_deg) ** 2
+        message.pose.covariance = covariance
+        publisher.publish(message)
+        _acknowledged(publisher)
+
+    def _has_service(self, name: str) -> bool:
+        return any(found == self.resolve_service_name(name) for found, _ in self.get_service_names_and_types())
+
+    def _is_active(self) -> bool:
+        """Returns whether the lifecycle node said that it is active; asks it again and again."""
+        client, future = self._lifecycle, self._lifecycle_future
+        if future is not None and future.done():
+            self._lifecycle_future = None
+            if future.exception() is None and future.result().current_state.id == _ACTIVE:
+                return True
+        if self._lifecycle_future is None and client.service_is_ready():
+            self._lifecycle_future = client.call_async(client.srv_type.Request())
+        return False
+
+    def _become_ready(self) -> None:
+        """Gives the goal now if time stands still, else at the next tick."""
+        self._ready = True
+        if not self._plays:
+            self._goal.give(0)
+            self._spin_until(self._goal.is_accepted, STANDSTILL_S)
+            self._monitor.give_goal(0)
+            self._play()
+
+    def _play(self) -> None:
+        """Lets time pass."""
+        request = srv.SetSimulationState.Request(state=sim_msg.SimulationState(state=sim_msg.SimulationState.STATE_PLAYING))
+        self._call(self._set_state, request)
+        self._plays = True
+        self._last_tick_s = time.monotonic()
+
+    # Images
+
+    def _on_scene(self, msg: Any) -> None:
+        self._scene = msg
+
+    def _offer_images(self) -> None:
+        """Has a render node started if the stack subscribes to images that none publishes, and waits until it takes part."""
+        if self._scene is None or self._plays:
+            return
+        wanted = [
+            topic
+            for camera in self._scene.cameras
+            for topic in names.image_topics(camera.name, camera.outputs)
+            if _others(self, self.resolve_topic_name(topic))
+        ]
+        if not wanted:
+            return
+        note_in_job(IMAGES, "")
+        self._wait(lambda: all(self.count_publishers(topic) for topic in wanted), f"publisher of {wanted[0]}")
+        if self._lockstep is not None:
+            done = self.resolve_topic_name(names.TICK_DONE)
+            self._wait(
+                lambda: any(p.node_name == "render" for p in self.get_publishers_info_by_topic(done)), "render node in lockstep"
+            )
+
+    # Ticks
+
+    def _on_truth(self, msg: Any) -> None:
+        now_s, stamp_ns = time.monotonic(), conversions.time_from_msg(msg.header.stamp)
+        self._report.began_s = self._report.began_s or now_s
+        self._report.ended_s = self._last_tick_s = now_s
+        if self._decision is not None:
+            return
+        if self._ready and self._monitor.goal_ns < 0:
+            self._goal.give(stamp_ns)
+            self._monitor.give_goal(stamp_ns)
+        p, q, v = msg.pose.pose.position, msg.pose.pose.orientation, msg.twist.twist
+        yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+        self._decision = self._monitor.tick(stamp_ns, (p.x, p.y, yaw), math.hypot(v.linear.x, v.linear.y), v.angular.z)
+        if self._decision is not None:
+            return  # in lockstep time stands still from here on
+        self._ticks += 1
+        if self._plan.run.people and self._ticks % PERIOD_TICKS == 0:
+            self._walk(stamp_ns, partial(self._tick_done, msg.header.stamp))
+        else:
+            self._tick_done(msg.header.stamp)
+
+    def _tick_done(self, stamp: Any) -> None:
+        if self._lockstep is not None:
+            self._lockstep.tick_done(stamp)
+
+    def _walk(self, stamp_ns: int, then: Callable[[], None]) -> None:
+        """Places all people, and calls ``then`` once the simulation has answered."""
+        people = self._plan.run.people
+        pending = set(range(len(people)))
+
+        def answered(number: int, _: Any) -> None:
+            pending.discard(number)
+            if not pending:
+                then()
+
+        for number, person in enumerate(people):
+            request = srv.SetEntityState.Request(entity=person.name)
+            request.state.header.frame_id = WORLD_FRAME
+            request.state.pose = conversions.pose_to_msg(_pose(person_pose(person, stamp_ns / NS_PER_S)))
+            if hasattr(request, "set_pose"):
+                request.set_pose = True
+            self._place.call_async(request).add_done_callback(partial(answered, number))
+
+    # Waiting
+
+    def _call(self, client: Any, request: Any) -> None:
+        """Calls a service of the simulation.
+
+        Raises:
+            GibsonSimError: it does not answer, or refuses.
+        """
+        self._wait(client.service_is_ready, f"service {client.srv_name}")
+        future = client.call_async(request)
+        self._wait(future.done, f"answer of {client.srv_name}")
+        result = future.result().result
+        if result.result != _OK:
+            raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        limit_s = max(_ANSWER_S, self._plan.ready.within)
+        if not self._spin_until(condition, limit_s):
+            if not is_running():
+                raise KeyboardInterrupt
+            raise GibsonSimError(f"waited {limit_s:g} s for the {what}")
+
+    def _spin_until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Returns whether a condition came true within so many seconds of wall time."""
+        deadline_s = time.monotonic() + seconds
+        while is_running() and not condition():
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                return False
+            self._executor.spin_once(timeout_sec=min(0.02, left_s))
+        return condition()
+
+    def _tell_progress(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told_s > _PROGRESS_S:
+            self._told_s = now_s
+            note_in_job(PROGRESS, self._monitor.progress)
+
+    def close(self) -> None:
+        """Writes the report. It does not leave lockstep: time stands still until the simulation ends."""
+        report, decision, monitor = self._report, self._decision, self._monitor
+        if decision is not None:
+            report.end, report.detail, report.decided_ns = decision.end, decision.detail, decision.decided_ns
+        report.goal_ns, report.end_ns, report.status = monitor.goal_ns, monitor.now_ns, monitor.status
+        write_summary(self._config.output, report.to_json())
+        self._executor.shutdown(timeout_sec=1.0)
+
+
+class _ReadyTopic:
+    """Waits for the first message of a topic of any type."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._node, self._topic = node, topic
+        self._subscribed = self._received = False
+
+    def is_met(self) -> bool:
+        """Returns whether a message has arrived; subscribes once there is a publisher."""
+        publishers = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
+        if not self._subscribed and publishers:
+            self._subscribed = True
+            kind = publishers[0].topic_type
+            self._node.create_subscription(
+                _class_of(message_class, kind), self._topic, self._on_message, recording_profile(publishers, kind), raw=True
+            )
+        return self._received
+
+    def _on_message(self, _: bytes) -> None:
+        self._received = True
+
+
+class _TopicGoal:
+    """A goal on a topic."""
+
+    def __init__(self, node: Node, topic: str, message: Callable[[int], PoseStamped]) -> None:
+        self._node, self._message = node, message
+        self._publisher = node.create_publisher(PoseStamped, topic, qos.LATCHED)
+        self.what = f"subscriber of {self._publisher.topic_name}"
+
+    def is_there(self) -> bool:
+        """Returns whether the stack subscribes to it, and gets what is published from now on."""
+        return _others(self._node, self._publisher.topic_name) and is_fully_matched(self._node, self._publisher)
+
+    def give(self, stamp_ns: int) -> None:
+        """Publishes the goal, and waits until it has arrived."""
+        self._publisher.publish(self._message(stamp_ns))
+        _acknowledged(self._publisher)
+
+    def is_accepted(self) -> bool:
+        """Returns True: a topic has no answer."""
+        return True
+
+
+class _ServiceGoal:
+    """A goal in the request of a service."""
+
+    def __init__(self, node: Node, kind: Any, name: str, fill: Callable[[Any, int], Any]) -> None:
+        self._client, self._fill, self._kind, self._future = node.create_client(kind, name), fill, kind, None
+        self.what = f"service {self._client.srv_name}"
+
+    def is_there(self) -> bool:
+        """Returns whether the service is there."""
+        return bool(self._client.service_is_ready())
+
+    def give(self, stamp_ns: int) -> None:
+        """Sends the request."""
+        self._future = self._client.call_async(self._fill(self._kind.Request(), stamp_ns))
+
+    def is_accepted(self) -> bool:
+        """Returns whether the service has answered."""
+        return self._future is not None and bool(self._future.done())
+
+
+class _ActionGoal:
+    """A goal of an action, whose result ends the run."""
+
+    def __init__(self, node: Node, kind: Any, name: str, fill: Callable[[Any, int], Any], monitor: RunMonitor) -> None:
+        self._client, self._fill, self._kind, self._monitor = ActionClient(node, kind, name), fill, kind, monitor
+        self._answered = False
+        self.what = f"action {node.resolve_service_name(name)}"
+
+    def is_there(self) -> bool:
+        """Returns whether the action is there."""
+        return bool(self._client.server_is_ready())
+
+    def give(self, stamp_ns: int) -> None:
+        """Sends the goal."""
+        future = self._client.send_goal_async(self._fill(self._kind.Goal(), stamp_ns))
+        future.add_done_callback(self._on_response)
+
+    def is_accepted(self) -> bool:
+        """Returns whether the action has answered."""
+        return self._answered
+
+    def _on_response(self, future: Any) -> None:
+        self._answered = True
+        handle = future.result()
+        if not handle.accepted:
+            self._monitor.receive_result(False, "did not accept the goal")
+            return
+        handle.get_result_async().add_done_callback(self._on_result)
+
+    def _on_result(self, future: Any) -> None:
+        status = future.result().status
+        ended = {_SUCCEEDED: "succeeded", 5: "was cancelled", 6: "was aborted"}
+        self._monitor.receive_result(status == _SUCCEEDED, ended.get(status, f"ended with status {status}"))
+
+
+def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _ServiceGoal | _ActionGoal:
+    """Returns how the goal of a plan is given.
+
+    Raises:
+        GibsonSimError: the type is not installed, or has no such field of type PoseStamped.
+    """
+
+    def message(stamp_ns: int) -> PoseStamped:
+        made = PoseStamped(header=conversions.header_to_msg(stamp_ns, WORLD_FRAME))
+        made.pose = conversions.pose_to_msg(_pose(plan.run.goal))
+        return made
+
+    spec = plan.goal
+    if plan.goal_topic:
+        return _TopicGoal(node, plan.goal_topic, message)
+    kind = _class_of(service_class, spec.type)
+
+    def fill(request: Any, stamp_ns: int) -> Any:
+        setattr(request, spec.field, message(stamp_ns))
+        return request
+
+    part = kind.Goal if spec.kind == "action" else kind.Request
+    found = part.get_fields_and_field_types().get(spec.field)
+    if found != "geometry_msgs/PoseStamped":
+        fields = ", ".join(f"{name} ({type_})" for name, type_ in part.get_fields_and_field_types().items())
+        raise ConfigError(
+            f"stack.goal.field is {quoted(spec.field)}, must be a field of type geometry_msgs/PoseStamped of {spec.type}, which has "
+            f"{fields or 'none'}"
+        )
+    if spec.kind == "service":
+        return _ServiceGoal(node, kind, spec.name, fill)
+    return _ActionGoal(node, kind, spec.name, fill, monitor)
+
+
+def _class_of(find: Callable[[str], Any], type_name: str) -> Any:
+    """Returns the class of a type.
+
+    Raises:
+        EnvironmentProblemError: it is not installed.
+    """
+    try:
+        return find(type_name)
+    except UNKNOWN as error:
+        raise EnvironmentProblemError(
+            f"type {quoted(type_name)} is not installed here: install its package, or source the ROS workspace that has it"
+        ) from error
+
+
+def _others(node: Node, topic: str, ours: Iterable[str] = ()) -> bool:
+    """Returns whether a node other than the trial's own subscribes to a topic; with ``ours``, one of these."""
+    found = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
+    return bool(found & set(ours)) if ours else bool(found - OURS)
+
+
+def _acknowledged(publisher: Publisher) -> None:
+    """Blocks until a message has arrived at all subscribers, a second at most."""
+    publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+
+
+def _pose(pose: PlanarPose, z: float = 0.0) -> Pose:
+    return Pose((pose[0], pose[1], z), (0.0, 0.0, math.sin(pose[2] / 2.0), math.cos(pose[2] / 2.0)))
+
+
+def _composed(pose: PlanarPose, change: PlanarPose) -> PlanarPose:
+    """Returns a pose after a change in its own frame."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return pose[0] + c * change[0] - s * change[1], pose[1] + s * change[0] + c * change[1], pose[2] + change[2]
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the trial node."""
+    run_node(TrialNode, args)
+
+
+if __name__ == "__main__":
+    main()

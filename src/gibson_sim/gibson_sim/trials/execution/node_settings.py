@@ -1,0 +1,158 @@
+"""The settings of the nodes of a run, and the checks of a stack that need nothing started."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.client_config import RecordConfig, TrialConfig
+from gibson_sim.config import PhysicsConfig, RenderConfig
+from gibson_sim.errors import ConfigError, EnvironmentProblemError
+from gibson_sim.quoting import quoted
+from gibson_sim.reach import LOCAL, reach_variables
+from gibson_sim.trials.execution.plan import PLAN, REPORT
+from gibson_sim.trials.records import RunSpec
+from gibson_sim.trials.scenario_spec import Scenario, StackSpec
+
+MARKER = "GIBSON_SIM_TRIAL"
+"""Environment variable of a stack and of all processes that it starts: a text that no other run has."""
+LONGEST_TICK_S = 86_400.0
+"""Timeout of physics for a tick of lockstep, seconds: the trial node ends a run before, since only it knows whether the stack has a goal."""
+BAG = "bag"
+"""Folder of the bag in the folder of the run."""
+_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(action|srv)/[A-Za-z]\w*")
+_NOT_A_NAME = re.compile(r"[^\w-]")
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSettings:
+    """Settings of all nodes that a run may need."""
+
+    physics: PhysicsConfig
+    record: RecordConfig
+    trial: TrialConfig
+    render: RenderConfig
+
+
+def check_stack(stack: StackSpec) -> None:
+    """Checks what can be known of a stack before it is started.
+
+    Raises:
+        ConfigError: its type of the goal or a rule of lockstep is of another form than the message shows.
+        EnvironmentProblemError: its program or a message package is not installed.
+    """
+    if not stack.command:
+        raise ConfigError("stack.command is empty, must be a program and its arguments")
+    path = {**os.environ, **stack.environment}.get("PATH")
+    program = stack.command[0]
+    there = (stack.folder / program).exists() if "/" in program else shutil.which(program, path=path)
+    if not there:
+        raise EnvironmentProblemError(f"stack.command: there is no program {quoted(program)}; install it, or give its path")
+    if not stack.folder.is_dir():
+        raise ConfigError(f"stack.folder is {quoted(str(stack.folder))}, must be a folder that exists")
+    packages = ["lifecycle_msgs"] if stack.ready.node else []
+    if stack.goal.kind in ("action", "service"):
+        match = _TYPE.fullmatch(stack.goal.type)
+        folder = {"action": "action", "service": "srv"}[stack.goal.kind]
+        if match is None or match[2] != folder:
+            raise ConfigError(
+                f"stack.goal.type is {quoted(stack.goal.type)}, must be package/{folder}/Name, as nav2_msgs/action/NavigateToPose"
+            )
+        packages.append(match[1])
+    for package in packages:
+        if find_spec(package) is None:
+            raise EnvironmentProblemError(
+                f"the stack is spoken to with messages of package {quoted(package)}, which this Python cannot import: install it, or "
+                "source the ROS workspace that has it"
+            )
+    participants_of(stack, ())
+
+
+def participants_of(stack: StackSpec, ours: tuple[str, ...]) -> str:
+    """Returns the setting ``participants`` of physics: our nodes, and the rules of a stack, each with a name.
+
+    Raises:
+        ConfigError: a rule is not of the form that the message shows.
+    """
+    rules = []
+    for rule in stack.lockstep:
+        named = rule if "=" in rule else f"{_NOT_A_NAME.sub('_', rule.split()[0].strip('/')) if rule.split() else ''}={rule}"
+        rules.append(named)
+    text = "; ".join((*ours, *rules))
+    PhysicsConfig(lockstep=True, participants=text)
+    from gibson_sim.standard.lockstep import parse_participants
+
+    parse_participants(text)
+    return text
+
+
+def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> NodeSettings:
+    """Returns the settings of the nodes of a run.
+
+    Args:
+        scenario: of the trial.
+        run: one of its runs.
+        folder: of the run.
+        job: folder for files between the nodes.
+
+    Raises:
+        ConfigError: a setting has a value that is not allowed.
+    """
+    known = PhysicsConfig.__dataclass_fields__
+    unknown = sorted(run.physics.keys() - known.keys())
+    if unknown:
+        raise ConfigError(f"physics has {quoted(unknown[0])}, which is no setting of the physics node; see `gibson-sim params`")
+    values: dict[str, Any] = {
+        **run.physics,
+        "scene": run.scene,
+        "robot": run.robot,
+        "seed": run.seed,
+        "start": ",".join(repr(float(v)) for v in (run.start[0], run.start[1], math.degrees(run.start[2]))),
+        "start_paused": True,
+        "digests": True,
+        "duration": 0.0,
+        "wait_for": "scene_state:1,robots:2",
+        "summary_path": str(job / "physics.json"),
+    }
+    if scenario.stack.lockstep:
+        participants = participants_of(scenario.stack, ("trial", "record"))
+        values |= {"lockstep": True, "rate": 0.0, "participants": participants, "participant_timeout": LONGEST_TICK_S}
+        values["on_timeout"] = "stop"
+    else:
+        values |= {"lockstep": False, "participants": "", "pipelined": False}
+    for name, value in values.items():
+        if isinstance(value, str) and value in run.files:
+            values[name] = str(folder / value)
+    return NodeSettings(
+        PhysicsConfig(**values),
+        RecordConfig(output=str(folder / BAG), record_images=scenario.record.images, summary_path=str(job / "record.json")),
+        TrialConfig(plan=str(job / PLAN), output=str(job / REPORT)),
+        RenderConfig(digests=True, summary_path=str(job / "render.json")),
+    )
+
+
+def stack_environment(stack: StackSpec, domain: int, marker: str, base: Mapping[str, str]) -> dict[str, str]:
+    """Returns all environment variables of a stack.
+
+    Args:
+        stack: which may set some of its own.
+        domain: ROS domain.
+        marker: tells the processes of this run from all others.
+        base: variables of this process.
+    """
+    values = dict(base)
+    for name, value in reach_variables(base, LOCAL).items():
+        if value:
+            values[name] = value
+        else:
+            values.pop(name, None)
+    values.setdefault("PYTHONUNBUFFERED", "1")  # the last line of a program that crashes would be missing
+    values |= {**stack.environment, "ROS_DOMAIN_ID": str(domain), MARKER: marker}
+    return values

@@ -1,0 +1,285 @@
+"""One run: starts simulation, recorder, trial node and stack in a ROS domain of their own, watches them, and ends them all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.standard.environment import node_environment
+from gibson_sim.standard.job_folder import LOADED, VARIABLE, read_note
+from gibson_sim.standard.leftovers import end_marked
+from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.trials.execution.domains import DOMAINS, lock_free_domain
+from gibson_sim.trials.execution.ending import Ending, node_died, reported, stack_died
+from gibson_sim.trials.execution.node_server import SERVERS, NodeServer
+from gibson_sim.trials.execution.node_settings import BAG, MARKER, NodeSettings, check_stack, node_settings, stack_environment
+from gibson_sim.trials.execution.plan import IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
+from gibson_sim.trials.execution.stack_log import StackLog
+from gibson_sim.trials.records import Outcome, RunSpec
+from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.writing import write_file
+
+STACK, PHYSICS, RENDER, RECORD, TRIAL = "stack", "physics", "render", "record", "trial"
+_NODES = (PHYSICS, RENDER, RECORD, TRIAL)
+_PERIOD_S = 0.02
+"""Period in which the supervisor looks at everything, seconds of wall time."""
+_PROGRESS_S = 0.5
+"""Period of reports of progress, seconds of wall time."""
+_LAST_WORD_S = 1.5
+"""Wall time that the trial node has to tell what a stack told before it ended, seconds."""
+_GRACE_S = ((signal.SIGINT, 10.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
+"""Signals that end the processes of a run, and the wall time after which the next one is sent, seconds."""
+_CHUNK = 1 << 20
+"""Bytes of output that are read at once."""
+JOB = "job"
+"""Folder in that of the run with files between the nodes; it goes with the run."""
+
+
+def execute(
+    scenario: Scenario,
+    run: RunSpec,
+    folder: Path,
+    *,
+    domains: Sequence[int] = DOMAINS,
+    on_progress: Callable[[str], None] = lambda text: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Outcome:
+    """Executes one run, and leaves nothing behind but its folder: run.json, outcome.json, bag, stack.log, simulation.log.
+
+    Args:
+        scenario: of the trial.
+        run: one of its runs.
+        folder: of the run; it is made, and files of an earlier run in it are removed.
+        domains: ROS domains of which a free one is taken.
+        on_progress: is called with a short text now and then.
+        stop: is asked often whether to interrupt the run.
+
+    Raises:
+        GibsonSimError: the stack or a setting cannot be used, or no domain is free; nothing was started.
+    """
+    check_stack(scenario.stack)
+    job = folder / JOB
+    settings = node_settings(scenario, run, folder, job)
+    base = node_environment(reach="local")
+    base.pop("ROS_DOMAIN_ID", None)
+    prepare_folder(run, folder)
+    domain, lock = lock_free_domain(domains)
+    try:
+        server = SERVERS.acquire(base)
+        try:
+            outcome = _Run(scenario, run, folder, settings, domain, server, on_progress, stop).execute()
+        finally:
+            SERVERS.release(base, server)
+    finally:
+        lock.close()
+        shutil.rmtree(job, ignore_errors=True)
+    write_file(folder / "outcome.json", json.dumps(outcome.to_json(), indent=1) + "\n", durable=False)
+    return outcome
+
+
+def prepare_folder(run: RunSpec, folder: Path) -> None:
+    """Makes the folder of a run with its files, and removes what an earlier execution left in it."""
+    for name in (BAG, JOB):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    for name in ("outcome.json", "result.json", "stack.log", "simulation.log"):
+        (folder / name).unlink(missing_ok=True)
+    (folder / JOB).mkdir(parents=True)
+    write_file(folder / "run.json", json.dumps(run.to_json(), indent=1) + "\n", durable=False)
+    for name, text in run.files.items():
+        write_file(folder / name, text, durable=False)
+
+
+class _Run:
+    """The processes of one run."""
+
+    def __init__(
+        self, scenario: Scenario, run: RunSpec, folder: Path, settings: NodeSettings, domain: int, server: NodeServer,
+        on_progress: Callable[[str], None], stop: Callable[[], bool],
+    ) -> None:  # fmt: skip
+        self._scenario, self._folder, self._job, self._settings = scenario, folder, folder / JOB, settings
+        self._domain, self._server, self._on_progress, self._stop = domain, server, on_progress, stop
+        self._plan = TrialPlan.of(scenario, run)
+        self._marker = uuid.uuid4().hex
+        self._began_s = self._progress_s = time.monotonic()
+        self._log = StackLog(folder / "stack.log")
+        self._output = -1
+        self._killed = False
+        self._stack_code: int | None = None
+
+    def execute(self) -> Outcome:
+        """Returns how the run ended."""
+        try:
+            self._start()
+            ending = self._watch()
+        finally:
+            self._end()
+        return self._outcome(ending)
+
+    # Start
+
+    def _start(self) -> None:
+        write_file(self._job / PLAN, self._plan.to_json(), durable=False)
+        self._start_node(PHYSICS, self._settings.physics)
+        self._start_node(TRIAL, self._settings.trial)
+        self._start_node(RECORD, self._settings.record)
+        if self._scenario.record.images != "none":
+            self._start_node(RENDER, self._settings.render)
+        self._output, write_end = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
+        os.set_blocking(write_end, True)
+        stack = self._scenario.stack
+        environment = stack_environment(stack, self._domain, self._marker, os.environ)
+        try:
+            self._server.start_program(STACK, stack.command, stack.folder.absolute(), environment, MARKER, write_end)
+        finally:
+            os.close(write_end)
+
+    def _start_node(self, name: str, config: Any) -> None:
+        environment = {"ROS_DOMAIN_ID": str(self._domain), VARIABLE: f"-1:{self._job}"}
+        output = os.open(self._log_of(name), os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC)
+        try:
+            self._server.start_node(name, f"{name}_node", config, environment, output)
+        finally:
+            os.close(output)
+
+    def _log_of(self, name: str) -> Path:
+        return self._job / f"{name}.log"
+
+    def _written_by(self, name: str) -> str:
+        try:
+            return self._log_of(name).read_text(errors="replace")
+        except OSError:  # it was not started
+            return ""
+
+    # Watch
+
+    def _watch(self) -> Ending:
+        limit_s = self._scenario.limits.wall_time
+        while True:
+            self._look()
+            if ending := self._ending():
+                return ending
+            now_s = time.monotonic()
+            if self._stop():
+                return Ending("interrupted", f"after {now_s - self._began_s:.1f} s")
+            if now_s - self._began_s > limit_s:
+                return Ending("wall time limit", f"the run took longer than {limit_s:g} s; {self._progress()}")
+            if now_s - self._progress_s > _PROGRESS_S:
+                self._progress_s = now_s
+                self._on_progress(self._progress())
+
+    def _ending(self) -> Ending | None:
+        """Returns how the run ended; None = it goes on."""
+        ended = self._server.ended
+        if TRIAL in ended:
+            if (report := self._report()).end:
+                return reported(report, self._written_by(PHYSICS))
+            # It ends without a report where physics is at fault, too.
+            self._wait(lambda: PHYSICS in ended, 0.5)
+        for name in (PHYSICS, TRIAL, RECORD, RENDER):
+            if name in ended:
+                return node_died(name, ended[name], self._written_by(name))
+        if STACK in ended:
+            self._stack_code = ended[STACK]
+            self._wait(lambda: TRIAL in ended, _LAST_WORD_S)
+            if TRIAL in ended and (report := self._report()).end:
+                return reported(report, self._written_by(PHYSICS))
+            return stack_died(self._stack_code, self._log.last_line)
+        if RENDER not in self._server.running and read_note(self._job, IMAGES) is not None:
+            self._start_node(RENDER, self._settings.render)
+        return None
+
+    def _progress(self) -> str:
+        if read_note(self._job, LOADED) is None:
+            return "the scene is loaded"
+        return read_note(self._job, PROGRESS) or "the stack starts"
+
+    def _look(self, wait_s: float = _PERIOD_S) -> None:
+        """Reads what the stack writes, and which processes ended; waits if there is nothing."""
+        self._server.poll()
+        try:
+            data = os.read(self._output, _CHUNK)
+        except BlockingIOError:
+            data = b""
+        self._log.write(data)
+        if not data:
+            time.sleep(wait_s)
+
+    def _wait(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Returns whether a condition came true in time."""
+        deadline_s = time.monotonic() + seconds
+        while not condition() and time.monotonic() < deadline_s:
+            self._look()
+        return condition()
+
+    def _report(self) -> TrialReport:
+        text = read_note(self._job, REPORT)
+        return TrialReport(**json.loads(text)) if text else TrialReport()
+
+    # End
+
+    def _end(self) -> None:
+        """Ends all processes, and writes their output."""
+        if STACK in self._server.ended and self._stack_code is None:
+            self._stack_code = self._server.ended[STACK]
+        try:
+            # First the trial node, whose report tells how far the run came; then all others at once: time stands still.
+            self._end_processes([TRIAL])
+            self._end_processes([PHYSICS, RENDER, RECORD, STACK])
+            end_marked(MARKER, self._marker)
+            if self._output >= 0:
+                self._drain()
+        finally:
+            if self._output >= 0:
+                os.close(self._output)
+            self._log.close()
+            remove_dead_segments(wait=self._killed)
+            self._write_simulation_log()
+
+    def _end_processes(self, names: Sequence[str]) -> None:
+        for number, seconds in _GRACE_S:
+            left = [name for name in names if name in self._server.running]
+            if not left:
+                return
+            self._killed = self._killed or number == signal.SIGKILL
+            for name in left:
+                self._server.signal(name, number)
+            self._wait(lambda: not self._server.running & set(names), seconds)
+
+    def _drain(self) -> None:
+        """Reads the last output of the stack."""
+        try:
+            while data := os.read(self._output, _CHUNK):
+                self._log.write(data)
+        except BlockingIOError:
+            return
+
+    def _write_simulation_log(self) -> None:
+        parts = [f"{name:8} | {line}\n" for name in _NODES for line in self._written_by(name).splitlines()]
+        write_file(self._folder / "simulation.log", "".join(parts), durable=False)
+
+    def _outcome(self, ending: Ending) -> Outcome:
+        report, now_s = self._report(), time.monotonic()
+        summary = json.loads(read_note(self._job, "physics.json") or "{}")
+        began_s = report.began_s or now_s
+        ended_s = max(began_s, report.ended_s or now_s)
+        return Outcome(
+            end=ending.end,
+            detail=ending.detail,
+            lockstep=bool(self._scenario.stack.lockstep),
+            goal_ns=report.goal_ns,
+            decided_ns=report.decided_ns,
+            end_ns=report.end_ns,
+            exit_code=self._stack_code,
+            status=report.status,
+            refused_commands=summary.get("refused_commands", 0),
+            start_up_s=round(began_s - self._began_s, 3),
+            running_s=round(ended_s - began_s, 3),
+            ending_s=round(now_s - ended_s, 3),
+        )
