@@ -32,6 +32,8 @@ XY = tuple[float, float]
 
 MARGIN = 0.04
 """Clearance of paths beyond the robot's radius, metres: stacks need some, and a path without any cannot be driven."""
+WIDE = 0.15
+"""The same of a way that things leave open, where there is such a one without them: enough for the noise and the inflation of a stack."""
 _HANDLES = ("handle", "lever", "knob")
 """Ends of the names of joints that open nothing."""
 _SAME_FLOOR = 0.5
@@ -99,6 +101,8 @@ class Site:
     closed_doors: tuple[str, ...] = ()
     _planners: dict[float, PathPlanner] = field(default_factory=dict)
     _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
+    _wide: dict[tuple[XY, XY], bool] = field(default_factory=dict)
+    """Whether a wide way leads from one place to another."""
 
     @property
     def reach(self) -> float:
@@ -157,16 +161,11 @@ class Site:
         return True
 
     def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
-        """Returns whether a path leads from one place to another on a map; quicker than planning it."""
-        labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
-        cells = np.argwhere(labels > 0)
-        if not len(cells):
-            return False
-        ends = []
-        for place in (start, goal):
-            nearest_cell = cells[int(np.sum((floor.centers(cells) - np.asarray(place)) ** 2, axis=1).argmin())]
-            ends.append(int(labels[tuple(nearest_cell)]))
-        return ends[0] == ends[1]
+        """Returns whether a way leads from one place to another on a map: one of ``WIDE`` if the site has such a one, else one of ``reach``."""
+        wide = self.robot.radius + WIDE
+        if (start, goal) not in self._wide:
+            self._wide[start, goal] = _connected(start, goal, self.floor, wide)
+        return _connected(start, goal, floor, wide if self._wide[start, goal] else self.reach)
 
     def wrong_place(self, xy: XY) -> str:
         """Returns why the robot cannot stand at a place, world metres; empty = it can."""
@@ -241,3 +240,16 @@ def _shortest(start: XY, goal: XY, planner_of: Callable[[float], PathPlanner], r
         return path_length(path), path
     path = planner_of(radii[-1]).path(start, goal)
     return path_length(path), path
+
+
+def _connected(start: XY, goal: XY, floor: FloorMap, clearance: float) -> bool:
+    """Returns whether a way that keeps a clearance, metres, leads from one place to another; quicker than planning it."""
+    labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= clearance), structure=np.ones((3, 3)))
+    cells = np.argwhere(labels > 0)
+    if not len(cells):
+        return False
+    ends = []
+    for place in (start, goal):
+        nearest_cell = cells[int(np.sum((floor.centers(cells) - np.asarray(place)) ** 2, axis=1).argmin())]
+        ends.append(int(labels[tuple(nearest_cell)]))
+    return ends[0] == ends[1]
