@@ -32,6 +32,7 @@ TRAINING_HZ, EVALUATION_HZ = (
     60,
     240,
 )  # physics steps a second: training with few takes half the time, the evaluation has the usual ones
+TRAINING_S = 40  # time limit of a training episode; in the evaluation it is that of the task, 90 s
 CONTROL_HZ = 3  # decisions a second
 GAMMA = 0.97  # rewards are dense: 30 decisions, 10 s, are far enough to look ahead
 EVALUATION_SEEDS = 1_000_000  # and up; a training seed is drawn from 0 to 2**31, so it is hardly ever one of these
@@ -73,6 +74,8 @@ def environment(observation, step_hz):
     os.environ.setdefault("LP_NUM_THREADS", "1")
     # At 0.5 m/s three decisions a second are enough; an episode has fewer of them, and each matters more, than with the usual ten.
     env = TaskEnvironment("point-goal", observation=observation, control_hz=CONTROL_HZ, step_hz=step_hz)
+    # A robot that is stuck learns nothing new for the rest of 90 s.
+    env = env if step_hz == EVALUATION_HZ else gymnasium.wrappers.TimeLimit(env, TRAINING_S * CONTROL_HZ)
     return Monitor(env if observation == "state" else OnePicture(env), info_keywords=("success", "spl", "collisions"))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.tasks.distance import DrivingDistance
-from gibson_sim.tasks.environments import COLLISION_REWARD, STEP_REWARD, TaskEnvironment
+from gibson_sim.tasks.environments import COLLISION_REWARD, CONTACT_REWARD, STEP_REWARD, TaskEnvironment
 from gibson_sim.tasks.ground import Ground, ground_of
 
 
@@ -44,13 +44,33 @@ def test_rewards_add_up_to_the_path_that_was_covered() -> None:
         goal = run.episode.goal.position
         assert goal is not None
         distance = DrivingDistance(run.ground, goal[:2])
-        before, total = distance(run.observation.xy), 0.0
+        before, total, touching = distance(run.observation.xy), 0.0, 0
         for _ in range(12):
             _, reward, _, _, info = env.step(np.array([0.4, 0.3], dtype=np.float32))
             total += reward
+            touching += run.touching
         covered = before - distance(run.observation.xy)
         assert abs(covered) > 0.1
         assert not info["success"]
-        assert total == pytest.approx(covered + 12 * STEP_REWARD + info["collisions"] * COLLISION_REWARD, abs=1e-9)
+        others = 12 * STEP_REWARD + info["collisions"] * COLLISION_REWARD + touching * CONTACT_REWARD
+        assert total == pytest.approx(covered + others, abs=1e-9)
+    finally:
+        env.close()
+
+
+def test_each_step_against_a_wall_costs() -> None:
+    env = TaskEnvironment("point-goal", scene="arena", control_hz=1, step_hz=60)
+    try:
+        env.reset(seed=3)
+        ahead = np.array([1.0, 0.0], dtype=np.float32)
+        # The rooms are 8.5 m long: at 0.5 m/s the robot is at a wall after 20 s, wherever it began.
+        for _ in range(20):
+            env.step(ahead)
+        assert env._running().touching
+        place = env._running().observation.xy
+        _, reward, _, _, info = env.step(ahead)
+        assert env._running().observation.xy == pytest.approx(place, abs=0.02)
+        assert info["collisions"] == 1
+        assert reward == pytest.approx(STEP_REWARD + CONTACT_REWARD, abs=0.03)
     finally:
         env.close()

@@ -37,8 +37,9 @@ AUTORESETS = {
 }
 """When the environments of a vector begin their next episodes, by name."""
 NAMESPACE, VERSION = "GibsonSim", 0
-SUCCESS_REWARD, STEP_REWARD, COLLISION_REWARD = 10.0, -0.01, -0.1
-"""Added to the distance by which the goal came nearer in a step: metres along the shortest path, or the task's own measure."""
+SUCCESS_REWARD, STEP_REWARD, COLLISION_REWARD, CONTACT_REWARD = 10.0, -0.01, -0.1, -0.05
+"""For success, for each step, for each static obstacle that the robot begins to touch, and for each step after which it touches one. They
+are added to the distance by which the goal came nearer in the step: metres along the shortest path, or the task's own measure."""
 _HIGHEST_SEED = 2**31
 
 
@@ -136,7 +137,9 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         metrics, self._left = run.metrics, self._remaining()
         nearer, collided = before - self._left, metrics.collisions - self._collisions
         self._collisions = metrics.collisions
-        reward = nearer + STEP_REWARD + COLLISION_REWARD * collided + SUCCESS_REWARD * run.succeeded
+        reward = (
+            nearer + STEP_REWARD + COLLISION_REWARD * collided + CONTACT_REWARD * run.touching + SUCCESS_REWARD * run.succeeded
+        )
         info = {
             "success": metrics.success,
             "path_length": metrics.path_length,

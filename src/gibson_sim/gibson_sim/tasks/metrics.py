@@ -63,6 +63,11 @@ class Meter:
         self._collisions += len(frozenset(touched) - self._touched)
         self._touched = frozenset(touched)
 
+    @property
+    def touching(self) -> bool:
+        """Whether the robot touched a static obstacle in the last observation."""
+        return bool(self._touched)
+
     def metrics(self, obs: Observation, *, success: bool, goal_distance: float) -> Metrics:
         """Returns the metrics up to ``obs``."""
         moved = [math.dist(obs.links[root].position, self._first[name]) for name, root in self._roots.items()]

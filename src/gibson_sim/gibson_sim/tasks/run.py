@@ -104,6 +104,11 @@ class TaskRun:
         return self.observation
 
     @property
+    def touching(self) -> bool:
+        """Whether the robot touches a static obstacle, the floor excluded."""
+        return self._meter.touching
+
+    @property
     def metrics(self) -> Metrics:
         """Metrics of the episode up to now."""
         return self._meter.metrics(self.observation, success=self.succeeded, goal_distance=self.remaining)
