@@ -119,13 +119,14 @@ class MessageDefinitions:
         return self._texts[name]
 
 
-def _nested_types(name: str, text: str) -> list[str]:
+@lru_cache(maxsize=1024)
+def _nested_types(name: str, text: str) -> tuple[str, ...]:
     """Returns the message types of the fields in order, without repetition."""
     try:
         fields = get_types_from_msg(text, name)[name][1]
     except (TypesysError, KeyError) as error:
         raise RecordError(f"type {quoted(name)}: its definition is not understood ({error}); it cannot be recorded") from error
-    return list(dict.fromkeys(_message_types(desc) for _, desc in fields if _message_types(desc)))
+    return tuple(dict.fromkeys(_message_types(desc) for _, desc in fields if _message_types(desc)))
 
 
 def _message_types(desc: Any) -> str:
@@ -136,6 +137,7 @@ def _message_types(desc: Any) -> str:
     return str(rest) if kind.name == "NAME" else ""
 
 
+@lru_cache(maxsize=1024)
 def _hash(name: str, full_text: str) -> str:
     """Returns the hash of a type from its full definition."""
     store = get_typestore(Stores.EMPTY)

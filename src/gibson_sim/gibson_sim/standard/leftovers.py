@@ -1,10 +1,11 @@
-"""Processes that a program left behind, found by a variable in their environment: they may have left its session and its parents."""
+"""Processes of a job: those that a program started, found by a variable in their environment wherever they went, and whether any works."""
 
 from __future__ import annotations
 
 import os
 import signal
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 _PATIENCE_S = 2.0
@@ -45,3 +46,28 @@ def end_marked(variable: str, value: str) -> int:
         if not found:
             break
     return len(first)
+
+
+def find_siblings(processes: Path = Path("/proc")) -> list[int]:
+    """Returns the ids of the other processes that this one's parent started. ``processes``: where the kernel lists them."""
+    parent, found = str(os.getppid()), []
+    for folder in processes.glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        if fields[1] == parent and int(folder.name) != os.getpid():
+            found.append(int(folder.name))
+    return found
+
+
+def any_runs(process_ids: Iterable[int], processes: Path = Path("/proc")) -> bool:
+    """Returns whether a thread of any of these processes runs, waits for a processor, or for a disk, at this moment."""
+    for process_id in process_ids:
+        for stat in (processes / str(process_id) / "task").glob("*/stat"):
+            try:
+                if stat.read_text().rpartition(")")[2].split()[0] in "RD":
+                    return True
+            except OSError:  # it has ended
+                continue
+    return False

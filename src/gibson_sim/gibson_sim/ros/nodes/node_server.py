@@ -7,23 +7,73 @@ socket that ``trials.execution.node_server`` holds. When that socket closes, how
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
+import logging
 import os
 import select
 import signal
 import socket
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NoReturn
 
+from gibson_sim.bags.definitions import MessageDefinitions
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import GibsonSimError, RecordError
+from gibson_sim.maps.placement import populate
+from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.standard.leftovers import end_marked
 from gibson_sim.standard.node_process import PARENT_VARIABLE
+from gibson_sim.standard.simulator import Simulator
 from gibson_sim.trials.execution.node_server import SOCKET_VARIABLE
 
 PRELOADED = ("physics_node", "record_node", "trial_node")
 """Modules of nodes whose imports every fork has."""
+_SCENE = "arena"
+"""A small scene, with which the physics engine is loaded."""
+_TYPES = (
+    "builtin_interfaces/msg/Time",
+    "control_msgs/msg/DynamicJointState",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/WrenchStamped",
+    "gibson_msgs/msg/CollisionCount",
+    "gibson_msgs/msg/Contacts",
+    "gibson_msgs/msg/Epoch",
+    "gibson_msgs/msg/GraspState",
+    "gibson_msgs/msg/Input",
+    "gibson_msgs/msg/RunInfo",
+    "gibson_msgs/msg/Scene",
+    "gibson_msgs/msg/SceneState",
+    "gibson_msgs/msg/TickDigest",
+    "gibson_msgs/msg/TickDone",
+    "nav_msgs/msg/OccupancyGrid",
+    "nav_msgs/msg/Odometry",
+    "nav_msgs/msg/Path",
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "rosgraph_msgs/msg/Clock",
+    "sensor_msgs/msg/BatteryState",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/PointCloud2",
+    "std_msgs/msg/Bool",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/String",
+    "tf2_msgs/msg/TFMessage",
+    "trajectory_msgs/msg/JointTrajectory",
+)
+"""Message types that nodes of trials publish or record."""
 _LARGEST = 1 << 20
 """Largest packet, bytes."""
 _PATIENCE_S = 3.0
@@ -86,6 +136,7 @@ class NodeServer:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         for descriptor in (self._requests.fileno(), self._wake, self._woken):
             os.close(descriptor)
@@ -107,13 +158,13 @@ class NodeServer:
         """Reports the processes that have ended."""
         while True:
             try:
-                process_id, status = os.waitpid(-1, os.WNOHANG)
+                process_id, status, usage = os.wait4(-1, os.WNOHANG)
             except ChildProcessError:
                 return
             if not process_id:
                 return
             name = self._names.pop(process_id, "")
-            event = {"ended": name, "code": os.waitstatus_to_exitcode(status)}
+            event = {"ended": name, "code": os.waitstatus_to_exitcode(status), "cpu_s": usage.ru_utime + usage.ru_stime}
             try:
                 self._requests.send(json.dumps(event).encode())
             except OSError:  # its holder has ended, which the next read tells
@@ -149,19 +200,57 @@ def _run_program(command: list[str]) -> NoReturn:
         os._exit(127)
 
 
-def _run_node(module: str, arguments: list[str]) -> None:
+def _run_node(module: str, arguments: list[str]) -> NoReturn:
+    """Runs a node, and ends this process without the end of its interpreter, which would copy and free all that it shares with the server."""
     from gibson_sim.ros.nodes.start import run
 
     sys.argv = [module, *arguments]
-    run(module)
+    code = 1
+    try:
+        run(module)
+        code = 0
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        if isinstance(end.code, str):
+            sys.stderr.write(f"{end.code}\n")
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        gc.unfreeze()
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        os._exit(code)
+
+
+def _load() -> None:
+    """Loads what nodes load later than their modules: the engine's compiled loops, support for message types, their definitions."""
+    for name in PRELOADED:
+        import_module(f"gibson_sim.ros.nodes.{name}")
+    import_module("rosidl_generator_py")
+    definitions = MessageDefinitions()
+    for kind in _TYPES:
+        try:
+            type(message_class(kind)).__import_type_support__()
+            definitions.type_hash(kind)
+        except (*UNKNOWN, RecordError):  # the node that needs it tells so
+            continue
+    try:
+        simulator = Simulator(populate(_SCENE, "gibson_bot", ""), PhysicsConfig(scene=_SCENE))
+        simulator.step()
+        simulator.close()
+    except GibsonSimError:  # the package has no scenes
+        return
 
 
 def main() -> None:
     """Runs the server; in a forked process, the node."""
     requests = socket.socket(fileno=int(os.environ.pop(SOCKET_VARIABLE)))
     os.set_inheritable(requests.fileno(), False)
-    for name in PRELOADED:
-        import_module(f"gibson_sim.ros.nodes.{name}")
+    logging.disable(logging.WARNING)
+    _load()
+    logging.disable(logging.NOTSET)
+    gc.collect()
+    gc.freeze()
     task = NodeServer(requests).serve()
     if task is not None:
         task()

@@ -38,8 +38,9 @@ from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
 from gibson_sim.standard.job_folder import note_in_job
+from gibson_sim.standard.leftovers import any_runs, find_marked, find_siblings
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
-from gibson_sim.trials.execution.plan import IMAGES, PROGRESS, TrialPlan, TrialReport
+from gibson_sim.trials.execution.plan import IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
 from gibson_sim.trials.records import PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
@@ -50,8 +51,8 @@ STANDSTILL_S = 3.0
 """Wall time that a stack whose goal can be given has to be ready while time stands still, seconds; then time passes, as its sensors may need."""
 SETTLED_S = 0.3
 """Wall time without new topics after which a stack counts as discovered, seconds."""
-TOLD_SILENCE_S = 0.5
-"""Wall time without a tick after which a run ends whose stack has told its end, seconds: many stacks send no commands then."""
+IDLE_LOOKS = 5
+"""Looks in a row, without a tick between, at which no process of the run worked: then a stack that has told its end sends no more commands."""
 _ANSWER_S = 20.0
 """Wall time that the simulation has to answer a request, seconds."""
 _ACKNOWLEDGED_S = 1.0
@@ -98,6 +99,7 @@ class TrialNode(Node):
         self._began_s = self._last_tick_s = time.monotonic()
         self._plays = self._ready = False
         self._ticks = 0
+        self._idle_looks = 0
         self._told_s = 0.0
         """When the progress was told last."""
         self._graph: tuple[frozenset[str], float] = (frozenset(), self._began_s)
@@ -147,10 +149,19 @@ class TrialNode(Node):
         while is_running() and self._decision is None:
             self._executor.spin_once(timeout_sec=0.1)
             self._tell_progress()
-            silence_s = time.monotonic() - self._last_tick_s
-            if self._lockstep is not None and (not self._monitor.was_told or silence_s > TOLD_SILENCE_S):
-                self._decision = self._decision or self._monitor.silence(silence_s)
+            if self._lockstep is not None and self._decision is None:
+                silence_s = time.monotonic() - self._last_tick_s
+                if silence_s > self._plan.limits.silence or (self._monitor.was_told and self._is_idle(silence_s)):
+                    self._decision = self._monitor.silence(silence_s)
         return 0
+
+    def _is_idle(self, silence_s: float) -> bool:
+        """Returns whether time waits for a stack that does nothing; one that is only slow would end the run at a tick that chance decides."""
+        if silence_s < _LOOK_S or any_runs([*find_siblings(), *find_marked(MARKER, self._plan.marker)]):
+            self._idle_looks = 0
+        else:
+            self._idle_looks += 1
+        return self._idle_looks >= IDLE_LOOKS
 
     # Before the first tick
 

@@ -47,6 +47,8 @@ class NodeServer:
         self._running: set[str] = set()
         self.ended: dict[str, int] = {}
         """Name -> exit code of each process that ended; negative = the signal."""
+        self.cpu_s: dict[str, float] = {}
+        """Name -> processor time of each process that ended, with those of its children that it waited for, seconds."""
 
     @property
     def running(self) -> frozenset[str]:
@@ -126,6 +128,7 @@ class NodeServer:
             event = json.loads(data)
             self.ended[event["ended"]] = event["code"]
             self._running.discard(event["ended"])
+            self.cpu_s[event["ended"]] = event["cpu_s"]
 
     def close(self) -> None:
         """Ends the server, and all that it started."""

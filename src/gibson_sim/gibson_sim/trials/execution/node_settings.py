@@ -17,12 +17,10 @@ from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim.quoting import quoted
 from gibson_sim.reach import LOCAL, reach_variables
-from gibson_sim.trials.execution.plan import PLAN, REPORT
+from gibson_sim.trials.execution.plan import MARKER, PLAN, REPORT
 from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.scenario_spec import Scenario, StackSpec
 
-MARKER = "GIBSON_SIM_TRIAL"
-"""Environment variable of a stack and of all processes that it starts: a text that no other run has."""
 LONGEST_TICK_S = 86_400.0
 """Timeout of physics for a tick of lockstep, seconds: the trial node ends a run before, since only it knows whether the stack has a goal."""
 BAG = "bag"

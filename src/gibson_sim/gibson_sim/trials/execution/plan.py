@@ -11,6 +11,8 @@ from gibson_sim.trials.scenario_spec import GoalInterface, InitialPose, Limits, 
 
 PLAN, REPORT, PROGRESS, IMAGES = "plan.json", "trial.json", "progress", "images"
 """Files in the folder of the job: for the trial node; its report; how far the run is, as text; that images have subscribers, empty."""
+MARKER = "GIBSON_SIM_TRIAL"
+"""Environment variable of a stack and of all processes that it starts: a text that no other run has."""
 TASK_GOAL = "task/goal"
 """Topic of the goal where it is given as for tasks."""
 
@@ -29,15 +31,17 @@ class TrialPlan:
     lockstep: bool
     answers: tuple[str, ...]
     """Topics of the rules of lockstep, on which the stack answers."""
+    marker: str = ""
+    """Value of the variable ``MARKER`` of the stack's processes; empty = they have none."""
 
     @classmethod
-    def of(cls, scenario: Scenario, run: RunSpec) -> TrialPlan:
-        """Returns the plan of a run."""
+    def of(cls, scenario: Scenario, run: RunSpec, marker: str = "") -> TrialPlan:
+        """Returns the plan of a run whose stack has a marker."""
         stack = scenario.stack
         answers = tuple(rule.partition("=")[2].split()[0] if "=" in rule else rule.split()[0] for rule in stack.lockstep)
         return cls(
             run, stack.ready, stack.initial_pose, stack.goal, stack.status, scenario.limits, scenario.verdicts.reached,
-            bool(stack.lockstep), answers,
+            bool(stack.lockstep), answers, marker,
         )  # fmt: skip
 
     def to_json(self) -> str:
@@ -58,6 +62,7 @@ class TrialPlan:
             Reached(**values["reached"]) if values["reached"] else None,
             values["lockstep"],
             tuple(values["answers"]),
+            values["marker"],
         )
 
     @property

@@ -19,8 +19,8 @@ from gibson_sim.standard.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import DOMAINS, lock_free_domain
 from gibson_sim.trials.execution.ending import Ending, node_died, reported, stack_died
 from gibson_sim.trials.execution.node_server import SERVERS, NodeServer
-from gibson_sim.trials.execution.node_settings import BAG, MARKER, NodeSettings, check_stack, node_settings, stack_environment
-from gibson_sim.trials.execution.plan import IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
+from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings, stack_environment
+from gibson_sim.trials.execution.plan import IMAGES, MARKER, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
 from gibson_sim.trials.execution.stack_log import StackLog
 from gibson_sim.trials.records import Outcome, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
@@ -35,7 +35,8 @@ _PROGRESS_S = 0.5
 _LAST_WORD_S = 1.5
 """Wall time that the trial node has to tell what a stack told before it ended, seconds."""
 _GRACE_S = ((signal.SIGINT, 10.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
-"""Signals that end the processes of a run, and the wall time after which the next one is sent, seconds."""
+_STACK_GRACE_S = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
+"""Signals that end our nodes, and a stack, and the wall time after which the next one is sent, seconds."""
 _CHUNK = 1 << 20
 """Bytes of output that are read at once."""
 JOB = "job"
@@ -105,8 +106,8 @@ class _Run:
     ) -> None:  # fmt: skip
         self._scenario, self._folder, self._job, self._settings = scenario, folder, folder / JOB, settings
         self._domain, self._server, self._on_progress, self._stop = domain, server, on_progress, stop
-        self._plan = TrialPlan.of(scenario, run)
         self._marker = uuid.uuid4().hex
+        self._plan = TrialPlan.of(scenario, run, self._marker)
         self._began_s = self._progress_s = time.monotonic()
         self._log = StackLog(folder / "stack.log")
         self._output = -1
@@ -118,9 +119,10 @@ class _Run:
         try:
             self._start()
             ending = self._watch()
+            decided_s = time.monotonic()
         finally:
             self._end()
-        return self._outcome(ending)
+        return self._outcome(ending, decided_s)
 
     # Start
 
@@ -177,9 +179,9 @@ class _Run:
     def _ending(self) -> Ending | None:
         """Returns how the run ended; None = it goes on."""
         ended = self._server.ended
+        if (report := self._report()).end:
+            return reported(report, self._written_by(PHYSICS))
         if TRIAL in ended:
-            if (report := self._report()).end:
-                return reported(report, self._written_by(PHYSICS))
             # It ends without a report where physics is at fault, too.
             self._wait(lambda: PHYSICS in ended, 0.5)
         for name in (PHYSICS, TRIAL, RECORD, RENDER):
@@ -187,8 +189,8 @@ class _Run:
                 return node_died(name, ended[name], self._written_by(name))
         if STACK in ended:
             self._stack_code = ended[STACK]
-            self._wait(lambda: TRIAL in ended, _LAST_WORD_S)
-            if TRIAL in ended and (report := self._report()).end:
+            self._wait(lambda: bool(self._report().end), _LAST_WORD_S)
+            if (report := self._report()).end:
                 return reported(report, self._written_by(PHYSICS))
             return stack_died(self._stack_code, self._log.last_line)
         if RENDER not in self._server.running and read_note(self._job, IMAGES) is not None:
@@ -230,8 +232,11 @@ class _Run:
             self._stack_code = self._server.ended[STACK]
         try:
             # First the trial node, whose report tells how far the run came; then all others at once: time stands still.
-            self._end_processes([TRIAL])
+            if not self._report().end:
+                self._end_processes([TRIAL])
             self._end_processes([PHYSICS, RENDER, RECORD, STACK])
+            self._wait(lambda: TRIAL not in self._server.running, _LAST_WORD_S)
+            self._end_processes([TRIAL])
             end_marked(MARKER, self._marker)
             if self._output >= 0:
                 self._drain()
@@ -243,14 +248,22 @@ class _Run:
             self._write_simulation_log()
 
     def _end_processes(self, names: Sequence[str]) -> None:
-        for number, seconds in _GRACE_S:
-            left = [name for name in names if name in self._server.running]
-            if not left:
-                return
-            self._killed = self._killed or number == signal.SIGKILL
+        """Ends processes, all at once, each by one signal after the other."""
+        began_s, sent = time.monotonic(), dict.fromkeys(names, 0)
+        due_s = dict.fromkeys(names, 0.0)
+        """Name -> when the next signal is due, seconds after the first."""
+        while left := [name for name in names if name in self._server.running]:
+            waited_s = time.monotonic() - began_s
             for name in left:
-                self._server.signal(name, number)
-            self._wait(lambda: not self._server.running & set(names), seconds)
+                steps = _STACK_GRACE_S if name == STACK else _GRACE_S
+                if waited_s >= due_s[name] and sent[name] < len(steps):
+                    number, seconds = steps[sent[name]]
+                    self._server.signal(name, number)
+                    self._killed = self._killed or number == signal.SIGKILL
+                    sent[name], due_s[name] = sent[name] + 1, waited_s + seconds
+            if all(sent[name] == 3 and waited_s >= due_s[name] for name in left):
+                return  # not even SIGKILL ends a process that waits for a broken disk
+            self._look()
 
     def _drain(self) -> None:
         """Reads the last output of the stack."""
@@ -264,11 +277,11 @@ class _Run:
         parts = [f"{name:8} | {line}\n" for name in _NODES for line in self._written_by(name).splitlines()]
         write_file(self._folder / "simulation.log", "".join(parts), durable=False)
 
-    def _outcome(self, ending: Ending) -> Outcome:
+    def _outcome(self, ending: Ending, decided_s: float) -> Outcome:
         report, now_s = self._report(), time.monotonic()
         summary = json.loads(read_note(self._job, "physics.json") or "{}")
-        began_s = report.began_s or now_s
-        ended_s = max(began_s, report.ended_s or now_s)
+        began_s = report.began_s or decided_s
+        ended_s = report.ended_s or decided_s
         return Outcome(
             end=ending.end,
             detail=ending.detail,
