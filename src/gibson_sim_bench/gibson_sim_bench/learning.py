@@ -121,8 +121,15 @@ def measure(plan: LearningPlan, tell: Callable[[str], None] = lambda line: None)
 def _processes(plan: LearningPlan, observation: str, count: int) -> LearningRow:
     from gibson_sim.tasks.environments import in_processes
 
-    size, rates = (plan.size, plan.size), {"control_hz": plan.control_hz, "step_hz": plan.step_hz}
-    envs = in_processes(count, plan.task, observation=observation, scene=plan.scene, size=size, **rates)
+    envs = in_processes(
+        count,
+        plan.task,
+        observation=observation,
+        scene=plan.scene,
+        size=(plan.size, plan.size),
+        control_hz=plan.control_hz,
+        step_hz=plan.step_hz,
+    )
     try:
         envs.action_space.seed(0)
 
@@ -140,8 +147,11 @@ def _one_renderer(plan: LearningPlan, count: int) -> LearningRow:
     rng = np.random.default_rng(0)
     seeds = iter(range(10**9))
     with ExitStack() as stack:
-        task, rates = task_of(plan.task), {"control_hz": plan.control_hz, "step_hz": plan.step_hz}
-        runs = [stack.enter_context(TaskRun(task, scene=plan.scene, **rates)) for _ in range(count)]
+        task = task_of(plan.task)
+        runs = [
+            stack.enter_context(TaskRun(task, scene=plan.scene, control_hz=plan.control_hz, step_hz=plan.step_hz))
+            for _ in range(count)
+        ]
         controls = [Controls(run.robot, 1.0 / plan.control_hz) for run in runs]
         camera = TaskCamera(runs[0], (plan.size, plan.size)).camera
 
