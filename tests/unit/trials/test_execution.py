@@ -1,0 +1,193 @@
+"""Parts of the execution of a run that need no ROS: settings, logs, endings, domains, leftover processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.errors import AlreadyRunningError, ConfigError, EnvironmentProblemError
+from gibson_sim.reach import PROFILE_VARIABLE
+from gibson_sim.standard import leftovers
+from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim.trials.execution import check_stack
+from gibson_sim.trials.execution.domains import lock_free_domain
+from gibson_sim.trials.execution.ending import how_it_ended, last_error, node_died, reported, stack_died
+from gibson_sim.trials.execution.node_settings import node_settings, participants_of, stack_environment
+from gibson_sim.trials.execution.plan import TrialReport
+from gibson_sim.trials.execution.stack_log import StackLog
+from gibson_sim.trials.execution.supervisor import prepare_folder
+from gibson_sim.trials.records import RunSpec
+from gibson_sim.trials.scenario_spec import GoalInterface, Ready, Recording, Scenario, StackSpec
+
+STACK = StackSpec((sys.executable, "-c", ""), lockstep=("cmd_vel every 0.05", "loc=pose after scan"))
+RUN = RunSpec(1, "flat", "gibson_bot", 7, (1.0, 2.0, 0.5), (2.5, 1.0, 0.0), 1.5, 0.18)
+
+
+def scenario_of(stack: StackSpec = STACK, **other: object) -> Scenario:
+    return Scenario("t", Path("t.yaml"), ("flat",), stack, **other)  # type: ignore[arg-type]
+
+
+def test_run_in_lockstep_waits_for_our_nodes_and_the_rules_of_the_stack(tmp_path: Path) -> None:
+    physics = node_settings(scenario_of(), RUN, tmp_path, tmp_path / "job").physics
+    assert physics.participants == "trial; record; cmd_vel=cmd_vel every 0.05; loc=pose after scan"
+    assert (physics.lockstep, physics.rate, physics.digests, physics.start_paused, physics.seed) == (True, 0.0, True, True, 7)
+    assert tuple(map(float, physics.start.split(","))) == pytest.approx((1.0, 2.0, 28.64788975654116))
+
+
+def test_run_without_rules_is_in_real_time_at_the_rate_of_the_run(tmp_path: Path) -> None:
+    scenario = scenario_of(replace(STACK, lockstep=()))
+    physics = node_settings(scenario, replace(RUN, physics={"rate": 2.0}), tmp_path, tmp_path).physics
+    assert (physics.lockstep, physics.rate, physics.participants) == (False, 2.0, "")
+
+
+def test_files_of_a_run_are_named_by_their_place(tmp_path: Path) -> None:
+    run = replace(RUN, robot="robot/robot.yaml", files={"robot/robot.yaml": "name: a\n", "looks.yaml": "{}\n"})
+    run = replace(run, physics={"randomise": "looks.yaml"})
+    prepare_folder(run, tmp_path)
+    physics = node_settings(scenario_of(), run, tmp_path, tmp_path).physics
+    assert Path(physics.robot).read_text() == "name: a\n"
+    assert Path(physics.randomise).read_text() == "{}\n"
+    assert RunSpec.from_json(json.loads((tmp_path / "run.json").read_text())) == run
+
+
+def test_recorder_keeps_the_images_that_the_scenario_asks_for(tmp_path: Path) -> None:
+    settings = node_settings(scenario_of(record=Recording(images="compressed")), RUN, tmp_path, tmp_path)
+    assert settings.record.record_images == "compressed"
+
+
+def test_unknown_setting_of_physics_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"physics has 'rat', which is no setting"):
+        node_settings(scenario_of(), replace(RUN, physics={"rat": 2.0}), tmp_path, tmp_path)
+
+
+def test_files_of_an_earlier_execution_are_removed(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "old.mcap").write_text("")
+    (tmp_path / "stack.log").write_text("old")
+    prepare_folder(RUN, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["job", "run.json"]
+
+
+@pytest.mark.parametrize(
+    ("stack", "text"),
+    [
+        (StackSpec(("no_such_program_here",)), "there is no program 'no_such_program_here'"),
+        (StackSpec(("./missing.sh",)), "there is no program './missing.sh'"),
+        (replace(STACK, folder=Path("/nonexistent")), "stack.folder is '/nonexistent'"),
+        (replace(STACK, goal=GoalInterface("action", "go", "NavigateToPose")), "must be package/action/Name"),
+        (replace(STACK, goal=GoalInterface("service", "go", "a_msgs/action/Go")), "must be package/srv/Name"),
+        (replace(STACK, goal=GoalInterface("action", "go", "no_such_msgs/action/Go")), "package 'no_such_msgs'"),
+        (replace(STACK, lockstep=("cmd_vel sometimes",)), "cmd_vel sometimes"),
+        (replace(STACK, lockstep=("",)), "participants"),
+    ],
+)
+def test_stack_that_cannot_be_run_is_refused_in_one_line(stack: StackSpec, text: str) -> None:
+    with pytest.raises((ConfigError, EnvironmentProblemError)) as caught:
+        check_stack(stack)
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_stack_that_can_be_run_is_accepted() -> None:
+    check_stack(replace(STACK, ready=Ready(node="controller_server")))
+    check_stack(replace(STACK, goal=GoalInterface("service", "go", "std_srvs/srv/Trigger")))
+
+
+def test_two_rules_on_one_topic_need_names() -> None:
+    with pytest.raises(ConfigError, match="twice"):
+        participants_of(replace(STACK, lockstep=("cmd_vel every 0.05", "cmd_vel after scan")), ("trial",))
+
+
+def test_environment_of_a_stack_is_ours_with_domain_reach_and_marker() -> None:
+    base = {"HOME": "/h", "ROS_LOCALHOST_ONLY": "1", "ROS_DOMAIN_ID": "9"}
+    found = stack_environment(replace(STACK, environment={"SPEED": "2", "HOME": "/other"}), 42, "mark", base)
+    assert found["ROS_DOMAIN_ID"] == "42"
+    assert (found["HOME"], found["SPEED"], found["GIBSON_SIM_TRIAL"]) == ("/other", "2", "mark")
+    assert found[PROFILE_VARIABLE].endswith("fastdds_local.xml")
+    assert "ROS_LOCALHOST_ONLY" not in found
+
+
+def test_flood_of_output_keeps_its_beginning_and_its_end(tmp_path: Path) -> None:
+    log = StackLog(tmp_path / "stack.log", half=10)
+    for number in range(10):
+        log.write(f"line {number}\n".encode())
+    assert log.last_line == "line 9"
+    log.close()
+    text = (tmp_path / "stack.log").read_bytes()
+    assert text.startswith(b"line 0\nlin")
+    assert text.endswith(b"line 8\nline 9\n")
+    assert b"[... 46 bytes left out ...]" in text, "70 bytes, of which the first ten and the last two writes are kept"
+
+
+def test_short_output_is_kept_whole(tmp_path: Path) -> None:
+    log = StackLog(tmp_path / "stack.log", half=100)
+    log.write(b"ready\n\n")
+    log.close()
+    log.write(b"late")
+    assert (tmp_path / "stack.log").read_bytes() == b"ready\n\n"
+    assert log.last_line == "ready"
+
+
+def test_end_of_a_stack_tells_how_and_its_last_line() -> None:
+    assert stack_died(-11, "loading").detail == "the stack was killed by SIGSEGV; its last line: loading"
+    assert stack_died(3, "").detail == "the stack ended with code 3; it printed nothing"
+    assert how_it_ended(-99) == "was killed by signal 99"
+
+
+def test_end_of_a_node_tells_its_last_error() -> None:
+    output = "INFO scene flat\nERROR first\nerror: no such scene\nINFO bye\n"
+    assert last_error(output) == "no such scene"
+    assert node_died("physics", 1, output).detail == "the physics node ended with code 1: no such scene"
+
+
+def test_stack_is_not_to_blame_if_time_waited_for_a_node_of_ours() -> None:
+    report = TrialReport("stack silent", "no message on cmd_vel")
+    late = "WARN lockstep: waiting for {} to finish the tick at 3.000 s (the node hangs or is slow); 4.0 s so far\n"
+    assert reported(report, late.format("'record'")).end == "simulation failed"
+    found = reported(report, late.format("'record'") + late.format("'cmd_vel'"))
+    assert found.end == "stack silent"
+    assert "'cmd_vel' to finish the tick at 3.000 s" in found.detail
+    assert reported(report, "").detail == "no message on cmd_vel"
+    assert reported(TrialReport("reached", "there"), late).end == "reached"
+
+
+def test_domain_with_a_simulation_is_passed_over() -> None:
+    free, lock = lock_free_domain(range(102, 110), start=0)
+    try:
+        other, second = lock_free_domain(range(102, 110), start=free - 102)
+        second.close()
+        assert other != free
+        with pytest.raises(AlreadyRunningError, match=f"each of the ROS domains {free} to {free}"):
+            lock_free_domain([free])
+    finally:
+        lock.close()
+    DomainLock(free).close()
+
+
+def test_process_that_left_its_session_is_found_by_its_marker_and_ended() -> None:
+    code = (
+        "import subprocess, sys; subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], start_new_session=True)"
+    )
+    marker = f"unit-{os.getpid()}"
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, "GIBSON_SIM_TRIAL": marker}, check=True)
+    assert len(leftovers.find_marked("GIBSON_SIM_TRIAL", marker)) == 1
+    assert leftovers.end_marked("GIBSON_SIM_TRIAL", marker) == 1
+    assert leftovers.find_marked("GIBSON_SIM_TRIAL", marker) == []
+
+
+def test_process_that_waits_does_not_run(tmp_path: Path) -> None:
+    for process_id, state in ((10, "S"), (11, "R"), (12, "D")):
+        task = tmp_path / str(process_id) / "task" / str(process_id)
+        task.mkdir(parents=True)
+        (task / "stat").write_text(f"{process_id} (a (b) c) {state} 1 1")
+        (tmp_path / str(process_id) / "stat").write_text(f"{process_id} (a (b) c) {state} {os.getppid()} 1")
+    assert not leftovers.any_runs([10, 99], tmp_path)
+    assert leftovers.any_runs([10, 11], tmp_path)
+    assert leftovers.any_runs([12], tmp_path)
+    assert sorted(leftovers.find_siblings(tmp_path)) == [10, 11, 12]
