@@ -25,15 +25,17 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
+from gibson_sim.ros.tools.hints import missing_service, no_simulation, simulation_runs, suggestion
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
-from gibson_sim.settings import nearest
 from gibson_sim.types import NS_PER_S
 
 DISCOVERY_S = 1.5
 """Wall time in which the nodes of a domain are discovered, s."""
 PATIENCE_S = 5.0
 """Wall time for a name to appear, and for a service to answer, s."""
+_MORE_TYPES_S = 0.3
+"""Wall time in which a topic that is known may show that it has a second type, s."""
 _WINDOW = 10_000
 """Messages that statistics are made of, as in ``ros2 topic hz``."""
 
@@ -82,6 +84,21 @@ class Tool(Node):
         """Returns service -> types of the graph."""
         return dict(self.get_service_names_and_types())
 
+    def offered_services(self) -> dict[str, list[str]]:
+        """Returns service -> types of those that a node offers; the graph also has those that are only called, by this node, too."""
+        return {name: types for name, types in self.known_services().items() if self.count_services(name)}
+
+    def missing_service(self, name: str, kind: str = "") -> GibsonSimError:
+        """Returns the error for a service, by its full name, that nothing offers; ``kind``: its type, if it is known."""
+        offered = self.offered_services()
+        return GibsonSimError(missing_service(name, kind, offered, domain=self.context.get_domain_id(), start=start_hint()))
+
+    def _topic_hint(self) -> str:
+        """Returns what to do where no topic has a similar name."""
+        if simulation_runs(self.offered_services()):
+            return "see `gibson-sim topic list`"
+        return no_simulation(self.context.get_domain_id(), start_hint())
+
     def type_of(self, topic: str) -> tuple[str, str]:
         """Returns the full name and the type of a topic.
 
@@ -90,7 +107,9 @@ class Tool(Node):
         """
         name = self.resolve_topic_name(topic)
         if not self.work(PATIENCE_S, lambda: name in self.known_topics()):
-            raise GibsonSimError(f"topic {quoted(name)} has no publisher and no subscriber; {_near(name, self.known_topics())}")
+            hint = suggestion(name, self.known_topics(), self._topic_hint())
+            raise GibsonSimError(f"topic {quoted(name)} has no publisher and no subscriber; {hint}")
+        self.work(_MORE_TYPES_S, lambda: len(self.known_topics()[name]) > 1)
         types = self.known_topics()[name]
         if len(types) > 1:
             raise GibsonSimError(f"topic {quoted(name)} has several types: {', '.join(types)}; only one can be shown")
@@ -122,17 +141,17 @@ class Tool(Node):
         """
         client = self.create_client(kind, name)
         if not self.work(PATIENCE_S, client.service_is_ready):
-            raise GibsonSimError(
-                f"nothing offers the service {quoted(client.srv_name)}; {_near(client.srv_name, self.known_services())}"
-            )
+            raise self.missing_service(self.resolve_service_name(name), _type_name(kind))
         future = client.call_async(request)
         if not self.work(60.0, future.done):
             raise GibsonSimError(f"the service {quoted(client.srv_name)} did not answer within 60 s")
         return future.result()
 
 
-def _near(name: str, known: dict[str, Any]) -> str:
-    return nearest(name, list(known)) or f"is a simulation running? start one with {start_hint()}"
+def _type_name(kind: Any) -> str:
+    """Returns ``std_srvs/srv/Trigger`` of a class."""
+    package, part, *_ = kind.__module__.split(".")
+    return f"{package}/{part}/{kind.__name__}"
 
 
 def _say(text: str = "") -> None:
@@ -278,7 +297,7 @@ def service_type(tool: Tool, service: str) -> None:
     """Prints the type of a service."""
     name = tool.resolve_service_name(service)
     if not tool.work(PATIENCE_S, lambda: name in tool.known_services()):
-        raise GibsonSimError(f"nothing offers the service {quoted(name)}; {_near(name, tool.known_services())}")
+        raise tool.missing_service(name)
     _say("\n".join(tool.known_services()[name]))
 
 
@@ -287,7 +306,7 @@ def service_call(tool: Tool, service: str, type: str = "", values: str = "") -> 
     name = tool.resolve_service_name(service)
     if not type:
         if not tool.work(PATIENCE_S, lambda: name in tool.known_services()):
-            raise GibsonSimError(f"nothing offers the service {quoted(name)}; {_near(name, tool.known_services())}")
+            raise tool.missing_service(name)
         type = tool.known_services()[name][0]
     kind = _service_class(type)
     request = fill(kind.Request(), _yaml(values))

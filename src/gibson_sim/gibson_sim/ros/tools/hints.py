@@ -1,0 +1,61 @@
+"""What the tools of the command line say of a name that is not in the graph. Pure text: it knows no node, and imports no ROS."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+
+from gibson_sim.quoting import quoted
+
+_SIMILAR = 0.66
+"""Least similarity of a name that is suggested, as of difflib: ``/cmd`` suggests ``/cmd_vel``; ``/nothing`` does not suggest ``/diagnostics``."""
+_STANDARD, _STATE = "simulation_interfaces/srv/", "simulation_interfaces/srv/GetSimulationState"
+_OF_NODES = ("get_parameters", "set_parameters", "describe_parameters", "list_parameters")
+"""Services that a node with parameters offers below its name."""
+
+
+def simulation_runs(services: Mapping[str, Iterable[str]]) -> bool:
+    """Returns whether a simulation is among who offers services (service -> types)."""
+    return any(_STATE in types for types in services.values())
+
+
+def no_simulation(domain: int, start: str) -> str:
+    """Returns that no simulation runs; ``start``: how to start one."""
+    return f"no simulation runs in ROS domain {domain}; start one with {start}"
+
+
+def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Returns ``did you mean 'x'?`` with the nearest other name; the same name, with or without a slash, is none.
+
+    Args:
+        name: that was not found.
+        known: names that exist.
+        otherwise: what to say if none is near.
+    """
+    wanted = name.strip("/")
+    others = sorted(other for other in known if other.strip("/") != wanted)
+    same_end = [other for other in others if other.endswith(f"/{wanted}")]
+    found = same_end or difflib.get_close_matches(name, others, n=1, cutoff=_SIMILAR)
+    return f"did you mean {quoted(found[0])}?" if found else otherwise
+
+
+def missing_service(name: str, kind: str, services: Mapping[str, Iterable[str]], *, domain: int, start: str) -> str:
+    """Returns why a service cannot be called, in one line.
+
+    Args:
+        name: full name of the service.
+        kind: its type, such as ``simulation_interfaces/srv/SpawnEntity``; "" = not known.
+        services: service -> types, of those that a node offers.
+        domain: ROS domain.
+        start: how to start a simulation.
+    """
+    runs = simulation_runs(services)
+    if not runs and (kind.startswith(_STANDARD) or not services):
+        return no_simulation(domain, start)
+    node, _, last = name.rpartition("/")
+    if last in _OF_NODES and kind.startswith("rcl_interfaces/"):
+        nodes = [other.removesuffix(f"/{last}") for other in services if other.endswith(f"/{last}")]
+        listed = f"known: {', '.join(sorted(nodes)) or 'none'}"
+        return f"there is no node {quoted(node)}; {suggestion(node, nodes, listed)}"
+    otherwise = "see `gibson-sim service list`" if runs else no_simulation(domain, start)
+    return f"nothing offers the service {quoted(name)}; {suggestion(name, services, otherwise)}"

@@ -1,0 +1,56 @@
+"""What the command line says of names that are not in the graph."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gibson_sim.ros.tools.hints import missing_service, suggestion
+
+SIMULATION = {
+    "/get_simulation_state": ["simulation_interfaces/srv/GetSimulationState"],
+    "/spawn_entity": ["simulation_interfaces/srv/SpawnEntity"],
+    "/physics/get_parameters": ["rcl_interfaces/srv/GetParameters"],
+    "/render/get_parameters": ["rcl_interfaces/srv/GetParameters"],
+}
+PARAMETERS = "rcl_interfaces/srv/GetParameters"
+
+
+def _missing(name: str, kind: str, services: dict[str, Any]) -> str:
+    return missing_service(name, kind, services, domain=105, start="`gibson-sim run`")
+
+
+def test_a_wrong_node_is_named_with_the_nearest_node() -> None:
+    assert _missing("/physic/get_parameters", PARAMETERS, SIMULATION) == "there is no node '/physic'; did you mean '/physics'?"
+    assert _missing("/x/get_parameters", PARAMETERS, SIMULATION) == "there is no node '/x'; known: /physics, /render"
+
+
+def test_a_standard_service_without_a_simulation_says_that_none_runs() -> None:
+    expected = "no simulation runs in ROS domain 105; start one with `gibson-sim run`"
+    assert _missing("/spawn_entity", "simulation_interfaces/srv/SpawnEntity", {}) == expected
+    others = {"/talker/get_parameters": [PARAMETERS]}
+    assert _missing("/spawn_entity", "simulation_interfaces/srv/SpawnEntity", others) == expected
+    assert _missing("/physics/get_parameters", PARAMETERS, {}) == expected
+
+
+def test_a_wrong_service_of_a_simulation_suggests_the_nearest() -> None:
+    assert (
+        _missing("/spawn_entiti", "", SIMULATION) == "nothing offers the service '/spawn_entiti'; did you mean '/spawn_entity'?"
+    )
+    assert _missing("/zzz", "", SIMULATION) == "nothing offers the service '/zzz'; see `gibson-sim service list`"
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "found"),
+    [
+        ("/odm", ["/odom", "/scan"], "did you mean '/odom'?"),
+        ("/cmd", ["/cmd_vel"], "did you mean '/cmd_vel'?"),
+        ("/scan", ["/left/scan", "/scam"], "did you mean '/left/scan'?"),
+        ("/nothing", ["/diagnostics", "/odom"], "none"),
+        ("spawn_entity", ["/spawn_entity"], "none"),
+        ("/spawn_entity", ["spawn_entity"], "none"),
+    ],
+)
+def test_only_a_near_and_other_name_is_suggested(name: str, known: list[str], found: str) -> None:
+    assert suggestion(name, known, "none") == found
