@@ -73,7 +73,8 @@ def test_services_are_listed_and_called() -> None:
     assert code == 0 and "response:\n" in text and "- robot\n" in text
     code, text = _run("service", "call", "/delete_entity", "simulation_interfaces/srv/DeleteEntity", "{entity: nothing}")
     assert code == 1 and "'nothing'" in text
-    assert "did you mean 'entity'?" in _run("service", "call", "/delete_entity", "", "{entty: x}")[1]
+    for words in (("", "{entty: x}"), ("{entty: x}",)):
+        assert "did you mean 'entity'?" in _run("service", "call", "/delete_entity", *words)[1]
 
 
 def test_parameters_are_read_and_changed() -> None:
@@ -85,6 +86,7 @@ def test_parameters_are_read_and_changed() -> None:
     code, text = _run("param", "set", "/physics", "step_hz", "1000")
     assert code == 1 and "Setting parameter failed" in text
     _run("param", "set", "/physics", "rate", "1.0")
+    assert _run("param", "get", "physic", "rate") == (1, "error: there is no node '/physic'; did you mean '/physics'?\n")
 
 
 def test_an_action_makes_steps() -> None:
@@ -93,6 +95,13 @@ def test_an_action_makes_steps() -> None:
     code, text = _run(*words)
     assert code == 0 and "Goal finished with status: SUCCEEDED" in text
     _run("play")
+
+
+def test_a_tool_that_waits_while_time_is_paused_says_so() -> None:
+    _run("pause")
+    code, text = _run("topic", "hz", "/scan", "--seconds", "6")
+    _run("play")
+    assert code == 1 and text.count("the simulation is paused") == 1 and "`gibson-sim play`" in text
 
 
 def test_the_short_verbs_do_what_they_say() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gibson_sim.ros.tools.hints import missing_service, suggestion
+from gibson_sim.ros.tools.hints import missing_service, suggestion, type_and_values
 
 SIMULATION = {
     "/get_simulation_state": ["simulation_interfaces/srv/GetSimulationState"],
@@ -54,3 +54,16 @@ def test_a_wrong_service_of_a_simulation_suggests_the_nearest() -> None:
 )
 def test_only_a_near_and_other_name_is_suggested(name: str, known: list[str], found: str) -> None:
     assert suggestion(name, known, "none") == found
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        (("{scope: 1}", ""), ("", "{scope: 1}")),
+        (("std_srvs/srv/Trigger", ""), ("std_srvs/srv/Trigger", "")),
+        (("std_srvs/srv/Trigger", "{}"), ("std_srvs/srv/Trigger", "{}")),
+        (("", "{scope: 1}"), ("", "{scope: 1}")),
+    ],
+)
+def test_values_of_a_service_call_are_never_taken_for_its_type(given: tuple[str, str], meant: tuple[str, str]) -> None:
+    assert type_and_values(*given) == meant

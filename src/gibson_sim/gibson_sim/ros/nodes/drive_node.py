@@ -25,6 +25,7 @@ from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.nodes.silence import SilenceNotice
 from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import wait_until_acknowledged
@@ -76,6 +77,7 @@ class DriveNode(Node):
         self._simulation = WaitCondition.for_simulation(self, names.GROUND_TRUTH, config.timeout)
         self._done, self._started, self._sent = False, False, 0
         self._start_by: float | None = None
+        self._silence: SilenceNotice | None = None
         self._lockstep: LockstepParticipant | None = None
 
     def _try_to_start(self) -> None:
@@ -94,11 +96,15 @@ class DriveNode(Node):
             )
         self._started = True
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
+        if not started_by_launcher():  # which tells a user that a run starts paused
+            self._silence = SilenceNotice(self, self.get_logger().warning, None, time.monotonic())
         if self._config.drive != "keyboard":  # a user does not press a key in every tick
             self._lockstep = LockstepParticipant(self, after=names.GROUND_TRUTH)
 
     def _on_odometry(self, msg: Odometry) -> None:
         """Answers each odometry with one command."""
+        if self._silence is not None:
+            self._silence.end()
         if self._done:
             return
         x, y, yaw, stamp_ns = conversions.planar_from_odometry(msg)
@@ -135,6 +141,8 @@ class DriveNode(Node):
 
     def _is_unfinished(self) -> bool:
         self._try_to_start()
+        if self._silence is not None:
+            self._silence.check(time.monotonic())
         return not self._done
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What the tools of the command line say of a name that is not in the graph. Pure text: it knows no node, and imports no ROS."""
+"""What the tools of the command line make of names that a user typed. Pure text: it knows no node, and imports no ROS."""
 
 from __future__ import annotations
 
@@ -59,3 +59,8 @@ def missing_service(name: str, kind: str, services: Mapping[str, Iterable[str]],
         return f"there is no node {quoted(node)}; {suggestion(node, nodes, listed)}"
     otherwise = "see `gibson-sim service list`" if runs else no_simulation(domain, start)
     return f"nothing offers the service {quoted(name)}; {suggestion(name, services, otherwise)}"
+
+
+def type_and_values(type: str, values: str) -> tuple[str, str]:
+    """Returns the type and the values of a service call, of which the type may be left out: values begin with a brace, and a type never does."""
+    return ("", type) if type.startswith("{") and not values else (type, values)

@@ -24,8 +24,9 @@ from gibson_sim.errors import GibsonSimError, TextError
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
+from gibson_sim.ros.nodes.silence import SilenceNotice
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
-from gibson_sim.ros.tools.hints import missing_service, no_simulation, simulation_runs, suggestion
+from gibson_sim.ros.tools.hints import missing_service, no_simulation, simulation_runs, suggestion, type_and_values
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.types import NS_PER_S
@@ -159,6 +160,11 @@ def _say(text: str = "") -> None:
     sys.stdout.flush()
 
 
+def _say_aside(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
 # Topics
 
 
@@ -191,14 +197,31 @@ def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
 def topic_echo(tool: Tool, topic: str, once: bool = False, field: str = "", full: bool = False) -> None:
     """Prints messages as YAML, each followed by ``---``."""
     got: deque[Any] = deque()
-    tool.subscribe(topic, lambda message: got.append(message))  # rclpy reads the signature, which a method of deque has not
+    # rclpy reads the signature, which a method of deque has not.
+    name, _ = tool.subscribe(topic, lambda message: got.append(message))
+    silence = _silence(tool, name)
     while is_running():
         tool.work(0.2, lambda: bool(got))
+        if got:
+            silence.end()
+        silence.check(time.monotonic())
         while got:
             message = got.popleft()
             _say((value_text(field_of(message, field), whole=full) if field else yaml_text(message, whole=full)) + "---")
             if once:
                 return
+
+
+def _silence(tool: Tool, topic: str) -> SilenceNotice:
+    """Returns what tells on stderr, once, why no message comes on a topic; stdout is for messages alone."""
+
+    def reason() -> str:
+        publishers = tool.count_publishers(topic)
+        if not publishers:
+            return f"waiting: no node publishes {topic}"
+        return f"waiting: {publishers} publisher{'s' * (publishers != 1)} of {topic}, but no message yet"
+
+    return SilenceNotice(tool, _say_aside, reason, time.monotonic())
 
 
 def _statistics(tool: Tool, topic: str, report: Callable[[deque[tuple[float, int, int]]], str], seconds: float) -> int:
@@ -209,9 +232,13 @@ def _statistics(tool: Tool, topic: str, report: Callable[[deque[tuple[float, int
         got.append((time.monotonic(), len(data), time.time_ns()))
 
     name, _ = tool.subscribe(topic, on_message, raw=True)
+    silence = _silence(tool, name)
     ends = time.monotonic() + seconds if seconds else math.inf
     while is_running() and time.monotonic() < ends:
         tool.work(1.0)
+        if got:
+            silence.end()
+        silence.check(time.monotonic())
         _say(report(got) if len(got) > 1 else f"no new messages on {name}")
     return 0 if len(got) > 1 else 1
 
@@ -262,9 +289,13 @@ def topic_delay(tool: Tool, topic: str, seconds: float = 0.0) -> int:
         late.append((now - stamp_ns(data)) / NS_PER_S)
 
     tool.subscribe(topic, on_message, raw=True)
+    silence = _silence(tool, name)
     ends = time.monotonic() + seconds if seconds else math.inf
     while is_running() and time.monotonic() < ends:
         tool.work(1.0)
+        if late:
+            silence.end()
+        silence.check(time.monotonic())
         if late:
             _say(
                 f"average delay: {statistics.fmean(late):.3f}\n\tmin: {min(late):.3f}s max: {max(late):.3f}s "
@@ -304,6 +335,7 @@ def service_type(tool: Tool, service: str) -> None:
 def service_call(tool: Tool, service: str, type: str = "", values: str = "") -> int:
     """Calls a service with YAML values; returns 1 where its result says that it failed."""
     name = tool.resolve_service_name(service)
+    type, values = type_and_values(type, values)
     if not type:
         if not tool.work(PATIENCE_S, lambda: name in tool.known_services()):
             raise tool.missing_service(name)
