@@ -102,8 +102,8 @@ class TrialNode(Node):
         self._idle_looks = 0
         self._told_s = 0.0
         """When the progress was told last."""
-        self._graph: tuple[frozenset[str], float] = (frozenset(), self._began_s)
-        """All topics, and since when there are no others, seconds of CLOCK_MONOTONIC."""
+        self._graph: tuple[set[str], float] = (set(), self._began_s)
+        """All that was discovered, and since when there is nothing else, seconds of CLOCK_MONOTONIC."""
         self._scene: Any = None
         self._doors: tuple[str, ...] | None = None
         """Joints of doors to close, and then their positions; None = not known yet."""
@@ -231,15 +231,21 @@ class TrialNode(Node):
         return missing
 
     def _is_settled(self) -> bool:
-        """Returns whether no topic of a stack has appeared for a moment."""
-        found, now_s = frozenset(name for name, _ in self.get_topic_names_and_types()), time.monotonic()
+        """Returns whether nothing has appeared for a moment: no topic, and none who waits for the goal or the initial pose."""
+        found, now_s = {name for name, _ in self.get_topic_names_and_types()}, time.monotonic()
+        found |= {"goal"} if self._goal.is_there() else set()
+        found |= {"initial pose"} if self._takes_initial_pose() else set()
         before, since_s = self._graph
         self._graph = (found, since_s if found == before else now_s)
         return now_s - self._graph[1] >= SETTLED_S
 
+    def _takes_initial_pose(self) -> bool:
+        """Returns whether the stack subscribes to an initial pose."""
+        return self._initial_pub is not None and _others(self, self._initial_pub.topic_name)
+
     def _give_initial_pose(self) -> None:
         publisher = self._initial_pub
-        if self._initial_given or publisher is None or not _others(self, publisher.topic_name):
+        if self._initial_given or publisher is None or not self._takes_initial_pose():
             return
         self._initial_given = True
         run, spec = self._plan.run, self._plan.initial_pose

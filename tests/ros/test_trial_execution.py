@@ -1,0 +1,172 @@
+"""Runs of trials with small stacks, good and bad: each ends as what it is, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from support.scenes import write_room
+from support.simulation import require
+
+require("rclpy", "gibson_msgs", "simulation_interfaces")
+
+from gibson_sim.bags.replaying import read_run  # noqa: E402
+from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.trials.execution import execute, supervisor  # noqa: E402
+from gibson_sim.trials.records import Outcome, Person, PlacedThing, RunSpec  # noqa: E402
+from gibson_sim.trials.scenario_spec import Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
+
+pytestmark = pytest.mark.ros
+STACKS = Path(__file__).parents[1] / "support" / "stacks"
+DOMAINS = range(30, 50)
+PATIENCE_S = 60.0
+NS = 10**9
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A scene that loads at once."""
+    return str(write_room(tmp_path_factory.mktemp("room")))
+
+
+def run_in(room: str, distance: float = 1.0) -> RunSpec:
+    return RunSpec(1, room, "gibson_bot", 3, (0.0, 0.0, 0.0), (distance, 0.0, 0.0), distance, 0.18)
+
+
+def scenario_of(*command: str, lockstep: bool = True, ready: Ready = Ready(), limits: Limits = Limits()) -> Scenario:  # noqa: B008
+    rules = ("cmd_vel after ground_truth/odom",) if lockstep else ()
+    stack = StackSpec(command, folder=STACKS, ready=ready, status=Status("status"), lockstep=rules)
+    return Scenario("t", Path("t.yaml"), ("room",), stack, limits=limits)
+
+
+def drive(*arguments: str) -> tuple[str, ...]:
+    return (sys.executable, "drive.py", *arguments)
+
+
+def marked_processes() -> list[str]:
+    """Returns the command lines of all stacks' processes that these tests started and that are still there."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            variables = (folder / "environ").read_bytes().split(b"\0")
+            if any(v.startswith(b"GIBSON_SIM_TRIAL=") for v in variables) and f"OF={os.getpid()}".encode() in variables:
+                found.append((folder / "cmdline").read_text())
+        except OSError:  # it has ended, or is someone else's
+            continue
+    return found
+
+
+@pytest.fixture
+def leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("OF", str(os.getpid()))
+    domains: list[int] = []
+    locked = supervisor.lock_free_domain
+
+    def lock(allowed: Sequence[int]) -> tuple[int, DomainLock]:
+        domain, held = locked(allowed)
+        domains.append(domain)
+        return domain, held
+
+    monkeypatch.setattr(supervisor, "lock_free_domain", lock)
+    yield
+    assert marked_processes() == []
+    for domain in domains:
+        DomainLock(domain).close()
+
+
+@pytest.mark.usefixtures("leaves_nothing")
+def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_path: Path) -> None:
+    box, anna = PlacedThing("box", "box_cardboard", (1.0, 1.0, 0.3)), Person("anna", ((-1.0, -1.0), (1.0, -1.0)), 0.8, 0.25, 1.75)
+    run = replace(run_in(room), things=(box,), people=(anna,))
+    outcomes: list[Outcome] = []
+    for number in range(2):
+        outcomes.append(execute(scenario_of(*drive("daemon")), run, tmp_path / str(number), domains=DOMAINS))
+        assert sorted(p.name for p in (tmp_path / str(number)).iterdir()) == [
+            "bag", "outcome.json", "run.json", "simulation.log", "stack.log",
+        ]  # fmt: skip
+    first, second = outcomes
+    assert (first.end, first.goal_ns, first.lockstep, first.refused_commands) == ("reached", 0, True, 0)
+    assert (first.end_ns, first.decided_ns) == (second.end_ns, second.decided_ns)
+    assert first.end_ns % (NS // 2) == 0
+    assert first.start_up_s > 0.0 and first.running_s > 0.0 and first.ending_s > 0.0
+    digests = [read_run(tmp_path / str(number) / "bag", digests=True).digests for number in range(2)]
+    assert len(digests[0]) == first.end_ns * 60 // NS, "a digest for each tick, of 60 in a second"
+    assert digests[0] == digests[1]
+    assert "the stack starts" in (tmp_path / "0" / "stack.log").read_text()
+    assert "physics  | INFO lockstep: 'trial' joined" in (tmp_path / "0" / "simulation.log").read_text()
+
+
+@pytest.mark.usefixtures("leaves_nothing")
+def test_bad_stacks_end_as_what_they_are(room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "_STACK_GRACE_S", ((signal.SIGINT, 1.0), (signal.SIGTERM, 0.5), (signal.SIGKILL, PATIENCE_S)))
+    run, limits = run_in(room), Limits(time=4.0, wall_time=PATIENCE_S, silence=3.0)
+
+    crash = execute(scenario_of(*drive("crash"), limits=limits), run_in(room, 3.0), tmp_path / "crash", domains=DOMAINS)
+    assert (crash.end, crash.exit_code, crash.end_ns) == ("stack died", 1, 3 * NS)
+    assert crash.detail == "the stack ended with code 1; its last line: RuntimeError: no more memory for the costmap"
+
+    nan = execute(scenario_of(*drive("nan"), limits=limits), run, tmp_path / "nan", domains=DOMAINS)
+    assert (nan.end, nan.end_ns, nan.refused_commands) == ("time limit", 4 * NS, 239), "one for each tick but the last"
+
+    hang = execute(scenario_of(*drive("hang"), limits=limits), run_in(room, 3.0), tmp_path / "hang", domains=DOMAINS)
+    assert (hang.end, hang.end_ns) == ("stack silent", 3 * NS)
+    assert hang.detail.startswith("no message on cmd_vel within 3 s of wall time, at 3.000 s")
+
+    dead = execute(scenario_of("false", limits=limits), run, tmp_path / "dead", domains=DOMAINS)
+    assert (dead.end, dead.detail, dead.goal_ns) == ("stack died", "the stack ended with code 1; it printed nothing", -1)
+
+    never = scenario_of(sys.executable, "never_ready.py", ready=Ready(within=0.5, service="plan"), limits=limits)
+    outcome = execute(never, run, tmp_path / "never", domains=DOMAINS)
+    assert outcome.end == "never ready"
+    assert outcome.detail.endswith("no subscriber of /goal_pose and no service 'plan'")
+
+
+@pytest.mark.usefixtures("leaves_nothing")
+def test_run_without_rules_is_in_real_time_and_ends_when_it_is_told_to(room: str, tmp_path: Path) -> None:
+    told: list[str] = []
+    scenario = scenario_of(*drive(), lockstep=False, limits=Limits(wall_time=PATIENCE_S))
+    outcome = execute(
+        scenario,
+        run_in(room, 3.0),
+        tmp_path,
+        domains=DOMAINS,
+        on_progress=told.append,
+        stop=lambda: any(" m from" in t for t in told),
+    )
+    assert (outcome.end, outcome.lockstep, outcome.goal_ns) == ("interrupted", False, 0)
+    assert outcome.end_ns > 0
+
+
+def test_worker_that_is_killed_leaves_no_process(room: str, tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from pathlib import Path\n"
+        "from test_trial_execution import *\n"
+        "execute(scenario_of(*drive('daemon')), run_in(sys.argv[2], 4.0), Path(sys.argv[3]), domains=DOMAINS)"
+    )
+    paths = os.pathsep.join(str(p) for p in (Path(__file__).parent, Path(__file__).parents[1]))
+    worker = subprocess.Popen(
+        [sys.executable, "-c", code, str(Path(__file__).parent), room, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": paths, "OF": str(os.getpid())},
+    )
+    try:
+        wait_for(lambda: len(marked_processes()) == 2, "stack and its daemon")
+    finally:
+        worker.send_signal(signal.SIGKILL)
+        worker.wait()
+    wait_for(lambda: marked_processes() == [], "end of all")
+
+
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
