@@ -136,3 +136,44 @@ def test_robots_of_makers_drive_as_guessed(data_dir: Path, tmp_path: Path, urdf:
     straight, turn = try_robot(load_robot(tmp_path), mesh_points()).drives
     assert straight.driven == pytest.approx((1.0, 0.0, 0.0), abs=0.02)
     assert turn.driven == pytest.approx((0.0, 0.0, 2 * math.pi), abs=0.05)
+
+
+BARE_WHEEL = """<link name="{0}_wheel"><collision><origin rpy="1.5707963 0 0"/>
+<geometry><cylinder radius="0.08" length="0.04"/></geometry></collision></link><joint name="{0}_wheel_joint" type="continuous"><parent link="base_link"/><child link="{0}_wheel"/><origin xyz="0.05 {1} 0.08"/>{2}</joint>"""
+
+
+def bare(folder: Path, *, caster: bool = False, axis: str = '<axis xyz="0 1 0"/>') -> Path:
+    """A box and two wheels, as one writes them first: without a mass anywhere."""
+    ball = '<collision><origin xyz="-0.15 0 0.02"/><geometry><sphere radius="0.02"/></geometry></collision>' if caster else ""
+    box = '<collision><origin xyz="0 0 0.09"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>'
+    wheels = "".join(BARE_WHEEL.format(side, y, axis) for side, y in (("left", 0.18), ("right", -0.18)))
+    (folder / "mybot.urdf").write_text(f'<robot name="mybot"><link name="base_link">{box}{ball}</link>{wheels}</robot>')
+    return folder / "mybot.urdf"
+
+
+def bare_report(folder: Path, urdf: Path) -> list[str]:
+    derived = derive_file(urdf)
+    (folder / "robot.yaml").write_text(robot_file_text(urdf.name, {}, derived))
+    return report_lines(try_robot(load_robot(folder)), derived.guesses)
+
+
+def test_a_robot_without_masses_and_caster_is_told_both_and_nothing_that_means_nothing(tmp_path: Path) -> None:
+    lines = bare_report(tmp_path, bare(tmp_path))
+    assert lines[0].startswith("masses are missing: ") and "base_link (1 kg), left_wheel (0.05 kg)" in lines[0]
+    assert lines[2].startswith("support: it stands on two wheels: add a caster")
+    assert not [line for line in lines if "at rest" in line or "tips over" in line or "acceleration: " in line]
+
+
+def test_a_robot_without_masses_drives_by_assumed_ones(tmp_path: Path) -> None:
+    lines = bare_report(tmp_path, bare(tmp_path, caster=True))
+    assert lines[0].startswith("masses are missing: ") and lines[1].startswith("at rest: tilt 0.0")
+    # The box weighs 1 kg at 0.09 m, the wheels 0.1 kg at 0.08 m; 50 mm behind the axle less the wheels' part.
+    assert ", 0.089 m above the floor" in lines[2]
+    assert "static stability margin: 3" in " ".join(lines) or "static stability margin: 4" in " ".join(lines)
+    assert any(line.startswith("1 m forward: 1.00") for line in lines)
+    assert not [line for line in lines if "has no mass" in line], "it is told once"
+
+
+def test_the_axis_that_wheels_lack_is_named(tmp_path: Path) -> None:
+    (said,) = [str(guess) for guess in derive_file(bare(tmp_path, axis=""), needs_drive=False).guesses if guess.key == "drive"]
+    assert "'left_wheel_joint' lies along x, the robot's forward direction" in said and '<axis xyz="0 1 0"/>' in said

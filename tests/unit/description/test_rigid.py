@@ -108,3 +108,29 @@ def test_written_urdf_reads_back_without_visuals(tmp_path: Path) -> None:
     assert [one.name for one in back.links] == ["root", "b"]
     assert all(one.visuals == () for one in back.links)
     assert back.transforms()["b"][:3, 3] == pytest.approx([1.0, 0.0, 0.0])
+
+
+def test_an_assumed_mass_acts_at_the_centre_of_the_shapes(tmp_path: Path) -> None:
+    box = '<{0}><origin xyz="0 0 0.5"/><geometry><box size="0.4 0.3 0.1"/></geometry></{0}>'
+    path = tmp_path / "box.urdf"
+    # Collision shapes count before visuals, and visuals where there is nothing else.
+    for shapes in (box.format("collision") + '<visual><geometry><sphere radius="1"/></geometry></visual>', box.format("visual")):
+        path.write_text(f'<robot name="r"><link name="a">{shapes}</link></robot>')
+        (group,), _ = rigid_groups(read_urdf(path))
+        assert (group.mass, group.mass_is_assumed) == (1.0, True)
+        assert group.center == pytest.approx([0.0, 0.0, 0.5])
+        # 1/12 (b^2 + c^2) of 0.4 x 0.3 x 0.1 m
+        assert group.inertia == pytest.approx(np.diag([0.1, 0.17, 0.25]) / 12)
+
+
+def test_an_assumed_mass_is_shared_among_shapes_by_their_volumes(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.urdf"
+    small, large = (
+        f'<collision><origin xyz="{x} 0 0"/><geometry><box size="{length} 1 1"/></geometry></collision>'
+        for x, length in ((-0.5, 1), (1.5, 3))
+    )
+    path.write_text(f'<robot name="r"><link name="a">{small}{large}</link></robot>')
+    (group,), _ = rigid_groups(read_urdf(path))
+    # Together they are a box of 4 x 1 x 1 m around x = 1.
+    assert group.center == pytest.approx([1.0, 0.0, 0.0])
+    assert np.diag(group.inertia) == pytest.approx([2 / 12, 17 / 12, 17 / 12])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.extents import shape_points
 from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf import UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import RobotError
@@ -31,7 +32,9 @@ _DEFAULT_ROOT_KG = 1.0
 _DEFAULT_LINK_KG = 0.05
 """Mass of another group without one, kg."""
 _DEFAULT_GYRATION = 0.05
-"""Radius of gyration of a group whose inertia is missing or impossible, metres."""
+"""Radius of gyration of a group whose inertia is impossible, or that has neither mass nor shape, metres."""
+_LEAST_SIDE = 0.02
+"""Least side of the box whose inertia a group without mass has, metres: with less an engine gets unstable."""
 
 
 @dataclass(slots=True)
@@ -61,6 +64,8 @@ class RigidGroup:
     """Centre of mass, (3,), metres."""
     inertia: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
     """Inertia about the centre of mass, (3, 3), kg m^2."""
+    mass_is_assumed: bool = False
+    """Whether the description gives it no mass."""
 
 
 def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
@@ -203,7 +208,8 @@ def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
     warnings = []
     if group.mass <= 0:
         group.mass = _DEFAULT_ROOT_KG if group.joint is None else _DEFAULT_LINK_KG
-        group.inertia = np.zeros((3, 3))
+        group.mass_is_assumed = True
+        group.center, group.inertia = _assumed_inertia(model, group)
         warnings.append(f"{model.path.name}: link {quoted(group.name)} has no mass; {group.mass:g} kg is used")
     low, mid, high = np.linalg.eigvalsh(group.inertia)
     # A real body obeys the triangle inequality; hand-written files often violate it slightly, which engines tolerate.
@@ -214,6 +220,31 @@ def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
                 f"{model.path.name}: link {quoted(group.name)} has an impossible inertia; that of a small ball is used"
             )
     return warnings
+
+
+def _assumed_inertia(model: UrdfModel, group: RigidGroup) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns (centre of mass, inertia) of a group without a mass: as if the boxes around its collision shapes, else its visuals, had one density.
+
+    Meshes do not count, since they are not read here; without any other shape the mass is a small ball at the origin.
+    """
+    for kind in ("collisions", "visuals"):
+        boxes = [
+            (T_group_link @ matrix_from_pose(item.pose), np.maximum(np.ptp(points, axis=0), _LEAST_SIDE))
+            for name, T_group_link in group.members.items()
+            for item in getattr(model.link(name), kind)
+            if (points := shape_points(item.shape)) is not None
+        ]
+        if not boxes:
+            continue
+        volumes = np.array([sides.prod() for _, sides in boxes])
+        masses = group.mass * volumes / volumes.sum()
+        center = masses @ np.array([T[:3, 3] for T, _ in boxes]) / group.mass
+        inertia = np.zeros((3, 3))
+        for mass, (T, sides) in zip(masses, boxes, strict=True):
+            own = np.diag(mass / 12 * ((sides**2).sum() - sides**2))
+            inertia += T[:3, :3] @ own @ T[:3, :3].T + _point_inertia(float(mass), T[:3, 3] - center)
+        return center, inertia
+    return np.zeros(3), np.eye(3) * group.mass * _DEFAULT_GYRATION**2
 
 
 def _joint(robot: ET.Element, group: RigidGroup, joint: UrdfJoint) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from gibson_sim.description.urdf import read_urdf
+from gibson_sim.quoting import clipped
 from gibson_sim.robots.drive_spec import AckermannSpec
 from gibson_sim.robots.drives import make_drive
 from gibson_sim.robots.loading.guess import Guess
@@ -25,6 +26,14 @@ _SLIPS, _TURNS_WRONG = 0.02, math.radians(5.0)
 """Slip, and error of a turn (radians), from which on they are named."""
 _DRIFTS = 0.005
 """Motion of a robot at rest that is named, metres."""
+_LEAST_ACCELERATION = 0.1
+"""Least acceleration that is proposed as a limit, m/s^2."""
+_TWO = 2
+_ASSUMED = " has no mass; "
+"""Marks the engine's warning about a mass that is assumed."""
+_MISPLACED = "it falls over: its centre of mass is not above its wheels and casters"
+_LONGEST_NAME = 60
+"""Characters of a link's name."""
 _SUSPENSION = re.compile(r"suspension|wheel|caster|bumper|rocker|bogie", re.IGNORECASE)
 """Joints with motors that no task moves."""
 _MAX_NAMED = 4
@@ -39,9 +48,11 @@ def report_lines(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> list[str]:
         guesses: How the robot's file came about; they say what the description does not have.
     """
     robot = trial.robot
-    lines = [*_standing(trial), *(_drive_line(drive) for drive in trial.drives)]
+    lines = [*_assumed_masses(trial), *_standing(trial), *(_drive_line(drive) for drive in trial.drives)]
     if robot.drive is None:
         lines.append("drive: none; the test drive is left out")
+    elif trial.lacks_support:
+        lines.append("drive: it cannot stand; the test drive is left out")
     elif trial.has_fallen:
         lines.append("drive: it has fallen over at rest; the test drive is left out")
     corners = ", ".join(f"[{x:.3f}, {y:.3f}]" for x, y in trial.footprint.tolist())
@@ -49,6 +60,16 @@ def report_lines(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> list[str]:
     lines += [f"topic: {topic}" for topic in topics(robot)]
     hand = by_hand(trial, guesses)
     return [*lines, *(f"set by hand: {line}" for line in hand)]
+
+
+def _assumed_masses(trial: RobotTrial) -> list[str]:
+    """Returns the line about masses that the description lacks: the other figures depend on them."""
+    assumed = trial.stability.assumed
+    if not assumed:
+        return []
+    named = ", ".join(f"{clipped(name, _LONGEST_NAME)} ({kg:g} kg)" for name, kg in assumed[:_MAX_NAMED])
+    more = f" and {len(assumed) - _MAX_NAMED} more" if len(assumed) > _MAX_NAMED else ""
+    return [f"masses are missing: the figures below are those of assumed ones, {named}{more}; give these links an <inertial>"]
 
 
 def _standing(trial: RobotTrial) -> list[str]:
@@ -59,14 +80,27 @@ def _standing(trial: RobotTrial) -> list[str]:
         lean += f", nose {'down' if trial.pitch > 0 else 'up'}"
     if abs(trial.roll) > _LEVEL:
         lean += f", {'right' if trial.roll > 0 else 'left'} side down"
-    lines = [f"at rest: tilt {math.degrees(trial.tilt):.2f} degrees{lean}; moved {trial.drift * 1000:.1f} mm by itself in 2 s"]
+    lines = []
+    if not trial.lacks_support:  # else the way it lies is chance
+        lines.append(
+            f"at rest: tilt {math.degrees(trial.tilt):.2f} degrees{lean}; moved {trial.drift * 1000:.1f} mm by itself in 2 s"
+        )
     lines.append(f"mass: {stable.mass:.4g} kg, centre of mass at x {x:.3f}, y {y:.3f} m, {z:.3f} m above the floor")
     if trial.robot.fixed_base:
         lines.append("support: its base is fixed, it cannot tip over")
         return lines
+    if trial.lacks_support:
+        two = len(list(_driven(trial.robot))) == _TWO
+        lines.append(
+            f'support: it stands on {"two wheels" if two else "a line"}: add a caster, such as a ball with <lateral_friction value="0"/>'
+        )
+        return lines
     corners = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in stable.support.tolist())
     if len(stable.support) < 3:
-        lines.append(f"support: stands on {corners or 'nothing'}, which is no area; it falls over")
+        lines.append(f"support: stands on {corners or 'nothing'}, which is no area")
+        return lines
+    if stable.margin <= 0.0 or z <= 0.0:
+        lines.append(f"support polygon: {corners} m; {_MISPLACED}")
         return lines
     slope = math.degrees(stable.tilt_margin)
     lines.append(f"support polygon: {corners} m")
@@ -158,22 +192,25 @@ def by_hand(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> tuple[str, ...]
         )
     if guesses and robot.drive is not None and not (robot.cameras or robot.sensors.lidars or robot.sensors.lidars_3d):
         found.append("cameras, lidar: none was found in the description; add those of the robot, on its links")
-    found += [*_stability_by_hand(trial), *_drive_by_hand(trial), *_joints_by_hand(robot), *_warnings_by_hand(trial.warnings)]
+    warnings = [line for line in trial.warnings if _ASSUMED not in line]  # the first line of the report
+    found += [*_stability_by_hand(trial), *_drive_by_hand(trial), *_joints_by_hand(robot), *_warnings_by_hand(warnings)]
     return tuple(found)
 
 
 def _stability_by_hand(trial: RobotTrial) -> list[str]:
     robot, stable = trial.robot, trial.stability
     found: list[str] = []
-    if robot.fixed_base or len(stable.support) < 3:
+    if robot.fixed_base or len(stable.support) < 3 or trial.lacks_support:
         return found
-    if stable.margin <= 0.0:
-        found.append(
-            "it falls over: its centre of mass is not above its wheels and casters; correct masses and origins in the description"
-        )
+    if stable.margin <= 0.0 or stable.center_of_mass[2] <= 0.0:
+        found.append(f"{_MISPLACED}; correct masses and origins in the description")
     elif robot.drive is not None:
         least = min(stable.tipping_acceleration((1.0, 0.0)), stable.tipping_acceleration((-1.0, 0.0)))
-        if least < robot.drive.max_linear_acceleration:
+        if least < _LEAST_ACCELERATION:
+            found.append(
+                "it all but tips over at rest: its centre of mass is above the edge of its support; correct masses and origins, or move a caster"
+            )
+        elif least < robot.drive.max_linear_acceleration:
             found.append(
                 f"drive.max_linear_acceleration: {_SAFE * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, with which it "
                 "tips, or masses in the description that are those of the robot"

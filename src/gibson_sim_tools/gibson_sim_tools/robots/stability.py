@@ -19,7 +19,7 @@ from gibson_sim.description.extents import MeshPoints, link_points, shape_points
 from gibson_sim.description.rigid_groups import rigid_groups
 from gibson_sim.description.shapes import Shape
 from gibson_sim.description.urdf_model import UrdfModel
-from gibson_sim.geometry.transforms import Mat4, transform_points
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, transform_points
 
 F64 = NDArray[np.float64]
 
@@ -47,6 +47,8 @@ class Stability:
     """(3,), metres: x and y in the base frame, z above the floor."""
     support: F64
     """Corners of the support polygon, (N, 2), metres, base frame, counter-clockwise; fewer than three = it stands on a line or a point."""
+    assumed: tuple[tuple[str, float], ...] = ()
+    """Links without a mass, and the mass that is assumed, kg."""
 
     @property
     def margin(self) -> float:
@@ -95,14 +97,27 @@ def stability(model: UrdfModel, T_base_links: Mapping[str, Mat4], points: MeshPo
     """
     mass, moment = 0.0, np.zeros(3)
     bearing = [np.zeros((0, 2))]
-    for group in rigid_groups(model)[0]:
+    groups = rigid_groups(model)[0]
+    for group in groups:
         T_base_group = T_base_links[group.name]
         mass += group.mass
         moment += group.mass * transform_points(T_base_group, group.center[None])[0]
         for shape, T_group_shape in group.collisions:
             lowest = lowest_points(shape, T_base_group @ T_group_shape, points)
             bearing.append(lowest[lowest[:, 2] < TOUCHES, :2])
-    return Stability(mass, moment / mass, convex_polygon(np.concatenate(bearing)))
+    assumed = tuple((group.name, group.mass) for group in groups if group.mass_is_assumed)
+    return Stability(mass, moment / mass, convex_polygon(np.concatenate(bearing)), assumed)
+
+
+def stands_on_line(model: UrdfModel, points: MeshPoints | None = None) -> bool:
+    """Returns whether only a line or a point of a robot touches a level floor while it is upright, all joints at 0: two wheels and no caster."""
+    transforms = model.transforms()
+    lowest = [np.zeros((0, 3))]
+    for link in model.links:
+        T = transforms[link.name]
+        lowest += [lowest_points(item.shape, T @ matrix_from_pose(item.pose), points) for item in link.collisions]
+    found = np.concatenate(lowest)
+    return len(found) > 0 and len(convex_polygon(found[found[:, 2] < found[:, 2].min() + TOUCHES, :2])) < 3
 
 
 def lowest_points(shape: Shape, T_base_shape: Mat4, points: MeshPoints | None = None) -> F64:

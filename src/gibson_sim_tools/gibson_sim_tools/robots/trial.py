@@ -18,7 +18,7 @@ from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec, OmniSpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
-from gibson_sim_tools.robots.stability import Stability, base_links, footprint, stability
+from gibson_sim_tools.robots.stability import Stability, base_links, footprint, stability, stands_on_line
 
 STEP_HZ = 240
 """Physics steps per second, as a simulation has them by default."""
@@ -38,6 +38,10 @@ _CURVATURE = 0.9
 """Curvature of a car's circle, as a fraction of that of its tightest one."""
 _FALLEN = math.radians(30.0)
 """Tilt from which on a robot has fallen over, radians."""
+_LEANS = math.radians(3.0)
+"""Tilt at rest from which on a robot on two wheels has no caster, radians; one a little above the floor tilts it less."""
+_LEAST_CORNERS = 3
+"""Corners of a support polygon, at least."""
 _SAMPLE_STEPS = 4
 """Physics steps between two readings of the pose, which count turns."""
 _NEVER_S = 1e6
@@ -102,9 +106,11 @@ class RobotTrial:
     footprint: NDArray[np.float64]
     """Corners of a convex polygon around it, (N, 2), metres, base frame."""
     drives: tuple[DriveTest, ...] = ()
-    """Empty = it has no drive, or has fallen over."""
+    """Empty = it has no drive, has fallen over, or cannot stand."""
     warnings: tuple[str, ...] = field(default=())
     """What the description lacks, one line each: masses, inertias, meshes."""
+    lacks_support: bool = False
+    """Whether it has too few wheels and casters to stand upright: two wheels, for instance."""
 
     @property
     def has_fallen(self) -> bool:
@@ -132,12 +138,17 @@ def try_robot(robot: RobotSpec, points: MeshPoints | None = None) -> RobotTrial:
         transforms = matrices_from_poses(state.positions, state.quats_xyzw)
         links = {name.partition("/")[2]: T for name, T in zip(state.links, transforms, strict=True)}
         T_base_links = base_links(pose, links)
+        stable, tilt = stability(model, T_base_links, points), _tilt(pose)
+        lacks_support = robot.drive is not None and (
+            len(stable.support) < _LEAST_CORNERS or (tilt > _LEANS and stands_on_line(model, points))
+        )
         trial = RobotTrial(
-            robot, stability(model, T_base_links, points), _tilt(pose), pitch=-math.asin(max(-1.0, min(1.0, float(pose[2, 0])))),
+            robot, stable, tilt, pitch=-math.asin(max(-1.0, min(1.0, float(pose[2, 0])))),
             roll=math.atan2(float(pose[2, 1]), float(pose[2, 2])), drift=math.hypot(float(pose[0, 3]), float(pose[1, 3])),
             footprint=footprint(model, T_base_links, points), warnings=tuple(world.warnings),
+            lacks_support=lacks_support and not robot.fixed_base,
         )  # fmt: skip
-        if robot.drive is None or trial.has_fallen:
+        if robot.drive is None or trial.has_fallen or trial.lacks_support:
             return trial
         drives = tuple(make(world, robot.name, robot.drive) for make in _drives(robot.drive))
         return replace(trial, drives=drives)

@@ -21,6 +21,7 @@ from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, transform_points
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.loading.base_frame import FOOTPRINT
+from gibson_sim.robots.loading.drive import ALIGNED
 from gibson_sim.robots.loading.guess import Guess
 from gibson_sim.robots.loading.sensor_guesses import guess_sensors
 from gibson_sim.robots.loading.wheels import Pair, Wheel, find_pairs, find_wheels, steers
@@ -42,6 +43,8 @@ _GRIP = 1.0
 _MAX_STEERING_DEG = 30.0
 """Limit for steering joints that have none."""
 _MECANUM = re.compile(r"mecanum|mechanum", re.IGNORECASE)
+_LEAST_TRACK = 0.02
+"""Least distance of a left wheel from a right one, metres."""
 _LEAST_LEG_JOINTS = 2
 """Turning joints of a leg, at least."""
 _LEG_TOLERANCE = 0.05
@@ -84,7 +87,9 @@ def derive_robot(model: UrdfModel, points: MeshPoints | None = None, *, needs_dr
         if needs_drive or find_pairs(found):
             raise
         drive, wheels = None, []
-        guesses.append(Guess("drive", "none, no wheels were found that could drive it"))
+        wrong = _wrong_axes(model)
+        why = f"none: {wrong}" if wrong else "none, no wheels were found that could drive it"
+        guesses.append(Guess("drive", why, by_hand=f"description: {wrong}" if wrong else ""))
         _fix_base(model, points, values, guesses)
     if drive is not None:
         drop, why = _drop(model, wheels, points)
@@ -214,8 +219,35 @@ def _lowest(model: UrdfModel, names: Sequence[str], transforms: dict[str, Mat4],
     return float(found[:, 2].min()) if len(found) else None
 
 
+def _wrong_axes(model: UrdfModel) -> str:
+    """Returns what is wrong where wheels to the left and right of each other turn about the forward direction; empty = nothing.
+
+    A joint without ``<axis>`` turns about its own x axis, which is a common mistake.
+    """
+    transforms = model.transforms()
+    found = []
+    for joint in model.joints:
+        T = transforms[joint.child]
+        named = "wheel" in f"{joint.name} {joint.child}".lower()
+        if joint.kind == "continuous" and named and abs(float((T[:3, :3] @ np.array(joint.axis))[0])) >= ALIGNED:
+            found.append((joint.name, T))
+    for i, (name, T) in enumerate(found):
+        for _, other in found[i + 1 :]:
+            apart = np.abs(T[:3, 3] - other[:3, 3])
+            if apart[1] > max(apart[0], apart[2], _LEAST_TRACK):
+                across = " ".join(f"{round(float(value), 3) + 0.0:g}" for value in T[1, :3])
+                return (
+                    f"the axis of {quoted(name)} lies along x, the robot's forward direction (as without <axis>), but a wheel turns about y: "
+                    f'give it <axis xyz="{across}"/>, and so the other wheels'
+                )
+    return ""
+
+
 def _no_drive_reason(model: UrdfModel, wheels: Sequence[Wheel], sideways: Sequence[UrdfJoint]) -> str:
     """Returns why a robot cannot drive, and what to do."""
+    wrong = _wrong_axes(model)
+    if wrong:
+        return f"{model.path}: {wrong}"
     if sideways and not wheels:
         names = ", ".join(joint.name for joint in sideways[:4])
         return (
