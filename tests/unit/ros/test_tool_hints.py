@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gibson_sim.ros.tools.hints import missing_service, suggestion, type_and_values
+from gibson_sim.ros.tools.hints import missing_service, spawned_as, suggestion, type_and_values
 
 SIMULATION = {
     "/get_simulation_state": ["simulation_interfaces/srv/GetSimulationState"],
@@ -67,3 +67,9 @@ def test_only_a_near_and_other_name_is_suggested(name: str, known: list[str], fo
 )
 def test_values_of_a_service_call_are_never_taken_for_its_type(given: tuple[str, str], meant: tuple[str, str]) -> None:
     assert type_and_values(*given) == meant
+
+
+def test_the_name_of_a_resource_finds_the_entities_that_it_was_spawned_as() -> None:
+    text = spawned_as("bottle_water", "bottle", ["robot", "bottle", "kitchen_bottle_water", "bottle_3", "bottle_opener"])
+    assert text.endswith("'bottle_water' is spawned as 'bottle': did you mean bottle or bottle_3?")
+    assert spawned_as("bottle_water", "bottle", ["robot"]) == ""

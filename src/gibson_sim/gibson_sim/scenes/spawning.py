@@ -35,6 +35,7 @@ from gibson_sim.scenes.sdf.body import MAX_LINKS, WORLD, SdfBodyReader
 from gibson_sim.scenes.sdf.model import SdfModels, sdf_files, sdf_version
 from gibson_sim.scenes.sources import MAX_BYTES, TEXT_FOLDER, check_file, check_inside, path_of, without_text_folder
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
+from gibson_sim.settings import nearest
 from gibson_sim.types import Pose
 
 __all__ = [
@@ -144,15 +145,23 @@ def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]
             path = Path(uri).absolute()
             # The message for a mistyped name must not be that for a missing file.
             if not exists(path) and "/" not in uri:
-                known = ", ".join(own_spawnables())
-                raise SceneNotFoundError(f"{uri}: is neither a file nor a built-in model: {known}")
+                raise _no_model(uri)
         check_inside(path, roots, uri)
         if not exists(path):
             raise SceneNotFoundError(f"{uri}: there is nothing at {path}")
     except SceneNotFoundError as e:
         # No file has been read yet, so the message holds nothing but the client's own text.
-        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
+        # It names the resource once: whoever tells a client puts the name in front.
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling(str(e).removeprefix(f"{uri}: ")) from e
     return path, roots
+
+
+def _no_model(name: str) -> SceneNotFoundError:
+    """Returns the error for a name that is no built-in model: the nearest one comes before the list of all, which a message may cut."""
+    known = list(own_spawnables())
+    near = nearest(name, known)
+    listed = f"there are: {', '.join(known)}"
+    return SceneNotFoundError(f"{name}: is neither a file nor a built-in model; {f'{near} ' if near else ''}{listed}")
 
 
 def _description(path: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping
 
 from gibson_sim.quoting import quoted
@@ -64,3 +65,17 @@ def missing_service(name: str, kind: str, services: Mapping[str, Iterable[str]],
 def type_and_values(type: str, values: str) -> tuple[str, str]:
     """Returns the type and the values of a service call, of which the type may be left out: values begin with a brace, and a type never does."""
     return ("", type) if type.startswith("{") and not values else (type, values)
+
+
+def spawned_as(resource: str, own_name: str, entities: Iterable[str]) -> str:
+    """Returns which entities were probably meant by the name of a resource; "" = none.
+
+    Args:
+        resource: name of a thing of the catalogue, such as ``bottle_water``.
+        own_name: the name that it gives its entities, ``bottle``; the next ones are ``bottle_2``, ``bottle_3``. "" = none.
+        entities: names of all entities.
+    """
+    found = [name for name in entities if own_name and re.fullmatch(rf"{re.escape(own_name)}(_\d+)?", name)]
+    if not found:
+        return ""
+    return f"there is no entity {quoted(resource)}; {quoted(resource)} is spawned as {quoted(own_name)}: did you mean {' or '.join(found)}?"

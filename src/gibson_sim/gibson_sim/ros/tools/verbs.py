@@ -14,8 +14,10 @@ from simulation_interfaces.srv import LoadWorld
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.client.requests import flat_pose
 from gibson_sim.ros.client.standard_services import StandardServices
+from gibson_sim.ros.tools.hints import spawned_as
 from gibson_sim.ros.tools.main import Tool
 from gibson_sim.ros.topics import names
+from gibson_sim.scenes.spawning import own_spawnables, spawn_name
 from gibson_sim.types import WORLD_FRAME
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -25,18 +27,21 @@ _SUBSCRIBER_S = 2.0
 
 def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
     """Puts a thing on the floor; returns what to print."""
-    return f"spawned {StandardServices(tool.call).spawn(uri, at, _floor_z(tool), name)} at {at[0]:g},{at[1]:g}"
+    got = StandardServices(tool.call).spawn(uri, at, _floor_z(tool), name)
+    return f"spawned {got if got in (uri, name) else f'{uri} as {got}'} at {at[0]:g},{at[1]:g}"
 
 
 def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
     """Puts an entity elsewhere on the floor, at rest; returns what to print."""
-    StandardServices(tool.call).move(name, at, _floor_z(tool))
+    services = StandardServices(tool.call)
+    _of_entity(services, name, lambda: services.move(name, at, _floor_z(tool)))
     return f"moved {name} to {at[0]:g},{at[1]:g}"
 
 
 def delete(tool: Tool, name: str) -> str:
     """Removes an entity; returns what to print."""
-    StandardServices(tool.call).delete(name)
+    services = StandardServices(tool.call)
+    _of_entity(services, name, lambda: services.delete(name))
     return f"deleted {name}"
 
 
@@ -83,6 +88,17 @@ def goal(tool: Tool, at: tuple[float, float, float]) -> str:
     publisher.publish(message)
     publisher.wait_for_all_acked()
     return f"sent goal {at[0]:g},{at[1]:g}"
+
+
+def _of_entity(services: StandardServices, name: str, act: Callable[[], None]) -> None:
+    """Does something to an entity; the error for the name of a thing of the catalogue names the entities that it was spawned as."""
+    try:
+        act()
+    except GibsonSimError as error:
+        own_name = spawn_name(name, "") if name in own_spawnables() else ""
+        if own_name and (hint := spawned_as(name, own_name, services.entities())):
+            raise GibsonSimError(hint) from error
+        raise
 
 
 def _set_state(tool: Tool, state: int, text: str) -> str:
