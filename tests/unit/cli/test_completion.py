@@ -26,6 +26,8 @@ from support.completion import completions
         ("gibson-sim run --scene lind", {"linden_flat"}),
         ("gibson-sim run --robot omni", {"omni_bot"}),
         ("gibson-sim run --duration ", set()),
+        ("gibson-sim drive sq", {"square"}),
+        ("gibson-sim run --drive to", {"tour"}),
         ("gibson-sim load orch", {"orchard_house"}),
         ("gibson-sim spawn bottle_", {"bottle_water", "bottle_wine"}),
         ("gibson-sim spawn bottle_water --at 1,2 --na", {"--name"}),

@@ -8,8 +8,9 @@ from typing import Any
 
 from gibson_sim.cli.environment import add_network, environment_of, require_foxglove, require_nodes
 from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.cli.ports import check_port
 from gibson_sim.cli.processes import become
-from gibson_sim.client_config import DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
+from gibson_sim.client_config import DRIVES, DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.standard.node_process import node_arguments
 
@@ -17,9 +18,7 @@ from gibson_sim.standard.node_process import node_arguments
 def add_parser(subparsers: Any) -> None:
     """Adds the four sub-commands."""
     drive = subparsers.add_parser("drive", help="drive the robot of a running simulation: tour, script or keyboard")
-    drive.add_argument(
-        "drive", nargs="?", default="keyboard", help="tour, forward, square, spin, keyboard, or a file (default: keyboard)"
-    )
+    drive.add_argument("drive", nargs="?", default="keyboard", help=f"{', '.join(DRIVES)}, or a file (default: keyboard)")
     add_settings(drive, DriveConfig, ("scene", "robot", "length", "linear", "angular", "stamped", "timeout"))
     drive.set_defaults(run=lambda args: _become("drive", DriveConfig, args))
 
@@ -53,11 +52,23 @@ def _web(args: argparse.Namespace) -> int:
     if not args.foxglove:
         if args.commands is not None:
             raise ConfigError("--commands and --no-commands are for --foxglove: add it, or leave them out")
+        check_web_port(args)
         return _become("web", WebConfig, args)
     if args.token is not None:
         raise ConfigError("--token is of the page: the Foxglove protocol has no password; leave it out, or --foxglove")
     require_foxglove()
+    check_web_port(args)
     return _become("foxglove", FoxgloveConfig, args)
+
+
+def check_web_port(args: argparse.Namespace) -> None:
+    """Checks the port of the page or of the Foxglove server, which this process then serves.
+
+    Raises:
+        ConfigError: it cannot be used.
+    """
+    default = FoxgloveConfig() if args.foxglove else WebConfig()
+    check_port("--port", args.host or default.host, default.port if args.port is None else args.port)
 
 
 def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:

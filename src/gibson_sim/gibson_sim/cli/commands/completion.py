@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 from gibson_sim.cli.environment import domain_of, node_environment
 from gibson_sim.cli.parser import Parser
 from gibson_sim.cli.registry import COMMANDS, command_modules, scene_command_modules
+from gibson_sim.client_config import DRIVES
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.resources import cache_folder, known_objects, list_robots, list_scenes
 from gibson_sim.standard.node_process import command_of
@@ -156,6 +157,7 @@ _COMPLETERS: dict[str, Completer] = {
     "scene": _names(list_scenes), "scenes": _names(list_scenes), "world": _names(list_scenes), "robot": _names(list_robots),
     "uri": _names(lambda: [*known_objects(), *list_robots()]), "topic": _told("topics"), "topics": _told("topics"),
     "service": _told("services"), "action": _told("actions"), "node": _told("nodes"), "name": _parameters,
+    "drive": _names(lambda: list(DRIVES)),
 }  # fmt: skip
 """Name of an argument -> its completer."""
 

@@ -12,6 +12,7 @@ from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, WEB, Job,
 from gibson_sim.cli.job_status import Hints
 from gibson_sim.cli.launching import PAGE_VIEWS
 from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.cli.ports import check_port
 from gibson_sim.client_config import DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
@@ -123,9 +124,22 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Runs the job; returns the exit code."""
     require_nodes()
+    check_ports(args)
     environment = environment_of(args)
     code, _ = run_job(lambda folder: _plan(args, folder, domain_of(environment)), environment)
     return code
+
+
+def check_ports(args: argparse.Namespace) -> None:
+    """Checks the ports that were asked for, before anything starts.
+
+    Raises:
+        ConfigError: one cannot be used.
+    """
+    if args.web_port is not None:
+        check_port("--web-port", args.web_host or WebConfig().host, args.web_port)
+    if args.foxglove_port is not None:
+        check_port("--foxglove-port", FoxgloveConfig().host, args.foxglove_port)
 
 
 def _plan(args: argparse.Namespace, folder: Path, domain: int = 0) -> Job:
