@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,8 @@ class SnapshotNode(Node):
         super().__init__("snapshot", **kwargs)
         self._config = config_from_parameters(self, SnapshotConfig)
         self._folder = Path(self._config.output)
+        self._made = [folder for folder in (self._folder, *self._folder.parents) if not folder.exists()]
+        """Folders that were not there, the innermost first."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -103,7 +106,17 @@ class SnapshotNode(Node):
         return bool(self._missing) or not self._scene_seen
 
     def close(self) -> None:
-        """Does nothing; ``run_node`` requires it."""
+        """Leaves no empty folder behind where no image came."""
+        remove_empty(self._made)
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Removes folders, the innermost first, until one holds anything."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
 
 
 def png_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
