@@ -11,6 +11,7 @@ from typing import Any
 
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.processes import become
+from gibson_sim.errors import GibsonSimError
 
 _PLACE = "X,Y or X,Y,YAW on the map, m and degrees"
 
@@ -50,6 +51,18 @@ def _add_topic(parser: Any) -> None:
             "--seconds", type=float, default=0.0, metavar="S", help="end after so much wall time (default: Ctrl-C)"
         )
         _finish(measure, f"topic {name}")
+    # Its words, options of ros2 among them, are taken as they are, so that the answer is never that one of them is wrong.
+    pub = kinds.add_parser("pub", help="not here: `gibson-sim drive` and `goal` send commands", prefix_chars="\0", add_help=False)
+    pub.add_argument("words", nargs="*")
+    pub.set_defaults(run=_refuse_pub)
+
+
+def _refuse_pub(args: argparse.Namespace) -> int:
+    """Says what there is instead of a publisher of any message."""
+    raise GibsonSimError(
+        "there is no `topic pub`: a robot stops when commands stop coming, so one that is typed moves it for a moment; "
+        "drive with `gibson-sim drive forward`, or with a file of lines `linear angular seconds`; send goals with `gibson-sim goal X,Y`"
+    )
 
 
 def _add_service(parser: Any) -> None:
