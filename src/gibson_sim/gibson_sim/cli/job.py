@@ -281,7 +281,7 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
         )
     if r := found["render"]:
         if not r["images"]:
-            lines.append("render: no image has a subscriber, so none was drawn")
+            lines.append("render: nobody looked at an image, so none was drawn")
         for name, count in r["images"].items():
             lines.append(
                 f"render: camera {name}, {count} images, {r['images_per_wall_s'][name]:.1f}/s of wall time, "
