@@ -139,7 +139,8 @@ def test_robots_of_makers_drive_as_guessed(data_dir: Path, tmp_path: Path, urdf:
 
 
 BARE_WHEEL = """<link name="{0}_wheel"><collision><origin rpy="1.5707963 0 0"/>
-<geometry><cylinder radius="0.08" length="0.04"/></geometry></collision></link><joint name="{0}_wheel_joint" type="continuous"><parent link="base_link"/><child link="{0}_wheel"/><origin xyz="0.05 {1} 0.08"/>{2}</joint>"""
+<geometry><cylinder radius="0.08" length="0.04"/></geometry></collision></link>
+<joint name="{0}_wheel_joint" type="continuous"><parent link="base_link"/><child link="{0}_wheel"/><origin xyz="0.05 {1} 0.08"/>{2}</joint>"""
 
 
 def bare(folder: Path, *, caster: bool = False, axis: str = '<axis xyz="0 1 0"/>') -> Path:
