@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from gibson_sim.standard.filters import EntityFilters, TagsFilter
 from gibson_sim.standard.population import Population, SpawnRequest, StateChange
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.types import Quat, Vec3
-from support.yard import BALL
+from support.yard import BALL, SCENE
 
 QUARTER: Quat = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 """90 degrees to the left."""
@@ -308,3 +309,15 @@ def test_error_in_what_was_read_ahead_is_raised_in_its_turn(people: Population) 
     with pytest.raises(SimulationError) as at_once:
         people.spawn(request)
     assert (late.value.code, str(late.value)) == (at_once.value.code, str(at_once.value))
+
+
+def test_a_thing_that_is_spawned_where_nothing_is_below_it_is_told(
+    make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture
+) -> None:
+    people = make(replace(SCENE, ground_z=None)).population
+    people.spawn(SpawnRequest("over_the_wall", text=BALL, position=(3.0, 0.0, 5.0)))
+    assert not caplog.records
+    people.spawn(SpawnRequest("lost", text=BALL, position=(100.0, 100.0, 0.2)))
+    assert [record.getMessage() for record in caplog.records] == [
+        "spawned 'lost' at 100.00,100.00, where there is nothing below it: it falls"
+    ]

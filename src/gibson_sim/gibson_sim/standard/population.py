@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -26,6 +27,9 @@ from gibson_sim.types import Pose, Quat, Vec3
 
 MOST_ENTITIES = 2000
 """Greatest number in a world: beyond it the physics of even resting bodies is slow, and messages that list all of them get large."""
+_ABOVE, _DEEPEST = 0.1, 1000.0
+"""Height above a spawned thing's origin at which the search for a floor begins, since it may be a little inside of it, and its depth, metres."""
+_LOG = logging.getLogger(__name__)
 _MOST_LISTED = 8
 """Entities that an error message names."""
 
@@ -252,6 +256,7 @@ class Population:
         if isinstance(spec, RobotSpec):
             namespace = self._robot_namespace(name, namespace)
             spec = in_namespace(spec, namespace, self._robot_tf) if namespace else spec
+        falls = self._has_nothing_below(pose)
         try:
             self._world.add(spec)
         except StartError as error:
@@ -259,7 +264,15 @@ class Population:
         except GibsonSimError as error:
             raise SimulationError(Result.OPERATION_FAILED, client_message(_resource_name(request), error)) from error
         self._entities[name] = Entity(name, initial_info(spec), namespace, spawned=True)
+        if falls and not self._world.is_static(name):
+            x, y, _ = pose.position
+            _LOG.warning("spawned %s at %.2f,%.2f, where there is nothing below it: it falls", quoted(name), x, y)
         return name
+
+    def _has_nothing_below(self, pose: Pose) -> bool:
+        """Returns whether no floor or other thing is below a pose, however deep."""
+        x, y, z = pose.position
+        return bool(np.isinf(self._world.cast_rays([(x, y, z + _ABOVE)], [(0.0, 0.0, -1.0)], _DEEPEST)[0]))
 
     def _spawn_pose(self, request: SpawnRequest) -> Pose:
         return self._placed(

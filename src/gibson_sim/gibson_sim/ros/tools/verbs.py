@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -27,15 +28,17 @@ _SUBSCRIBER_S = 2.0
 
 def spawn(tool: Tool, uri: str, at: tuple[float, float, float], name: str = "") -> str:
     """Puts a thing on the floor; returns what to print."""
-    got = StandardServices(tool.call).spawn(uri, at, _floor_z(tool), name)
-    return f"spawned {got if got in (uri, name) else f'{uri} as {got}'} at {at[0]:g},{at[1]:g}"
+    floor = _floor(tool)
+    got = StandardServices(tool.call).spawn(uri, at, floor.z, name)
+    return f"spawned {got if got in (uri, name) else f'{uri} as {got}'} at {at[0]:g},{at[1]:g}{floor.warning(at)}"
 
 
 def move(tool: Tool, name: str, at: tuple[float, float, float]) -> str:
     """Puts an entity elsewhere on the floor, at rest; returns what to print."""
     services = StandardServices(tool.call)
-    _of_entity(services, name, lambda: services.move(name, at, _floor_z(tool)))
-    return f"moved {name} to {at[0]:g},{at[1]:g}"
+    floor = _floor(tool)
+    _of_entity(services, name, lambda: services.move(name, at, floor.z))
+    return f"moved {name} to {at[0]:g},{at[1]:g}{floor.warning(at)}"
 
 
 def delete(tool: Tool, name: str) -> str:
@@ -105,13 +108,34 @@ def _set_state(tool: Tool, state: int, text: str) -> str:
     return text if StandardServices(tool.call).set_state(state) else f"already {text}"
 
 
-def _floor_z(tool: Tool) -> float:
-    """Returns the height of the floor that the map shows; 0 where there is no map."""
-    got: list[float] = []
-    tool.create_subscription(OccupancyGrid, names.MAP, lambda msg: got.append(float(msg.info.origin.position.z)), _LATCHED)
+class _Floor:
+    """The floor that a map shows; ``grid``: None = there is no map."""
+
+    def __init__(self, grid: OccupancyGrid | None) -> None:
+        self._grid = grid
+        self.z = 0.0 if grid is None else float(grid.info.origin.position.z)
+        """Its height, metres."""
+
+    def warning(self, at: tuple[float, float, float]) -> str:
+        """Returns what to add to an answer about a place, x and y in metres, where the map shows no floor; else nothing."""
+        if self._grid is None:
+            return ""
+        info = self._grid.info
+        column, row = (
+            math.floor((value - start) / info.resolution)
+            for value, start in ((at[0], info.origin.position.x), (at[1], info.origin.position.y))
+        )
+        known = 0 <= column < info.width and 0 <= row < info.height and self._grid.data[row * info.width + column] >= 0
+        return "" if known else "; the map shows no floor there: what has nothing below it falls"
+
+
+def _floor(tool: Tool) -> _Floor:
+    """Returns the floor that the map shows."""
+    got: list[OccupancyGrid] = []
+    tool.create_subscription(OccupancyGrid, names.MAP, got.append, _LATCHED)
     begin = time.monotonic()
     tool.work(2.0, lambda: bool(got) or (time.monotonic() - begin > 1.0 and not tool.count_publishers(names.MAP)))
-    return got[0] if got else 0.0
+    return _Floor(got[0] if got else None)
 
 
 VERBS: dict[str, Callable[..., str]] = {

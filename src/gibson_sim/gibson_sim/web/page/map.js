@@ -48,6 +48,17 @@ export class FloorMap {
     g.tinted = canvas;
   }
 
+  // Whether the map shows a floor at a point; true without a map.
+  hasFloor(x, y) {
+    const g = this.grid;
+    if (!g) return true;
+    const column = Math.floor((x - g.x) / g.resolution), row = g.height - 1 - Math.floor((y - g.y) / g.resolution);
+    if (column < 0 || row < 0 || column >= g.width || row >= g.height) return false;
+    const canvas = Object.assign(document.createElement('canvas'), { width: 1, height: 1 }), c = canvas.getContext('2d');
+    c.drawImage(g.picture, column, row, 1, 1, 0, 0, 1, 1);
+    return c.getImageData(0, 0, 1, 1).data[3] > 0;
+  }
+
   bounds() {
     if (this.grid) {
       const g = this.grid;
