@@ -24,6 +24,15 @@ def test_images_that_were_due_in_between_are_skipped() -> None:
     assert stats.skipped == 2
 
 
+def test_a_camera_is_charged_with_its_own_skipped_images_alone() -> None:
+    stats, other = RenderStats(), CameraSpec("view", "", rate_hz=10.0, outputs=("rgb",))
+    for tick in (1, 5):
+        _draw(stats, tick)
+    stats.count_due(other, TENTH_NS, subscribed=True)
+    stats.add(0, 1, 2, [Frame(other, TENTH_NS, np.eye(4))], ["view/rgb"])
+    assert stats.summary()["skipped_by_camera"] == {"eye": 3, "view": 0}
+
+
 def test_images_without_subscribers_are_not_skipped() -> None:
     stats = RenderStats()
     _draw(stats, 1)

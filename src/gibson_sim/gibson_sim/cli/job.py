@@ -285,7 +285,7 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
         for name, count in r["images"].items():
             lines.append(
                 f"render: camera {name}, {count} images, {r['images_per_wall_s'][name]:.1f}/s of wall time, "
-                f"{r['images_per_simulated_s'][name]:.1f}/s of simulation time, {r['skipped_images']} skipped, "
+                f"{r['images_per_simulated_s'][name]:.1f}/s of simulation time, {r['skipped_by_camera'][name]} skipped, "
                 f"{r['draw_ms_median']:.1f} ms to draw, {r['publish_ms_median']:.1f} ms to publish (medians), on {r['renderer']}"
             )
     if restarts:

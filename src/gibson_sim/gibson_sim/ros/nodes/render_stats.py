@@ -25,7 +25,7 @@ class RenderStats:
     """
 
     def __init__(self) -> None:
-        self.skipped = 0
+        self._skipped: dict[str, int] = {}
         self.last_stamp_ns = 0
         self._images: dict[str, int] = {}
         self._outputs: dict[str, int] = {}
@@ -43,7 +43,7 @@ class RenderStats:
         if not subscribed:
             return
         if last is not None and stamp_ns > last:
-            self.skipped += images_due(last, stamp_ns, camera.rate_hz) - 1
+            self._skipped[camera.name] = self._skipped.get(camera.name, 0) + images_due(last, stamp_ns, camera.rate_hz) - 1
         self._stamps[camera.name] = stamp_ns
 
     def add(self, started_ns: int, drawn_ns: int, published_ns: int, frames: list[Frame], messages: Iterable[str]) -> None:
@@ -64,6 +64,11 @@ class RenderStats:
         self._draw_ms.append((drawn_ns - started_ns) / 1e6)
         self._publish_ms.append((published_ns - drawn_ns) / 1e6)
         self._last_ns, self.last_stamp_ns = published_ns, stamp_ns
+
+    @property
+    def skipped(self) -> int:
+        """Images of all cameras that were due and not drawn."""
+        return sum(self._skipped.values())
 
     @property
     def report_is_late(self) -> bool:
@@ -92,6 +97,7 @@ class RenderStats:
             "images_per_wall_s": {k: (n - 1) / wall_s if wall_s else 0.0 for k, n in self._images.items()},
             "images_per_simulated_s": {k: (n - 1) / sim_s if sim_s else 0.0 for k, n in self._images.items()},
             "skipped_images": self.skipped,
+            "skipped_by_camera": {k: self._skipped.get(k, 0) for k in self._images},
             "draw_ms_median": median(self._draw_ms) if self._draw_ms else 0.0,
             "publish_ms_median": median(self._publish_ms) if self._publish_ms else 0.0,
         }
