@@ -202,6 +202,40 @@ def test_a_thing_is_spawned_moved_and_deleted_by_clicks(page: Any) -> None:
     page.wait_for_selector("#things li:has-text('bottle')", state="detached")
 
 
+def test_what_is_spawned_where_and_what_the_symbols_mean_is_said(page: Any) -> None:
+    page.wait_for_function("document.querySelector('#catalogue').options.length > 10")
+    page.select_option("#catalogue", label="bottle_water")
+    assert page.inner_text("[data-mode=spawn]") == "Spawn bottle_water"
+    page.wait_for_selector("#legend li[data-of=robots]:visible")
+    page.wait_for_selector("#legend li[data-of=paths]", state="hidden")
+    page.click("[data-mode=spawn]")
+    page.click("#map", position={"x": 3, "y": 3})  # beside the building
+    page.wait_for_selector("#notes p.bad:has-text('no floor')")
+    page.wait_for_selector("#things li:has-text('bottle')")
+    remove = page.locator("#things li:has-text('bottle') button")
+    remove.click()
+    remove.click()
+    page.wait_for_selector("#things li:has-text('bottle')", state="detached")
+
+
+def test_a_rate_that_another_page_has_set_is_shown(page: Any, browser: Any, address: str) -> None:
+    other = browser.new_page(viewport=DESKTOP, bypass_csp=True)
+    other.goto(address)
+    other.wait_for_selector("#state.playing")
+    for rate in ("0.5", "1"):
+        page.select_option("#rate", rate)
+        other.wait_for_function(f"document.querySelector('#rate').value === '{rate}'")
+    other.close()
+
+
+def test_an_image_keeps_its_aspect_in_a_tall_window(page: Any) -> None:
+    page.set_viewport_size({"width": 1100, "height": 1300})
+    canvas = page.evaluate("(({width, height}) => [width, height])(document.querySelector('canvas[data-stamp]'))")
+    page.wait_for_timeout(300)
+    box = page.locator("figure").bounding_box()
+    assert box["width"] / box["height"] == pytest.approx(canvas[0] / canvas[1], rel=0.01)
+
+
 def test_the_scene_is_drawn_in_3_d(page: Any) -> None:
     page.click("#three")
     page.wait_for_function("Number(document.querySelector('#scene3d').dataset.drawn) > 3", timeout=60_000)
@@ -219,7 +253,7 @@ def test_a_number_of_any_topic_is_plotted(page: Any) -> None:
     page.wait_for_selector("#plot-topic option[value='/odom']", state="attached")
     page.select_option("#plot-topic", "/odom")
     page.wait_for_selector("#plot-field option[value='twist.twist.linear.x']", state="attached")
-    page.select_option("#plot-field", "twist.twist.linear.x")
+    assert page.input_value("#plot-field") == "twist.twist.linear.x", "the speed comes first, not the seconds of its stamp"
     page.click("#plot-new")
     page.select_option("#plot-topic", "/joint_states")
     page.wait_for_selector("#plot-field option[value='position[1]']", state="attached")

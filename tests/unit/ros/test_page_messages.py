@@ -48,6 +48,24 @@ def test_what_is_plotted_leaves_the_topic_of_commands_free_and_large_messages_ou
     assert plottable(graph) == {"/odom": "nav_msgs/msg/Odometry"}
 
 
+def test_what_has_no_numbers_besides_its_times_is_not_plotted() -> None:
+    numeric = [
+        "nav_msgs/msg/Odometry",
+        "sensor_msgs/msg/JointState",
+        "nav_msgs/msg/Path",
+        "std_msgs/msg/Bool",
+        "tf2_msgs/msg/TFMessage",
+    ]
+    others = [
+        "std_msgs/msg/String",
+        "std_msgs/msg/Empty",
+        "std_msgs/msg/Header",
+        "rosgraph_msgs/msg/Clock",
+        "nowhere_msgs/msg/Thing",
+    ]
+    assert list(plottable([(f"/{kind}", [kind]) for kind in numeric + others]).values()) == sorted(numeric)
+
+
 def _filtered(encoding: str, color: tuple[int, int, int], kind: type, scale: int) -> Image:
     """Returns an image of one colour (red, green, blue) as a sensor with a Bayer filter sees it."""
     pattern = np.array(["rgb".index(letter) for letter in encoding.removeprefix("bayer_")[:4]]).reshape(2, 2)

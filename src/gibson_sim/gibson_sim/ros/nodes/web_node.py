@@ -34,6 +34,7 @@ from gibson_sim.ros.topics import names
 from gibson_sim.ros.web.child_nodes import Recorder
 from gibson_sim.ros.web.doors import Doors
 from gibson_sim.ros.web.plot_subscriptions import PlotSubscriptions, plottable
+from gibson_sim.ros.web.real_time_factor import RealTimeFactor
 from gibson_sim.ros.web.robots import Robot, robots_in
 from gibson_sim.ros.web.scene_stream import SceneStream
 from gibson_sim.ros.web.simulation_client import SimulationClient
@@ -94,8 +95,7 @@ class WebNode(Node):
         self._known: dict[str, str] = {}
         self._watched: frozenset[str] = frozenset()
         self._clock_ns: int | None = None
-        self._began: tuple[float, int] | None = None
-        self._factor: float | None = None
+        self._factor = RealTimeFactor()
         self._state = "connected"
         self._diagnoses: dict[str, tuple[dict[str, Any], float]] = {}
         self._told: dict[str, Any] = {}
@@ -304,7 +304,8 @@ class WebNode(Node):
         graph = self.get_topic_names_and_types()
         self._update_robots(graph)
         if not self.count_publishers(names.CLOCK):
-            self._clock_ns = self._began = self._factor = None  # a simulation has ended; a robot has its own time
+            self._clock_ns = None  # a simulation has ended; a robot has its own time
+            self._factor.clear()
         known = dict(image_topics(graph))
         if known != self._known:
             self._known = known
@@ -316,6 +317,7 @@ class WebNode(Node):
         self._tell_changed("recording", self._recorder.shown())
         self._tell_changed("task", self._task.shown())
         if self._simulation.is_there():
+            self._simulation.get_rate(lambda rate: self._tell_changed("rate", rate))
             self._simulation.get("get_simulation_state", GetSimulationState.Request(), self._on_state)
             self._simulation.get("get_entities_states", GetEntitiesStates.Request(), self._on_entities)
             self._simulation.get("get_named_poses", GetNamedPoses.Request(), self._on_places)
@@ -331,16 +333,10 @@ class WebNode(Node):
 
     def _tell_status(self) -> None:
         now = time.monotonic()
-        if self._clock_ns is not None:
-            if self._began is not None and now > self._began[0]:
-                passed = (self._clock_ns - self._began[1]) / NS_PER_S
-                self._factor = max(0.0, passed / (now - self._began[0]))
-            self._began = (now, self._clock_ns)
         diagnoses = [values for values, at in self._diagnoses.values() if now - at < _GAP_S]
         time_s = None if self._clock_ns is None else self._clock_ns / NS_PER_S
-        self._server.tell(
-            "status", {"state": self._state, "time": time_s, "factor": self._factor, "diagnostics": diagnoses}, keep=True
-        )
+        factor = None if time_s is None else self._factor.add(now, time_s)
+        self._server.tell("status", {"state": self._state, "time": time_s, "factor": factor, "diagnostics": diagnoses}, keep=True)
 
     def _update_robots(self, graph: list[tuple[str, list[str]]]) -> None:
         for name in sorted(robots_in(graph) - set(self._robots)):

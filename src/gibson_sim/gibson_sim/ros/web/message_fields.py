@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.web.units import unit_of
 
 MOST_FIELDS = 600
@@ -17,6 +19,7 @@ MOST_ELEMENTS = 64
 """Elements of one array among them."""
 _STEP = re.compile(r"([a-z][a-z0-9_]*)((?:\[\d{1,7}\])?)", re.ASCII)
 _DEEPEST = 12
+_TIMES = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
 class NumberField(NamedTuple):
@@ -70,6 +73,29 @@ def number_fields(message: Any) -> list[NumberField]:
         if len(found) >= MOST_FIELDS:
             break
     return found
+
+
+@lru_cache(maxsize=1024)
+def has_numbers(type_name: str) -> bool:
+    """Returns whether messages of a type, such as ``nav_msgs/msg/Odometry``, can have numbers besides their times."""
+    return _has_numbers(type_name, 0)
+
+
+def _has_numbers(type_name: str, depth: int) -> bool:
+    if depth >= _DEEPEST or type_name in _TIMES:
+        return False
+    try:
+        fields = message_class(type_name).get_fields_and_field_types()
+    except UNKNOWN:
+        return False
+    for kind in fields.values():
+        element = re.sub(r"^sequence<|(, \d+)?>$|\[\d+\]$", "", kind)
+        if "/" in element:
+            if _has_numbers(element.replace("/", "/msg/"), depth + 1):
+                return True
+        elif not element.startswith(("string", "wstring")):
+            return True
+    return False
 
 
 def _walk(message: Any, prefix: str, outer: str, label: str, depth: int) -> Iterator[NumberField]:

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.topics import names
-from gibson_sim.ros.web.message_fields import Step, number_at, number_fields, parse_path
+from gibson_sim.ros.web.message_fields import Step, has_numbers, number_at, number_fields, parse_path
 from gibson_sim.ros.web.video_subscriptions import Subscriber
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.web.curves import CurveName, Curves
@@ -36,7 +36,7 @@ def plottable(graph: list[tuple[str, list[str]]]) -> dict[str, str]:
     return {
         topic: types[0]
         for topic, types in sorted(graph)
-        if len(types) == 1 and types[0] not in _LARGE and not topic.endswith(f"/{names.CMD_VEL}")
+        if len(types) == 1 and types[0] not in _LARGE and not topic.endswith(f"/{names.CMD_VEL}") and has_numbers(types[0])
     }
 
 

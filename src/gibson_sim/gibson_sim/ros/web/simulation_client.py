@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.node import Node
 from simulation_interfaces.msg import SimulationState
 from simulation_interfaces.srv import DeleteEntity, ResetSimulation, SetSimulationState, StepSimulation
@@ -40,6 +40,7 @@ class SimulationClient:
         """``physics``: name of the node with the parameter ``rate``."""
         self._node, self._clients = node, {name: node.create_client(kind, name) for name, kind in SERVICES.items()}
         self._parameters = node.create_client(SetParameters, f"{physics}/set_parameters")
+        self._parameter_reader = node.create_client(GetParameters, f"{physics}/get_parameters")
         self._calls: list[_Call] = []
 
     def is_there(self) -> bool:
@@ -78,6 +79,17 @@ class SimulationClient:
         client = self._clients[service]
         if not any(call.client is client and call.late is None for call in self._calls):
             self._call(client, request, lambda response: then(response) if response and response.result.result == OK else None)
+
+    def get_rate(self, then: Callable[[float], None]) -> None:
+        """Calls ``then`` with the rate of simulation time that is requested, whoever has set it; 0 = as fast as it can."""
+
+        def told(response: Any) -> None:
+            values = response.values if response is not None else ()
+            if values and values[0].type == ParameterType.PARAMETER_DOUBLE:
+                then(float(values[0].double_value))
+
+        if not any(call.client is self._parameter_reader for call in self._calls):
+            self._call(self._parameter_reader, GetParameters.Request(names=["rate"]), told)
 
     def call(self, client: Any, request: Any, then: Callable[[Any], None], answer: Answer) -> None:
         """Calls any service; ``then`` gets its response, or None where nothing offers it; a late one is told by ``answer``."""

@@ -63,6 +63,7 @@ const on = {
     videos.setState(value.state);
     panels.setDiagnostics(value.diagnostics);
   },
+  rate(value) { showRate(value); },
   map(value) { floor.setMap(value); },
   robots(value) {
     robots = value;
@@ -91,6 +92,7 @@ const on = {
       return group;
     }));
     $('catalogue').hidden = !value.length;
+    nameSpawn();
   },
   recording(value) { panels.setRecording(value); },
   task(value) { panels.setTask(value); floor.target = value.goal; floor.draw(); },
@@ -101,8 +103,33 @@ const on = {
   },
 };
 
+// The button names what it puts down: the list may be far away on a phone.
+function nameSpawn() {
+  const chosen = $('catalogue').selectedOptions[0]?.text;
+  document.querySelector('[data-mode=spawn]').textContent = chosen ? `Spawn ${chosen}` : 'Spawn';
+}
+
+// The rate that the simulation has, whoever has set it.
+function showRate(rate) {
+  const select = $('rate');
+  if (rate === null || document.activeElement === select) return;
+  const text = String(rate);
+  if (![...select.options].some((o) => o.value === text)) select.append(new Option(`${Number(rate.toPrecision(3))}×`, text));
+  select.value = text;
+}
+
+// Symbols of what the map shows.
+function showLegend() {
+  for (const li of document.querySelectorAll('#legend li')) {
+    const shown = floor[li.dataset.of];
+    li.hidden = !(li.dataset.of === 'entities' ? shown.some((e) => !e.robot) : shown.length);
+  }
+}
+setInterval(showLegend, 500);
+
 function placed(pose) {
   const mode = floor.mode;
+  if ((mode === 'spawn' || (mode === 'move' && panels.selected)) && !floor.hasFloor(pose.x, pose.y)) note('The map shows no floor there: what has nothing below it falls.', true);
   if (mode === 'goal' || mode === 'initial_pose') send(mode, toRobot(pose));
   if (mode === 'spawn' && $('catalogue').value) send('spawn', { uri: $('catalogue').value, ...pose });
   if (mode === 'move') panels.selected ? send('move', { name: panels.selected, ...pose }) : note('Select a thing in the list or on the map first.', true);
@@ -117,7 +144,7 @@ $('fit').onclick = () => floor.fit();
 $('three').onclick = () => {
   const shown = $('scene3d').hidden;
   if (shown && !scene.gl) return note('This browser has no WebGL 2.', true);
-  $('scene3d').hidden = !shown; $('map').hidden = shown; $('follow').hidden = !shown; $('fit').hidden = shown;
+  $('scene3d').hidden = !shown; $('map').hidden = shown; $('legend').hidden = shown; $('follow').hidden = !shown; $('fit').hidden = shown;
   $('three').setAttribute('aria-pressed', shown);
   document.querySelectorAll('.mode').forEach((b) => { b.hidden = shown; });
   watch(); explainScene();
@@ -135,7 +162,8 @@ $('play').onclick = () => send('time', { action: 'play' });
 $('pause').onclick = () => send('time', { action: 'pause' });
 $('step').onclick = () => send('time', { action: 'step', steps: 10 });
 $('reset').onclick = () => send('time', { action: 'reset' });
-$('rate').onchange = () => send('rate', { value: Number($('rate').value) });
+$('rate').onchange = () => { send('rate', { value: Number($('rate').value) }); $('rate').blur(); };
+$('catalogue').onchange = nameSpawn;
 $('speed').oninput = () => { $('speed-value').textContent = Number($('speed').value).toFixed(1); driving.speed = Number($('speed').value); };
 document.addEventListener('visibilitychange', () => { driving.release(); watch(); plots.subscribe(); });
 setInterval(() => { $('images').textContent = videos.images; videos.images = 0; }, 1000);

@@ -13,6 +13,14 @@ export function ticks(low, high) {
   return found;
 }
 
+// What one wants to see of a message, best first; times last.
+const USEFUL = [/^twist\.twist\.linear\.x$/, /(^|\.)linear\.x$/, /(^|\.)position\.x$/, /^ranges\[/, /^(velocity|position)\[/, /^data$/, /^percentage$/, /linear_acceleration\.x$/, /translation\.x$/];
+const TIME = /(^|\.)(header|stamp|clock)\.|(^|\.)(sec|nanosec|covariance\[\d+\])$/;
+export function useful(paths) {
+  for (const wanted of USEFUL) { const found = paths.find((path) => wanted.test(path)); if (found) return found; }
+  return paths.find((path) => !TIME.test(path)) ?? paths[0] ?? '';
+}
+
 const written = (value) => (value === null || value === undefined ? '–' : Math.abs(value) < 1e-9 ? '0' : Math.abs(value) >= 1e5 || (value && Math.abs(value) < 1e-3) ? value.toExponential(2) : String(Number(value.toPrecision(4))));
 const keyOf = (curve) => `${curve.topic} ${curve.path}`;
 
@@ -46,6 +54,7 @@ export class Plots {
     this.fields = value.fields.map(([path, unit, label]) => ({ topic: value.topic, path, unit, label }));
     const options = this.fields.map((f) => new Option(`${f.path}${f.label ? ` (${f.label})` : ''}${f.unit ? `  ${f.unit}` : ''}`, f.path));
     $('plot-field').replaceChildren(...(options.length ? options : [new Option('its messages have no numbers', '')]));
+    if (options.length) $('plot-field').value = useful(this.fields.map((f) => f.path));
     this.enable();
   }
 

@@ -29,7 +29,9 @@ export class Videos {
     $('pictures').hidden = !this.topics.length;
     for (const [topic, video] of this.shown) if (!this.watched.has(topic) || !there.has(topic)) { video.figure.remove(); this.shown.delete(topic); }
     for (const t of this.topics) if (this.watched.has(t.topic) && !this.shown.has(t.topic)) this.shown.set(t.topic, this.make(t));
-    $('videos').style.gridTemplateColumns = this.shown.size > 2 ? '1fr 1fr' : '1fr';
+    const columns = this.shown.size > 2 ? 2 : 1;
+    $('videos').style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
+    $('videos').style.setProperty('--rows', Math.max(1, Math.ceil(this.shown.size / columns)));
     $('videos').querySelectorAll('.empty').forEach((e) => e.remove());
     if (!this.shown.size) $('videos').append(element('p', this.topics.length ? 'Choose a camera above.' : 'No camera publishes images.', { className: 'empty' }));
     remember('watched', [...this.watched]);
@@ -70,7 +72,7 @@ export class Videos {
     if (!video) return;
     const bitmap = await createImageBitmap(new Blob([data], { type: 'image/jpeg' }));
     const first = !video.canvas.dataset.stamp;
-    if (video.canvas.width !== bitmap.width || video.canvas.height !== bitmap.height) { video.canvas.width = bitmap.width; video.canvas.height = bitmap.height; }
+    if (video.canvas.width !== bitmap.width || video.canvas.height !== bitmap.height) { video.canvas.width = bitmap.width; video.canvas.height = bitmap.height; video.figure.style.setProperty('--aspect', bitmap.width / bitmap.height); }
     video.context.drawImage(bitmap, 0, 0);
     video.canvas.dataset.stamp = stamp;
     bitmap.close();
