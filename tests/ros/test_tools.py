@@ -99,7 +99,7 @@ def test_an_action_makes_steps() -> None:
 
 def test_a_tool_that_waits_while_time_is_paused_says_so() -> None:
     _run("pause")
-    code, text = _run("topic", "hz", "/scan", "--seconds", "6")
+    code, text = _run("topic", "hz", "/scan", "--seconds", "9")
     _run("play")
     assert code == 1 and text.count("the simulation is paused") == 1 and "`gibson-sim play`" in text
 

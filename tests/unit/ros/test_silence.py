@@ -64,8 +64,8 @@ def test_a_paused_simulation_is_told_once() -> None:
 
 def test_a_playing_simulation_and_none_have_their_own_reason() -> None:
     assert _told(SimulationState.STATE_PLAYING, 103.1, 110.0) == ["waiting"]
-    assert _told(None, 103.1, 104.9) == []
-    assert _told(None, 103.1, 105.1, 110.0) == ["waiting"]
+    assert _told(None, 103.1, 107.9) == []
+    assert _told(None, 103.1, 108.1, 110.0) == ["waiting"]
 
 
 def test_nothing_is_told_once_a_message_has_come() -> None:

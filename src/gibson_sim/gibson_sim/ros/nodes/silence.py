@@ -11,7 +11,7 @@ from simulation_interfaces.srv import GetSimulationState
 
 SILENT_S = 3.0
 """Wall time without a message after which a node says what it waits for, s."""
-_ANSWER_S = 2.0
+_ANSWER_S = 5.0
 """Wall time for the simulation to tell its state, s."""
 _TYPE = "simulation_interfaces/srv/GetSimulationState"
 _STANDS = {SimulationState.STATE_PAUSED: "paused", SimulationState.STATE_STOPPED: "stopped"}
