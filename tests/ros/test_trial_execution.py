@@ -20,9 +20,9 @@ require("rclpy", "gibson_msgs", "simulation_interfaces")
 
 from gibson_sim.bags.replaying import read_run  # noqa: E402
 from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
-from gibson_sim.trials.execution import execute, supervisor  # noqa: E402
+from gibson_sim.trials.execution import execute, session  # noqa: E402
 from gibson_sim.trials.records import Outcome, Person, PlacedThing, RunSpec  # noqa: E402
-from gibson_sim.trials.scenario_spec import Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
+from gibson_sim.trials.scenario_spec import GoalInterface, Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STACKS = Path(__file__).parents[1] / "support" / "stacks"
@@ -68,15 +68,16 @@ def marked_processes() -> list[str]:
 def leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("OF", str(os.getpid()))
     domains: list[int] = []
-    locked = supervisor.lock_free_domain
+    locked = session.lock_free_domain
 
     def lock(allowed: Sequence[int]) -> tuple[int, DomainLock]:
         domain, held = locked(allowed)
         domains.append(domain)
         return domain, held
 
-    monkeypatch.setattr(supervisor, "lock_free_domain", lock)
+    monkeypatch.setattr(session, "lock_free_domain", lock)
     yield
+    session.SESSIONS.close()
     assert marked_processes() == []
     for domain in domains:
         DomainLock(domain).close()
@@ -106,7 +107,7 @@ def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_p
 
 @pytest.mark.usefixtures("leaves_nothing")
 def test_bad_stacks_end_as_what_they_are(room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supervisor, "_STACK_GRACE_S", ((signal.SIGINT, 1.0), (signal.SIGTERM, 0.5), (signal.SIGKILL, PATIENCE_S)))
+    monkeypatch.setattr(session, "STACK_GRACE_S", ((signal.SIGINT, 1.0), (signal.SIGTERM, 0.5), (signal.SIGKILL, PATIENCE_S)))
     run, limits = run_in(room), Limits(time=4.0, wall_time=PATIENCE_S, silence=3.0)
 
     crash = execute(scenario_of(*drive("crash"), limits=limits), run_in(room, 3.0), tmp_path / "crash", domains=DOMAINS)
@@ -132,7 +133,10 @@ def test_bad_stacks_end_as_what_they_are(room: str, tmp_path: Path, monkeypatch:
 @pytest.mark.usefixtures("leaves_nothing")
 def test_run_without_rules_is_in_real_time_and_ends_when_it_is_told_to(room: str, tmp_path: Path) -> None:
     told: list[str] = []
-    scenario = scenario_of(*drive(), lockstep=False, limits=Limits(wall_time=PATIENCE_S))
+    scenario = scenario_of(*drive("service"), lockstep=False, limits=Limits(wall_time=PATIENCE_S))
+    scenario = replace(
+        scenario, stack=replace(scenario.stack, goal=GoalInterface("service", "plan", "nav_msgs/srv/GetPlan", "goal"))
+    )
     outcome = execute(
         scenario,
         run_in(room, 3.0),
@@ -143,6 +147,20 @@ def test_run_without_rules_is_in_real_time_and_ends_when_it_is_told_to(room: str
     )
     assert (outcome.end, outcome.lockstep, outcome.goal_ns) == ("interrupted", False, 0)
     assert outcome.end_ns > 0
+
+
+@pytest.mark.usefixtures("leaves_nothing")
+def test_kept_stack_serves_run_after_run(room: str, tmp_path: Path) -> None:
+    scenario = scenario_of(*drive(), limits=Limits(time=30.0, silence=3.0))
+    scenario = replace(scenario, stack=replace(scenario.stack, restart="never"))
+    starts = []
+    for number, distance in enumerate((0.6, 0.3)):
+        outcome = execute(scenario, run_in(room, distance), tmp_path / str(number), domains=DOMAINS)
+        assert (outcome.end, outcome.goal_ns) == ("reached", 0)
+        starts.append("the stack starts" in (tmp_path / str(number) / "stack.log").read_text())
+    assert starts == [True, False]
+    assert len(marked_processes()) == 1
+    assert read_run(tmp_path / "1" / "bag", digests=True).digests
 
 
 def test_worker_that_is_killed_leaves_no_process(room: str, tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """A tiny stack, as a user might write it: drives to the goal by odometry that is true, and tells when it is there.
 
-One command for each odometry, so that it repeats in lockstep. ``python drive.py [crash|nan|hang|daemon|late]`` does as the word says.
+One command for each odometry, so that it repeats in lockstep. ``python drive.py [crash|nan|hang|daemon|service]`` does as the word says.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import time
 import rclpy
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
+from nav_msgs.srv import GetPlan
 from rclpy.node import Node
 from std_msgs.msg import String
 
@@ -30,10 +31,17 @@ class Drive(Node):
         self._commands = self.create_publisher(Twist, "cmd_vel", 10)
         self._status = self.create_publisher(String, "status", 10)
         self.create_subscription(Odometry, "ground_truth/odom", self._on_odometry, 10)
-        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
+        if how == "service":
+            self.create_service(GetPlan, "plan", self._on_request)
+        else:
+            self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 10)
 
     def _on_goal(self, msg: PoseStamped) -> None:
         self._goal = msg.pose.position
+
+    def _on_request(self, request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+        self._on_goal(request.goal)
+        return response
 
     def _on_odometry(self, msg: Odometry) -> None:
         time_s = msg.header.stamp.sec + 1e-9 * msg.header.stamp.nanosec

@@ -100,11 +100,12 @@ class NodeServer:
     def serve(self) -> Task | None:
         """Serves until the socket closes. Returns None then; in a forked process, what that process is to do."""
         while True:
-            ready = select.select([self._requests, self._wake], [], [])[0]
+            requests = self._requests.fileno()
+            ready = select.select([requests, self._wake], [], [])[0]
             if self._wake in ready:
                 os.read(self._wake, 4096)
                 self._reap()
-            if self._requests in ready:
+            if requests in ready:
                 data, descriptors, _, _ = socket.recv_fds(self._requests, _LARGEST, 1)
                 if not data:
                     self._end_all()

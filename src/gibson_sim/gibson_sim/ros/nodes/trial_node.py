@@ -52,14 +52,20 @@ STANDSTILL_S = 3.0
 SETTLED_S = 0.3
 """Wall time without new topics after which a stack counts as discovered, seconds."""
 IDLE_LOOKS = 5
-"""Looks in a row, without a tick between, at which no process of the run worked: then a stack that has told its end sends no more commands."""
+"""Looks in a row, a tenth of a second apart and without a tick between, at which no process of the run worked: then a stack that has told its
+end sends no more commands."""
 _ANSWER_S = 20.0
 """Wall time that the simulation has to answer a request, seconds."""
+_MATCHED_S = 0.5
+"""Wall time in which the stack discovers the publishers of images, seconds."""
 _ACKNOWLEDGED_S = 1.0
 """Wall time that a message has to arrive, seconds."""
 _LOOK_S = 0.1
 """Period of looking at the ROS graph, seconds of wall time."""
 _PROGRESS_S = 0.5
+"""Period of reports of progress, seconds of wall time."""
+_HANDLES = ("handle", "lever", "knob")
+"""Ends of the names of joints that open nothing."""
 _OK = sim_msg.Result.RESULT_OK
 _ACTIVE = 3
 """lifecycle_msgs/State.PRIMARY_STATE_ACTIVE."""
@@ -99,14 +105,15 @@ class TrialNode(Node):
         self._began_s = self._last_tick_s = time.monotonic()
         self._plays = self._ready = False
         self._ticks = 0
-        self._idle_looks = 0
+        self._idle_looks, self._looked_s = 0, 0.0
+        """Looks in a row at which no process worked, and when the last one was, seconds of CLOCK_MONOTONIC."""
         self._told_s = 0.0
         """When the progress was told last."""
         self._graph: tuple[set[str], float] = (set(), self._began_s)
         """All that was discovered, and since when there is nothing else, seconds of CLOCK_MONOTONIC."""
         self._scene: Any = None
-        self._doors: tuple[str, ...] | None = None
-        """Joints of doors to close, and then their positions; None = not known yet."""
+        self._doors: dict[str, float] | None = None
+        """Joints of doors to close, and where they are closed, radians or metres; None = not known yet."""
         self._ready_topic = _ReadyTopic(self, plan.ready.topic) if plan.ready.topic else None
         self._executor = make_executor()
         self._executor.add_node(self)
@@ -134,6 +141,7 @@ class TrialNode(Node):
             self.create_client(_class_of(service_class, "lifecycle_msgs/srv/GetState"), f"{node}/get_state") if node else None
         )
         self._lifecycle_future: Any = None
+        self._was_active = False
 
     def _publisher(self, kind: Any, topic: str) -> Publisher | None:
         return self.create_publisher(kind, topic, qos.LATCHED) if topic else None
@@ -157,10 +165,13 @@ class TrialNode(Node):
 
     def _is_idle(self, silence_s: float) -> bool:
         """Returns whether time waits for a stack that does nothing; one that is only slow would end the run at a tick that chance decides."""
-        if silence_s < _LOOK_S or any_runs([*find_siblings(), *find_marked(MARKER, self._plan.marker)]):
+        now_s = time.monotonic()
+        if silence_s < _LOOK_S:
             self._idle_looks = 0
-        else:
-            self._idle_looks += 1
+        elif now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            runs = any_runs([*find_siblings(), *find_marked(MARKER, self._plan.marker)])
+            self._idle_looks = 0 if runs else self._idle_looks + 1
         return self._idle_looks >= IDLE_LOOKS
 
     # Before the first tick
@@ -176,7 +187,7 @@ class TrialNode(Node):
             self._wait(lambda: self._doors is not None, "message on object_joint_states")
             assert self._doors is not None
             self._wait(lambda: _others(self, self._door_pub.topic_name, ours={"physics"}), "simulation that closes doors")
-            self._door_pub.publish(JointState(name=list(self._doors), position=[0.0] * len(self._doors)))
+            self._door_pub.publish(JointState(name=list(self._doors), position=list(self._doors.values())))
             _acknowledged(self._door_pub)
 
     def _spawn_at(self, name: str, uri: str, text: str, pose: PlanarPose, z: float) -> None:
@@ -188,9 +199,12 @@ class TrialNode(Node):
         self._call(self._spawn, request)
 
     def _on_joints(self, msg: Any) -> None:
-        closed = self._plan.run.closed_doors
-        found = [name for name in msg.joint_names if "all" in closed or name in closed or name.partition("/")[0] in closed]
-        self._doors = tuple(name for name in found if not name.endswith(("handle", "lever", "knob")))
+        wanted, found = self._plan.run.closed_doors, {}
+        for name, row in zip(msg.joint_names, msg.interface_values, strict=True):
+            if name.partition("/")[0] in wanted and not name.endswith(_HANDLES):
+                values = dict(zip(row.interface_names, row.values, strict=True))
+                found[name] = min(max(0.0, values["lower"]), values["upper"])
+        self._doors = found
 
     def _make_ready(self) -> None:
         """Waits until the stack is ready, and gives it its initial pose and its goal; time stands still meanwhile if that is possible."""
@@ -263,23 +277,23 @@ class TrialNode(Node):
         return any(found == self.resolve_service_name(name) for found, _ in self.get_service_names_and_types())
 
     def _is_active(self) -> bool:
-        """Returns whether the lifecycle node said that it is active; asks it again and again."""
-        client, future = self._lifecycle, self._lifecycle_future
+        """Returns whether the lifecycle node has said that it is active; asks it again and again."""
+        client: Any = self._lifecycle
+        future = self._lifecycle_future
         if future is not None and future.done():
             self._lifecycle_future = None
-            if future.exception() is None and future.result().current_state.id == _ACTIVE:
-                return True
-        if self._lifecycle_future is None and client.service_is_ready():
+            self._was_active = future.exception() is None and future.result().current_state.id == _ACTIVE
+        if not self._was_active and self._lifecycle_future is None and client.service_is_ready():
             self._lifecycle_future = client.call_async(client.srv_type.Request())
-        return False
+        return self._was_active
 
     def _become_ready(self) -> None:
         """Gives the goal now if time stands still, else at the next tick."""
         self._ready = True
         if not self._plays:
+            self._monitor.give_goal(0)
             self._goal.give(0)
             self._spin_until(self._goal.is_accepted, STANDSTILL_S)
-            self._monitor.give_goal(0)
             self._play()
 
     def _play(self) -> None:
@@ -313,6 +327,7 @@ class TrialNode(Node):
             self._wait(
                 lambda: any(p.node_name == "render" for p in self.get_publishers_info_by_topic(done)), "render node in lockstep"
             )
+        self._spin_until(lambda: False, _MATCHED_S)
 
     # Ticks
 
@@ -323,8 +338,8 @@ class TrialNode(Node):
         if self._decision is not None:
             return
         if self._ready and self._monitor.goal_ns < 0:
-            self._goal.give(stamp_ns)
             self._monitor.give_goal(stamp_ns)
+            self._goal.give(stamp_ns)
         p, q, v = msg.pose.pose.position, msg.pose.pose.orientation, msg.twist.twist
         yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
         self._decision = self._monitor.tick(stamp_ns, (p.x, p.y, yaw), math.hypot(v.linear.x, v.linear.y), v.angular.z)
@@ -454,7 +469,8 @@ class _ServiceGoal:
     """A goal in the request of a service."""
 
     def __init__(self, node: Node, kind: Any, name: str, fill: Callable[[Any, int], Any]) -> None:
-        self._client, self._fill, self._kind, self._future = node.create_client(kind, name), fill, kind, None
+        self._client, self._fill, self._kind = node.create_client(kind, name), fill, kind
+        self._future: Any = None
         self.what = f"service {self._client.srv_name}"
 
     def is_there(self) -> bool:

@@ -107,6 +107,7 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
     unknown = sorted(run.physics.keys() - known.keys())
     if unknown:
         raise ConfigError(f"physics has {quoted(unknown[0])}, which is no setting of the physics node; see `gibson-sim params`")
+    draws = scenario.record.images != "none"
     values: dict[str, Any] = {
         **run.physics,
         "scene": run.scene,
@@ -116,11 +117,11 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
         "start_paused": True,
         "digests": True,
         "duration": 0.0,
-        "wait_for": "scene_state:1,robots:2",
+        "wait_for": "scene_state:2,robots:2,cameras:1" if draws else "scene_state:1,robots:2",
         "summary_path": str(job / "physics.json"),
     }
     if scenario.stack.lockstep:
-        participants = participants_of(scenario.stack, ("trial", "record"))
+        participants = participants_of(scenario.stack, ("trial", "record", "render") if draws else ("trial", "record"))
         values |= {"lockstep": True, "rate": 0.0, "participants": participants, "participant_timeout": LONGEST_TICK_S}
         values["on_timeout"] = "stop"
     else:

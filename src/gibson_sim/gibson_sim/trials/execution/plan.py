@@ -35,14 +35,22 @@ class TrialPlan:
     """Value of the variable ``MARKER`` of the stack's processes; empty = they have none."""
 
     @classmethod
-    def of(cls, scenario: Scenario, run: RunSpec, marker: str = "") -> TrialPlan:
-        """Returns the plan of a run whose stack has a marker."""
+    def of(cls, scenario: Scenario, run: RunSpec, marker: str = "", *, kept: bool = False) -> TrialPlan:
+        """Returns the plan of a run whose stack has a marker; one that was kept from an earlier run has been ready already."""
         stack = scenario.stack
         answers = tuple(rule.partition("=")[2].split()[0] if "=" in rule else rule.split()[0] for rule in stack.lockstep)
         return cls(
-            run, stack.ready, stack.initial_pose, stack.goal, stack.status, scenario.limits, scenario.verdicts.reached,
-            bool(stack.lockstep), answers, marker,
-        )  # fmt: skip
+            run,
+            Ready(within=stack.ready.within) if kept else stack.ready,
+            stack.initial_pose,
+            stack.goal,
+            stack.status,
+            scenario.limits,
+            scenario.verdicts.reached,
+            bool(stack.lockstep),
+            answers,
+            marker,
+        )
 
     def to_json(self) -> str:
         """Returns the plan as text."""

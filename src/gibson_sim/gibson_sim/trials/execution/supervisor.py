@@ -1,32 +1,32 @@
-"""One run: starts simulation, recorder, trial node and stack in a ROS domain of their own, watches them, and ends them all."""
+"""One run: starts simulation, recorder, trial node and stack in a ROS domain of their own, watches them, and ends them all.
+
+A stack that is kept over runs (``restart: never``) stays in its domain while the simulation is started anew for each run: to the stack it looks
+like a reset, time begins at 0 again. Each run so has a bag of its own that repeats it.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-import signal
 import time
-import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.standard.environment import node_environment
 from gibson_sim.standard.job_folder import LOADED, VARIABLE, read_note
-from gibson_sim.standard.leftovers import end_marked
 from gibson_sim.standard.shared_memory import remove_dead_segments
-from gibson_sim.trials.execution.domains import DOMAINS, lock_free_domain
+from gibson_sim.trials.execution.domains import DOMAINS
 from gibson_sim.trials.execution.ending import Ending, node_died, reported, stack_died
-from gibson_sim.trials.execution.node_server import SERVERS, NodeServer
-from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings, stack_environment
-from gibson_sim.trials.execution.plan import IMAGES, MARKER, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
+from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings
+from gibson_sim.trials.execution.plan import IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
+from gibson_sim.trials.execution.session import SESSIONS, STACK, Session
 from gibson_sim.trials.execution.stack_log import StackLog
 from gibson_sim.trials.records import Outcome, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
 from gibson_sim.writing import write_file
 
-STACK, PHYSICS, RENDER, RECORD, TRIAL = "stack", "physics", "render", "record", "trial"
+PHYSICS, RENDER, RECORD, TRIAL = "physics", "render", "record", "trial"
 _NODES = (PHYSICS, RENDER, RECORD, TRIAL)
 _PERIOD_S = 0.02
 """Period in which the supervisor looks at everything, seconds of wall time."""
@@ -34,11 +34,8 @@ _PROGRESS_S = 0.5
 """Period of reports of progress, seconds of wall time."""
 _LAST_WORD_S = 1.5
 """Wall time that the trial node has to tell what a stack told before it ended, seconds."""
-_GRACE_S = ((signal.SIGINT, 10.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
-_STACK_GRACE_S = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
-"""Signals that end our nodes, and a stack, and the wall time after which the next one is sent, seconds."""
-_CHUNK = 1 << 20
-"""Bytes of output that are read at once."""
+_GOOD_ENDS = ("reached", "gave up", "time limit")
+"""Ends after which a stack can be kept; after others it is started anew."""
 JOB = "job"
 """Folder in that of the run with files between the nodes; it goes with the run."""
 
@@ -66,21 +63,18 @@ def execute(
         GibsonSimError: the stack or a setting cannot be used, or no domain is free; nothing was started.
     """
     check_stack(scenario.stack)
-    job = folder / JOB
-    settings = node_settings(scenario, run, folder, job)
-    base = node_environment(reach="local")
-    base.pop("ROS_DOMAIN_ID", None)
+    settings = node_settings(scenario, run, folder, folder / JOB)
     prepare_folder(run, folder)
-    domain, lock = lock_free_domain(domains)
+    kept = scenario.stack.restart == "never"
+    session = SESSIONS.acquire(scenario.stack, domains) if kept else Session(scenario.stack, domains)
     try:
-        server = SERVERS.acquire(base)
-        try:
-            outcome = _Run(scenario, run, folder, settings, domain, server, on_progress, stop).execute()
-        finally:
-            SERVERS.release(base, server)
+        outcome = _Run(scenario, run, folder, settings, session, on_progress, stop).execute()
     finally:
-        lock.close()
-        shutil.rmtree(job, ignore_errors=True)
+        if kept:
+            SESSIONS.release(session)
+        else:
+            session.close()
+        shutil.rmtree(folder / JOB, ignore_errors=True)
     write_file(folder / "outcome.json", json.dumps(outcome.to_json(), indent=1) + "\n", durable=False)
     return outcome
 
@@ -101,17 +95,15 @@ class _Run:
     """The processes of one run."""
 
     def __init__(
-        self, scenario: Scenario, run: RunSpec, folder: Path, settings: NodeSettings, domain: int, server: NodeServer,
+        self, scenario: Scenario, run: RunSpec, folder: Path, settings: NodeSettings, session: Session,
         on_progress: Callable[[str], None], stop: Callable[[], bool],
     ) -> None:  # fmt: skip
         self._scenario, self._folder, self._job, self._settings = scenario, folder, folder / JOB, settings
-        self._domain, self._server, self._on_progress, self._stop = domain, server, on_progress, stop
-        self._marker = uuid.uuid4().hex
-        self._plan = TrialPlan.of(scenario, run, self._marker)
+        self._session, self._server, self._on_progress, self._stop = session, session.server, on_progress, stop
+        self._plan = TrialPlan.of(scenario, run, session.marker, kept=session.has_stack)
         self._began_s = self._progress_s = time.monotonic()
         self._log = StackLog(folder / "stack.log")
-        self._output = -1
-        self._killed = False
+        self._keeps_stack = False
         self._stack_code: int | None = None
 
     def execute(self) -> Outcome:
@@ -120,6 +112,7 @@ class _Run:
             self._start()
             ending = self._watch()
             decided_s = time.monotonic()
+            self._keeps_stack = self._scenario.stack.restart == "never" and ending.end in _GOOD_ENDS
         finally:
             self._end()
         return self._outcome(ending, decided_s)
@@ -127,23 +120,17 @@ class _Run:
     # Start
 
     def _start(self) -> None:
+        self._server.ended.clear()
         write_file(self._job / PLAN, self._plan.to_json(), durable=False)
         self._start_node(PHYSICS, self._settings.physics)
         self._start_node(TRIAL, self._settings.trial)
         self._start_node(RECORD, self._settings.record)
         if self._scenario.record.images != "none":
             self._start_node(RENDER, self._settings.render)
-        self._output, write_end = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
-        os.set_blocking(write_end, True)
-        stack = self._scenario.stack
-        environment = stack_environment(stack, self._domain, self._marker, os.environ)
-        try:
-            self._server.start_program(STACK, stack.command, stack.folder.absolute(), environment, MARKER, write_end)
-        finally:
-            os.close(write_end)
+        self._session.start_stack()
 
     def _start_node(self, name: str, config: Any) -> None:
-        environment = {"ROS_DOMAIN_ID": str(self._domain), VARIABLE: f"-1:{self._job}"}
+        environment = {"ROS_DOMAIN_ID": str(self._session.domain), VARIABLE: f"-1:{self._job}"}
         output = os.open(self._log_of(name), os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC)
         try:
             self._server.start_node(name, f"{name}_node", config, environment, output)
@@ -205,10 +192,7 @@ class _Run:
     def _look(self, wait_s: float = _PERIOD_S) -> None:
         """Reads what the stack writes, and which processes ended; waits if there is nothing."""
         self._server.poll()
-        try:
-            data = os.read(self._output, _CHUNK)
-        except BlockingIOError:
-            data = b""
+        data = self._session.read()
         self._log.write(data)
         if not data:
             time.sleep(wait_s)
@@ -233,45 +217,18 @@ class _Run:
         try:
             # First the trial node, whose report tells how far the run came; then all others at once: time stands still.
             if not self._report().end:
-                self._end_processes([TRIAL])
-            self._end_processes([PHYSICS, RENDER, RECORD, STACK])
+                self._session.end_processes([TRIAL], self._look)
+            self._session.end_processes([PHYSICS, RENDER, RECORD, *([] if self._keeps_stack else [STACK])], self._look)
             self._wait(lambda: TRIAL not in self._server.running, _LAST_WORD_S)
-            self._end_processes([TRIAL])
-            end_marked(MARKER, self._marker)
-            if self._output >= 0:
-                self._drain()
-        finally:
-            if self._output >= 0:
-                os.close(self._output)
-            self._log.close()
-            remove_dead_segments(wait=self._killed)
-            self._write_simulation_log()
-
-    def _end_processes(self, names: Sequence[str]) -> None:
-        """Ends processes, all at once, each by one signal after the other."""
-        began_s, sent = time.monotonic(), dict.fromkeys(names, 0)
-        due_s = dict.fromkeys(names, 0.0)
-        """Name -> when the next signal is due, seconds after the first."""
-        while left := [name for name in names if name in self._server.running]:
-            waited_s = time.monotonic() - began_s
-            for name in left:
-                steps = _STACK_GRACE_S if name == STACK else _GRACE_S
-                if waited_s >= due_s[name] and sent[name] < len(steps):
-                    number, seconds = steps[sent[name]]
-                    self._server.signal(name, number)
-                    self._killed = self._killed or number == signal.SIGKILL
-                    sent[name], due_s[name] = sent[name] + 1, waited_s + seconds
-            if all(sent[name] == 3 and waited_s >= due_s[name] for name in left):
-                return  # not even SIGKILL ends a process that waits for a broken disk
-            self._look()
-
-    def _drain(self) -> None:
-        """Reads the last output of the stack."""
-        try:
-            while data := os.read(self._output, _CHUNK):
+            self._session.end_processes([TRIAL], self._look)
+            if not self._keeps_stack:
+                self._session.end_leftovers()
+            while data := self._session.read():
                 self._log.write(data)
-        except BlockingIOError:
-            return
+        finally:
+            self._log.close()
+            remove_dead_segments(wait=self._session.killed)
+            self._write_simulation_log()
 
     def _write_simulation_log(self) -> None:
         parts = [f"{name:8} | {line}\n" for name in _NODES for line in self._written_by(name).splitlines()]

@@ -1,0 +1,175 @@
+"""What outlives a run whose stack is kept: the ROS domain, the node server, and the stack's processes and output."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+
+from gibson_sim.standard.environment import node_environment
+from gibson_sim.standard.leftovers import end_marked
+from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.trials.execution.domains import lock_free_domain
+from gibson_sim.trials.execution.node_server import SERVERS
+from gibson_sim.trials.execution.node_settings import stack_environment
+from gibson_sim.trials.execution.plan import MARKER
+from gibson_sim.trials.scenario_spec import StackSpec
+
+STACK = "stack"
+"""Name of the stack's process in the node server."""
+NODE_GRACE_S = ((signal.SIGINT, 10.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
+STACK_GRACE_S = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0))
+"""Signals that end our nodes, and a stack, and the wall time after which the next one is sent, seconds."""
+_PERIOD_S = 0.02
+"""Period of looking at processes that end, seconds of wall time."""
+_CHUNK = 1 << 20
+"""Bytes of output that are read at once."""
+
+
+class Session:
+    """A ROS domain with a stack."""
+
+    def __init__(self, stack: StackSpec, domains: Sequence[int]) -> None:
+        """Takes a free domain; the stack is started by ``start_stack``.
+
+        Raises:
+            GibsonSimError: no domain is free, or the nodes cannot work in this environment.
+        """
+        self.stack, self._domains = stack, tuple(domains)
+        self.marker = uuid.uuid4().hex
+        """Value of the variable ``MARKER`` of the stack's processes."""
+        self.killed = False
+        """Whether a process had to be killed, whose shared memory stays."""
+        self._output = -1
+        base = node_environment(reach="local")
+        base.pop("ROS_DOMAIN_ID", None)
+        self._base = base
+        self.domain, self._lock = lock_free_domain(domains)
+        """ROS domain."""
+        try:
+            self.server = SERVERS.acquire(base)
+            """Starts the processes."""
+        except BaseException:
+            self._lock.close()
+            raise
+
+    @property
+    def has_stack(self) -> bool:
+        """Whether the stack runs."""
+        return STACK in self.server.running
+
+    def fits(self, stack: StackSpec, domains: Sequence[int]) -> bool:
+        """Returns whether the session can serve runs of this stack."""
+        return (self.stack, self._domains) == (stack, tuple(domains)) and self.server.is_alive
+
+    def start_stack(self) -> None:
+        """Starts the stack, if it does not run."""
+        if self.has_stack:
+            return
+        self._close_output()
+        self._output, write_end = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
+        os.set_blocking(write_end, True)
+        environment = stack_environment(self.stack, self.domain, self.marker, os.environ)
+        try:
+            self.server.start_program(STACK, self.stack.command, self.stack.folder.absolute(), environment, MARKER, write_end)
+        finally:
+            os.close(write_end)
+
+    def read(self) -> bytes:
+        """Returns output of the stack; empty = there is none at the moment."""
+        try:
+            return os.read(self._output, _CHUNK) if self._output >= 0 else b""
+        except BlockingIOError:
+            return b""
+
+    def end_processes(self, names: Sequence[str], look: Callable[[], None]) -> None:
+        """Ends processes of the node server, all at once, each by one signal after the other.
+
+        Args:
+            names: of the processes.
+            look: is called again and again meanwhile; polls the server and reads the output, and waits a little.
+        """
+        began_s, sent, due_s = time.monotonic(), dict.fromkeys(names, 0), dict.fromkeys(names, 0.0)
+        while left := [name for name in names if name in self.server.running]:
+            waited_s = time.monotonic() - began_s
+            for name in left:
+                steps = STACK_GRACE_S if name == STACK else NODE_GRACE_S
+                if waited_s >= due_s[name] and sent[name] < len(steps):
+                    number, seconds = steps[sent[name]]
+                    self.server.signal(name, number)
+                    self.killed |= number == signal.SIGKILL
+                    sent[name], due_s[name] = sent[name] + 1, waited_s + seconds
+            if all(sent[name] == len(NODE_GRACE_S) and waited_s >= due_s[name] for name in left):
+                return  # not even SIGKILL ends a process that waits for a broken disk
+            look()
+
+    def end_leftovers(self) -> None:
+        """Ends what is left of the stack, wherever its processes went."""
+        end_marked(MARKER, self.marker)
+
+    def close(self) -> None:
+        """Ends the stack, and frees the domain."""
+        try:
+            self.end_processes([STACK], self._look)
+            self.end_leftovers()
+            SERVERS.release(self._base, self.server)
+            remove_dead_segments(wait=self.killed)
+        finally:
+            self._close_output()
+            self._lock.close()
+
+    def _look(self) -> None:
+        self.server.poll()
+        if not self.read():
+            time.sleep(_PERIOD_S)
+
+    def _close_output(self) -> None:
+        if self._output >= 0:
+            os.close(self._output)
+            self._output = -1
+
+
+class SessionPool:
+    """The sessions of this process whose stacks are kept; each serves one run at a time."""
+
+    def __init__(self) -> None:
+        self._idle: list[Session] = []
+        self._mutex, self._owner = threading.Lock(), os.getpid()
+
+    def acquire(self, stack: StackSpec, domains: Sequence[int]) -> Session:
+        """Returns a session for a stack."""
+        with self._mutex:
+            if self._owner != os.getpid():  # the sessions are those of the process that this one was forked from
+                self._owner = os.getpid()
+                self._idle.clear()
+            for number, session in enumerate(self._idle):
+                session.server.poll()
+                if session.fits(stack, domains):
+                    return self._idle.pop(number)
+        return Session(stack, domains)
+
+    def release(self, session: Session) -> None:
+        """Keeps a session for the next run; others of before are ended."""
+        with self._mutex:
+            others, self._idle = self._idle, [session]
+        for other in others:
+            if other.stack == session.stack:
+                self._idle.append(other)
+            else:
+                other.close()
+
+    def close(self) -> None:
+        """Ends all sessions that serve no run."""
+        with self._mutex:
+            found, self._idle = self._idle if self._owner == os.getpid() else [], []
+        for session in found:
+            session.close()
+
+
+SESSIONS = SessionPool()
+"""Sessions of this process; they end with it."""
+atexit.register(SESSIONS.close)
