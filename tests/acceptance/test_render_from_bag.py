@@ -32,7 +32,7 @@ from gibson_sim.errors import ConfigError, SceneNotFoundError  # noqa: E402
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
 from gibson_sim.render.renderer import Renderer  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
-from gibson_sim.ros.nodes.render_bag import render_bag  # noqa: E402
+from gibson_sim.ros.recording.render_bag import render_bag  # noqa: E402
 from gibson_sim.ros.wire.exact_bytes import exact_bytes  # noqa: E402
 from gibson_sim.ros.wire.fast_publish import image_to_bytes  # noqa: E402
 from gibson_sim.ros.wire.message_types import type_name_of  # noqa: E402

@@ -14,7 +14,7 @@ from gibson_sim.bags.rerender import CameraSchedule, SceneTopics, scene_topics, 
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError, RobotError
 from gibson_sim.robots.loading.cameras import load_cameras
-from gibson_sim.ros.nodes.render_bag import definitions_of, offered_qos
+from gibson_sim.ros.recording.render_bag import definitions_of, offered_qos
 from gibson_sim.sensors.schedule import is_due
 from gibson_sim.types import CameraSpec, SceneState
 

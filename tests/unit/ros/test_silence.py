@@ -14,7 +14,7 @@ from rclpy.task import Future  # noqa: E402
 from simulation_interfaces.msg import SimulationState  # noqa: E402
 from simulation_interfaces.srv import GetSimulationState  # noqa: E402
 
-from gibson_sim.ros.nodes.silence import SilenceNotice  # noqa: E402
+from gibson_sim.ros.topics.silence import SilenceNotice  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

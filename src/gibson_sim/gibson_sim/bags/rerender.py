@@ -1,6 +1,6 @@
 """Plans the drawing of a recorded run: the topics to read and to copy, the states to draw, and the cameras due at each. Pure.
 
-``gibson_sim.ros.nodes.render_bag`` draws and writes.
+``gibson_sim.ros.recording.render_bag`` draws and writes.
 """
 
 from __future__ import annotations

@@ -25,10 +25,10 @@ from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.nodes.params import config_from_parameters
-from gibson_sim.ros.nodes.silence import SilenceNotice
 from gibson_sim.ros.nodes.wait_for_simulation import WaitCondition
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import wait_until_acknowledged
+from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
 

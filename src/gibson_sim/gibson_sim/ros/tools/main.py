@@ -24,10 +24,10 @@ from gibson_sim.errors import GibsonSimError, TextError
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
-from gibson_sim.ros.nodes.silence import SilenceNotice
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
 from gibson_sim.ros.tools.hints import missing_service, no_simulation, simulation_runs, suggestion, type_and_values
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
+from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.types import NS_PER_S
 

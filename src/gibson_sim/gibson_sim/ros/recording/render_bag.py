@@ -1,6 +1,6 @@
 """Renders a recorded run again from its recorded states, without physics and without DDS: ``gibson-sim render``.
 
-It is a separate program with its settings as JSON: ``python -m gibson_sim.ros.nodes.render_bag '{"bag": {...}, "render": {...}}'``.
+It is a separate program with its settings as JSON: ``python -m gibson_sim.ros.recording.render_bag '{"bag": {...}, "render": {...}}'``.
 Topics, types, quality of service and stamps are those of the render node. It uses message types, but never ``rclpy.init``.
 """
 

@@ -11,7 +11,7 @@ from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
 from gibson_sim.errors import RecordError
 from gibson_sim.ros.nodes.node_main import keep_large_blocks
-from gibson_sim.ros.nodes.render_bag import render_bag
+from gibson_sim.ros.recording.render_bag import render_bag
 
 if TYPE_CHECKING:
     from gibson_sim.jobs.units import Context
