@@ -2,12 +2,17 @@
 
 Guarantees: every call goes to its own client; poses are those of URDF LINK FRAMES and velocities those of their origins (PyBullet's are those of
 centres of mass); quaternions are (x, y, z, w); nothing is written to the terminal. Not thread-safe: one owner thread for each client.
+
+What Bullet keeps from one step to the next outlives the bodies it is about: the shape of its trees of bounding boxes, how far it got in optimising
+them and in dropping pairs that have parted. That decides the order in which contacts are solved, so bodies that are removed and added again move a
+little differently. Only ``reset``, which begins with an empty engine, makes a second run equal to the first.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -18,7 +23,7 @@ from gibson_sim.description.mimic import Mimic
 from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.active_bodies import ActiveBodies, SleepingBodies, count_solver_bodies
 from gibson_sim.physics.engine import pybullet as p, quiet
-from gibson_sim.physics.engine_files import EngineFiles, mesh_pieces
+from gibson_sim.physics.engine_files import EngineFiles, listed_for_ever, mesh_pieces
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
 from gibson_sim.physics.frames import cross, quat_product, rotate
 from gibson_sim.quoting import quoted
@@ -38,6 +43,18 @@ MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can ignore: each needs a bit of the 32-bit collision group, whose lowest six are Bullet's."""
 
 
+@dataclass(slots=True)
+class _Shape:
+    """A collision shape, and how it is made."""
+
+    name: str
+    """Name for error messages."""
+    arguments: dict[str, Any]
+    """Of ``createCollisionShape``."""
+    uid: int = -1
+    """The engine's number of it now."""
+
+
 class Bullet:
     """One private physics engine without a window."""
 
@@ -49,24 +66,44 @@ class Bullet:
         if self._client < 0:
             self._client = None
             raise PhysicsError("PyBullet gives no more clients; close worlds that are no longer used")
+        self._step_hz, self._gravity = step_hz, gravity
+        self._ray_threads = min(4, os.cpu_count() or 1)
+        self._shapes: list[_Shape] = []
+        """Shapes for static bodies; their numbers here are indices."""
+        self._placed: list[tuple[Sequence[int], Pose, str]] = []
+        """What ``add_static`` was called with."""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Sets up an engine that is empty."""
+        client = self.client
         self._names: dict[int, str] = {}
         """Engine number of a body -> its name."""
         self._static: set[int] = set()
         """Engine numbers of static shapes."""
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
-        self._ray_threads = min(4, os.cpu_count() or 1)
-        self._sleeping = SleepingBodies(self._client)
-        self.active_bodies = ActiveBodies(self._client)
+        self._sleeping = SleepingBodies(client)
+        self.active_bodies = ActiveBodies(client)
         """How many were active in the last steps."""
-        p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
-        p.setGravity(*gravity, physicsClientId=self._client)
+        p.setTimeStep(1.0 / self._step_hz, physicsClientId=client)
+        p.setGravity(*self._gravity, physicsClientId=client)
         p.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1,
             numSolverIterations=50,
             # Its key is the file name alone: within one client a changed file would keep its first shape.
             enableFileCaching=0,
-            physicsClientId=self._client,
+            physicsClientId=client,
         )
+
+    def reset(self) -> None:
+        """Removes all bodies and constraints; static shapes stay. What follows is bit-equal to what follows in a new engine with these shapes."""
+        with quiet():
+            p.resetSimulation(physicsClientId=self.client)
+        self._begin()
+        for shape in self._shapes:
+            shape.uid = self._made(shape)
+        for shapes, pose, name in self._placed:
+            self._place_static(shapes, pose, name)
 
     @property
     def client(self) -> int:
@@ -99,21 +136,19 @@ class Bullet:
 
     def plane_shape(self) -> list[int]:
         """Returns the infinite plane z = 0, facing up."""
-        return [self._checked(p.createCollisionShape(p.GEOM_PLANE, planeNormal=[0, 0, 1], physicsClientId=self.client), "plane")]
+        return [self._add_shape(_Shape("plane", {"shapeType": p.GEOM_PLANE, "planeNormal": [0, 0, 1]}))]
 
     def box_shape(self, size: Vec3) -> list[int]:
         """Returns a box with edges ``size``, metres."""
-        half = [edge / 2 for edge in size]
-        return [self._checked(p.createCollisionShape(p.GEOM_BOX, halfExtents=half, physicsClientId=self.client), "box")]
+        return [self._add_shape(_Shape("box", {"shapeType": p.GEOM_BOX, "halfExtents": [edge / 2 for edge in size]}))]
 
     def sphere_shape(self, radius: float) -> list[int]:
         """Returns a sphere."""
-        return [self._checked(p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=self.client), "sphere")]
+        return [self._add_shape(_Shape("sphere", {"shapeType": p.GEOM_SPHERE, "radius": radius}))]
 
     def cylinder_shape(self, radius: float, length: float) -> list[int]:
         """Returns a cylinder about z."""
-        uid = p.createCollisionShape(p.GEOM_CYLINDER, radius=radius, height=length, physicsClientId=self.client)
-        return [self._checked(uid, "cylinder")]
+        return [self._add_shape(_Shape("cylinder", {"shapeType": p.GEOM_CYLINDER, "radius": radius, "height": length}))]
 
     def mesh_shape(self, vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str) -> list[int]:
         """Returns a triangle mesh, hollow and with all its triangles, in as many pieces as PyBullet's limits require.
@@ -123,29 +158,34 @@ class Bullet:
             triangles: (T, 3) indices into ``vertices``.
             name: Name for error messages.
         """
+        flags = p.GEOM_FORCE_CONCAVE_TRIMESH | p.GEOM_CONCAVE_INTERNAL_EDGE
         shapes = []
         for points, corners in mesh_pieces(vertices, triangles):
-            with quiet():
-                uid = p.createCollisionShape(
-                    p.GEOM_MESH, vertices=points.tolist(), indices=corners.ravel().tolist(),
-                    flags=p.GEOM_FORCE_CONCAVE_TRIMESH | p.GEOM_CONCAVE_INTERNAL_EDGE, physicsClientId=self.client,
-                )  # fmt: skip
-            shapes.append(self._checked(uid, name))
+            mesh = {"vertices": listed_for_ever(points), "indices": listed_for_ever(corners.ravel())}
+            shapes.append(self._add_shape(_Shape(name, {"shapeType": p.GEOM_MESH, "flags": flags, **mesh})))
         return shapes
+
+    def engine_shape(self, shape: int) -> int:
+        """Returns the engine's number of a shape, until the next ``reset``."""
+        return self._shapes[shape].uid
 
     def add_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
         """Adds shapes to the world for good; a shape may be added many times."""
+        self._place_static(shapes, pose, name)
+        self._placed.append((shapes, pose, name))
+
+    def _place_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
         for shape in shapes:
             # Rigid bodies, not multi-bodies: Bullet visits every multi-body in every step, even static ones.
             uid = p.createMultiBody(
                 0,
-                shape,
+                self._shapes[shape].uid,
                 basePosition=pose.position,
                 baseOrientation=pose.quat_xyzw,
                 useMaximalCoordinates=1,
                 physicsClientId=self.client,
             )
-            self._names[self._checked(uid, "static body")] = name
+            self._names[_checked(uid, "static body")] = name
             self._static.add(uid)
             p.changeDynamics(
                 uid,
@@ -157,11 +197,15 @@ class Bullet:
                 physicsClientId=self.client,
             )
 
-    @staticmethod
-    def _checked(uid: int, what: str) -> int:
-        if uid < 0:
-            raise PhysicsError(f"PyBullet refused the collision shape of {what}")
-        return int(uid)
+    def _add_shape(self, shape: _Shape) -> int:
+        shape.uid = self._made(shape)
+        self._shapes.append(shape)
+        return len(self._shapes) - 1
+
+    def _made(self, shape: _Shape) -> int:
+        """Returns the engine's number of a new shape."""
+        with quiet():
+            return _checked(p.createCollisionShape(**shape.arguments, physicsClientId=self.client), shape.name)
 
     # Bodies with joints
 
@@ -368,3 +412,10 @@ class Bullet:
             )  # fmt: skip
             fractions.extend([hit[2] if hit[0] >= 0 else np.inf for hit in hits])
         return np.array(fractions, dtype=np.float64)
+
+
+def _checked(uid: int, what: str) -> int:
+    """Returns the engine's number of something new; PhysicsError if there is none."""
+    if uid < 0:
+        raise PhysicsError(f"PyBullet refused the collision shape of {what}")
+    return int(uid)

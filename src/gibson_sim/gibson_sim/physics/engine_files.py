@@ -19,6 +19,8 @@ _VERTEX_LIMIT = 131_000
 """Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
 """Triangles of one collision shape, for the same reason."""
+_LISTED: dict[bytes, list[Any]] = {}
+"""Digest of an array -> what it holds, of all meshes that were ever given to the engine."""
 
 
 class EngineFiles:
@@ -157,3 +159,15 @@ def mesh_pieces(
     half = len(order) // 2
     yield from mesh_pieces(vertices, triangles[order[:half]])
     yield from mesh_pieces(vertices, triangles[order[half:]])
+
+
+def listed_for_ever(array: NDArray[Any]) -> list[Any]:
+    """Returns an array as a list, the same one for equal arrays.
+
+    PyBullet keeps a reference to each vertex and index that ``createCollisionShape`` is given, for ever: with new lists, each new world and each
+    reset would cost their memory again.
+    """
+    key = hashlib.sha256(str((array.dtype, array.shape)).encode() + np.ascontiguousarray(array).tobytes()).digest()
+    if key not in _LISTED:
+        _LISTED[key] = array.tolist()
+    return _LISTED[key]

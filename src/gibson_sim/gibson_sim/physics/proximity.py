@@ -24,7 +24,7 @@ class Reach:
     def __init__(self, bullet: Bullet) -> None:
         self._bullet = bullet
         self._sphere: int | None = None
-        """Engine number of its shape; made when first needed."""
+        """The shape that stands for a point; made when first needed."""
 
     def movable_links(self, point: Vec3, others: Iterable[BodyInWorld], radius: float) -> list[Candidate]:
         """Returns the links that can move and whose surfaces are within ``radius`` metres of a point, each once.
@@ -36,7 +36,7 @@ class Reach:
         """
         client = self._bullet.client
         if self._sphere is None:
-            self._sphere = p.createCollisionShape(p.GEOM_SPHERE, radius=_RADIUS, physicsClientId=client)
+            (self._sphere,) = self._bullet.sphere_shape(_RADIUS)
         nearest: dict[tuple[str, str], float] = {}
         for other in others:
             # All of them, not only those whose bounding boxes overlap: the engine finds these in a step, and there may have been none.
@@ -44,7 +44,7 @@ class Reach:
                 other.engine_body.uid,
                 -1,
                 radius,
-                collisionShapeB=self._sphere,
+                collisionShapeB=self._bullet.engine_shape(self._sphere),
                 collisionShapePositionB=point,
                 physicsClientId=client,
             )

@@ -165,13 +165,22 @@ class PhysicsWorld:
         self._changed(robots=(*self.scene.robots, spec))
 
     def repopulate(self, robots: Iterable[RobotSpec], bodies: Iterable[BodySpec]) -> None:
-        """Removes all robots and bodies, and adds these in their order: equal order gives equal physics, whatever was there before.
+        """Removes all robots and bodies, and adds these in their order.
+
+        The engine begins anew: with the robots before the bodies, what follows is bit-equal to what follows in a new world of this scene, whatever
+        was there before. Bodies that are removed and added one by one leave traces, see ``bullet``.
 
         Raises:
             GibsonSimError: one of them cannot be added; those before it have been.
         """
+        self.attachments.detach_all()
+        self._bullet.reset()
         for name in self.names:
-            self.remove(name)
+            self.arms.remove(name)
+        self._robots.clear()
+        self._bodies.clear()
+        self._commanded.clear()
+        self._changed(robots=(), bodies=())
         specs: tuple[RobotSpec | BodySpec, ...] = (*robots, *bodies)
         for spec in specs:
             self.add(spec)
@@ -329,14 +338,14 @@ class PhysicsWorld:
     def reset(self, *, keep_time: bool = False) -> None:
         """Puts all robots and bodies back to where they started, at rest, with zero odometry and no command.
 
+        The engine begins anew: what follows is bit-equal to what follows in a new world of ``scene``.
+
         Args:
             keep_time: Let simulation time run on (many ROS nodes cannot handle a jump back); False = it is 0 again.
         """
-        # They are loaded again, not moved: contacts and impulses that Bullet caches would make the second run differ from the first.
         self.attachments.detach_all()
         self._commanded.clear()
-        for body in self._all():
-            self._bullet.remove(body.engine_body)
+        self._bullet.reset()
         for body in self._all():
             body.load(self._bullet)
         self.arms.reset()
