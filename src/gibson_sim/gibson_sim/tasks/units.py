@@ -1,7 +1,5 @@
-"""Episodes as units of work for ``jobs``.
-
-Each has a ``TaskRun`` of its own: what Bullet remembers of the pairs that came near each other in one episode changes how piles are pushed in
-the next one, and which episodes a process ran before must not matter.
+"""Episodes as units of work for ``jobs``: a worker process keeps its ``TaskRun`` from one episode to the next, which
+begins with an empty engine: no episode depends on those before it.
 """
 
 from __future__ import annotations
@@ -19,6 +17,8 @@ if TYPE_CHECKING:
 EPISODE = "gibson_sim.tasks.units:run_one"
 PICTURE = "end.png"
 """File of the unit with the end of the episode."""
+_KEPT: dict[tuple[str, str, str], TaskRun] = {}
+"""Task, scene and robot -> the run of this process, at most one."""
 
 
 def run_one(arguments: dict[str, Any], folder: Path, context: Context) -> dict[str, Any]:
@@ -32,10 +32,15 @@ def run_one(arguments: dict[str, Any], folder: Path, context: Context) -> dict[s
     scene, robot = (
         str(context.path(arguments[name])) if name in arguments["files"] else arguments[name] for name in ("scene", "robot")
     )
-    with TaskRun(task_of(arguments["task"]), scene=scene, robot=robot) as run:
-        metrics = run_episode(run, arguments["seed"], arguments["baseline"])
-        if arguments["picture"]:
-            picture_of(run, folder / PICTURE)
+    key = (arguments["task"], scene, robot)
+    if key not in _KEPT:
+        while _KEPT:
+            _KEPT.popitem()[1].close()
+        _KEPT[key] = TaskRun(task_of(arguments["task"]), scene=scene, robot=robot)
+    run = _KEPT[key]
+    metrics = run_episode(run, arguments["seed"], arguments["baseline"])
+    if arguments["picture"]:
+        picture_of(run, folder / PICTURE)
     return asdict(metrics)
 
 
