@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError
+from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE, RANGE_VARIABLE
-from gibson_sim.standard.domain_lock import DomainLock
 from support import strict
 from support.simulation import Listener, new_context, require
 

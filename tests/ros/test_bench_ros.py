@@ -14,7 +14,7 @@ from support.simulation import require
 require("rclpy", "gibson_msgs")
 
 from gibson_sim.cli.main import main  # noqa: E402
-from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
 from gibson_sim_bench.cli import ros as bench_ros  # noqa: E402
 from gibson_sim_bench.cli.ros import measure  # noqa: E402
 from gibson_sim_bench.reports.ros import report_text  # noqa: E402

@@ -22,8 +22,8 @@ from nav_msgs.msg import Odometry  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
+from gibson_sim.processes.node_process import PARENT_VARIABLE  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
-from gibson_sim.standard.node_process import PARENT_VARIABLE  # noqa: E402
 from support.clients import DEEP, LaunchedNode, step_of, steps_of  # noqa: E402
 from support.lockstep import NAME, Controller  # noqa: E402
 from support.robots import GIBSON_BOT, write_gibson_bot  # noqa: E402

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError
-from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock
 from support.simulation import PATIENCE_S, require, wait_until
 
 require("rclpy", "gibson_msgs")

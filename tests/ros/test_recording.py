@@ -35,10 +35,10 @@ from gibson_sim.bags.images.decode import raw_image  # noqa: E402
 from gibson_sim.bags.reader import BagReader, image_to_array  # noqa: E402
 from gibson_sim.bags.stamps import stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
+from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.processes.node_process import PARENT_VARIABLE  # noqa: E402
 from gibson_sim.ros.conversions import image_to_msg, time_to_msg  # noqa: E402
 from gibson_sim.ros.topics import qos  # noqa: E402
-from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
-from gibson_sim.standard.node_process import PARENT_VARIABLE  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
 
 pytestmark = pytest.mark.ros

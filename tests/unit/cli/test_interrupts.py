@@ -46,12 +46,12 @@ def test_a_command_that_is_interrupted_while_it_loads_is_silent(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("at", [1, 20, 200, 600])
-@pytest.mark.parametrize("module", ["physics_node", "render_bag"])
+@pytest.mark.parametrize("module", ["nodes.physics_node", "recording.render_bag"])
 def test_a_node_that_is_interrupted_while_it_loads_is_silent(tmp_path: Path, module: str, at: int) -> None:
     if importlib.util.find_spec("rclpy") is None:
         pytest.skip("SKIPPED: no rclpy in this Python; run `make setup`")
-    command = ["-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.nodes.{module}", "--ros-args"]
-    done = _interrupted(tmp_path, command, f"gibson_sim.ros.nodes.{module}", at)
+    command = ["-m", "gibson_sim.ros.nodes.start", f"gibson_sim.ros.{module}", "--ros-args"]
+    done = _interrupted(tmp_path, command, f"gibson_sim.ros.{module}", at)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 

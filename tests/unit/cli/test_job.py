@@ -12,7 +12,7 @@ import pytest
 from gibson_sim.cli import job as job_module
 from gibson_sim.cli.commands import run
 from gibson_sim.cli.job import Job, JobRun
-from gibson_sim.standard.job_folder import LOADED
+from gibson_sim.processes.job_folder import LOADED
 
 MEASURED = {"scene": "flat", "wall_time_s": 1.0, "real_time_factor": 1.0, "commands": 0, "refused_commands": 0}
 

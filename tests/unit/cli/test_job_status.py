@@ -11,7 +11,7 @@ import pytest
 
 from gibson_sim.cli.console import Console
 from gibson_sim.cli.job_status import Hints, JobStatus
-from gibson_sim.standard.job_folder import LOADED, PAGE, READY, STATUS
+from gibson_sim.processes.job_folder import LOADED, PAGE, READY, STATUS
 
 CAMERA = {"name": "camera", "outputs": ["rgb", "depth"], "width": 640, "height": 480, "rate_hz": 30.0}
 PLAYING = {"state": "playing", "real_time_factor": 0.987, "simulation_time_s": 12.345, "touches": {"robot": []}, "waits_for": ""}

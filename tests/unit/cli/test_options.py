@@ -11,7 +11,7 @@ from gibson_sim.cli.commands.params import markdown
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError
-from gibson_sim.standard.node_process import node_arguments
+from gibson_sim.processes.node_process import node_arguments
 
 
 def _parse(*argv: str) -> argparse.Namespace:

@@ -12,8 +12,8 @@ import pytest
 
 from gibson_sim.cli.environment import enclave_variables, in_wheels, node_environment
 from gibson_sim.errors import EnvironmentProblemError
-from gibson_sim.standard import shared_memory
-from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.processes import shared_memory
+from gibson_sim.processes.shared_memory import remove_dead_segments
 
 
 def test_dead_segments_are_removed_and_live_ones_stay(tmp_path: Path) -> None:

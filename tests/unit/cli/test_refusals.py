@@ -61,7 +61,7 @@ def test_unknown_names_are_refused_in_one_line_before_anything_starts(
     def start(*_: object, **__: object) -> None:
         pytest.fail("a process was started")
 
-    for place in ("gibson_sim.standard.node_process.subprocess.Popen", "gibson_sim.cli.processes.os.execve"):
+    for place in ("gibson_sim.processes.node_process.subprocess.Popen", "gibson_sim.cli.processes.os.execve"):
         monkeypatch.setattr(place, start)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
@@ -106,7 +106,7 @@ def test_a_world_that_is_no_xml_is_refused_by_the_launcher(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, data: bytes, said: str
 ) -> None:
     monkeypatch.setattr(
-        "gibson_sim.standard.node_process.subprocess.Popen", lambda *_, **__: pytest.fail("a process was started")
+        "gibson_sim.processes.node_process.subprocess.Popen", lambda *_, **__: pytest.fail("a process was started")
     )
     (tmp_path / name).write_bytes(data)
     with pytest.raises(SystemExit) as end:

@@ -16,9 +16,9 @@ import pytest
 
 from gibson_sim.errors import ConfigError, WriteError
 from gibson_sim.jobs import units as units_module
-from gibson_sim.jobs.descendants import VARIABLE, end_marked, marked, with_mark
 from gibson_sim.jobs.local import LocalWorkers, shares
 from gibson_sim.jobs.units import Unit, UnitResult, run_units
+from gibson_sim.processes.descendants import VARIABLE, end_marked, marked, with_mark
 from support.processes import is_running, wait_for_end
 
 TESTS = Path(__file__).resolve().parents[2]
@@ -182,7 +182,7 @@ def test_files_are_where_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     relative = Unit("relative", "support.work:read", {"path": "scene/../scene/scene.yaml"}, (Path("scene"),))
     found, refused, also = run_units([unit, other, relative], LocalWorkers(1), output=tmp_path / "out")
     assert found.value == also.value == ["scene.yaml", "name: hall", False]
-    assert refused.error == f"'{tmp_path}/elsewhere' is not among the unit's files: {tmp_path}/scene"
+    assert refused.error.endswith(f"elsewhere' is not among the unit's files: {tmp_path}/scene")
 
 
 def test_stop_ends_the_running_unit_and_begins_no_other(tmp_path: Path) -> None:

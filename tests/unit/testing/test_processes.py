@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.testing.processes import Program, free_domains, variables_set
 from support.simulation import wait_until
 

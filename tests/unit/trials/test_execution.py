@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError, ConfigError, EnvironmentProblemError
+from gibson_sim.processes import leftovers
+from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE
-from gibson_sim.standard import leftovers
-from gibson_sim.standard.domain_lock import DomainLock
 from gibson_sim.trials.execution import check_stack
 from gibson_sim.trials.execution.domains import lock_free_domain
 from gibson_sim.trials.execution.ending import how_it_ended, last_error, node_died, reported, stack_died

@@ -1,4 +1,4 @@
-"""The options of ROS domain and reach, and checks of what is installed; ``standard.environment`` makes the environment of nodes."""
+"""The options of ROS domain and reach, and checks of what is installed; ``processes.environment`` makes the environment of nodes."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import socket
 import sys
 
 from gibson_sim.errors import EnvironmentProblemError
-from gibson_sim.reach import REACHES
-from gibson_sim.standard.environment import (
+from gibson_sim.processes.environment import (
     RMW as RMW,
     domain_of as domain_of,
     enclave_variables as enclave_variables,
     in_wheels as in_wheels,
     node_environment as node_environment,
 )
+from gibson_sim.reach import REACHES
 
 
 def add_network(parser: argparse.ArgumentParser) -> None:

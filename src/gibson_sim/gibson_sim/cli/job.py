@@ -19,10 +19,10 @@ from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import NodeProcess, StopRequest
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
+from gibson_sim.processes.domain_lock import DomainLock
+from gibson_sim.processes.job_folder import LOADED, PAGE, JobFolder, read_note
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.reach import describe_reach
-from gibson_sim.standard.domain_lock import DomainLock
-from gibson_sim.standard.job_folder import LOADED, PAGE, JobFolder, read_note
-from gibson_sim.standard.shared_memory import remove_dead_segments
 from gibson_sim.writing import write_file
 
 MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0

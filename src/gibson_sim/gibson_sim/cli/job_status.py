@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.standard.job_folder import LOADED, PAGE, READY, STATUS, read_note
+from gibson_sim.processes.job_folder import LOADED, PAGE, READY, STATUS, read_note
 
 PERIOD_S = 10.0
 """Wall time between two lines where no terminal rewrites one, seconds."""

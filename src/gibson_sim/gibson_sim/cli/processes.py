@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from gibson_sim.cli.console import CONSOLE, Console
 from gibson_sim.cli.environment import enclave_variables
 from gibson_sim.interrupts import held_back
-from gibson_sim.standard.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
+from gibson_sim.processes.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
 
 _ERROR = re.compile(
     r"""(?:error:\ |\[?(?:ERROR|FATAL)\]?[:\ ]+(?:\[[^]]*\][:\ ]*)*)(?P<error>.+)  # of ours; of rclpy and logging

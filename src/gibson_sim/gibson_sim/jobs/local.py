@@ -20,8 +20,8 @@ from uuid import uuid4
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.interrupts import held_back
-from gibson_sim.jobs.descendants import Janitor, end_marked, with_mark
 from gibson_sim.jobs.units import LOG_SUFFIX, REPEATS, Unit, UnitResult
+from gibson_sim.processes.descendants import Janitor, end_marked, with_mark
 from gibson_sim.writing import cannot_write, write_file
 
 MAX_WORKERS = 256

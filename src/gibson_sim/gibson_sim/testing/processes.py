@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import IO
 
 from gibson_sim.errors import AlreadyRunningError, ConfigError, GibsonSimError
+from gibson_sim.processes.domain_lock import DomainLock
+from gibson_sim.processes.job_folder import VARIABLE
+from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.quoting import quoted
-from gibson_sim.standard.domain_lock import DomainLock
-from gibson_sim.standard.job_folder import VARIABLE
-from gibson_sim.standard.node_process import PARENT_VARIABLE
 from gibson_sim.testing.contained_process import contained
 from gibson_sim.testing.settings import PARTICIPANT, SimulationSettings
 

@@ -15,7 +15,7 @@ from typing import Any
 from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
-from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, conversation, process, role
 from gibson_sim_bench.lockstep import (

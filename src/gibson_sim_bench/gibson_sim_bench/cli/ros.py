@@ -14,8 +14,8 @@ from typing import Any
 
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
 from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_json
-from gibson_sim.standard.domain_lock import DomainLock
-from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.processes.domain_lock import DomainLock
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, process, role
 from gibson_sim_bench.protocol import write_changed_robot

@@ -14,8 +14,8 @@ from typing import Any
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.resources import cache_folder
-from gibson_sim.standard.shared_memory import remove_dead_segments
 from gibson_sim_bench.cli.processes import CAMERA, answer, process
 
 START_S = 120.0

@@ -17,7 +17,7 @@ import numpy as np
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, require_device, tell, write_json
-from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.types import OUTPUTS
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, conversation, process, role
 from gibson_sim_bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Table1Plan, write_robot

@@ -12,7 +12,7 @@ from gibson_sim.cli.ports import check_port
 from gibson_sim.cli.processes import become
 from gibson_sim.client_config import DRIVES, DriveConfig, FoxgloveConfig, RecordConfig, SnapshotConfig, WebConfig
 from gibson_sim.errors import ConfigError
-from gibson_sim.standard.node_process import node_arguments
+from gibson_sim.processes.node_process import node_arguments
 
 
 def add_parser(subparsers: Any) -> None:

@@ -21,8 +21,8 @@ from gibson_sim.cli.parser import Parser
 from gibson_sim.cli.registry import COMMANDS, command_modules, scene_command_modules
 from gibson_sim.client_config import DRIVES
 from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.processes.node_process import command_of
 from gibson_sim.resources import cache_folder, known_objects, list_robots, list_scenes
-from gibson_sim.standard.node_process import command_of
 from gibson_sim.writing import write_file
 
 SHELLS = ("bash", "zsh", "fish")

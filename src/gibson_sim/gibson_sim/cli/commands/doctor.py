@@ -21,9 +21,9 @@ from typing import Any, Literal
 from gibson_sim import __version__
 from gibson_sim.cli.environment import domain_of, in_wheels, node_environment
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
+from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE, SUBNET, describe_reach, is_local, profile_of, reach_of
 from gibson_sim.resources import known_scenes
-from gibson_sim.standard.domain_lock import DomainLock
 
 Status = Literal["ok", "warn", "FAIL"]
 TIMEOUT_S = 60.0

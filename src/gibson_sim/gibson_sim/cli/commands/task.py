@@ -16,7 +16,7 @@ from gibson_sim.cli.report_file import write_json
 from gibson_sim.cli.workers import add_workers, backend_of, files_of
 from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.standard.node_process import node_arguments
+from gibson_sim.processes.node_process import node_arguments
 from gibson_sim.writing import write_file
 
 if TYPE_CHECKING:
@@ -106,14 +106,13 @@ def _run_here(config: TaskConfig, pictures: Path | None, show: Callable[[Metrics
     from gibson_sim.tasks.run import TaskRun, run_episode
     from gibson_sim.tasks.units import picture_of
 
-    for seed in range(config.seed, config.seed + config.episodes):
-        # A run of its own for each, see tasks/units.py.
-        with TaskRun(task_of(config.task), scene=config.scene, robot=config.robot) as there:
+    with TaskRun(task_of(config.task), scene=config.scene, robot=config.robot) as there:
+        for seed in range(config.seed, config.seed + config.episodes):
             metrics = run_episode(there, seed, config.baseline)
             picture = _picture(pictures, config.task, seed)
             if picture is not None:
                 picture_of(there, picture)
-        show(metrics, picture)
+            show(metrics, picture)
 
 
 def _run_over(backend: Backend, config: TaskConfig, pictures: Path | None, show: Callable[[Metrics, Path | None], None]) -> None:

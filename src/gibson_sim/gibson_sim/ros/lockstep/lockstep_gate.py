@@ -15,13 +15,13 @@ from gibson_msgs.msg import TickDone
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import LockstepError
+from gibson_sim.processes.job_folder import STATUS, note_of_job
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.answer_subscriptions import AnswerSubscriptions
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.topics.stamped_commands import StampedCommands
-from gibson_sim.standard.job_folder import STATUS, note_of_job
 from gibson_sim.standard.lockstep import CAMERAS, Lockstep, Participant, parse_participants
 from gibson_sim.types import NS_PER_S
 

@@ -32,8 +32,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.interrupts import Interruptible
+from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.quoting import clipped
-from gibson_sim.standard.node_process import PARENT_VARIABLE
 from gibson_sim.writing import cannot_write, is_of_the_disk, write_file
 
 logger = logging.getLogger(__name__)

@@ -19,6 +19,7 @@ from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.maps.placement import populate
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.processes.job_folder import LOADED, PAGE, READY, note_in_job, note_of_job
 from gibson_sim.resources import find_config
 from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
 from gibson_sim.ros.lockstep.image_gate import ImageGate
@@ -40,7 +41,6 @@ from gibson_sim.ros.topics.stamped_commands import StampedCommands
 from gibson_sim.ros.topics.tick_publisher import TickPublisher
 from gibson_sim.ros.topics.world_interface import WorldInterface
 from gibson_sim.scenes.randomise import load_rules
-from gibson_sim.standard.job_folder import LOADED, PAGE, READY, note_in_job, note_of_job
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S

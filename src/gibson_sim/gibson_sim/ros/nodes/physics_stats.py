@@ -12,6 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from gibson_sim.config import PhysicsConfig
+from gibson_sim.processes.job_folder import STATUS, note_in_job
 from gibson_sim.ros import conversions
 from gibson_sim.ros.lockstep.journal import Journal
 from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
@@ -19,7 +20,6 @@ from gibson_sim.ros.lockstep.pacing import Pacer
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.robot_interface import RobotInterface
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.standard.job_folder import STATUS, note_in_job
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S, CameraSpec
@@ -127,7 +127,7 @@ class PhysicsStats:
 
 
 def loaded_note(scene: SceneSpec, cameras: Iterable[CameraSpec]) -> str:
-    """Returns the text of the note ``LOADED``, see ``gibson_sim.standard.job_folder``."""
+    """Returns the text of the note ``LOADED``, see ``gibson_sim.processes.job_folder``."""
     robots = [{"name": robot.name, "model": robot.urdf.stem, "drives": robot.drive is not None} for robot in scene.robots]
     drawn = [{"name": c.name, "outputs": c.outputs, "width": c.width, "height": c.height, "rate_hz": c.rate_hz} for c in cameras]
     return json.dumps({"scene": scene.name, "robots": robots, "cameras": drawn})

@@ -16,6 +16,7 @@ from gibson_sim.config import RenderConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.geometry.transforms import Mat4, invert
+from gibson_sim.processes.job_folder import STATUS, note_in_job
 from gibson_sim.quoting import quoted
 from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
@@ -33,7 +34,6 @@ from gibson_sim.ros.topics.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.sensors.frame_history import FrameHistory
-from gibson_sim.standard.job_folder import STATUS, note_in_job
 from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import Frame, SceneState as State
 

@@ -8,9 +8,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from gibson_sim.errors import AlreadyRunningError
+from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.ros.nodes.node_main import started_by_launcher
 from gibson_sim.ros.topics import names
-from gibson_sim.standard.domain_lock import DomainLock
 
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
 """Wall time in which a new DDS participant discovers the others, s: usually, and on a busy machine."""

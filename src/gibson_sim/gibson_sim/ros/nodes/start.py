@@ -17,7 +17,7 @@ from gibson_sim.errors import missing_package
 def run(module: str) -> None:
     """Runs ``main`` of a module, which reads the command line from ``sys.argv``."""
     interrupts.end_silently()
-    from gibson_sim.standard.job_folder import leave_job
+    from gibson_sim.processes.job_folder import leave_job
 
     try:
         main: Any = import_module(module).main

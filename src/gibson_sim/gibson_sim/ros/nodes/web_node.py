@@ -26,6 +26,7 @@ from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.client_config import WebConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.processes.job_folder import PAGE, note_in_job
 from gibson_sim.quoting import quoted
 from gibson_sim.ros.client.requests import STATES
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node, started_by_launcher
@@ -41,7 +42,6 @@ from gibson_sim.ros.web.simulation_client import SimulationClient
 from gibson_sim.ros.web.task_view import TaskView
 from gibson_sim.ros.web.transform_tree import TransformTree
 from gibson_sim.ros.web.video_subscriptions import VideoSubscriptions, image_topics, label_of
-from gibson_sim.standard.job_folder import PAGE, note_in_job
 from gibson_sim.types import NS_PER_S, Pose
 from gibson_sim.web.curves import CurveName
 from gibson_sim.web.pages import Answer

@@ -14,8 +14,8 @@ from typing import Any
 
 from gibson_sim.bags.storage import RESERVE_FILE
 from gibson_sim.client_config import RecordConfig, TaskConfig
-from gibson_sim.standard.job_folder import VARIABLE as JOB_VARIABLE
-from gibson_sim.standard.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
+from gibson_sim.processes.job_folder import VARIABLE as JOB_VARIABLE
+from gibson_sim.processes.node_process import PARENT_VARIABLE, command_of, end_node, node_arguments, start_node
 
 RECORDINGS = Path("out/web")
 """Folder of all recordings that pages start, below the folder in which the server was started."""

@@ -1,7 +1,7 @@
 """One run of a trial: a simulation and the stack under test in a ROS domain of their own, watched, ended, and nothing left behind.
 
 ``supervisor`` starts and ends the processes; the rules by which a run ends are in ``monitor``, for the trial node
-(``ros/nodes/trial_node.py``), which speaks to the stack.
+(``ros/trials/trial_node.py``), which speaks to the stack.
 """
 
 from gibson_sim.trials.execution.node_settings import check_stack

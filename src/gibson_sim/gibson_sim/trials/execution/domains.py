@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 
 from gibson_sim.errors import AlreadyRunningError
-from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock
 
 DOMAINS = range(1, 102)
 """ROS domains whose ports lie below the range from which the kernel takes those of other connections."""

@@ -1,4 +1,4 @@
-"""The supervisor's end of the node server (``ros/nodes/node_server.py``), which starts the processes of a run, and outlives runs."""
+"""The supervisor's end of the node server (``ros/trials/node_server.py``), which starts the processes of a run, and outlives runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.interrupts import held_back
-from gibson_sim.standard.node_process import command_of, node_arguments
+from gibson_sim.processes.node_process import command_of, node_arguments
 
 SOCKET_VARIABLE = "GIBSON_SIM_NODE_SERVER"
 """Environment variable of the server with the number of the socket that it inherits."""

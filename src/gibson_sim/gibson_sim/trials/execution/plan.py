@@ -8,11 +8,14 @@ from typing import Any
 
 from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.scenario_spec import GoalInterface, InitialPose, Limits, Reached, Ready, Scenario, Status
+from gibson_sim.types import NS_PER_S
 
 PLAN, REPORT, PROGRESS, IMAGES = "plan.json", "trial.json", "progress", "images"
 """Files in the folder of the job: for the trial node; its report; how far the run is, as text; that images have subscribers, empty."""
 MARKER = "GIBSON_SIM_TRIAL"
 """Environment variable of a stack and of all processes that it starts: a text that no other run has."""
+KEPT_NS = NS_PER_S // 2
+"""Simulation time in which a stack that was kept over runs notices that time began again, ns."""
 TASK_GOAL = "task/goal"
 """Topic of the goal where it is given as for tasks."""
 
@@ -33,6 +36,8 @@ class TrialPlan:
     """Topics of the rules of lockstep, on which the stack answers."""
     marker: str = ""
     """Value of the variable ``MARKER`` of the stack's processes; empty = they have none."""
+    goal_from_ns: int = 0
+    """Stamp before which neither initial pose nor goal are given, ns."""
 
     @classmethod
     def of(cls, scenario: Scenario, run: RunSpec, marker: str = "", *, kept: bool = False) -> TrialPlan:
@@ -50,6 +55,7 @@ class TrialPlan:
             bool(stack.lockstep),
             answers,
             marker,
+            KEPT_NS if kept else 0,
         )
 
     def to_json(self) -> str:
@@ -71,6 +77,7 @@ class TrialPlan:
             values["lockstep"],
             tuple(values["answers"]),
             values["marker"],
+            values["goal_from_ns"],
         )
 
     @property

@@ -10,9 +10,9 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 
-from gibson_sim.standard.environment import node_environment
-from gibson_sim.standard.leftovers import end_marked
-from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.processes.environment import node_environment
+from gibson_sim.processes.leftovers import end_marked
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import lock_free_domain
 from gibson_sim.trials.execution.node_server import SERVERS
 from gibson_sim.trials.execution.node_settings import stack_environment

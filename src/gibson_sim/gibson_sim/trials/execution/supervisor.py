@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.standard.job_folder import LOADED, VARIABLE, read_note
-from gibson_sim.standard.shared_memory import remove_dead_segments
+from gibson_sim.processes.job_folder import LOADED, VARIABLE, read_note
+from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import DOMAINS
 from gibson_sim.trials.execution.ending import Ending, node_died, reported, stack_died
 from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings

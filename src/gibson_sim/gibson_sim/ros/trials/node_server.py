@@ -25,13 +25,13 @@ from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError, RecordError
 from gibson_sim.maps.placement import populate
+from gibson_sim.processes.leftovers import end_marked
+from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
-from gibson_sim.standard.leftovers import end_marked
-from gibson_sim.standard.node_process import PARENT_VARIABLE
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.trials.execution.node_server import SOCKET_VARIABLE
 
-PRELOADED = ("physics_node", "record_node", "trial_node")
+PRELOADED = ("nodes.physics_node", "nodes.record_node", "trials.trial_node")
 """Modules of nodes whose imports every fork has."""
 _SCENE = "arena"
 """A small scene, with which the physics engine is loaded."""
@@ -226,7 +226,7 @@ def _run_node(module: str, arguments: list[str]) -> NoReturn:
 def _load() -> None:
     """Loads what nodes load later than their modules: the engine's compiled loops, support for message types, their definitions."""
     for name in PRELOADED:
-        import_module(f"gibson_sim.ros.nodes.{name}")
+        import_module(f"gibson_sim.ros.{name}")
     import_module("rosidl_generator_py")
     definitions = MessageDefinitions()
     for kind in _TYPES:

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError
-from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim.processes.domain_lock import DomainLock
 
-TAKE = "import sys; from gibson_sim.standard.domain_lock import DomainLock; DomainLock(int(sys.argv[1]))"
+TAKE = "import sys; from gibson_sim.processes.domain_lock import DomainLock; DomainLock(int(sys.argv[1]))"
 NOBODY = 65534
 
 

@@ -27,6 +27,8 @@ from std_msgs.msg import String
 from gibson_msgs.msg import Scene
 from gibson_sim.client_config import TrialConfig
 from gibson_sim.errors import ConfigError, EnvironmentProblemError, GibsonSimError
+from gibson_sim.processes.job_folder import note_in_job
+from gibson_sim.processes.leftovers import any_runs, find_marked, find_siblings
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 from gibson_sim.ros import conversions
@@ -37,8 +39,6 @@ from gibson_sim.ros.recording.raw_subscriptions import recording_profile
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
-from gibson_sim.standard.job_folder import note_in_job
-from gibson_sim.standard.leftovers import any_runs, find_marked, find_siblings
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
 from gibson_sim.trials.execution.plan import IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
@@ -234,7 +234,8 @@ class TrialNode(Node):
         if not self._goal.is_there():
             missing.append(f"no {self._goal.what}")
         elif not missing:
-            self._give_initial_pose()
+            if not self._plan.goal_from_ns:
+                self._give_initial_pose()
             self._offer_images()
         if self._ready_topic is not None and not self._ready_topic.is_met():
             missing.append(f"no message on {quoted(ready.topic)}")
@@ -288,9 +289,11 @@ class TrialNode(Node):
         return self._was_active
 
     def _become_ready(self) -> None:
-        """Gives the goal now if time stands still, else at the next tick."""
+        """Gives the goal now if time stands still and it may be given at once, else at the first tick that is late enough."""
         self._ready = True
-        if not self._plays:
+        if self._plan.goal_from_ns:
+            self._play()
+        elif not self._plays:
             self._monitor.give_goal(0)
             self._goal.give(0)
             self._spin_until(self._goal.is_accepted, STANDSTILL_S)
@@ -337,7 +340,8 @@ class TrialNode(Node):
         self._report.ended_s = self._last_tick_s = now_s
         if self._decision is not None:
             return
-        if self._ready and self._monitor.goal_ns < 0:
+        if self._ready and self._monitor.goal_ns < 0 and stamp_ns >= self._plan.goal_from_ns:
+            self._give_initial_pose()
             self._monitor.give_goal(stamp_ns)
             self._goal.give(stamp_ns)
         p, q, v = msg.pose.pose.position, msg.pose.pose.orientation, msg.twist.twist

@@ -17,7 +17,12 @@ PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 """Environment variable with the id of the process that starts a node: the node ends when that process does, however it ends."""
 GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
 """Signals that end a node, and the wall time after which the next one is sent, seconds."""
-_ELSEWHERE = {"foxglove_node": "foxglove.foxglove_node", "render_bag": "recording.render_bag"}
+_ELSEWHERE = {
+    "foxglove_node": "foxglove.foxglove_node",
+    "node_server": "trials.node_server",
+    "render_bag": "recording.render_bag",
+    "trial_node": "trials.trial_node",
+}
 """Modules of nodes that stand in a folder of their own below ``gibson_sim.ros``."""
 
 

@@ -7,17 +7,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gibson_sim.standard.job_folder import JobFolder, remove_abandoned
+from gibson_sim.processes.job_folder import JobFolder, remove_abandoned
 
 LAUNCHER = """
 import os, sys, subprocess
 from pathlib import Path
-from gibson_sim.standard.job_folder import JobFolder
+from gibson_sim.processes.job_folder import JobFolder
 folder = JobFolder(Path(sys.argv[1]))
 (folder.path / "bag").mkdir()
 environment = dict(os.environ)
 folder.add_to(environment)
-node = "import sys; from gibson_sim.standard.job_folder import leave_job; sys.stdin.readline(); leave_job(); print('left', flush=True)"
+node = "import sys; from gibson_sim.processes.job_folder import leave_job; sys.stdin.readline(); leave_job(); print('left', flush=True)"
 how = {"env": environment, "pass_fds": (folder.descriptor,)}
 nodes = [subprocess.Popen([sys.executable, "-c", node], stdin=int(fd), **how) for fd in sys.argv[2:]]
 print("ready", flush=True)
@@ -49,7 +49,7 @@ def test_the_last_node_of_a_killed_launcher_removes_the_folder(tmp_path: Path) -
 
 
 def test_a_folder_of_which_every_process_was_killed_goes_with_the_next_start(tmp_path: Path) -> None:
-    make = "import sys, os; from pathlib import Path; from gibson_sim.standard.job_folder import JobFolder; JobFolder(Path(sys.argv[1])); "
+    make = "import sys, os; from pathlib import Path; from gibson_sim.processes.job_folder import JobFolder; JobFolder(Path(sys.argv[1])); "
     subprocess.run([sys.executable, "-c", make + "os.kill(os.getpid(), 9)", str(tmp_path)], check=False)
     (left,) = tmp_path.iterdir()
     (tmp_path / "gibson-sim-job-file").touch()

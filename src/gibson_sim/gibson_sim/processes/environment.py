@@ -9,8 +9,8 @@ from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
 from gibson_sim.errors import EnvironmentProblemError
+from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.reach import RMW_VARIABLE, apply_reach
-from gibson_sim.standard.node_process import PARENT_VARIABLE
 
 RMW = "rmw_fastrtps_cpp"
 _WHEELS_READY = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
