@@ -65,7 +65,7 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
     if given[0] is not None and given[1] is not None:
         return _between(site, given[0], given[1], keys)
     rng = stream(seed, "places", attempt)
-    clearance = max(sampling.clearance, site.reach)
+    clearance = max(sampling.clearance, site.clearance)
     region = site.floor.largest_free_region(clearance)
     low, high = sampling.path_length
     longest = 0.0

@@ -105,14 +105,14 @@ class Site:
     """Whether a wide way leads from one place to another."""
 
     @property
-    def reach(self) -> float:
+    def clearance(self) -> float:
         """Distance that paths keep from obstacles, metres."""
         return self.robot.radius + MARGIN
 
     @property
     def planner(self) -> PathPlanner:
-        """Plans paths that keep ``reach``."""
-        return self.planner_of(self.reach)
+        """Plans paths that keep ``clearance``."""
+        return self.planner_of(self.clearance)
 
     def planner_of(self, radius: float) -> PathPlanner:
         """Returns a planner whose paths keep ``radius`` from obstacles, metres."""
@@ -144,16 +144,16 @@ class Site:
             SceneError: there is none.
         """
         if (start, goal) not in self._paths:
-            self._paths[start, goal] = _shortest(start, goal, self.planner_of, (self.reach, self.robot.radius))
+            self._paths[start, goal] = _shortest(start, goal, self.planner_of, (self.clearance, self.robot.radius))
         return self._paths[start, goal]
 
     def shortest_on(self, floor: FloorMap, start: XY, goal: XY) -> tuple[float, F64]:
         """Returns the same on another map."""
-        return _shortest(start, goal, partial(PathPlanner, floor), (self.reach, self.robot.radius))
+        return _shortest(start, goal, partial(PathPlanner, floor), (self.clearance, self.robot.radius))
 
     def is_clear(self, path: F64, floor: FloorMap) -> bool:
-        """Returns whether a path (K, 2), world metres, keeps ``reach`` from the obstacles of a map."""
-        places = floor.free & (floor.distance_to_obstacle >= self.reach)
+        """Returns whether a path (K, 2), world metres, keeps ``clearance`` from the obstacles of a map."""
+        places = floor.free & (floor.distance_to_obstacle >= self.clearance)
         for a, b in pairwise(path):
             count = int(np.linalg.norm(b - a) * _SAMPLES_PER_CELL / floor.resolution) + 2
             if not floor.look_up(places, a + (b - a) * np.linspace(0.0, 1.0, count)[:, None], outside=False).all():
@@ -161,11 +161,11 @@ class Site:
         return True
 
     def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
-        """Returns whether a way leads from one place to another on a map: one of ``WIDE`` if the site has such a one, else one of ``reach``."""
+        """Returns whether a way leads from one place to another on a map: one of ``WIDE`` if the site has such a one, else one of ``clearance``."""
         wide = self.robot.radius + WIDE
         if (start, goal) not in self._wide:
             self._wide[start, goal] = _connected(start, goal, self.floor, wide)
-        return _connected(start, goal, floor, wide if self._wide[start, goal] else self.reach)
+        return _connected(start, goal, floor, wide if self._wide[start, goal] else self.clearance)
 
     def wrong_place(self, xy: XY) -> str:
         """Returns why the robot cannot stand at a place, world metres; empty = it can."""
