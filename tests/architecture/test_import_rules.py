@@ -121,7 +121,8 @@ _MAY_WRITE = {
     "gibson_sim/writing.py", "gibson_sim/picture_files.py",
     # Drafts and caches that take their name last, files that are of use before they are complete, and what only this process reads.
     "gibson_sim/bags/metadata.py", "gibson_sim/bags/mcap_file.py", "gibson_sim/bags/sqlite_file.py", "gibson_sim/bags/writer.py",
-    "gibson_sim/trials/execution/stack_log.py", "gibson_sim/description/xacro.py", "gibson_sim/physics/convex_parts.py", "gibson_sim/physics/engine_files.py", "gibson_sim/render/cache.py",
+    "gibson_sim/trials/execution/stack_log.py",
+    "gibson_sim/description/xacro.py", "gibson_sim/physics/convex_parts.py", "gibson_sim/physics/engine_files.py", "gibson_sim/render/cache.py",
     "gibson_sim/scenes/collision/cache.py", "gibson_sim/scenes/collision/simplified.py", "gibson_sim_tools/importing/fetching/archives.py",
     "gibson_sim_tools/importing/fetching/download.py", "gibson_sim_tools/making/baking.py", "gibson_sim_tools/making/blender/__main__.py",
 }  # fmt: skip

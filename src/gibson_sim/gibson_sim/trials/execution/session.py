@@ -100,6 +100,8 @@ class Session:
                 steps = STACK_GRACE_S if name == STACK else NODE_GRACE_S
                 if waited_s >= due_s[name] and sent[name] < len(steps):
                     number, seconds = steps[sent[name]]
+                    if name != STACK and sent[name]:
+                        self.server.signal(name, signal.SIGUSR1)  # a node then writes into its log where it hangs
                     self.server.signal(name, number)
                     self.killed |= number == signal.SIGKILL
                     sent[name], due_s[name] = sent[name] + 1, waited_s + seconds
