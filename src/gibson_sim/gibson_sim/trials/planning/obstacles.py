@@ -191,7 +191,9 @@ class _Placer:
         if self._region is None:
             self._region = self._site.floor.largest_free_region(self._site.clearance)
         try:
-            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, self._site.clearance), region=self._region)
+            (pose,) = random_free_poses(
+                self.floor, 1, rng, clearance=min(shape.radius, self._site.clearance), region=self._region
+            )
         except SceneError:
             return None
         return round(pose.position[0], 4), round(pose.position[1], 4)
