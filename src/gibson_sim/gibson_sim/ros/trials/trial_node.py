@@ -52,8 +52,8 @@ STANDSTILL_S = 3.0
 SETTLED_S = 0.3
 """Wall time without new topics after which a stack counts as discovered, seconds."""
 IDLE_LOOKS = 5
-"""Looks in a row, a tenth of a second apart and without a tick between, at which no process of the run worked: then a stack that has told its
-end sends no more commands."""
+"""Looks in a row, a tenth of a second apart and without a tick between, at which no process of the stack worked: then one that has told
+its end sends no more commands."""
 _ANSWER_S = 20.0
 """Wall time that the simulation has to answer a request, seconds."""
 _MATCHED_S = 0.5
@@ -106,7 +106,9 @@ class TrialNode(Node):
         self._plays = self._ready = False
         self._ticks = 0
         self._idle_looks, self._looked_s = 0, 0.0
-        """Looks in a row at which no process worked, and when the last one was, seconds of CLOCK_MONOTONIC."""
+        """Looks in a row at which no process of the stack worked, and when the last one was, seconds of CLOCK_MONOTONIC."""
+        self._busy: set[int] = set()
+        """Processes of the run that have worked at each of these looks: they may not have seen the stack's last answer."""
         self._told_s = 0.0
         """When the progress was told last."""
         self._graph: tuple[set[str], float] = (set(), self._began_s)
@@ -170,9 +172,11 @@ class TrialNode(Node):
             self._idle_looks = 0
         elif now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
-            runs = any_runs([*find_siblings(), *find_marked(MARKER, self._plan.marker)])
-            self._idle_looks = 0 if runs else self._idle_looks + 1
-        return self._idle_looks >= IDLE_LOOKS
+            if self._idle_looks == 0:
+                self._busy = set(find_siblings())
+            self._busy = {process_id for process_id in self._busy if any_runs([process_id])}
+            self._idle_looks = 0 if any_runs(find_marked(MARKER, self._plan.marker)) else self._idle_looks + 1
+        return self._idle_looks >= IDLE_LOOKS and not self._busy
 
     # Before the first tick
 
