@@ -92,7 +92,8 @@ def find_cause(
         return None
     within = 0.0 if scenario.verdicts.reached is None else scenario.verdicts.reached.within
     events = find_events(run, outcome, evidence, measured.walls, within)
-    events += [lost for lost in (_at_the_wrong_place(outcome, evidence, measured),) if lost is not None]
+    if any(verdict.name == "reached" and not verdict.passed for verdict in verdicts):
+        events += [lost for lost in (_at_the_wrong_place(outcome, evidence, measured),) if lost is not None]
     # What an event is told for is the first failure that it brought about.
     guilty = [(failure.itself, failure.itself) for failure in failures]
     for event in events:
