@@ -118,7 +118,7 @@ def test_goal_reported_at_the_wrong_place_is_the_localisation_s_fault(tmp_path: 
 
 
 def test_localisation_is_not_blamed_for_the_last_centimetres_of_a_goal_that_was_reached(tmp_path: Path) -> None:
-    run = Run(truth=until(9.2, 5.9), odometry=lambda t: (along(t)[0] - 1.0, 0.0, 0.0), touches=[(8.5, 8.6, "chair")])
+    run = Run(truth=until(9.2, 5.9), odometry=lambda t: (along(t)[0] - 1.0, 0.0, 0.0), touches=[(9.9, 9.95, "chair")])
     assert sure(blamed(tmp_path, run, "reached")).kind == "collision"
 
 
