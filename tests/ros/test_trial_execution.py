@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -18,9 +20,14 @@ from support.simulation import require
 
 require("rclpy", "gibson_msgs", "simulation_interfaces")
 
+from rclpy.task import Future  # noqa: E402
+
 from gibson_sim.bags.replaying import read_run  # noqa: E402
 from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.ros.trials.trial_node import _ActionGoal  # noqa: E402
 from gibson_sim.trials.execution import execute, session  # noqa: E402
+from gibson_sim.trials.execution.monitor import RunMonitor  # noqa: E402
+from gibson_sim.trials.execution.plan import TrialPlan  # noqa: E402
 from gibson_sim.trials.records import Outcome, Person, PlacedThing, RunSpec  # noqa: E402
 from gibson_sim.trials.scenario_spec import GoalInterface, Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
 
@@ -150,6 +157,16 @@ def test_run_without_rules_is_in_real_time_and_ends_when_it_is_told_to(room: str
 
 
 @pytest.mark.usefixtures("leaves_nothing")
+def test_shell_script_is_a_stack_and_the_true_pose_decides(room: str, tmp_path: Path) -> None:
+    scenario = scenario_of("./script.sh", lockstep=False, limits=Limits(wall_time=PATIENCE_S))
+    scenario = replace(scenario, stack=replace(scenario.stack, status=Status()))
+    outcome = execute(scenario, run_in(room, 0.8), tmp_path, domains=DOMAINS)
+    assert outcome.end == "reached"
+    assert outcome.detail.endswith("m from the goal")
+    assert outcome.end_ns - outcome.decided_ns >= NS, "it has stood there for a second"
+
+
+@pytest.mark.usefixtures("leaves_nothing")
 def test_kept_stack_serves_run_after_run(room: str, tmp_path: Path) -> None:
     scenario = scenario_of(*drive(), limits=Limits(time=30.0, silence=3.0))
     scenario = replace(scenario, stack=replace(scenario.stack, restart="never"))
@@ -161,6 +178,29 @@ def test_kept_stack_serves_run_after_run(room: str, tmp_path: Path) -> None:
     assert starts == [True, False]
     assert len(marked_processes()) == 1
     assert read_run(tmp_path / "1" / "bag", digests=True).digests
+
+
+@pytest.mark.parametrize(
+    ("accepted", "status", "end"), [(False, 0, "gave up"), (True, 4, "reached"), (True, 6, "gave up"), (True, 5, "gave up")]
+)
+def test_result_of_an_action_is_the_end(accepted: bool, status: int, end: str) -> None:
+    """Answers as those of rclpy's client; no action with a pose is installed everywhere."""
+
+    def answer(**values: object) -> Any:
+        future = Future()
+        future.set_result(SimpleNamespace(**values))
+        return future
+
+    scenario = scenario_of("true")
+    scenario = replace(scenario, stack=replace(scenario.stack, goal=GoalInterface("action", "go", "a_msgs/action/Go")))
+    monitor = RunMonitor(TrialPlan.of(scenario, run_in("room")))
+    goal = _ActionGoal.__new__(_ActionGoal)
+    goal._monitor = monitor
+    monitor.give_goal(0)
+    goal._on_response(answer(accepted=accepted, get_result_async=lambda: answer(status=status)))
+    assert goal.is_accepted()
+    decision = monitor.silence(0.0)
+    assert decision is not None and decision.end == end
 
 
 def test_worker_that_is_killed_leaves_no_process(room: str, tmp_path: Path) -> None:
