@@ -39,8 +39,8 @@ def settings(args):
     network = DefaultModelConfig(fcnet_hiddens=[128, 128], fcnet_activation="tanh")
     return (
         PPOConfig()
-        # Five decisions a second are enough at 0.5 m/s; 60 physics steps take a quarter of the time of 240.
-        .environment("point-goal", env_config={"control_hz": 5, "step_hz": 60})
+        # learn_point_goal_sb3.py says why.
+        .environment("point-goal", env_config={"control_hz": 3, "step_hz": 60, "reverse": 0.1})
         .env_runners(num_env_runners=args.processes, env_to_module_connector=lambda env, spaces, device: MeanStdFilter())
         .training(lr=3e-4, gamma=0.98, train_batch_size_per_learner=args.batch, minibatch_size=256, num_epochs=10)
         .rl_module(model_config=network)

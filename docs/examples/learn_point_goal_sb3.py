@@ -32,7 +32,8 @@ TRAINING_HZ = 60  # physics steps a second: half the time of the usual 240 ...
 EVALUATION_HZ = 240  # ... which the evaluation has
 TRAINING_S = 40  # time limit of a training episode; in the evaluation it is that of the task, 90 s
 CONTROL_HZ = 3  # decisions a second
-GAMMA = 0.97  # rewards are dense: 30 decisions, 10 s, are far enough to look ahead
+REVERSE = 0.1  # of the speed forwards: enough to get away from what is in front
+GAMMA = 0.98  # rewards are dense: 50 decisions, 17 s, are far enough to look ahead
 EVALUATION_SEEDS = 1_000_000  # and up; a training seed is drawn from 0 to 2**31, so it is hardly ever one of these
 
 
@@ -90,7 +91,7 @@ def environment(observation, step_hz):
     # A rasteriser for each process; more threads would only wait for cores.
     os.environ.setdefault("LP_NUM_THREADS", "1")
     # At 0.5 m/s three decisions a second are enough; an episode has fewer of them, and each matters more, than with the usual ten.
-    env = TaskEnvironment("point-goal", observation=observation, control_hz=CONTROL_HZ, step_hz=step_hz)
+    env = TaskEnvironment("point-goal", observation=observation, control_hz=CONTROL_HZ, step_hz=step_hz, reverse=REVERSE)
     # A robot that is stuck learns nothing new for the rest of 90 s.
     env = env if step_hz == EVALUATION_HZ else gymnasium.wrappers.TimeLimit(env, TRAINING_S * CONTROL_HZ)
     return Monitor(Features(env), info_keywords=("success", "spl", "collisions"))

@@ -11,7 +11,10 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.tasks.controls import Controls
 from gibson_sim.tasks.environments import TaskEnvironment, in_processes
+from gibson_sim.tasks.episode import Observation
 
 # A step of a second: an episode of 90 s ends after 90 steps of a robot that stands still.
 OPTIONS = {"scene": "arena", "control_hz": 1, "step_hz": 60}
@@ -80,3 +83,19 @@ def test_processes_of_a_vector_end_with_it() -> None:
 def test_a_vector_that_cannot_be_is_refused(count: int, autoreset: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         in_processes(count, "point-goal", autoreset=autoreset)
+
+
+def test_speeds_backwards_are_those_that_are_allowed() -> None:
+    robot = load_robot("gibson_bot")
+    still = Observation(time=0.0, links={}, base_link="robot/base_footprint")
+
+    def speeds(reverse: float) -> list[float]:
+        controls = Controls(robot, 0.1, reverse)
+        return [controls.action([value, 0.0], still).linear for value in (-1.0, 0.0, 1.0)]
+
+    # The limit of gibson_bot is 0.5 m/s.
+    assert speeds(1.0) == pytest.approx([-0.5, 0.0, 0.5])
+    assert speeds(0.1) == pytest.approx([-0.05, 0.225, 0.5])
+    assert speeds(0.0) == pytest.approx([0.0, 0.25, 0.5])
+    with pytest.raises(ConfigError, match=r"reverse is 1\.5, must be 0"):
+        speeds(1.5)

@@ -27,16 +27,19 @@ class Controls:
     Args:
         robot: the robot; only its first arm is controlled.
         period: seconds between two actions.
+        reverse: highest speed backwards as a fraction of that forwards, 0 to 1: speeds from it to the limit are spread over -1 to 1.
 
     Raises:
-        ConfigError: the robot cannot drive.
+        ConfigError: the robot cannot drive, or ``reverse`` is not allowed.
     """
 
-    def __init__(self, robot: RobotSpec, period: float) -> None:
+    def __init__(self, robot: RobotSpec, period: float, reverse: float = 1.0) -> None:
+        if not 0.0 <= reverse <= 1.0:
+            raise ConfigError(f"reverse is {reverse}, must be 0 (never backwards) to 1 (as quick as forwards)")
         if robot.drive is None:
             raise ConfigError(f"robot {robot.name!r} has no drive; tasks need one that moves")
         self._max_speeds = (robot.drive.max_linear, robot.drive.max_angular)
-        self._period = period
+        self._period, self._reverse = period, reverse
         joints = robot.manipulators[0].joints if robot.manipulators else ()
         self._limits = _limits(robot, joints)
         self.layout = ObservationLayout(joints, tuple(low for low, _ in self._limits), tuple(high for _, high in self._limits))
@@ -59,7 +62,8 @@ class Controls:
         if array.shape != (self.size,) or not np.isfinite(array).all():
             raise CommandError(f"action is {array.tolist()}, must be {self.size} finite numbers from -1 to 1")
         linear, angular, *arm = np.clip(array, -1.0, 1.0).tolist()
-        base = Action(linear * self._max_speeds[0], angular * self._max_speeds[1])
+        forward = 0.5 * ((1.0 + self._reverse) * linear + 1.0 - self._reverse)
+        base = Action(forward * self._max_speeds[0], angular * self._max_speeds[1])
         if not arm:
             return base
         step = JOINT_SPEED * self._period

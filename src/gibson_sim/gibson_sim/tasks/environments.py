@@ -46,8 +46,9 @@ _HIGHEST_SEED = 2**31
 class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
     """One robot with one task.
 
-    An action is an array of numbers from -1 to 1: forward speed and yaw rate as fractions of the drive's limits; with an arm also the
-    speed of each joint, and the gripper: above 0 it closes and holds, else it opens. docs/tasks.md describes the observations.
+    An action is an array of numbers from -1 to 1: forward speed and yaw rate as fractions of the drive's limits (but see ``reverse``); with
+    an arm also the speed of each joint, and the gripper: above 0 it closes and holds, else it opens. docs/tasks.md describes the
+    observations.
 
     Nothing heavy is loaded before the first ``reset``, so environments can be made in one process and used in another.
 
@@ -59,6 +60,7 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         size: width and height of the images, pixels.
         control_hz: actions per second of simulation time.
         step_hz: physics steps per second of simulation time.
+        reverse: highest speed backwards as a fraction of that forwards, 0 to 1; actions from -1 to 1 cover what is left.
         device: EGL device that draws, as ``gibson-sim doctor`` lists them; None = a GPU if there is one.
         render_mode: ``rgb_array`` = ``render`` returns the robot's camera image beside one from above; None = no pictures.
 
@@ -79,6 +81,7 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         size: tuple[int, int] = (128, 128),
         control_hz: int = CONTROL_HZ,
         step_hz: int = STEP_HZ,
+        reverse: float = 1.0,
         device: int | str | None = None,
         render_mode: str | None = None,
     ) -> None:
@@ -90,7 +93,7 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
         self._make = {"scene": scene, "robot": robot, "control_hz": control_hz, "step_hz": step_hz, "device": device}
         self._size, self.render_mode = (int(size[0]), int(size[1])), render_mode
         self.metadata = {**self.metadata, "render_fps": control_hz}
-        self._controls = Controls(load_robot(robot or self._task.robot), 1.0 / control_hz)
+        self._controls = Controls(load_robot(robot or self._task.robot), 1.0 / control_hz, reverse)
         self.action_space = spaces.Box(-1.0, 1.0, (self._controls.size,), dtype=np.float32)
         self.observation_space = self._space()
         self._run: TaskRun | None = None
