@@ -168,7 +168,7 @@ def test_shell_script_is_a_stack_and_the_true_pose_decides(room: str, tmp_path: 
 
 @pytest.mark.usefixtures("leaves_nothing")
 def test_kept_stack_serves_run_after_run(room: str, tmp_path: Path) -> None:
-    scenario = scenario_of(*drive(), limits=Limits(time=30.0, silence=3.0))
+    scenario = scenario_of(*drive(), limits=Limits(time=30.0, silence=30.0))
     scenario = replace(scenario, stack=replace(scenario.stack, restart="never"))
     starts = []
     for number, distance in enumerate((0.6, 0.3)):
