@@ -68,9 +68,11 @@ def test_each_step_against_a_wall_costs() -> None:
             env.step(ahead)
         assert env._running().touching
         place = env._running().observation.xy
-        _, reward, _, _, info = env.step(ahead)
+        state, reward, _, _, info = env.step(ahead)
         assert env._running().observation.xy == pytest.approx(place, abs=0.02)
         assert info["collisions"] == 1
+        # The wall is ahead; goal, speeds and class of the goal, 20 numbers, come before the touch.
+        assert state[20] > 0.7
         assert reward == pytest.approx(STEP_REWARD + CONTACT_REWARD, abs=0.03)
     finally:
         env.close()

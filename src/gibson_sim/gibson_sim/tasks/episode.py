@@ -83,6 +83,8 @@ class Observation:
     """Name of the body that the gripper holds; empty = none."""
     speeds: Mapping[str, float] = field(default_factory=dict)
     """Speeds of the origins of ``links``, m/s."""
+    touch: tuple[float, float] = (0.0, 0.0)
+    """Where the robot is touched from the side: unit vector, ahead and to the left in the base frame; zeros = nowhere."""
 
     @property
     def base(self) -> Pose:

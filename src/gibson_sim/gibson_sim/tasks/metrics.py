@@ -14,6 +14,8 @@ PUSHED = 0.05
 """Displacement up to which an item counts as untouched, metres."""
 _LEVEL = 0.7
 """z of a contact's unit normal from which on the contact is with a floor or a load, not a collision."""
+_LEAST_FORCE = 1e-3
+"""Force below which a touch counts for nothing, N."""
 _Z95 = 1.959964
 """Standard deviations of a normal distribution within which 95 % lie."""
 
@@ -96,6 +98,26 @@ def touched_by(robot: str, contacts: Sequence[Contact], moving: Collection[str])
     """
     ours = (c for c in contacts if c.body_a == robot and c.body_b not in moving)
     return frozenset(c.body_b for c in ours if abs(c.normal[2]) < _LEVEL and c.force > 0.0)
+
+
+def touch_direction(robot: str, contacts: Sequence[Contact], yaw: float, ignored: Collection[str] = ()) -> tuple[float, float]:
+    """Returns the mean direction, by force, of what touches a robot from the side: unit vector, ahead and to the left; zeros = nothing.
+
+    Args:
+        robot: name of the robot.
+        contacts: its contacts; the robot is ``body_a``.
+        yaw: its heading, radians.
+        ignored: names of bodies that do not count.
+    """
+    x = y = 0.0
+    for contact in contacts:
+        if contact.body_a == robot != contact.body_b and contact.body_b not in ignored and abs(contact.normal[2]) < _LEVEL:
+            x, y = x - contact.force * contact.normal[0], y - contact.force * contact.normal[1]
+    length = math.hypot(x, y)
+    if length < _LEAST_FORCE:
+        return 0.0, 0.0
+    c, s = math.cos(yaw), math.sin(yaw)
+    return (c * x + s * y) / length, (c * y - s * x) / length
 
 
 @dataclass(frozen=True, slots=True)

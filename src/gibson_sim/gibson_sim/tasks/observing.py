@@ -63,6 +63,7 @@ class ObservationLayout:
         high = [FARTHEST, FARTHEST, 1.0, 5.0, 10.0, *([1.0] * len(CLASSES)), *self.upper]
         if self.joints:
             low, high = [*low, 0.0], [*high, 1.0]
+        low, high = [*low, -1.0, -1.0], [*high, 1.0, 1.0]
         return np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
 
     def state(self) -> tuple[F32, F32]:
@@ -79,7 +80,7 @@ class ObservationLayout:
 
 def own_state(layout: ObservationLayout, episode: Episode, obs: Observation) -> F32:
     """Returns goal and proprioception: the goal in the base frame (forward, left, up; 0 if it has to be found), forward speed, yaw rate,
-    one-hot class of the target, positions of the arm joints, and whether the gripper holds something.
+    one-hot class of the target, positions of the arm joints and whether the gripper holds something, and where the robot is touched.
     """
     goal = episode.goal
     there = (0.0, 0.0, 0.0)
@@ -89,6 +90,7 @@ def own_state(layout: ObservationLayout, episode: Episode, obs: Observation) -> 
     values = [*there, obs.linear, obs.angular, *one_hot, *(obs.joints[name] for name in layout.joints)]
     if layout.joints:
         values.append(float(bool(obs.held)))
+    values += obs.touch
     return _clipped(values, *layout.own())
 
 

@@ -12,7 +12,7 @@ from gibson_sim.simulation import Simulation
 from gibson_sim.tasks.controls import finger_joints
 from gibson_sim.tasks.episode import Action, Episode, Observation, item_body, observation_of
 from gibson_sim.tasks.ground import Ground, ground_of
-from gibson_sim.tasks.metrics import Meter, Metrics, touched_by
+from gibson_sim.tasks.metrics import Meter, Metrics, touch_direction, touched_by
 from gibson_sim.tasks.task import Task
 from gibson_sim.types import VelocityCommand
 
@@ -96,8 +96,10 @@ class TaskRun:
         if action.grasp is not None and action.grasp != bool(self.observation.held):
             world.arms.grasp(name) if action.grasp else world.arms.release(name)
         world.step(self._substeps)
-        self.observation = self._observe()
-        self._meter.update(self.observation, touched_by(name, world.contacts(name), self._moving))
+        observation, contacts = self._observe(), world.contacts(name)
+        touch = touch_direction(name, contacts, observation.yaw, (observation.held,))
+        self.observation = replace(observation, touch=touch)
+        self._meter.update(self.observation, touched_by(name, contacts, self._moving))
         self.remaining = self.task.remaining(episode, self.observation, self.ground)
         self.succeeded = self.succeeded or self.task.succeeded(episode, self.observation, self.ground)
         self.over = self.succeeded or self.observation.time >= episode.time_limit - 1e-9
