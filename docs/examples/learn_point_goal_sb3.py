@@ -104,6 +104,7 @@ def new_model(args, envs):
         # Rewards of a step are small, about 0.1: a bonus of 1 for random actions, the default at first, would drown them for long.
         more = {
             "ent_coef": "auto_0.01",
+            "learning_rate": 1e-3,
             "buffer_size": 300_000,
             "learning_starts": 2_000,
             "train_freq": 1,
