@@ -40,7 +40,7 @@ from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
-from gibson_sim.trials.execution.plan import IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
+from gibson_sim.trials.execution.plan import CLOCK, IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
 from gibson_sim.trials.records import PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
@@ -418,6 +418,7 @@ class TrialNode(Node):
         if now_s - self._told_s > _PROGRESS_S:
             self._told_s = now_s
             note_in_job(PROGRESS, self._monitor.progress)
+            note_in_job(CLOCK, str(self._monitor.now_ns))
 
     def close(self) -> None:
         """Writes the report. It does not leave lockstep: time stands still until the simulation ends."""

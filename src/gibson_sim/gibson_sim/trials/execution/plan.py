@@ -10,8 +10,9 @@ from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.scenario_spec import GoalInterface, InitialPose, Limits, Reached, Ready, Scenario, Status
 from gibson_sim.types import NS_PER_S
 
-PLAN, REPORT, PROGRESS, IMAGES = "plan.json", "trial.json", "progress", "images"
-"""Files in the folder of the job: for the trial node; its report; how far the run is, as text; that images have subscribers, empty."""
+PLAN, REPORT, PROGRESS, CLOCK, IMAGES = "plan.json", "trial.json", "progress", "clock", "images"
+"""Files in the folder of the job: for the trial node; its report; how far the run is, as text; its newest stamp, ns; that images have
+subscribers, empty."""
 MARKER = "GIBSON_SIM_TRIAL"
 """Environment variable of a stack and of all processes that it starts: a text that no other run has."""
 KEPT_NS = NS_PER_S // 2

@@ -18,12 +18,14 @@ from gibson_sim.processes.job_folder import LOADED, VARIABLE, read_note
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import DOMAINS
 from gibson_sim.trials.execution.ending import Ending, node_died, reported, stack_died
+from gibson_sim.trials.execution.monitor import STILL_NS
 from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings
-from gibson_sim.trials.execution.plan import IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
+from gibson_sim.trials.execution.plan import CLOCK, IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
 from gibson_sim.trials.execution.session import SESSIONS, STACK, Session
 from gibson_sim.trials.execution.stack_log import StackLog
 from gibson_sim.trials.records import Outcome, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
+from gibson_sim.types import NS_PER_S
 from gibson_sim.writing import write_file
 
 PHYSICS, RENDER, RECORD, TRIAL = "physics", "render", "record", "trial"
@@ -34,6 +36,10 @@ _PROGRESS_S = 0.5
 """Period of reports of progress, seconds of wall time."""
 _LAST_WORD_S = 1.5
 """Wall time that the trial node has to tell what a stack told before it ended, seconds."""
+_REST_NS = STILL_NS + 2 * NS_PER_S
+"""Simulation time in which a robot comes to rest, and is seen to stand, after its stack ended with code 0, ns."""
+_STALL_S = 3.0
+"""Wall time without a tick after which time stands still, seconds: it waits for the stack that ended."""
 _GOOD_ENDS = ("reached", "gave up", "time limit")
 """Ends after which a stack can be kept; after others it is started anew."""
 JOB = "job"
@@ -176,7 +182,7 @@ class _Run:
                 return node_died(name, ended[name], self._written_by(name))
         if STACK in ended:
             self._stack_code = ended[STACK]
-            self._wait(lambda: bool(self._report().end), _LAST_WORD_S)
+            self._wait_for_last_word(self._stack_code)
             if (report := self._report()).end:
                 return reported(report, self._written_by(PHYSICS))
             return stack_died(self._stack_code, self._log.last_line)
@@ -203,6 +209,24 @@ class _Run:
         while not condition() and time.monotonic() < deadline_s:
             self._look()
         return condition()
+
+    def _wait_for_last_word(self, code: int) -> None:
+        """Waits for the report after the stack ended. A stack that ended with code 0 may have done its work: its robot has time to stand."""
+        self._wait(lambda: bool(self._report().end), _LAST_WORD_S)
+        if code != 0:
+            return
+        ended_ns = now_ns = self._clock_ns()
+        ticked_s = time.monotonic()
+        while not self._report().end and now_ns - ended_ns < _REST_NS and not self._stop():
+            self._look()
+            before_ns, now_ns = now_ns, self._clock_ns()
+            if now_ns != before_ns:
+                ticked_s = time.monotonic()
+            elif time.monotonic() - ticked_s > _STALL_S:
+                return
+
+    def _clock_ns(self) -> int:
+        return int(read_note(self._job, CLOCK) or 0)
 
     def _report(self) -> TrialReport:
         text = read_note(self._job, REPORT)
