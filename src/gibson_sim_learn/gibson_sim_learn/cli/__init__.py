@@ -1,0 +1,1 @@
+"""The command ``gibson-sim learn``."""
