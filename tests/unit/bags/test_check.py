@@ -111,7 +111,55 @@ def test_images_before_the_first_odometry_are_a_note(messages: Any, tmp_path: Pa
             bag.write("/camera/image_raw", messages.image(i * TICK, np.zeros((2, 2, 3), np.uint8), "rgb8"), i, i)
     report = check_bag(tmp_path / "bag")
     assert report.ok
-    assert "/camera/image_raw: 1 images lie before the first or after the last message of /odom" in report.notes
+    assert "/camera/image_raw: 1 image lies before the first or after the last message of /odom" in report.notes
+
+
+def test_a_recording_that_ended_before_its_topics_met_is_a_note(messages: Any, tmp_path: Path) -> None:
+    """The page subscribes to one topic after the other: a recording of a moment has images of before the first odometry alone."""
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/camera/image_raw", "sensor_msgs/msg/Image")
+        bag.add_topic("/odom", ODOMETRY)
+        for i in range(4):
+            bag.write("/camera/image_raw", messages.image(i * TICK, np.zeros((2, 2, 3), np.uint8), "rgb8"), i * TICK, i * TICK)
+        bag.write("/odom", messages.odometry(4 * TICK, 0.0, 0.0), 4 * TICK, 4 * TICK)
+    report = check_bag(tmp_path / "bag")
+    assert report.ok
+    assert (
+        "/camera/image_raw: all of its 4 images lie before the first or after the last message of /odom, so that their stamps cannot be "
+        "compared" in report.notes
+    )
+    assert report.findings()[-1] == "stamps agree: none goes back in time", "nothing is said of images that were not compared"
+
+
+def test_images_of_another_clock_are_a_problem(messages: Any, tmp_path: Path) -> None:
+    wall_ns = 1_795_580_456 * NS
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/camera/image_raw", "sensor_msgs/msg/Image")
+        bag.add_topic("/odom", ODOMETRY)
+        for i in range(3):
+            image = messages.image(wall_ns + i * TICK, np.zeros((2, 2, 3), np.uint8), "rgb8")
+            bag.write("/camera/image_raw", image, i * TICK, i * TICK)
+            bag.write("/odom", messages.odometry(i * TICK, 0.0, 0.0), i * TICK, i * TICK)
+    (problem,) = check_bag(tmp_path / "bag").problems
+    assert problem.startswith(
+        "/camera/image_raw: its stamps (1795580456.000 s to 1795580456.200 s) and those of /odom (0.000 s to 0.200 s)"
+    )
+    assert "use_sim_time" in problem
+
+
+def test_camera_info_without_its_images_misses_nothing(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/camera/camera_info", "sensor_msgs/msg/CameraInfo")
+        for i in (*range(10), *range(20, 30)):
+            bag.write("/camera/camera_info", messages.camera_info(i * TICK), i * TICK, i * TICK)
+    report = check_bag(tmp_path / "bag")
+    assert (report.ok, report.notes, report.topics[0].missing) == (True, (), None)
+    assert "nor of camera_info without its images" in report.text()
+
+
+def test_the_last_line_tells_what_failed(write_drive: Callable[..., Path]) -> None:
+    last = check_bag(write_drive(image_shift_ns=1)).findings()[-1]
+    assert last.startswith("FAILED: stamps do not agree: /camera/") and last.endswith("(and 1 more problem above)")
 
 
 def test_odometry_of_another_robot_is_not_compared(messages: Any, tmp_path: Path) -> None:
@@ -158,10 +206,11 @@ def test_heading_error_does_not_jump_at_half_a_turn(write_odometry: Callable[...
 
 
 def test_robot_that_stands_still_has_no_per_cent(write_odometry: Callable[..., Path]) -> None:
-    folder = write_odometry([(0, 0, 0, 0), (1, 0, 0, 0)], [(0, 0, 0, 0), (1, 0, 0, 0)])
-    odometry = check_bag(folder).odometry
+    """A robot settles on its wheels by micrometres, of which an error of the odometry would be many per cent."""
+    odometry = check_bag(write_odometry([(0, 0, 0, 0), (1, 0, 0, 0)], [(0, 0, 0, 0), (1, 1e-5, 0, 0)])).odometry
     assert odometry is not None
     assert odometry.end_error_percent == 0.0
+    assert "%" not in odometry.text()
 
 
 def test_text_names_problem_and_odometry(write_drive: Callable[..., Path]) -> None:

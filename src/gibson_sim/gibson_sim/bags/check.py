@@ -52,7 +52,8 @@ class TopicReport:
     rate_hz: float = 0.0
     """Messages a second of simulation time, from the nominal period; 0 = the topic has no rate."""
     missing: int | None = None
-    """Messages missing by the nominal period; None = it cannot be told, as of topics without a rate or without stamps."""
+    """Messages missing by the nominal period; None = it cannot be told, as of topics without a rate or without stamps, and of camera_info
+    without its images: both come only while the images have subscribers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +74,22 @@ class OdometryReport:
     @property
     def end_error_percent(self) -> float:
         """Final position error, % of the path length; 0 if the robot stood still."""
-        return 100.0 * self.end_error_m / self.distance_m if self.distance_m > 1e-6 else 0.0
+        return 0.0 if self.stood else 100.0 * self.end_error_m / self.distance_m
+
+    @property
+    def stood(self) -> bool:
+        """Whether the robot stood still; it moves by less than that while it settles on its wheels."""
+        return self.distance_m < _STOOD_M
 
     def text(self) -> str:
         """Returns the report as a sentence."""
         slip = self.odometry_distance_m - self.distance_m
         slipped = abs(slip) > max(_SLIP_M, _SLIP_PART * self.distance_m)
+        share = "" if self.stood else f" ({self.end_error_percent:.2f} % of the way)"
         return (
             f"odometry{f' of {self.robot}' if self.robot else ''}: {self.distance_m:.3f} m driven, {self.odometry_distance_m:.3f} m by the "
-            f"wheels{', which slipped' if slipped else ''}; at the end it is off by {self.end_error_m:.3f} m "
-            f"({self.end_error_percent:.2f} % of the way) and {self.end_error_deg:.2f} deg"
+            f"wheels{', which slipped' if slipped else ''}; at the end it is off by {self.end_error_m:.3f} m{share} "
+            f"and {self.end_error_deg:.2f} deg"
         )
 
 
@@ -102,6 +109,8 @@ class BagReport:
     """What the robots touched, in the order of time."""
     seconds: float = 0.0
     """Time between the first and the last message."""
+    compared: tuple[str, ...] = ()
+    """What the stamps of every image were compared with."""
 
     @property
     def ok(self) -> bool:
@@ -121,13 +130,20 @@ class BagReport:
         lines = [f"bag {self.folder}: {self.seconds:.2f} s, {count} messages on {len(self.topics)} topics", ""]
         for row in rows:
             lines.append("  ".join([row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in range(1, len(row)))]))
-        return "\n".join([*lines, "", *self.findings()])
+        return "\n".join([*lines, "", *self._legend(), *self.findings()])
 
     def markdown(self) -> str:
         """Returns the report as Markdown."""
         rows = [_COLUMNS, ("---", *["---:"] * (len(_COLUMNS) - 1)), *map(_row, self.topics)]
         table = [f"| {' | '.join(row)} |" for row in rows]
-        return "\n".join([f"## Bag `{self.folder}`", "", *table, "", *[f"- {line}" for line in self.findings()], ""])
+        return "\n".join(
+            [f"## Bag `{self.folder}`", "", *table, "", *[f"- {line}" for line in [*self._legend(), *self.findings()]], ""]
+        )
+
+    def _legend(self) -> list[str]:
+        """Returns what a dash in the table means, if there is one."""
+        lacks = any(topic.info.count and not (topic.rate_hz and topic.missing is not None) for topic in self.topics)
+        return [_LEGEND] if lacks else []
 
     def findings(self) -> list[str]:
         """Returns what was found, a line each: what the robots did, notes, problems, and the verdict."""
@@ -138,14 +154,46 @@ class BagReport:
             lines.append(f"contact: {more} more")
         lines += [f"note: {note}" for note in self.notes]
         lines += [f"PROBLEM: {problem}" for problem in self.problems]
-        images = any(topic.info.type_name in IMAGE_TYPES and topic.info.count for topic in self.topics)
-        verdict = f"stamps agree: {'each image has that of its camera_info and of an odometry; ' * images}none goes back in time"
-        return [*lines, verdict if self.ok else _counted(len(self.problems), "problem")]
+        return [*lines, self._verdict()]
+
+    def _verdict(self) -> str:
+        if self.ok:
+            images = f"each image has that of {' and of '.join(self.compared)}; " if self.compared else ""
+            return f"stamps agree: {images}none goes back in time"
+        more = f" (and {_counted(len(self.problems) - 1, 'more problem')} above)" if len(self.problems) > 1 else ""
+        return f"FAILED: stamps do not agree: {self.problems[0]}{more}"
 
 
 _COLUMNS = ("topic", "messages", "rate (Hz)", "missing", "first (s)", "last (s)")
+_LEGEND = (
+    "rate -: messages come with events, from several nodes, or seldom (/clock: beside every other message); "
+    "missing -: not counted without a rate, nor for camera_info without its images"
+)
+_MOST_TOUCHES]
+        lines += [f"contact: {touch.text()}" for touch in shown]
+        if more := len(self.touches) - len(shown):
+            lines.append(f"contact: {more} more")
+        lines += [f"note: {note}" for note in self.notes]
+        lines += [f"PROBLEM: {problem}" for problem in self.problems]
+        return [*lines, self._verdict()]
+
+    def _verdict(self) -> str:
+        if self.ok:
+            images = f"each image has that of {' and of '.join(self.compared)}; " if self.compared else ""
+            return f"stamps agree: {images}none goes back in time"
+        more = f" (and {_counted(len(self.problems) - 1, 'more problem')} above)" if len(self.problems) > 1 else ""
+        return f"FAILED: stamps do not agree: {self.problems[0]}{more}"
+
+
+_COLUMNS = ("topic", "messages", "rate (Hz)", "missing", "first (s)", "last (s)")
+_LEGEND = (
+    "-: a topic has no rate if its messages come with events, from several nodes (/tf), with every other message (/clock) or too seldom; "
+    "nothing is missing of it, nor of camera_info without its images, which are published while they have subscribers"
+)
 _MOST_TOUCHES = 20
 """Contacts that a report lists."""
+_STOOD_M = 0.01
+"""Length of a path below which the robot is said to have stood, metres."""
 _SLIP_M, _SLIP_PART = 0.05, 0.05
 """Difference of the paths, metres, and as a part of the true one, from which on wheels are said to have slipped."""
 
@@ -191,22 +239,24 @@ def check_bag(folder: str | Path) -> BagReport:
         first_ns, last_ns = bag.span_ns
     problems = _order_problems(infos, data)
     notes: list[str] = []
-    for topic, info in infos.items():
-        if info.type_name in IMAGE_TYPES and info.count:
-            partners = _partners(topic, infos)
-            for partner in partners:
-                if not (len(data.stamps[topic]) and len(data.stamps[partner])):
-                    problems.append(
-                        f"{topic if len(data.stamps[partner]) else partner}: the index of the bag lists messages that are not there"
-                    )
-                    continue
-                _compare(topic, partner, data.stamps[topic], data.stamps[partner], problems, notes)
-            notes += [f"{topic}: the bag has no {what}" for what in _lacking(topic, partners)]
-    reports = tuple(_topic_report(info, data.stamps.get(topic), data.log_ns[topic]) for topic, info in infos.items())
+    compared = dict.fromkeys(("its camera_info", "an odometry"), 0)
+    images = [topic for topic, info in infos.items() if info.type_name in IMAGE_TYPES and info.count]
+    for topic in images:
+        partners = _partners(topic, infos)
+        for partner in partners:
+            if not (len(data.stamps[topic]) and len(data.stamps[partner])):
+                problems.append(
+                    f"{topic if len(data.stamps[partner]) else partner}: the index of the bag lists messages that are not there"
+                )
+            elif _compare(topic, partner, data, problems, notes):
+                compared["its camera_info" if partner.endswith("/camera_info") else "an odometry"] += 1
+        notes += [f"{topic}: the bag has no {what}" for what in _lacking(topic, partners)]
+    reports = tuple(_topic_report(info, data.stamps.get(topic), data.log_ns[topic], images) for topic, info in infos.items())
     notes += _missing_notes(reports)
     odometries = tuple(found for robot in robot_namespaces(infos) if (found := _odometry(robot, infos, data)) is not None)
     seconds = (last_ns - first_ns) / NS_PER_S
-    return BagReport(Path(folder), reports, tuple(problems), tuple(notes), odometries, data.touches, seconds)
+    of_all = tuple(what for what, count in compared.items() if images and count == len(images))
+    return BagReport(Path(folder), reports, tuple(problems), tuple(notes), odometries, data.touches, seconds, of_all)
 
 
 def _collect(bag: BagReader, infos: dict[str, TopicInfo]) -> _Collected:
@@ -289,18 +339,36 @@ def _lacking(topic: str, partners: list[str]) -> list[str]:
     return lacking if any(p.endswith("/camera_info") for p in partners) else [*lacking, "camera_info of it"]
 
 
-def _compare(topic: str, partner: str, images: Stamps, others: Stamps, problems: list[str], notes: list[str]) -> None:
+def _compare(topic: str, partner: str, data: _Collected, problems: list[str], notes: list[str]) -> bool:
+    """Compares the stamps of images with those of another topic; returns whether any could be compared."""
+    images, others = data.stamps[topic], data.stamps[partner]
     inside = (images >= others.min()) & (images <= others.max())
     alone = images[inside & ~np.isin(images, others)]
     if len(alone):
         problems.append(f"{topic}: {len(alone)} of {len(images)} stamps are not in {partner}, first {alone[0] / NS_PER_S:.9f} s")
-    if not inside.any():
-        problems.append(f"{topic}: no image lies in the time of {partner}")
-    elif not inside.all():
-        notes.append(f"{topic}: {np.count_nonzero(~inside)} images lie before the first or after the last message of {partner}")
+    if inside.all():
+        return True
+    number = int(np.count_nonzero(~inside))
+    outside = f"{_counted(number, 'image')} {'lies' if number == 1 else 'lie'} before the first or after the last message of {partner}"
+    if inside.any():
+        notes.append(f"{topic}: {outside}")
+    elif all(is_of_this_clock(data.stamps[t], data.log_ns[t]) for t in (topic, partner)):
+        # A recording subscribes to its topics one after the other: a short one has few messages of each, at different times.
+        notes.append(f"{topic}: all of its {outside}, so that their stamps cannot be compared")
+    else:
+        problems.append(
+            f"{topic}: its stamps ({_span(images)}) and those of {partner} ({_span(others)}) are of different clocks; set use_sim_time alike "
+            "in the nodes that publish them"
+        )
+    return bool(inside.any())
 
 
-def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps) -> TopicReport:
+def _span(stamps: Stamps) -> str:
+    return f"{stamps.min() / NS_PER_S:.3f} s to {stamps.max() / NS_PER_S:.3f} s"
+
+
+def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps, images: list[str]) -> TopicReport:
+    """Returns the timing of a topic of a bag with these topics of images."""
     stamped = stamps is not None and is_of_this_clock(stamps, log_ns)
     times = stamps if stamped and stamps is not None else log_ns
     if not len(times):
@@ -311,7 +379,9 @@ def _topic_report(info: TopicInfo, stamps: Stamps | None, log_ns: Stamps) -> Top
     period = period_of(times, periodic=info.type_name in ONE_SOURCE)
     if not period:
         return TopicReport(info, first, last)
-    counts = stamped and not is_event(info)
+    folder, _, name = info.name.rpartition("/")
+    alone = name == "camera_info" and not any(base_topic(image).rpartition("/")[0] == folder for image in images)
+    counts = stamped and not is_event(info) and not alone
     return TopicReport(info, first, last, NS_PER_S / period, missing_in(times, period) if counts else None)
 
 
