@@ -14,7 +14,7 @@ import pytest
 from gibson_sim.cli import command_line
 from gibson_sim.cli.console import Console
 from gibson_sim.cli.parser import ExitCode
-from gibson_sim.cli.trial_progress import TrialProgress
+from gibson_sim.cli.trial_progress import PlanProgress, TrialProgress
 from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim.trials import running
 from gibson_sim.trials.records import RunResult
@@ -62,7 +62,10 @@ def backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Made:
     made.results = {number: passed(number) for number in range(4)}
     monkeypatch.setattr("gibson_sim.trials.scenario.load.load_scenario", lambda path: scenario)
     monkeypatch.setattr(running, "load_scenario", lambda path: scenario)
-    monkeypatch.setattr("gibson_sim.trials.planning.plan.plan_runs", lambda scenario: tuple(spec(number) for number in range(4)))
+    monkeypatch.setattr(
+        "gibson_sim.trials.planning.plan.plan_runs",
+        lambda scenario, numbers, on_progress: tuple(spec(number) for number in numbers or range(4)),
+    )
     monkeypatch.setattr("gibson_sim.cli.commands.trial._backend", lambda args: made)
     monkeypatch.setattr(page, "scene_map", lambda scene: None)
     monkeypatch.chdir(tmp_path)
@@ -174,7 +177,6 @@ def test_a_decline_beyond_chance_ends_with_1_where_that_is_wanted(tmp_path: Path
         (("rooms.yaml", "--fail-if-worse"), "--fail-if-worse is for --compare"),
         (("rooms.yaml", "--resume"), "--resume needs --output DIR"),
         (("rooms.yaml", "--compare", "none.json"), "none.json: cannot be read: No such file"),
-        (("rooms.yaml", "--run", "9"), "--run 9: there is no such run; the plan has runs 0 to 3"),
         (("rooms.yaml", "--runs", "0"), "--runs is 0, must be at least 1"),
         (("rooms.yaml", "--output", "."), "the folder holds 'rooms.yaml' already"),
     ],
@@ -188,6 +190,26 @@ def test_wrong_input_is_one_line_before_anything_starts(
     assert err.count("\n") == 1
     assert text in err
     assert backend.made == []
+
+
+def test_all_mistakes_of_a_scenario_file_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.yaml").write_text("scenes: flat\nruns: 0\nstack: {command: python, restart: nevr}\n")
+    assert run(str(tmp_path / "bad.yaml")) == ExitCode.ERROR
+    assert capsys.readouterr().err.splitlines() == [
+        f"gibson-sim: error: {tmp_path}/bad.yaml: runs is 0, must be a whole number from 1 to 10000",
+        f"gibson-sim: error: {tmp_path}/bad.yaml: stack.restart is 'nevr', must be one of each, never; did you mean 'never'?",
+    ]
+
+
+def test_planning_that_takes_long_tells_how_far_it_is() -> None:
+    now, shown = [0.0], io.StringIO()
+    progress = PlanProgress(console=Console(shown), clock=lambda: now[0])
+    for at, done in ((0.0, 0), (1.9, 99), (4.0, 200), (13.9, 600), (14.0, 700), (20.0, 1000)):
+        now[0] = at
+        progress.tell(done, 1000)
+    progress.close()
+    # A line after a moment, and one every ten seconds: 4 s for 200 runs, 14 s for 700.
+    assert shown.getvalue() == "planning: 200 of 1000 runs, 16 s left\nplanning: 700 of 1000 runs, 6 s left\n"
 
 
 def test_the_bar_tells_what_is_done_and_what_runs() -> None:

@@ -32,7 +32,8 @@ pipe, output, deaf = sys.argv[1], Path(sys.argv[2]), sys.argv[3] == "deaf"
 units = [Unit(f"u{k}", "support.work:wait", {"pipe": pipe, "deaf": deaf}) for k in range(3)]
 try:
     with Interruptible():
-        run_units(units, LocalWorkers(2), output=output, on_result=lambda r: print(json.dumps([r.id, r.value, r.error]), flush=True))
+        workers = LocalWorkers(2, on_interrupt=lambda running: print(json.dumps(["ending", running, ""]), flush=True))
+        run_units(units, workers, output=output, on_result=lambda r: print(json.dumps([r.id, r.value, r.error]), flush=True))
 except KeyboardInterrupt:
     die()
 """
@@ -203,6 +204,7 @@ def test_ctrl_c_lets_units_end_and_leaves_nothing(tmp_path: Path) -> None:
     waiting = Waiting(tmp_path)
     waiting.process.send_signal(signal.SIGINT)
     assert waiting.results() == {
+        "ending": (2, ""),
         "u2": (None, "stopped before it began"),
         "u0": ("stopped", ""),
         "u1": ("stopped", ""),
@@ -216,6 +218,7 @@ def test_a_second_ctrl_c_ends_units_that_go_on(tmp_path: Path) -> None:
     waiting = Waiting(tmp_path, "deaf")
     waiting.process.send_signal(signal.SIGINT)
     assert waiting.process.stdout is not None
+    assert json.loads(waiting.process.stdout.readline()) == ["ending", 2, ""]
     assert json.loads(waiting.process.stdout.readline()) == ["u2", None, "stopped before it began"]
     waiting.process.send_signal(signal.SIGINT)
     assert set(waiting.results().values()) == {(None, "stopped, and ended since it went on")}

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.errors import ConfigError
 from gibson_sim.maps.placement import furnished_floor_map
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
@@ -60,6 +61,18 @@ def house_with_a_door(folder: Path) -> str:
     house.mkdir()
     (house / "scene.yaml").write_text(text + DOOR)
     return str(house)
+
+
+def test_runs_are_planned_by_number_as_among_all() -> None:
+    given = scenario(scenes=("arena", "flat"), robots=("gibson_bot", "skid_bot"), runs=2)
+    told: list[tuple[int, int]] = []
+    runs = plan_runs(given, [3, 1, 3], lambda done, total: told.append((done, total)))
+    assert runs == tuple(plan_runs(replace(given, scenes=("arena",)))[k] for k in (1, 3))
+    assert [(run.number, run.robot) for run in runs] == [(1, "gibson_bot"), (3, "skid_bot")]
+    assert told == [(0, 2), (1, 2), (2, 2)]
+    for number in (-1, 8):
+        with pytest.raises(ConfigError, match=f"--run {number}: there is no such run; the plan has runs 0 to 7"):
+            plan_runs(given, [number])
 
 
 def test_given_places_are_taken_in_turn() -> None:
@@ -189,6 +202,13 @@ def test_looks_become_settings_of_physics_with_a_seed_of_the_run() -> None:
 )  # fmt: skip
 def test_what_cannot_be_met_is_refused_before_anything_starts(changes: dict[str, object], told: str) -> None:
     assert refusal(**changes).startswith(told)
+
+
+def test_all_places_where_the_robot_cannot_stand_are_told_at_once() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        plan_runs(scenario(starts=(FIRST, "99,0,0", "98,0,0"), goals=("4.26,1.0,0",), runs=2))
+    told = [line.removeprefix("/nowhere/trial.yaml: ").split(",")[0] for line in caught.value.mistakes]
+    assert told == ["starts[1] is '99", "goals is '4.26"]  # no run takes the third start
 
 
 def test_a_robot_that_cannot_drive_is_refused(tmp_path: Path) -> None:

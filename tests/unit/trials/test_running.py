@@ -14,7 +14,7 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim.trials import execution, judging, running
 from gibson_sim.trials.records import Outcome, RunResult, RunSpec
-from gibson_sim.trials.running import Changes, broken, chosen, finished, make_run, make_runs, prepare
+from gibson_sim.trials.running import Changes, broken, finished, make_run, make_runs, prepare
 from gibson_sim.trials.scenario_spec import Scenario, StackSpec
 from support.trial_results import failed, passed, spec
 
@@ -108,6 +108,14 @@ def test_each_run_leaves_its_plan_and_its_result(tmp_path: Path, scenario: Scena
     assert json.loads((tmp_path / "out/runs/0001/result.json").read_text())["passed"] is False
 
 
+def test_files_of_a_run_are_in_its_plan_and_not_in_its_result(tmp_path: Path, scenario: Scenario) -> None:
+    run = spec(0, files={"robot/robot.yaml": "urdf: robot.urdf\n"})
+    (result,), _ = made(scenario, [run], tmp_path)
+    assert result.run == replace(run, files={})
+    assert json.loads((tmp_path / "runs/0000/run.json").read_text())["files"] == run.files
+    assert finished(tmp_path, [run]) == {0: result}
+
+
 def test_bags_of_failed_runs_alone_are_kept(tmp_path: Path, scenario: Scenario) -> None:
     made(scenario, [spec(0), spec(1)], tmp_path)
     assert not (tmp_path / "runs/0000/bag").exists()
@@ -174,14 +182,6 @@ def test_a_folder_with_a_trial_goes_on_with_resume_alone(tmp_path: Path) -> None
     with pytest.raises(ConfigError, match="or add --resume to go on"):
         prepare(tmp_path, resume=False)
     prepare(tmp_path, resume=True)
-
-
-def test_runs_are_chosen_by_number() -> None:
-    plan = [spec(n) for n in range(5)]
-    assert chosen(plan, []) == tuple(plan)
-    assert chosen(plan, [3, 1]) == (spec(1), spec(3))
-    with pytest.raises(ConfigError, match="--run 7: there is no such run; the plan has runs 0 to 4"):
-        chosen(plan, [7])
 
 
 def test_changes_of_the_command_line_count(scenario: Scenario) -> None:

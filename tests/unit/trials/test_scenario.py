@@ -255,3 +255,9 @@ def test_a_predicate_beside_the_file_is_found_without_running_it(tmp_path: Path)
 def test_a_message_names_further_mistakes(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"runs is 0, .* \(2 more: seed, limits\.time\)$"):
         load(tmp_path, LEAST + "runs: 0\nseed: x\nlimits: {time: 0}\n")
+
+
+def test_a_file_with_very_many_mistakes_is_told_so(tmp_path: Path) -> None:
+    found = mistakes(tmp_path, LEAST + "".join(f"x{k}: 1\n" for k in range(30)))
+    assert len(found) == 21
+    assert found[-1] == "has more than 20 mistakes: mend these first"

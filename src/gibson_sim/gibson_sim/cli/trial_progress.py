@@ -14,6 +14,41 @@ _BAR = 20
 """Characters of the bar."""
 _MOST_SHOWN = 3
 """Running runs that are named."""
+_QUIET_S = 2.0
+"""Wall time of planning that needs no line, seconds."""
+_PERIOD_S = 10.0
+"""Wall time between two lines of planning where no terminal shows a bar, seconds."""
+
+
+class PlanProgress:
+    """Tells how many runs are planned, once that takes longer than a moment: a bar on a terminal, a line now and then elsewhere.
+
+    Args:
+        console: where it tells.
+        clock: wall time, seconds.
+    """
+
+    def __init__(self, *, console: Console = CONSOLE, clock: Callable[[], float] = time.monotonic) -> None:
+        self._console, self._clock = console, clock
+        self._began = clock()
+        self._told = self._began + _QUIET_S - _PERIOD_S
+
+    def tell(self, done: int, total: int) -> None:
+        """Tells that so many runs of all are planned."""
+        now = self._clock()
+        if now - self._began < _QUIET_S or done == total:
+            return
+        left = f", {_duration((now - self._began) / done * (total - done))} left" if done else ""
+        line = f"planning: {done} of {total} runs{left}"
+        if self._console.is_terminal:
+            self._console.status(line)
+        elif now - self._told >= _PERIOD_S:
+            self._told = now
+            self._console.write(line)
+
+    def close(self) -> None:
+        """Removes the bar."""
+        self._console.status("")
 
 
 class TrialProgress:
@@ -75,14 +110,14 @@ class TrialProgress:
         rest = self._total - self._before - self._done
         if not (self._done and rest):
             return ""
-        seconds = (self._clock() - self._began) / self._done * rest
-        return (
-            f"{seconds:.0f} s"
-            if seconds < 90.0
-            else f"{seconds / 60.0:.0f} min"
-            if seconds < 5400.0
-            else f"{seconds / 3600.0:.1f} h"
-        )
+        return _duration((self._clock() - self._began) / self._done * rest)
 
     def _show(self) -> None:
         self._console.status(self.line())
+
+
+def _duration(seconds: float) -> str:
+    """Returns a time in words."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gibson_sim.cli.console import say
 from gibson_sim.errors import ConfigError
 from gibson_sim.reading import exists
 
@@ -27,8 +29,13 @@ def add_workers(parser: Any, what: str) -> None:
     )
 
 
-def backend_of(args: argparse.Namespace) -> Backend | None:
-    """Returns where the units run; None = neither option is given.
+def backend_of(args: argparse.Namespace, what: str = "units of work", default: int | None = None) -> Backend | None:
+    """Returns where the units run; None = neither option is given, and there is no default.
+
+    Args:
+        args: with the options.
+        what: the units, such as "bags".
+        default: number of workers if neither option is given.
 
     Raises:
         GibsonSimError: both are given, or one is impossible here.
@@ -38,12 +45,20 @@ def backend_of(args: argparse.Namespace) -> Backend | None:
             raise ConfigError("--workers and --ray exclude each other: the cluster decides how many units run at the same time")
         from gibson_sim.jobs.ray_cluster import RayCluster
 
-        return RayCluster(args.ray)
-    if args.workers is None:
+        return RayCluster(args.ray, on_interrupt=partial(_say_that_work_ends, what))
+    count = default if args.workers is None else args.workers
+    if count is None:
         return None
     from gibson_sim.jobs.local import LocalWorkers
 
-    return LocalWorkers(args.workers)
+    return LocalWorkers(count, on_interrupt=partial(_say_that_work_ends, what))
+
+
+def _say_that_work_ends(what: str, running: int) -> None:
+    """Says what happens after Ctrl-C, since it takes a few seconds. ``running``: number of units; 0 = not known."""
+    say(
+        f"interrupted: ending {f'{running} {what}' if running else what}, and all their processes; Ctrl-C again does not wait for them"
+    )
 
 
 def files_of(values: dict[str, Any], keys: tuple[str, ...]) -> tuple[Path, ...]:

@@ -20,7 +20,7 @@ from uuid import uuid4
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.interrupts import held_back
-from gibson_sim.jobs.units import LOG_SUFFIX, REPEATS, Unit, UnitResult
+from gibson_sim.jobs.units import LOG_SUFFIX, REPEATS, Unit, UnitResult, ignore
 from gibson_sim.processes.descendants import Janitor, end_marked, with_mark
 from gibson_sim.writing import cannot_write, write_file
 
@@ -39,15 +39,18 @@ class LocalWorkers:
         count: number of processes.
         bind: whether each may use its share of the cores alone; results do not depend on it.
         repeats: how often a unit is repeated whose worker died.
+        on_interrupt: called at the first Ctrl-C with the number of units that run, before they are ended.
 
     Raises:
         ConfigError: the count is impossible.
     """
 
-    def __init__(self, count: int, *, bind: bool = False, repeats: int = REPEATS) -> None:
+    def __init__(
+        self, count: int, *, bind: bool = False, repeats: int = REPEATS, on_interrupt: Callable[[int], None] = ignore
+    ) -> None:
         if not 1 <= count <= MAX_WORKERS:
             raise ConfigError(f"the number of workers is {count}, must be from 1 to {MAX_WORKERS}")
-        self._count, self._bind, self._repeats = count, bind, repeats
+        self._count, self._bind, self._repeats, self._on_interrupt = count, bind, repeats, on_interrupt
 
     def run(
         self,
@@ -58,7 +61,7 @@ class LocalWorkers:
         stop: Callable[[], bool],
     ) -> None:
         """Runs all units, see ``run_units``."""
-        with Interrupts() as interrupts:
+        with Interrupts(self._on_interrupt) as interrupts:
             pool = Pool(min(self._count, len(units)), bind=self._bind)
             try:
                 pool.run(units, output, on_result, on_progress, stop, interrupts, repeats=self._repeats)
@@ -241,6 +244,7 @@ class Pool:
         while waiting or any(worker.task for worker in self._running()):
             if deadline is None and (interrupts.count or stop()):
                 deadline = time.monotonic() + GRACE_S
+                interrupts.tell(sum(worker.task is not None for worker in self._running()))
                 for worker in self._running():
                     worker.close_requests()
                 while waiting:
@@ -309,9 +313,16 @@ class Pool:
 class Interrupts:
     """Counts Ctrl-C (SIGINT) in a block, in place of KeyboardInterrupt, which would break off what keeps account of processes."""
 
-    def __init__(self) -> None:
+    def __init__(self, on_interrupt: Callable[[int], None] = ignore) -> None:
+        """``on_interrupt``: see ``tell``."""
         self.count = 0
         self._before: Any = None
+        self._on_interrupt = on_interrupt
+
+    def tell(self, running: int) -> None:
+        """Tells that work ends because of an interrupt, if it does. ``running``: number of units that run; 0 = not known."""
+        if self.count:
+            self._on_interrupt(running)
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:

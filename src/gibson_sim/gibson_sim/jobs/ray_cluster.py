@@ -47,6 +47,7 @@ class RayCluster:
         gpus: graphics cards that it reserves.
         repeats: how often a unit is repeated whose worker or machine died.
         limit_bytes: limit of the files of all units together.
+        on_interrupt: called at the first Ctrl-C, before the units are ended, with 0: how many run is not known.
 
     Raises:
         EnvironmentProblemError: Ray is not installed.
@@ -60,8 +61,9 @@ class RayCluster:
         gpus: float = 0.0,
         repeats: int = REPEATS,
         limit_bytes: int = MAX_FILES_BYTES,
+        on_interrupt: Callable[[int], None] = ignore,
     ) -> None:
-        self._ray = _import_ray()
+        self._ray, self._on_interrupt = _import_ray(), on_interrupt
         if cpus < 0.0 or gpus < 0.0:
             raise ConfigError(f"a unit needs {cpus:g} cores and {gpus:g} graphics cards, must be 0 or more")
         self._address, self._cpus, self._gpus, self._repeats, self._limit = address, cpus, gpus, repeats, limit_bytes
@@ -75,7 +77,7 @@ class RayCluster:
         stop: Callable[[], bool],
     ) -> None:
         """Runs all units, see ``run_units``; ``on_progress`` is called for repeated units alone."""
-        with Interrupts() as interrupts, _connection(self._ray, self._address):
+        with Interrupts(self._on_interrupt) as interrupts, _connection(self._ray, self._address):
             self._warn_if_too_small()
             shipped = _Shipped(self._ray, self._limit)
             begin = self._ray.remote(_run_here).options(num_cpus=self._cpus, num_gpus=self._gpus, max_retries=0)
@@ -152,6 +154,7 @@ class _Run:
             while self._tasks:
                 if not self._stopping and (interrupts.count or stop()):
                     self._stopping, deadline = True, time.monotonic() + 1.5 * GRACE_S
+                    interrupts.tell(0)
                     self._cancel(force=False)
                 if self._stopping and not forced and (time.monotonic() > deadline or interrupts.count > 1):
                     forced = True

@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 PlanarPose = tuple[float, float, float]
@@ -202,12 +202,12 @@ class RunResult:
         return all(verdict.passed for verdict in self.verdicts)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as values of JSON, with ``passed``."""
-        return {"passed": self.passed, **asdict(self)}
+        """Returns it as values of JSON, with ``passed``, and without the run's files, which are in its folder."""
+        return {"passed": self.passed, **asdict(replace(self, run=replace(self.run, files={})))}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> RunResult:
-        """Returns the result that ``to_json`` returned."""
+        """Returns the result that ``to_json`` returned; its run has no files."""
         return cls(
             RunSpec.from_json(values["run"]),
             Outcome(**values["outcome"]),

@@ -71,19 +71,6 @@ def check(scenario: Scenario) -> None:
     check_stack(scenario.stack)
 
 
-def chosen(runs: Sequence[RunSpec], numbers: Sequence[int]) -> tuple[RunSpec, ...]:
-    """Returns the runs with these numbers; all for none.
-
-    Raises:
-        ConfigError: there is no such run.
-    """
-    known = {run.number: run for run in runs}
-    for number in numbers:
-        if number not in known:
-            raise ConfigError(f"--run {number}: there is no such run; the plan has runs {min(known)} to {max(known)}")
-    return tuple(run for run in runs if not numbers or run.number in numbers)
-
-
 def prepare(folder: Path, *, resume: bool) -> None:
     """Checks that the output folder is new or empty, or is that of a trial that goes on.
 

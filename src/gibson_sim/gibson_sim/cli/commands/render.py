@@ -63,7 +63,7 @@ def _run(args: argparse.Namespace) -> int:
     """Replaces this process by the one that draws, which thus owns the terminal, the signals and the exit code; or draws with workers."""
     require_nodes()
     bags, output = args.bag, args.output
-    backend = backend_of(args)
+    backend = backend_of(args, "bags")
     if len(bags) > 1 or args.ray is not None:
         return _run_over(args, bags, output, backend)
     args.bag = bags[0]

@@ -21,7 +21,7 @@ from gibson_sim.errors import ConfigError
 if TYPE_CHECKING:
     from gibson_sim.jobs.units import Backend
     from gibson_sim.trials.comparing.comparison import Comparison
-    from gibson_sim.trials.records import RunResult
+    from gibson_sim.trials.records import RunResult, RunSpec
     from gibson_sim.trials.report.results import TrialResults
     from gibson_sim.trials.scenario_spec import Scenario
 
@@ -79,20 +79,36 @@ def run(args: argparse.Namespace) -> int:
     if args.scenario is None:
         return _compare_two(args)
     # Loaded here: a comparison of two files needs none of it.
-    from gibson_sim.trials.planning.plan import plan_runs
     from gibson_sim.trials.report.words import plan_table
-    from gibson_sim.trials.running import Changes, chosen
-    from gibson_sim.trials.scenario.load import load_scenario
+    from gibson_sim.trials.running import Changes
+    from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
 
     before = _results(args.compare[0]) if args.compare else None
     changes = Changes(args.runs, args.restart, args.keep)
-    scenario = changes.applied(load_scenario(args.scenario))
-    plan = plan_runs(scenario)
-    runs = chosen(plan, args.numbers)
+    try:
+        scenario = changes.applied(load_scenario(args.scenario))
+        plan = _plan(scenario, () if args.resume else args.numbers)
+    except ScenarioError as error:
+        for mistake in error.mistakes:
+            say(f"gibson-sim: error: {mistake}")
+        return ExitCode.ERROR
+    runs = [one for one in plan if not args.numbers or one.number in args.numbers]
     if args.plan:
         print(plan_table(runs))
         return ExitCode.OK
     return _Trial(args, scenario, changes, plan, runs, before).made()
+
+
+def _plan(scenario: Scenario, numbers: Sequence[int]) -> Sequence[RunSpec]:
+    """Returns the planned runs; tells how far it is where that takes long."""
+    from gibson_sim.cli.trial_progress import PlanProgress
+    from gibson_sim.trials.planning.plan import plan_runs
+
+    progress = PlanProgress()
+    try:
+        return plan_runs(scenario, numbers, progress.tell)
+    finally:
+        progress.close()
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -150,8 +166,8 @@ class _Trial:
         args: argparse.Namespace,
         scenario: Scenario,
         changes: Any,
-        plan: Sequence[Any],
-        runs: Sequence[Any],
+        plan: Sequence[RunSpec],
+        runs: Sequence[RunSpec],
         before: TrialResults | None,
     ) -> None:
         self._args, self._scenario, self._changes, self._plan, self._runs, self._before = (
@@ -263,9 +279,9 @@ class _Trial:
 
 def _backend(args: argparse.Namespace) -> Backend:
     """Returns where the runs are made: in one worker if nothing is said."""
-    from gibson_sim.jobs.local import LocalWorkers
-
-    return backend_of(args) or LocalWorkers(1)
+    backend = backend_of(args, "runs", default=1)
+    assert backend is not None
+    return backend
 
 
 def _processor() -> str:

@@ -129,8 +129,8 @@ class _Placer:
     def __init__(self, site: Site, places: Places) -> None:
         self._site, self._places = site, places
         self._names = {body.name for body in site.scene.bodies}
-        self._polygons: list[F64] = []
-        self._region: NDArray[np.bool_] | None = None
+        self._next = site.floor
+        """The map with the thing whose place was tried last."""
         self.floor: FloorMap = site.floor
 
     def path(self) -> tuple[float, F64]:
@@ -150,8 +150,7 @@ class _Placer:
             x, y, yaw = self._given(f"{key}.at", rule, shape)
         else:
             x, y, yaw = self._drawn(key, rule, shape, rng)
-        self._polygons.append(shape.corners(x, y, yaw))
-        self.floor = self._site.floor_with(self._polygons)
+        self.floor = self._next
         return PlacedThing(
             self._name(rule.object, number), rule.object, (x, y, yaw), round(self._site.floor.floor_z - shape.low[2], 4)
         )
@@ -188,12 +187,9 @@ class _Placer:
         return round(x - across * dy, 4), round(y + across * dx, 4)
 
     def _anywhere(self, rng: np.random.Generator, shape: _Shape) -> XY | None:
-        if self._region is None:
-            self._region = self._site.floor.largest_free_region(self._site.clearance)
+        region = self._site.free_region(self._site.clearance)
         try:
-            (pose,) = random_free_poses(
-                self.floor, 1, rng, clearance=min(shape.radius, self._site.clearance), region=self._region
-            )
+            (pose,) = random_free_poses(self.floor, 1, rng, clearance=min(shape.radius, self._site.clearance), region=region)
         except SceneError:
             return None
         return round(pose.position[0], 4), round(pose.position[1], 4)
@@ -207,8 +203,8 @@ class _Placer:
         for what, pose in (("start", self._places.start), ("goal", self._places.goal)):
             if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _APART:
                 return f"would stand within {_APART:g} m of the robot at the {what} ({pose[0]:.2f}, {pose[1]:.2f})"
-        floor = self._site.floor_with([*self._polygons, corners])
-        if not self._site.connected(self._places.start[:2], self._places.goal[:2], floor):
+        self._next = replace(self.floor, occupied=self.floor.occupied | cells)
+        if not self._site.connected(self._places.start[:2], self._places.goal[:2], self._next):
             return f"would leave no way from {_text(self._places.start)} to {_text(self._places.goal)}"
         return ""
 

@@ -61,12 +61,12 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
     Raises:
         NoPlaceError: there are none.
     """
-    given = tuple(_given(site, text, key) for text, key in zip((start, goal), keys, strict=True))
+    given = tuple(given_place(site, text, key) for text, key in zip((start, goal), keys, strict=True))
     if given[0] is not None and given[1] is not None:
         return _between(site, given[0], given[1], keys)
     rng = stream(seed, "places", attempt)
     clearance = max(sampling.clearance, site.clearance)
-    region = site.floor.largest_free_region(clearance)
+    region = site.free_region(clearance)
     low, high = sampling.path_length
     longest = 0.0
     for _ in range(_TRIES):
@@ -93,8 +93,12 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
     )
 
 
-def _given(site: Site, text: str, key: str) -> PlanarPose | None:
-    """Returns the pose of a text; None = it is to be drawn."""
+def given_place(site: Site, text: str, key: str) -> PlanarPose | None:
+    """Returns the pose of a text; None = it is to be drawn.
+
+    Raises:
+        NoPlaceError: the robot cannot stand there; with ``key``.
+    """
     if text == SAMPLED:
         return None
     try:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.trials.planning.obstacles import NoRoomError, obstructed
-from gibson_sim.trials.planning.places import NoPlaceError, places_of
+from gibson_sim.trials.planning.places import NoPlaceError, given_place, places_of
 from gibson_sim.trials.planning.robots import VariedRobot, check_variants, ranges_of
 from gibson_sim.trials.planning.seeds import seed_of, stream
 from gibson_sim.trials.planning.site import Site, with_closed_doors
@@ -37,22 +37,67 @@ _MOST_SIGMAS = 2.0
 """Largest error of the initial pose, standard deviations."""
 
 
-def plan_runs(scenario: Scenario) -> tuple[RunSpec, ...]:
-    """Returns all runs, numbered from 0: those of the first scene and robot first.
+def plan_runs(
+    scenario: Scenario, numbers: Collection[int] = (), on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> tuple[RunSpec, ...]:
+    """Returns the runs, numbered from 0: those of the first scene and robot first.
+
+    Args:
+        scenario: of the trial.
+        numbers: of the runs that are wanted; none = all. The others are not planned, and scenes without one are not loaded.
+        on_progress: called with the number of runs that are planned, and of those that are wanted.
 
     Raises:
         ScenarioError: the scenario cannot be met, such as by a goal in a wall; the message names the key.
+        ConfigError: there is no run with one of the numbers.
     """
+    each = len(scenario.robots) * scenario.runs
+    wanted = _wanted(numbers, len(scenario.scenes) * each)
     robots = [_robot(scenario, k) for k in range(len(scenario.robots))]
     varied = {name: variants for name, (_, variants) in zip(scenario.robots, robots, strict=True)}
     runs: list[RunSpec] = []
+    on_progress(0, len(wanted))
     for number, name in enumerate(scenario.scenes):
-        for site in _sites(scenario, number, [spec for spec, _ in robots]):
-            runs += [
-                replace(_run(scenario, site, varied[site.robot_name], k, name), number=len(runs) + k)
-                for k in range(scenario.runs)
-            ]
+        own = [k for k in wanted if k // each == number]
+        if not own:
+            continue
+        sites = _sites(scenario, number, [spec for spec, _ in robots])
+        _check_given(scenario, sites)
+        for k in own:
+            site = sites[k % each // scenario.runs]
+            runs.append(replace(_run(scenario, site, varied[site.robot_name], k % scenario.runs, name), number=k))
+            on_progress(len(runs), len(wanted))
     return tuple(runs)
+
+
+def _wanted(numbers: Collection[int], total: int) -> list[int]:
+    """Returns the numbers of the runs to plan, in order.
+
+    Raises:
+        ConfigError: there is no such run.
+    """
+    for number in numbers:
+        if not 0 <= number < total:
+            raise ConfigError(f"--run {number}: there is no such run; the plan has runs 0 to {total - 1}")
+    return sorted(set(numbers)) if numbers else list(range(total))
+
+
+def _check_given(scenario: Scenario, sites: Sequence[Site]) -> None:
+    """Checks all starts and goals that are given and that a run takes, before any other is drawn.
+
+    Raises:
+        ScenarioError: the robot cannot stand at some of them; with all of these.
+    """
+    mistakes = []
+    for site in sites:
+        for key, given in (("starts", scenario.starts), ("goals", scenario.goals)):
+            for k, text in enumerate(given[: scenario.runs]):
+                try:
+                    given_place(site, text, _key(key, k, given))
+                except NoPlaceError as error:
+                    mistakes.append(f"{error.key} {error}")
+    if mistakes:
+        raise ScenarioError(scenario.path, list(dict.fromkeys(mistakes)))
 
 
 def _robot(scenario: Scenario, number: int) -> tuple[RobotSpec, VariedRobot | None]:

@@ -100,6 +100,7 @@ class Site:
     """With the doors as they are at load."""
     closed_doors: tuple[str, ...] = ()
     _planners: dict[float, PathPlanner] = field(default_factory=dict)
+    _regions: dict[float, Bools] = field(default_factory=dict)
     _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
     _wide: dict[tuple[XY, XY], bool] = field(default_factory=dict)
     """Whether a wide way leads from one place to another."""
@@ -120,17 +121,16 @@ class Site:
             self._planners[radius] = PathPlanner(self.floor, radius)
         return self._planners[radius]
 
+    def free_region(self, clearance: float) -> Bools:
+        """Returns (H, W): the largest region whose cells have a clearance, metres."""
+        if clearance not in self._regions:
+            self._regions[clearance] = self.floor.largest_free_region(clearance)
+        return self._regions[clearance]
+
     @cached_property
     def named_poses(self) -> tuple[NamedPose, ...]:
         """Named poses of the scene as it is at load, with the robot in it, as the simulation lists them."""
         return named_poses(replace(self.open_scene, robots=(self.robot,)))
-
-    def floor_with(self, polygons: Sequence[F64]) -> FloorMap:
-        """Returns the map with more obstacles: polygons (K, 2), world frame, metres."""
-        covered = self.floor.occupied
-        for polygon in polygons:
-            covered = covered | self.grid.cover(np.asarray(polygon)[None])
-        return replace(self.floor, occupied=covered)
 
     @property
     def grid(self) -> Grid:

@@ -45,6 +45,8 @@ class Place:
         """Notes a mistake, ``text`` without the place."""
         if len(self.mistakes) < _MOST_MISTAKES:
             self.mistakes.append(f"{self.path} {text}" if self.path else text)
+        elif len(self.mistakes) == _MOST_MISTAKES:
+            self.mistakes.append(f"has more than {_MOST_MISTAKES} mistakes: mend these first")
 
     def refuse(self, value: object, required: str) -> None:
         """Notes that a value is not allowed."""
