@@ -169,27 +169,6 @@ _LEGEND = (
     "rate -: messages come with events, from several nodes, or seldom (/clock: beside every other message); "
     "missing -: not counted without a rate, nor for camera_info without its images"
 )
-_MOST_TOUCHES]
-        lines += [f"contact: {touch.text()}" for touch in shown]
-        if more := len(self.touches) - len(shown):
-            lines.append(f"contact: {more} more")
-        lines += [f"note: {note}" for note in self.notes]
-        lines += [f"PROBLEM: {problem}" for problem in self.problems]
-        return [*lines, self._verdict()]
-
-    def _verdict(self) -> str:
-        if self.ok:
-            images = f"each image has that of {' and of '.join(self.compared)}; " if self.compared else ""
-            return f"stamps agree: {images}none goes back in time"
-        more = f" (and {_counted(len(self.problems) - 1, 'more problem')} above)" if len(self.problems) > 1 else ""
-        return f"FAILED: stamps do not agree: {self.problems[0]}{more}"
-
-
-_COLUMNS = ("topic", "messages", "rate (Hz)", "missing", "first (s)", "last (s)")
-_LEGEND = (
-    "-: a topic has no rate if its messages come with events, from several nodes (/tf), with every other message (/clock) or too seldom; "
-    "nothing is missing of it, nor of camera_info without its images, which are published while they have subscribers"
-)
 _MOST_TOUCHES = 20
 """Contacts that a report lists."""
 _STOOD_M = 0.01
@@ -349,7 +328,9 @@ def _compare(topic: str, partner: str, data: _Collected, problems: list[str], no
     if inside.all():
         return True
     number = int(np.count_nonzero(~inside))
-    outside = f"{_counted(number, 'image')} {'lies' if number == 1 else 'lie'} before the first or after the last message of {partner}"
+    outside = (
+        f"{_counted(number, 'image')} {'lies' if number == 1 else 'lie'} before the first or after the last message of {partner}"
+    )
     if inside.any():
         notes.append(f"{topic}: {outside}")
     elif all(is_of_this_clock(data.stamps[t], data.log_ns[t]) for t in (topic, partner)):
