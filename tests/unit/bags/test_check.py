@@ -154,7 +154,7 @@ def test_camera_info_without_its_images_misses_nothing(messages: Any, tmp_path: 
             bag.write("/camera/camera_info", messages.camera_info(i * TICK), i * TICK, i * TICK)
     report = check_bag(tmp_path / "bag")
     assert (report.ok, report.notes, report.topics[0].missing) == (True, (), None)
-    assert "nor of camera_info without its images" in report.text()
+    assert "nor for camera_info without its images" in report.text()
 
 
 def test_the_last_line_tells_what_failed(write_drive: Callable[..., Path]) -> None:
