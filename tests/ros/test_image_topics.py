@@ -355,7 +355,7 @@ def test_images_without_subscribers_are_not_skipped_ones(rig: Rig) -> None:
     subscription = rig.user.create_subscription(Image, "eye/image_raw", images.append, 10)
     rig.tick_until(lambda: len(images) >= 2, "images")
     rig.user.destroy_subscription(subscription)
-    rig.tick_until(lambda: reports[-1:] != [] and reports[-1].status[0].message == "no image has a subscriber", "rest")
+    rig.tick_until(lambda: reports[-1:] != [] and reports[-1].status[0].message == "idle: no subscriber of its images", "rest")
     skipped = rig.renders[0].summary()["skipped_images"]
     rig.stamp_ns += 50 * TICK_NS
     again = rig.collect(Image, "eye/image_raw")

@@ -115,7 +115,7 @@ def test_bag_of_a_killed_recorder_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize(("simulated", "code"), [(0.0, 130), (1.5, 0)])
 def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, simulated: float, code: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, simulated: float, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     class StopAfterRecorder:
         count = 0
@@ -141,6 +141,7 @@ def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
     monkeypatch.setattr(FakeNode, "poll", poll)
     assert _run(tmp_path, monkeypatch) == code
     assert (tmp_path / "bag").exists() == bool(simulated)
+    assert "ending before time has begun: the nodes are stopping" in capsys.readouterr().err
 
 
 def test_full_disk_is_refused_before_anything_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

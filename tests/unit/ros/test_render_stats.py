@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gibson_sim.ros.nodes.render_stats import RenderStats
+from gibson_sim.ros.nodes.render_stats import LoadingProgress, RenderStats
 from gibson_sim.types import CameraSpec, Frame
 
 CAMERA = CameraSpec("eye", "", rate_hz=10.0, outputs=("rgb", "depth"))
@@ -63,3 +63,13 @@ def test_a_summary_counts_images_outputs_and_messages() -> None:
 
 def test_a_summary_before_the_first_image_is_empty() -> None:
     assert RenderStats().summary()["images"] == {}
+
+
+def test_a_stage_of_loading_that_was_logged_is_logged_at_its_end() -> None:
+    now, noted, logged = [0.0], list[str](), list[str]()
+    report = LoadingProgress(noted.append, logged.append, lambda: now[0])
+    for seconds, what, part in ((0.1, "reading", 0.5), (0.2, "reading", 1.0), (2.5, "details", 0.11), (2.6, "details", 1.0)):
+        now[0] = seconds
+        report(what, part)
+    assert logged == ["details: 11 %", "details: 100 %"], "a quick stage is not logged"
+    assert noted[-1] == "details: 100 %"

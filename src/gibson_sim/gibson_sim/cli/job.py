@@ -124,6 +124,9 @@ class JobRun:
                 time.sleep(0.05)
         finally:
             CONSOLE.status("")
+            if stop.count:  # at once: nodes that still load take seconds to end
+                begun = self._status.is_ready or "physics" not in self._job.configs
+                say(f"ending{'' if begun else ' before time has begun'}: the nodes are stopping")
             self._stop_all(stop)
             stop.close()
         if self._accepted:
@@ -281,7 +284,7 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
         )
     if r := found["render"]:
         if not r["images"]:
-            lines.append("render: nobody looked at an image, so none was drawn")
+            lines.append("render: no image had a subscriber, so none was drawn")
         for name, count in r["images"].items():
             lines.append(
                 f"render: camera {name}, {count} images, {r['images_per_wall_s'][name]:.1f}/s of wall time, "

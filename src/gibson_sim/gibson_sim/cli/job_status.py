@@ -84,7 +84,7 @@ class JobStatus:
         elif r.get("images_per_s"):
             parts += [f"{r['images_per_s']:.0f} images/s", f"{r['skipped']:.0f} skipped"]
         elif r:
-            parts.append("nobody looks at the images")
+            parts.append("images: no subscriber")
         if waits := p.get("waits_for"):
             parts.append(f"waits for {waits}")
         touches = [f"{robot} touches {_names(things)}" for robot, things in p.get("touches", {}).items() if things]

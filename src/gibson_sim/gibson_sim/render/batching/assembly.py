@@ -143,6 +143,7 @@ class GeometryAssembler:
             batches.append(
                 Batch(texture, alpha_mode, maps, unlit, glossy, has_appearance, colored, moving, is_closed, material, *span)
             )
+        self._progress("levels of detail", 1.0)
         if self._index_count >= 2**31:
             raise ConfigError(
                 f"the scene has {self._triangles} triangles, at most {2**31 // 6} can be drawn; simplify its meshes"

@@ -98,6 +98,7 @@ def build_geometry(
                 if len(triangles):
                     key = (link > 0, number, maps, alpha_mode, material.unlit, colored, closed, link)
                     submeshes.setdefault(key, Submesh()).add(*_used(vertices, triangles))
+    progress("reading meshes", 1.0)
     if len(table.rows) > MAX_LABEL:
         raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
     return GeometryAssembler(coarser, progress).assemble(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -25,7 +25,7 @@ from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
 from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant, is_in_lockstep, wait_for_subscribers
 from gibson_sim.ros.nodes.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.nodes.params import config_from_parameters
-from gibson_sim.ros.nodes.render_stats import RenderStats
+from gibson_sim.ros.nodes.render_stats import LoadingProgress, RenderStats
 from gibson_sim.ros.nodes.renderer_factory import device_of, open_renderer
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.camera_publisher import REGISTERED, CameraPublisher
@@ -119,7 +119,7 @@ class RenderNode(Node):
     def _load(self, scene: DrawnScene, warnings: Sequence[str]) -> None:
         """Loads a scene, or its changes, and updates the publishers of the cameras."""
         started = time.monotonic()
-        progress, reloaded = _Progress(self.get_name(), self.get_logger().info), True
+        progress, reloaded = LoadingProgress(self._note_loading, self.get_logger().info), True
         if self._renderer is None:
             self._renderer = open_renderer(scene, self._config, progress)
             self._frame_history = FrameHistory(self._renderer)
@@ -143,10 +143,13 @@ class RenderNode(Node):
             self._lockstep = LockstepParticipant(self, after=CAMERAS)
             self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
 
+    def _note_loading(self, what: str) -> None:
+        note_in_job(STATUS.format(self.get_name()), json.dumps({"loading": what}))
+
     def _warm_up(self, scene: DrawnScene) -> None:
         """Draws every camera once before time begins: the first image compiles loops and shaders, in seconds at the first start ever."""
         assert self._renderer is not None
-        note_in_job(STATUS.format(self.get_name()), json.dumps({"loading": "the first image"}))
+        self._note_loading("the first image")
         cameras = [publisher.camera for publisher in self._cameras.values()]
         try:
             self._renderer.render(State.still(scene.revision, scene.links), cameras)
@@ -306,7 +309,7 @@ class RenderNode(Node):
         if self._renderer is None:
             return
         values = self._stats.since_last_report()
-        message = "draws every image" if values["images_per_s"] else "no image has a subscriber"
+        message = "draws every image" if values["images_per_s"] else "idle: no subscriber of its images"
         note_in_job(STATUS.format(self.get_name()), json.dumps(values))
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if values["skipped"] else DiagnosticStatus.OK,
@@ -341,22 +344,6 @@ def pop_queue(subscription: Any) -> Iterator[Any]:
 def _when(state: SceneState) -> tuple[int, int]:
     """Returns epoch and stamp, by which a state that is published again in lockstep is recognised."""
     return state.epoch, conversions.time_from_msg(state.header.stamp)
-
-
-class _Progress:
-    """Reports the progress of loading a scene: logs it every two seconds, and tells the launcher four times a second."""
-
-    def __init__(self, node: str, log: Callable[[str], Any]) -> None:
-        self._node, self._log, self._logged, self._noted = node, log, time.monotonic(), 0.0
-
-    def __call__(self, what: str, part: float) -> None:
-        now, text = time.monotonic(), f"{what}: {100.0 * part:.0f} %"
-        if now - self._noted >= 0.25:
-            self._noted = now
-            note_in_job(STATUS.format(self._node), json.dumps({"loading": text}))
-        if now - self._logged >= 2.0:
-            self._logged = now
-            self._log(text)
 
 
 def main(args: list[str] | None = None) -> None:

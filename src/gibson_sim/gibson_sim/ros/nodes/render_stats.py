@@ -1,10 +1,10 @@
-"""Statistics of a render node: images drawn, messages published, and the wall time that takes."""
+"""Statistics of a render node: images drawn, messages published, and the wall time that takes; the progress of loading."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from statistics import median
 from typing import Any
 
@@ -101,3 +101,31 @@ class RenderStats:
             "draw_ms_median": median(self._draw_ms) if self._draw_ms else 0.0,
             "publish_ms_median": median(self._publish_ms) if self._publish_ms else 0.0,
         }
+
+
+class LoadingProgress:
+    """Reports the progress of loading a scene: logs it every two seconds, and notes it for the launcher four times a second.
+
+    The end of a stage that was logged is logged as well: no log ends at 11 %.
+
+    Args:
+        note: receives the stage and its progress, for the launcher.
+        log: receives the same, for people.
+        now_s: monotonic clock, seconds.
+    """
+
+    def __init__(
+        self, note: Callable[[str], Any], log: Callable[[str], Any], now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._note, self._log, self._now_s = note, log, now_s
+        self._logged, self._noted, self._stage = now_s(), -1.0, ""
+
+    def __call__(self, what: str, part: float) -> None:
+        """Reports a stage and its progress, 0 to 1."""
+        now, text = self._now_s(), f"{what}: {100.0 * part:.0f} %"
+        if now - self._noted >= 0.25 or part >= 1.0:
+            self._noted = now
+            self._note(text)
+        if now - self._logged >= 2.0 or (part >= 1.0 and self._stage == what):
+            self._logged, self._stage = now, what
+            self._log(text)
