@@ -1,0 +1,34 @@
+"""Errors, each with a message of one line: what is wrong, the value, what is allowed, and the remedy."""
+
+from __future__ import annotations
+
+_LONGEST = 80
+"""Largest length of a quoted value, characters."""
+
+
+class PathFollowingError(Exception):
+    """Root of all errors of this package."""
+
+
+class SettingError(PathFollowingError):
+    """A setting has a value that is not allowed."""
+
+
+class PathFolderError(PathFollowingError):
+    """A folder holds no path that can be read, or cannot be written."""
+
+
+class ViewError(PathFollowingError):
+    """Images that do not fit the path: their number, or their size."""
+
+
+class ModelError(PathFollowingError):
+    """A network cannot be used: the file, its inputs or its outputs."""
+
+
+def quoted(value: object) -> str:
+    """Returns the ``repr`` of a value of strangers in one line of at most about 80 characters."""
+    if isinstance(value, str):
+        value = value[: 2 * _LONGEST]
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -1,0 +1,201 @@
+"""Where on a path a robot is, by its images alone: a belief over the path, moved by the commands that were sent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_path_following.errors import SettingError
+from gibson_path_following.matching import Matcher, MatchingSettings
+from gibson_path_following.motions import Motion, segments
+from gibson_path_following.preprocessing import PreprocessingSettings, Preprocessor
+from gibson_path_following.types import Place, RecordedPath, View
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LocaliserSettings:
+    """How the belief moves, what images tell, and when the robot is lost."""
+
+    cells_per_node: int = 4
+    """Cells of the belief between two nodes."""
+    ratio_mean: float = 0.85
+    """Share of the commanded motion that a robot makes on average; wheels slip."""
+    ratio_deviation: float = 0.2
+    """Standard deviation of that share."""
+    drift: float = 0.15
+    """Standard deviation of the motion between two views that no command explains, nodes."""
+    drift_unknown: float = 1.0
+    """The same where no commands are known, nodes."""
+    turn_radius: float = 0.3
+    """Metres that a radian of a turn counts as."""
+    sharpness: float = 25.0
+    """Log-likelihood that a difference of 1 in score makes."""
+    outliers: float = 0.002
+    """Likelihood of the worst image against the best: how far one image can move the belief."""
+    relocation: float = 0.001
+    """Share of the belief that is spread over the whole path with each view."""
+    least_score: float = 0.2
+    """Score of the best node near the believed place, below which the images fit nowhere."""
+    least_confidence: float = 0.4
+    """Confidence below which the images fit to several places."""
+    lost_after: int = 4
+    """Views in a row with too little score or confidence, after which the robot is lost."""
+    found_after: int = 2
+    """Views in a row with enough of both, after which it is found again."""
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("cells_per_node", 1, 50),
+            ("ratio_mean", 0.1, 2.0),
+            ("ratio_deviation", 0.0, 1.0),
+            ("drift", 0.001, 100.0),
+            ("drift_unknown", 0.001, 100.0),
+            ("turn_radius", 0.0, 10.0),
+            ("sharpness", 0.1, 1000.0),
+            ("outliers", 0.0, 0.99),
+            ("relocation", 0.0, 0.5),
+            ("least_score", -1.0, 1.0),
+            ("least_confidence", 0.0, 1.0),
+            ("lost_after", 1, 1000),
+            ("found_after", 1, 1000),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+
+
+class NodeMatcher:
+    """The nodes of a path, ready to be compared with views; a localiser and a policy can share one."""
+
+    def __init__(
+        self,
+        path: RecordedPath,
+        preprocessing: PreprocessingSettings | None = None,
+        matching: MatchingSettings | None = None,
+    ) -> None:
+        """Prepares all nodes.
+
+        Raises:
+            PathFollowingError: the images of the path are not those of its camera.
+        """
+        height, width = path.nodes[0].view[0].shape[:2]
+        self.preprocessor = Preprocessor(path.camera, path.hfov, (width, height), preprocessing)
+        gradients = [self.preprocessor.gradients(self.preprocessor.panorama(node.view)) for node in path.nodes]
+        self.matcher = Matcher(self.preprocessor, gradients, matching)
+        self.nodes = len(path.nodes)
+
+    def gradients(self, view: View) -> NDArray[np.float32]:
+        """Returns the gradients of a view, as ``Matcher.match`` takes them."""
+        return self.preprocessor.gradients(self.preprocessor.panorama(view))
+
+
+class Localiser:
+    """A belief over the places of a path. Not thread-safe."""
+
+    def __init__(self, path: RecordedPath, settings: LocaliserSettings | None = None, nodes: NodeMatcher | None = None) -> None:
+        """Begins anywhere on the path.
+
+        Args:
+            path: the path.
+            settings: of the belief; None = the defaults.
+            nodes: the nodes of this path, if they are prepared already.
+
+        Raises:
+            PathFollowingError: the images of the path are not those of its camera.
+        """
+        self.settings = settings or LocaliserSettings()
+        self.nodes = nodes or NodeMatcher(path)
+        count = len(path.nodes)
+        per_node = self.settings.cells_per_node
+        self.places: F64 = np.arange((count - 1) * per_node + 1) / per_node
+        """Index of each cell of the belief: node, with a fraction."""
+        parts = segments(path)
+        at = np.minimum(self.places.astype(np.intp), count - 2)
+        self._distance = np.array([part.distance for part in parts])[at]
+        self._turn = np.array([part.turn for part in parts])[at]
+        effort = self._distance**2 + (self.settings.turn_radius * self._turn) ** 2
+        self._effort = np.maximum(effort, (0.25 * path.spacing) ** 2)
+        self._belief: F64 = np.full(len(self.places), 1.0 / len(self.places))
+        self._doubts = 0
+        self._fits = 0
+        self._is_lost = True
+        self.reset()
+
+    def reset(self, index: float | None = None, deviation: float = 2.0) -> None:
+        """Forgets all views.
+
+        Args:
+            index: where the robot most likely is, node with a fraction; None = anywhere.
+            deviation: standard deviation of ``index``, nodes.
+        """
+        belief = np.ones(len(self.places))
+        if index is not None:
+            belief = np.exp(-0.5 * ((self.places - index) / max(deviation, 0.1)) ** 2) + 1e-3
+        self._belief = belief / belief.sum()
+        self._doubts, self._fits, self._is_lost = 0, 0, True
+
+    @property
+    def belief(self) -> F64:
+        """(cells,) probability of each of ``places``; a copy."""
+        return self._belief.copy()
+
+    def update(self, view: View, motion: Motion | None = None) -> Place:
+        """Returns where the robot is when it sees a view.
+
+        Args:
+            view: what the cameras see.
+            motion: what was commanded since the view before; None = not known.
+
+        Raises:
+            ViewError: the images are not those of the path's camera.
+        """
+        matches = self.nodes.matcher.match(self.nodes.gradients(view))
+        self._move(motion)
+        scores = np.interp(self.places, np.arange(len(matches.scores)), matches.scores)
+        likelihood = np.exp(self.settings.sharpness * (scores - scores.max())) + self.settings.outliers
+        belief = self._belief * likelihood
+        self._belief = belief / belief.sum()
+        return self._place(scores)
+
+    def _move(self, motion: Motion | None) -> None:
+        settings = self.settings
+        if motion is None:
+            mean, deviation = np.zeros(len(self.places)), np.full(len(self.places), settings.drift_unknown)
+        else:
+            along = motion.distance * self._distance + settings.turn_radius**2 * motion.turn * self._turn
+            step = along / self._effort  # nodes, if nothing slips
+            mean = settings.ratio_mean * step
+            deviation = np.hypot(settings.ratio_deviation * step, settings.drift)
+        offset = self.places[None, :] - (self.places + mean)[:, None]  # (from, to)
+        # A robot that drives past an end of the path is at that end.
+        offset[:, -1] = np.minimum(offset[:, -1], 0.0) if len(self.places) > 1 else 0.0
+        kernel = np.exp(-0.5 * (offset / deviation[:, None]) ** 2) + 1e-12
+        kernel /= kernel.sum(axis=1, keepdims=True)
+        moved = self._belief @ kernel
+        self._belief = (1.0 - settings.relocation) * moved + settings.relocation / len(moved)
+
+    def _place(self, scores: F64) -> Place:
+        settings = self.settings
+        window = np.ones(2 * settings.cells_per_node + 1)
+        # The place is where most of the belief lies within one node, not the mean of two places far apart.
+        share = np.convolve(self._belief, window)[settings.cells_per_node : -settings.cells_per_node]
+        centre = int(share.argmax())
+        low, high = max(0, centre - settings.cells_per_node), centre + settings.cells_per_node + 1
+        part = self._belief[low:high]
+        index = float((part * self.places[low:high]).sum() / part.sum())
+        near = np.abs(self.places - index) <= 1.0
+        confidence = float(min(1.0, self._belief[near].sum()))
+        fits = bool(scores[near].max() >= settings.least_score and confidence >= settings.least_confidence)
+        self._fits = self._fits + 1 if fits else 0
+        self._doubts = 0 if fits else self._doubts + 1
+        if self._is_lost and self._fits >= settings.found_after:
+            self._is_lost = False
+        elif not self._is_lost and self._doubts >= settings.lost_after:
+            self._is_lost = True
+            self._belief = 0.5 * self._belief + 0.5 / len(self._belief)
+        return Place(index, confidence if math.isfinite(confidence) else 0.0, self._is_lost)

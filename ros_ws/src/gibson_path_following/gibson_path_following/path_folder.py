@@ -1,0 +1,296 @@
+"""Reads and writes a path as a folder: ``path.yaml``, ``nodes.csv``, ``velocities.csv`` and one PNG for each image of each node.
+
+::
+
+    kitchen/
+      path.yaml        format: 1, camera, hfov_deg, spacing_m, nodes (their number), width, height
+      nodes.csv        node,stamp_ns,distance_m,x_m,y_m,yaw_rad     (the last three are empty if the path has no odometry)
+      velocities.csv   node,after_ns,linear_mps,angular_radps       (what was driven from a node on; after_ns after its stamp)
+      images/000000_front.png  [images/000000_back.png]             (PNG, 8 bits, RGB)
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+import shutil
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import yaml
+
+from gibson_path_following.errors import PathFolderError, quoted
+from gibson_path_following.types import IMAGES_OF, CameraKind, Image, PathNode, RecordedPath, Velocity
+
+FORMAT = 1
+"""Version of the folder's format."""
+SETTINGS_FILE, NODES_FILE, VELOCITIES_FILE, IMAGES_FOLDER = "path.yaml", "nodes.csv", "velocities.csv", "images"
+MAX_NODES = 20_000
+"""Nodes of a path: 4 km at 0.2 m."""
+MAX_SIDE = 4096
+"""Width and height of an image, pixels."""
+MAX_PIXELS = 2**30
+"""Pixels of all images of a path, which are kept in memory."""
+_MAX_TEXT_BYTES = 16 * 2**20
+_MAX_IMAGE_BYTES = 64 * 2**20
+_MAX_VELOCITIES = 1_000_000
+_KEYS = ("format", "camera", "hfov_deg", "spacing_m", "nodes", "width", "height")
+_NODE_COLUMNS = ("node", "stamp_ns", "distance_m", "x_m", "y_m", "yaw_rad")
+_VELOCITY_COLUMNS = ("node", "after_ns", "linear_mps", "angular_radps")
+
+
+def image_name(node: int, camera: str) -> str:
+    """Returns the name of an image's file below the folder."""
+    return f"{IMAGES_FOLDER}/{node:06d}_{camera}.png"
+
+
+def save_path(path: RecordedPath, folder: str | Path, *, replace: bool = False) -> None:
+    """Writes a path; the folder appears complete or not at all.
+
+    Args:
+        path: the path.
+        folder: a new folder.
+        replace: whether the folder may be one with a path, which is replaced.
+
+    Raises:
+        PathFolderError: the folder exists, or cannot be written; or the path cannot be.
+    """
+    folder = Path(folder)
+    check_path(path, f"cannot write {folder}")
+    draft = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+    try:
+        if folder.exists() and not (replace and (folder / SETTINGS_FILE).is_file()):
+            what = "exists without a path in it" if replace else "exists"
+            raise PathFolderError(f"cannot write {folder}: it {what}; give a new folder")
+        draft.mkdir(parents=True)
+        try:
+            _write(path, draft)
+            if folder.exists():
+                shutil.rmtree(folder)
+            draft.rename(folder)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    except (OSError, ValueError) as error:
+        raise PathFolderError(f"cannot write {folder}: {_reason(error)}") from error
+
+
+def load_path(folder: str | Path) -> RecordedPath:
+    """Reads a path.
+
+    Raises:
+        PathFolderError: the folder holds no path that can be read; the message names the file and the remedy.
+    """
+    folder = Path(folder)
+    settings = _read_settings(folder / SETTINGS_FILE)
+    count: int = settings["nodes"]
+    camera = cast("CameraKind", settings["camera"])
+    size = (int(settings["width"]), int(settings["height"]))
+    rows = _read_rows(folder / NODES_FILE, _NODE_COLUMNS, MAX_NODES)
+    if len(rows) != count:
+        raise PathFolderError(
+            f"{folder / NODES_FILE} has {len(rows)} nodes, but {SETTINGS_FILE} says {count}; record the path again"
+        )
+    velocities = _read_velocities(folder / VELOCITIES_FILE, count)
+    nodes: list[PathNode] = []
+    for i, row in enumerate(rows):
+        where = f"{folder / NODES_FILE}, line {i + 2}"
+        if _whole(where, "node", row[0]) != i:
+            raise PathFolderError(f"{where}: node is {quoted(row[0])}, must be {i}; nodes stand in their order, from 0")
+        stamp = _whole(where, "stamp_ns", row[1])
+        distance = _number(where, "distance_m", row[2])
+        if nodes and (stamp <= nodes[-1].stamp_ns or distance < nodes[-1].distance):
+            raise PathFolderError(f"{where}: stamp_ns must grow and distance_m must not shrink from node to node")
+        pose = None
+        if any(text.strip() for text in row[3:]):
+            pose = (_number(where, "x_m", row[3]), _number(where, "y_m", row[4]), _number(where, "yaw_rad", row[5]))
+        view = tuple(_read_image(folder / image_name(i, name), size) for name in IMAGES_OF[camera])
+        nodes.append(PathNode(view, stamp, distance, tuple(velocities[i]), pose))
+    return RecordedPath(camera, math.radians(settings["hfov_deg"]), tuple(nodes), float(settings["spacing_m"]))
+
+
+def check_path(path: RecordedPath, what: str = "the path") -> None:
+    """Checks that a path can be written and followed.
+
+    Args:
+        path: the path.
+        what: begin of the message.
+
+    Raises:
+        PathFolderError: it cannot.
+    """
+    if path.camera not in IMAGES_OF:
+        raise PathFolderError(f"{what}: camera is {quoted(path.camera)}, must be one of {', '.join(IMAGES_OF)}")
+    if not 2 <= len(path.nodes) <= MAX_NODES:
+        raise PathFolderError(f"{what}: a path has 2 to {MAX_NODES} nodes, this one {len(path.nodes)}; drive on while it records")
+    shape = path.nodes[0].view[0].shape if path.nodes[0].view else ()
+    for i, node in enumerate(path.nodes):
+        if len(node.view) != len(IMAGES_OF[path.camera]):
+            raise PathFolderError(
+                f"{what}: node {i} has {len(node.view)} images, a {path.camera} camera has {len(IMAGES_OF[path.camera])}"
+            )
+        for image in node.view:
+            if image.shape != shape or len(shape) != 3 or shape[2] != 3 or image.dtype != np.uint8:
+                raise PathFolderError(
+                    f"{what}: an image of node {i} is {image.shape} {image.dtype}, the first one is {shape}; all must be "
+                    "(height, width, 3) uint8 of one size"
+                )
+        if i and (node.stamp_ns <= path.nodes[i - 1].stamp_ns or node.distance < path.nodes[i - 1].distance):
+            raise PathFolderError(f"{what}: node {i}: stamps must grow and distances must not shrink from node to node")
+
+
+def _write(path: RecordedPath, folder: Path) -> None:
+    height, width = path.nodes[0].view[0].shape[:2]
+    values = (FORMAT, path.camera, round(math.degrees(path.hfov), 6), float(path.spacing), len(path.nodes), width, height)
+    (folder / SETTINGS_FILE).write_text(yaml.safe_dump(dict(zip(_KEYS, values, strict=True)), sort_keys=False), encoding="utf-8")
+    (folder / IMAGES_FOLDER).mkdir()
+    rows: list[Sequence[object]] = []
+    velocities: list[Sequence[object]] = []
+    for i, node in enumerate(path.nodes):
+        pose = ("", "", "") if node.pose is None else tuple(repr(float(value)) for value in node.pose)
+        rows.append((i, int(node.stamp_ns), repr(float(node.distance)), *pose))
+        velocities.extend((i, int(after), repr(float(v.linear)), repr(float(v.angular))) for after, v in node.velocities)
+        for name, image in zip(IMAGES_OF[path.camera], node.view, strict=True):
+            done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+            if not done:
+                raise ValueError(f"OpenCV cannot write an image of {image.shape[1]}x{image.shape[0]} pixels as PNG")
+            (folder / image_name(i, name)).write_bytes(data.tobytes())
+    _write_rows(folder / NODES_FILE, _NODE_COLUMNS, rows)
+    _write_rows(folder / VELOCITIES_FILE, _VELOCITY_COLUMNS, velocities)
+
+
+def _write_rows(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    path.write_text(text.getvalue(), encoding="utf-8")
+
+
+def _read_settings(path: Path) -> dict[str, Any]:
+    text = _read(path, 4096)
+    try:
+        if b"&" in text or b"*" in text:
+            raise ValueError("aliases are not allowed")
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise PathFolderError(f"{path} is not YAML that can be read: {_reason(error)}") from error
+    if not isinstance(found, dict):
+        raise PathFolderError(f"{path} holds {quoted(found)}, must be a mapping with {', '.join(_KEYS)}")
+    for key in found:
+        if key not in _KEYS:
+            raise PathFolderError(f"{path}: {quoted(key)} is unknown; known: {', '.join(_KEYS)}")
+    for key in _KEYS:
+        if key not in found:
+            raise PathFolderError(f"{path}: {key} is missing; needed: {', '.join(_KEYS)}")
+    if found["format"] != FORMAT:
+        raise PathFolderError(f"{path}: format is {quoted(found['format'])}, this version reads {FORMAT}; record the path again")
+    if not isinstance(found["camera"], str) or found["camera"] not in IMAGES_OF:
+        raise PathFolderError(f"{path}: camera is {quoted(found['camera'])}, must be one of {', '.join(IMAGES_OF)}")
+    widest = 179.0 if found["camera"] == "pinhole" else 360.0
+    for key, least, most in (("hfov_deg", 1.0, widest), ("spacing_m", 0.001, 100.0)):
+        value = found[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
+            raise PathFolderError(f"{path}: {key} is {quoted(value)}, must be a number from {least:g} to {most:g}")
+    for key, least_count, most_count in (("nodes", 2, MAX_NODES), ("width", 8, MAX_SIDE), ("height", 8, MAX_SIDE)):
+        value = found[key]
+        if isinstance(value, bool) or not isinstance(value, int) or not least_count <= value <= most_count:
+            raise PathFolderError(f"{path}: {key} is {quoted(value)}, must be a whole number from {least_count} to {most_count}")
+    pixels = found["nodes"] * found["width"] * found["height"] * len(IMAGES_OF[found["camera"]])
+    if pixels > MAX_PIXELS:
+        raise PathFolderError(
+            f"{path}: its images have {pixels / 1e6:.0f} megapixels, at most {MAX_PIXELS / 1e6:.0f} are read; record smaller ones"
+        )
+    return found
+
+
+def _read_velocities(path: Path, nodes: int) -> list[list[tuple[int, Velocity]]]:
+    found: list[list[tuple[int, Velocity]]] = [[] for _ in range(nodes)]
+    for i, row in enumerate(_read_rows(path, _VELOCITY_COLUMNS, _MAX_VELOCITIES)):
+        where = f"{path}, line {i + 2}"
+        node, after = _whole(where, "node", row[0]), _whole(where, "after_ns", row[1])
+        if not 0 <= node < nodes:
+            raise PathFolderError(f"{where}: node is {node}, must be 0 to {nodes - 1}")
+        if after < 0 or (found[node] and after <= found[node][-1][0]):
+            raise PathFolderError(f"{where}: after_ns is {after}, must be 0 or more and grow within a node")
+        velocity = Velocity(_number(where, "linear_mps", row[2]), _number(where, "angular_radps", row[3]))
+        found[node].append((after, velocity))
+    return found
+
+
+def _read_rows(path: Path, columns: Sequence[str], most: int) -> list[list[str]]:
+    try:
+        text = _read(path, _MAX_TEXT_BYTES).decode("utf-8")
+        rows = list(csv.reader(io.StringIO(text, newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise PathFolderError(f"{path} is no CSV file: {_reason(error)}") from error
+    if not rows or rows[0] != list(columns):
+        raise PathFolderError(f"{path}: its first line must be {','.join(columns)}")
+    if len(rows) - 1 > most:
+        raise PathFolderError(f"{path} has {len(rows) - 1} rows, at most {most} are read")
+    for i, row in enumerate(rows[1:]):
+        if len(row) != len(columns):
+            raise PathFolderError(f"{path}, line {i + 2}: {len(row)} values, must be {len(columns)}: {','.join(columns)}")
+    return rows[1:]
+
+
+def _read_image(path: Path, size: tuple[int, int]) -> Image:
+    data = _read(path, _MAX_IMAGE_BYTES)
+    # The size stands in the first chunk: it is checked before an image of strangers is unpacked.
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR" or len(data) < 33:
+        raise PathFolderError(f"{path} is no PNG image; record the path again")
+    found = (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big"))
+    if found != size:
+        raise PathFolderError(f"{path} has {found[0]}x{found[1]} pixels, but {SETTINGS_FILE} says {size[0]}x{size[1]}")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise PathFolderError(f"{path} is a broken PNG image; record the path again")
+    return cast("Image", np.ascontiguousarray(image[..., ::-1]))
+
+
+def _read(path: Path, most: int) -> bytes:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe must not block
+        with open(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise PathFolderError(f"{path} is no regular file")
+            data = file.read(most + 1)
+    except (OSError, ValueError) as error:
+        hint = "; give a folder that was recorded" if path.name == SETTINGS_FILE else ""
+        raise PathFolderError(f"cannot read {path}: {_reason(error)}{hint}") from error
+    if len(data) > most:
+        raise PathFolderError(f"{path} is too large: at most {most / 2**20:g} MB are read")
+    return data
+
+
+def _whole(where: str, key: str, text: str) -> int:
+    try:
+        value = int(text) if len(text) <= 20 else None
+    except ValueError:
+        value = None
+    if value is None or abs(value) >= 2**63:
+        raise PathFolderError(f"{where}: {key} is {quoted(text)}, must be a whole number")
+    return value
+
+
+def _number(where: str, key: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise PathFolderError(f"{where}: {key} is {quoted(text)}, must be a finite number")
+    return value
+
+
+def _reason(error: Exception) -> str:
+    reason = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
+    return " ".join(reason.split())[:200]
