@@ -108,5 +108,5 @@ def test_policy_gives_each_node_what_it_uses_and_nothing_else(simulation: Path, 
 
     try:
         wait_until(agree, "agreement of rights and use")
-    finally:
-        print("rights and use differ:", last)
+    except AssertionError as error:
+        raise AssertionError(f"rights and use differ: {last}") from error

@@ -101,7 +101,10 @@ def _nodes(pid: int) -> dict[str, int]:
 def _what_runs() -> str:
     """Returns which processes are deaf, and of each running ``gibson-sim`` what it said last and where its nodes are now."""
     found = [_replaced_ports(os.getpid(), "this process")]
-    for launched in [launched for launched in _launched if launched.process.poll() is None]:
+    for launched in list(_launched):
+        if (code := launched.process.poll()) is not None:
+            found += [f"{' '.join(launched.process.args[3:])} ended with {code} and said last:", *launched.lines[-5:]]
+            continue
         nodes = _nodes(launched.process.pid)
         for name, pid in nodes.items():
             found.append(_replaced_ports(pid, f"{name} node"))
