@@ -239,6 +239,25 @@ def test_a_closed_door_cuts_given_places_and_keeps_drawn_ones_in_a_room(tmp_path
     for run in plan_runs(scenario(scenes=(house,), obstacles=closed, runs=4, sampling=Sampling((1.0, 3.0)))):
         assert run.closed_doors == ("way",)
         assert (run.start[0] < 4.26) == (run.goal[0] < 4.26)
+    either = scenario(scenes=(house,), obstacles=closed, runs=2, sampling=Sampling((1.0, 3.0)), starts=(FIRST, "7.0,2.2,0"))
+    assert [run.goal[0] < 4.26 for run in plan_runs(either)] == [True, False]
+
+
+def test_no_run_begins_where_a_door_that_closes_stands_or_swings(tmp_path: Path) -> None:
+    # The hinge is at (4.26, 2.63); the leaf of 0.9 m is at x from 4.3 to 5.1 m, and swings over the square below it.
+    given: dict[str, object] = {
+        "scenes": (house_with_a_door(tmp_path),),
+        "obstacles": Obstacles(closed_doors=("way",)),
+        "runs": 1,
+    }
+    for place in ("4.7,2.65,0", "4.6,2.2,0"):
+        told = refusal(**given, starts=(place,), goals=(SECOND,))
+        assert told.startswith(f"starts is '{place}', where a door of obstacles.closed_doors stands or swings until it is closed")
+    (run,) = plan_runs(scenario(**given, starts=(SECOND,), goals=("4.6,2.2,0",)))
+    assert run.goal[:2] == (4.6, 2.2)
+    box = Obstacles((SpawnRule("box_cardboard", at="4.9,2.3,0"),), closed_doors=("way",))
+    told = refusal(**{**given, "obstacles": box}, starts=(SECOND,), goals=("6.5,1.0,0",))
+    assert "'box_cardboard' would stand in the way of a door that closes" in told
 
 
 def test_things_stand_beside_the_path_and_leave_a_way_round() -> None:

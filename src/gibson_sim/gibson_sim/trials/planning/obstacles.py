@@ -200,6 +200,8 @@ class _Placer:
         cells = self._site.grid.cover(corners[None])
         if not cells.any() or (cells & ~self.floor.free).any():
             return f"would stand in something else or outside the map of scene {quoted(self._site.scene_name)}"
+        if self._site.swept is not None and (cells & self._site.swept).any():
+            return f"would stand in the way of a door that closes in scene {quoted(self._site.scene_name)}"
         for what, pose in (("start", self._places.start), ("goal", self._places.goal)):
             if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _APART:
                 return f"would stand within {_APART:g} m of the robot at the {what} ({pose[0]:.2f}, {pose[1]:.2f})"

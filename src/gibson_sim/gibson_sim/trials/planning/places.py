@@ -62,11 +62,14 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
         NoPlaceError: there are none.
     """
     given = tuple(given_place(site, text, key) for text, key in zip((start, goal), keys, strict=True))
+    if given[0] is not None and (wrong := site.wrong_start(given[0][:2])):
+        raise NoPlaceError(keys[0], f"is {quoted(start)}, {wrong}")
     if given[0] is not None and given[1] is not None:
         return _between(site, given[0], given[1], keys)
     rng = stream(seed, "places", attempt)
     clearance = max(sampling.clearance, site.clearance)
-    region = site.free_region(clearance)
+    swung = site.swept_distance < clearance
+    region = site.free_region(clearance) & ~swung
     low, high = sampling.path_length
     longest = 0.0
     for _ in range(_TRIES):
@@ -77,6 +80,9 @@ def places_of(site: Site, start: str, goal: str, sampling: Sampling, seed: int, 
         except SceneError:  # only a given place can be too narrow for the margin
             distances = site.planner_of(site.robot.radius).distances(first[:2])
         reachable = region & np.isfinite(distances)
+        if fixed is not None and not reachable.any():
+            # The given place is in another region, such as a room behind a closed door.
+            region = reachable = np.asarray(np.isfinite(distances) & ~swung)
         longest = max(longest, float(distances[reachable].max(initial=0.0)))
         within = region & (distances >= min(low * _TOO_LONG, high)) & (distances <= high)
         if (within & site.floor.inflate(clearance)).any():

@@ -26,7 +26,7 @@ from gibson_sim.trials.planning.obstacles import NoRoomError, obstructed
 from gibson_sim.trials.planning.places import NoPlaceError, given_place, places_of
 from gibson_sim.trials.planning.robots import VariedRobot, check_variants, ranges_of
 from gibson_sim.trials.planning.seeds import seed_of, stream
-from gibson_sim.trials.planning.site import Site, with_closed_doors
+from gibson_sim.trials.planning.site import Bools, Site, cells_of_closing_doors, with_closed_doors
 from gibson_sim.trials.records import PlanarPose, RunSpec
 from gibson_sim.trials.scenario.load import ScenarioError
 from gibson_sim.trials.scenario_spec import SAMPLED, InitialPose, Scenario
@@ -133,15 +133,17 @@ def _sites(scenario: Scenario, number: int, robots: Sequence[RobotSpec]) -> list
         closed, doors = with_closed_doors(scene, scenario.obstacles.closed_doors)
     except ConfigError as error:
         raise _error(scenario, f"obstacles.closed_doors {error}") from error
-    maps: dict[float, FloorMap] = {}
+    maps: dict[float, tuple[FloorMap, Bools | None]] = {}
     sites = []
     for robot_name, robot in zip(scenario.robots, robots, strict=True):
         try:
             if robot.height not in maps:
-                maps[robot.height] = furnished_floor_map(closed, robot)
+                swept = cells_of_closing_doors(scene, doors, robot) if doors else None
+                maps[robot.height] = furnished_floor_map(closed, robot), swept
         except GibsonSimError as error:
             raise _error(scenario, f"{key} is {quoted(name)}: {error}") from error
-        sites.append(Site(name, robot_name, closed, robot, maps[robot.height], scene, doors))
+        floor, swept = maps[robot.height]
+        sites.append(Site(name, robot_name, closed, robot, floor, scene, doors, swept))
     return sites
 
 

@@ -38,6 +38,8 @@ _HANDLES = ("handle", "lever", "knob")
 """Ends of the names of joints that open nothing."""
 _SAME_FLOOR = 0.5
 """Largest difference of a pose's height from that of the floor, metres."""
+_SWING_STEPS = 12
+"""Positions of a door on its way at which its place is looked up: its edge moves by less than 0.15 m between them."""
 _SAMPLES_PER_CELL = 4
 """Points of a path that are looked up, for each cell of its length."""
 _MOST_NAMED = 8
@@ -65,7 +67,7 @@ def with_closed_doors(scene: SceneSpec, names: Sequence[str]) -> tuple[SceneSpec
             )
     fixed = [body.name for body in scene.bodies if body.static and body.name in doors]
     chosen = tuple(fixed if ALL in names else [name for name in doors if name in names])
-    return replace(scene, bodies=tuple(_closed(body) if body.name in chosen else body for body in scene.bodies)), chosen
+    return _with_doors_moved(scene, chosen, 1.0), chosen
 
 
 def _openings(body: BodySpec) -> dict[str, float]:
@@ -80,8 +82,30 @@ def _openings(body: BodySpec) -> dict[str, float]:
     }
 
 
-def _closed(body: BodySpec) -> BodySpec:
-    return replace(body, joints=tuple({**dict(body.joints), **_openings(body)}.items()))
+def _closed(body: BodySpec, part: float = 1.0) -> BodySpec:
+    """Returns a body with its doors closed by a part of their way, 0 to 1."""
+    before = dict(body.joints)
+    moved = {name: (1.0 - part) * before.get(name, closed) + part * closed for name, closed in _openings(body).items()}
+    return replace(body, joints=tuple({**before, **moved}.items()))
+
+
+def cells_of_closing_doors(scene: SceneSpec, doors: Sequence[str], robot: RobotSpec) -> Bools:
+    """Returns (H, W): the cells of the map in which doors stand until they are closed, since a run begins with them as they are at load.
+
+    Args:
+        scene: with the doors as they are at load.
+        doors: names of the bodies whose doors are closed.
+        robot: whose height counts.
+    """
+    closed = furnished_floor_map(_with_doors_moved(scene, doors, 1.0), robot).occupied
+    swept = np.zeros_like(closed)
+    for part in np.arange(_SWING_STEPS) / _SWING_STEPS:
+        swept |= furnished_floor_map(_with_doors_moved(scene, doors, float(part)), robot).occupied
+    return np.asarray(swept & ~closed)
+
+
+def _with_doors_moved(scene: SceneSpec, doors: Sequence[str], part: float) -> SceneSpec:
+    return replace(scene, bodies=tuple(_closed(body, part) if body.name in doors else body for body in scene.bodies))
 
 
 @dataclass(frozen=True)
@@ -99,6 +123,8 @@ class Site:
     open_scene: SceneSpec
     """With the doors as they are at load."""
     closed_doors: tuple[str, ...] = ()
+    swept: Bools | None = None
+    """(H, W): the cells in which doors stand until they are closed; None = none are."""
     _planners: dict[float, PathPlanner] = field(default_factory=dict)
     _regions: dict[float, Bools] = field(default_factory=dict)
     _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
@@ -126,6 +152,13 @@ class Site:
         if clearance not in self._regions:
             self._regions[clearance] = self.floor.largest_free_region(clearance)
         return self._regions[clearance]
+
+    @cached_property
+    def swept_distance(self) -> F64:
+        """(H, W): distance from the centre of a cell to one in which doors stand until they are closed, metres."""
+        if self.swept is None or not self.swept.any():
+            return np.full(self.floor.shape, np.inf)
+        return np.asarray(ndimage.distance_transform_edt(~self.swept) * self.floor.resolution)
 
     @cached_property
     def named_poses(self) -> tuple[NamedPose, ...]:
@@ -188,6 +221,12 @@ class Site:
             return ""
         free = self.floor.nearest_free(xy, self.robot.radius)
         return f"{what} in scene {scene}{f'; the nearest free place is {free[0]:.2f},{free[1]:.2f}' if free else ''}"
+
+    def wrong_start(self, xy: XY) -> str:
+        """Returns why a run cannot begin at a place, world metres, where the robot can stand; empty = it can."""
+        if float(self.floor.look_up(self.swept_distance, xy, outside=0.0)) >= self.robot.radius:
+            return ""
+        return f"where a door of obstacles.closed_doors stands or swings until it is closed, in scene {quoted(self.scene_name)}"
 
     def given_pose(self, text: str) -> PlanarPose:
         """Returns the pose that a text stands for: ``x,y,yaw_deg``, or a name.
