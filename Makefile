@@ -5,7 +5,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
-CODE := bootstrap.py build_wheels.py src/gibson_sim src/gibson_sim_bench src/gibson_sim_tools ros_ws/src/gibson_examples docs tests
+CODE := bootstrap.py build_wheels.py src/gibson_sim src/gibson_sim_bench src/gibson_sim_learn src/gibson_sim_tools ros_ws/src/gibson_examples ros_ws/src/gibson_path_following docs tests
 
 export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # Keeps another ROS installation or environment out of ours.
@@ -78,6 +78,6 @@ wheels: setup
 
 clean:
 	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/*/build src/*/*.egg-info
-	rm -rf ros_ws/src/gibson_examples/build ros_ws/src/gibson_examples/*.egg-info
+	rm -rf ros_ws/src/gibson_*/build ros_ws/src/gibson_*/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find src ros_ws/src/gibson_examples tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src ros_ws/src/gibson_examples ros_ws/src/gibson_path_following tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -30,6 +30,8 @@ CONSTRAINTS = ROOT / "constraints.txt"
 PROJECTS = (
     ROOT / "src" / "gibson_sim",
     ROOT / "src" / "gibson_sim_tools",
+    ROOT / "ros_ws" / "src" / "gibson_path_following",
+    ROOT / "src" / "gibson_sim_learn",
     ROOT / "src" / "gibson_sim_bench",
     ROOT / "ros_ws" / "src" / "gibson_examples",
 )
@@ -363,7 +365,7 @@ def build_interfaces(venv: Path, key: str) -> bool:
 
 
 def install_project(venv: Path) -> bool:
-    """Installs Gibson Sim and its examples from the source tree, editable. Returns whether there was something to do."""
+    """Installs Gibson Sim, path following and the examples from the source tree, editable. Returns whether there was something to do."""
     files = [project / name for project in PROJECTS for name in ("setup.py", "setup.cfg", "pyproject.toml")]
     shared = [str(path) for project in PROJECTS for path in shared_parts(project)]
     stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv), *shared))

@@ -25,7 +25,10 @@ from bootstrap import ROOT, SetupError, clean_environment, pinned
 from wheel.wheelfile import WheelFile
 
 VENV = Path(sys.prefix)
-PROJECTS = tuple(ROOT / "src" / name for name in ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench"))
+PROJECTS = (
+    *(ROOT / "src" / name for name in ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench")),
+    ROOT / "ros_ws" / "src" / "gibson_path_following",
+)
 COMPAT = ROOT / "ros_ws" / "src" / "compat"
 MESSAGES = {
     "gibson_msgs": ROOT / "src" / "gibson_msgs",

@@ -72,7 +72,8 @@ def build(ros: Path | None, folder: Path) -> None:
     since = time.monotonic()
     command = ["colcon", "--log-base", "log", "build", "--symlink-install", "--base-paths", str(ROOT / "ros_ws" / "src")]
     if ros is None:
-        command += ["--packages-select", "gibson_sim", "gibson_sim_tools", "gibson_sim_bench", "gibson_examples", "control_msgs"]
+        command += ["--packages-select", "gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench"]
+        command += ["gibson_examples", "gibson_path_following", "control_msgs"]
         command += ["--cmake-args", "-G", "Ninja", f"-DPython3_EXECUTABLE={sys.executable}", "--no-warn-unused-cli"]
     done = shell([*underlay(ros), f"{shlex.join(command)} 2> build.log"], folder)
     require(done.returncode == 0, f"colcon ended with {done.returncode}\n{done.stdout}\n{(folder / 'build.log').read_text()}")

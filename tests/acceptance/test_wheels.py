@@ -29,9 +29,11 @@ if not (Path(sys.prefix) / "ros_build").is_dir():
 pytestmark = [pytest.mark.ros, pytest.mark.egl]
 OURS = (
     "gibson_msgs",
+    "gibson_path_following",
     "gibson_sim",
     "gibson_sim_bench",
     "gibson_sim_control_msgs",
+    "gibson_sim_learn",
     "gibson_sim_rosbag2_interfaces",
     "gibson_sim_scenes",
     "gibson_sim_simulation_interfaces",

@@ -18,7 +18,8 @@ from support.simulation import require
 
 SOURCES = {
     "gibson_sim": "src/gibson_sim", "gibson_sim_tools": "src/gibson_sim_tools", "gibson_sim_bench": "src/gibson_sim_bench",
-    "gibson_examples": "ros_ws/src/gibson_examples",
+    "gibson_sim_learn": "src/gibson_sim_learn", "gibson_examples": "ros_ws/src/gibson_examples",
+    "gibson_path_following": "ros_ws/src/gibson_path_following",
 }  # fmt: skip
 OF_ROSDEP = {
     "python3-aiohttp": "aiohttp", "python3-numpy": "numpy", "python3-opencv": "opencv-python-headless", "python3-scipy": "scipy",
@@ -92,11 +93,14 @@ def test_requirements_and_package_xml_name_what_setup_py_needs(root: Path) -> No
 
 def test_optional_packages_of_the_file_are_extras(root: Path) -> None:
     text = (root / "ros_ws" / "requirements.txt").read_text()
-    extras = re.search(r"(?s)extras_require=\{(.*?)\n    \}", (root / "src" / "gibson_sim" / "setup.py").read_text())
-    assert extras is not None
+    extras = "".join(
+        block
+        for package in SOURCES
+        for block in re.findall(r"(?s)extras_require=\{(.*?)\},?\n", (root / SOURCES[package] / "setup.py").read_text())
+    )
     named = set(re.findall(r"(?m)^# ([a-z][a-z-]+)$", text)) | WORTH_HAVING
     assert named >= {"matplotlib", "foxglove-sdk"}
-    assert named <= set(re.findall(r'"([\w-]+?)[>"]', extras[1]))
+    assert named <= set(re.findall(r'"([\w-]+?)[>"]', extras))
 
 
 @pytest.mark.parametrize("package", SOURCES)

@@ -14,7 +14,9 @@ from packaging.utils import canonicalize_name
 from gibson_sim.cli.launching import arguments
 from gibson_sim.client_config import FoxgloveConfig, WebConfig
 
-PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
+IN_WORKSPACE = ("gibson_path_following",)
+"""Packages that are copied with the workspace."""
 FROM_UBUNTU = {"numpy", "opencv-python-headless", "pyyaml", "scipy", "xacro"}
 """Dependencies that the image takes from Ubuntu or ROS."""
 
@@ -28,7 +30,7 @@ def _dependencies(root: Path) -> set[str]:
     found: set[str] = set()
     todo = []
     for package in PYTHON_PACKAGES:
-        block = re.search(r"(?s)install_requires=\[(.*?)\]", (root / "src" / package / "setup.py").read_text())
+        block = re.search(r"(?s)install_requires=\[(.*?)\]", (root / "ros_ws" / "src" / package / "setup.py").read_text())
         assert block is not None
         todo += [name for name in re.findall(r'"([\w-]+)', block[1]) if name not in PYTHON_PACKAGES]
     while todo:
@@ -57,12 +59,12 @@ def test_the_ros_image_has_every_dependency(root: Path) -> None:
 
 def test_the_pip_image_copies_what_the_set_up_reads(root: Path) -> None:
     first = _dockerfile(root).split("RUN make setup")[0]
-    files = [
-        f"{package}/{name}" for package in PYTHON_PACKAGES for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml")
-    ]
-    files += [f"{package}/resource" for package in PYTHON_PACKAGES]
-    files += [f"{package}/{package}/__init__.py" for package in PYTHON_PACKAGES]
+    packages = [package for package in PYTHON_PACKAGES if package not in IN_WORKSPACE]
+    files = [f"{package}/{name}" for package in packages for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml")]
+    files += [f"{package}/resource" for package in packages]
+    files += [f"{package}/{package}/__init__.py" for package in packages]
     assert [file for file in files if f"src/{file} " not in first] == []
+    assert "COPY ros_ws ros_ws\n" in first and all((root / "ros_ws" / "src" / package).is_dir() for package in IN_WORKSPACE)
 
 
 def test_copied_files_exist(root: Path) -> None:

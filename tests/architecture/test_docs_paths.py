@@ -14,8 +14,10 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {
     "gibson_sim": "src/gibson_sim",
     "gibson_sim_tools": "src/gibson_sim_tools",
+    "gibson_sim_learn": "src/gibson_sim_learn",
     "gibson_sim_bench": "src/gibson_sim_bench",
     "gibson_examples": "ros_ws/src/gibson_examples",
+    "gibson_path_following": "ros_ws/src/gibson_path_following",
 }
 """Our Python packages: the folder that holds each."""
 
@@ -36,6 +38,7 @@ def _pages() -> list[Path]:
         *sorted(ROOT.glob("*.md")),
         *sorted(ROOT.glob("docs/**/*.md")),
         *sorted(ROOT.glob("ros_ws/src/gibson_examples/**/*.md")),
+        *sorted(ROOT.glob("ros_ws/src/gibson_path_following/**/*.md")),
     ]
 
 

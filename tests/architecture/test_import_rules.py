@@ -16,7 +16,7 @@ from support.simulation import require
 
 MOST_FILES = 20
 """Python files in one folder."""
-PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench")
 HEAVY = ("rclpy", "pybullet", "moderngl", "torch")
 
 
@@ -148,6 +148,7 @@ def test_the_core_imports_none_of_the_tools() -> None:
     command = """import pkgutil, sys, importlib, gibson_sim
 for module in pkgutil.walk_packages(gibson_sim.__path__, "gibson_sim."):
     if not module.name.endswith("__main__"): importlib.import_module(module.name)
-print(sorted({name.partition(".")[0] for name in sys.modules} & {"gibson_sim_tools", "gibson_sim_bench"}))"""
+loaded = {name.partition(".")[0] for name in sys.modules}
+print(sorted(loaded & {"gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following"}))"""
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False)
     assert (done.stdout.strip().splitlines() or [done.stderr])[-1] == "[]"

@@ -70,7 +70,10 @@ def test_tf_messages_are_there_in_cpp(root: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("package", "launched", "program"),
-    [("gibson_sim", "sim.launch.py", "physics_node"), ("gibson_examples", "nav2.launch.py", "navigate")],
+    [
+        ("gibson_sim", "sim.launch.py", "physics_node"),
+        ("gibson_examples", "nav2.launch.py", "navigate"),
+    ],
 )
 def test_launch_finds_our_packages_with_the_environment_alone(
     root: Path, monkeypatch: pytest.MonkeyPatch, package: str, launched: str, program: str

@@ -14,7 +14,7 @@ import pytest
 
 from support.simulation import require
 
-PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+PYTHON_PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
 NOT_IMPORTED = {"gibson_sim": {"xacro"}}
 """What the code needs without an import statement: programs that it starts."""
 PACKAGE_OF = {
@@ -25,12 +25,17 @@ ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*(a[0-9]+)?( ; python_version (<|>=) \"3\.\d+\")?")
 
 
+def _folder(root: Path, package: str) -> Path:
+    """Returns the folder of a package, through the links of the workspace."""
+    return root / "ros_ws" / "src" / package
+
+
 def _setup_py(root: Path, package: str) -> str:
-    return (root / "src" / package / "setup.py").read_text()
+    return (_folder(root, package) / "setup.py").read_text()
 
 
 def _version(root: Path, package: str) -> str:
-    return _found(r'__version__ = "(.*)"', (root / "src" / package / package / "__init__.py").read_text())
+    return _found(r'__version__ = "(.*)"', (_folder(root, package) / package / "__init__.py").read_text())
 
 
 def _found(pattern: str, text: str) -> str:
@@ -42,7 +47,7 @@ def _found(pattern: str, text: str) -> str:
 @pytest.mark.parametrize("package", ["gibson_msgs", *PYTHON_PACKAGES])
 def test_all_packages_have_the_same_version(root: Path, package: str) -> None:
     version = _version(root, "gibson_sim")
-    assert ElementTree.parse(root / "src" / package / "package.xml").findtext("version") == version
+    assert ElementTree.parse(_folder(root, package) / "package.xml").findtext("version") == version
     if package in PYTHON_PACKAGES:
         assert (_version(root, package), _found(r'version="(.*)"', _setup_py(root, package))) == (version, version)
         assert set(re.findall(r'"gibson_\w+==(.*?)"', _setup_py(root, package))) <= {version}
@@ -57,8 +62,10 @@ def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> N
         "control_msgs\tsrc/compat/control_msgs\t(ros.ament_cmake)",
         "gibson_examples\tsrc/gibson_examples\t(ros.ament_python)",
         "gibson_msgs\tsrc/gibson_msgs\t(ros.ament_cmake)",
+        "gibson_path_following\tsrc/gibson_path_following\t(ros.ament_python)",
         "gibson_sim\tsrc/gibson_sim\t(ros.ament_python)",
         "gibson_sim_bench\tsrc/gibson_sim_bench\t(ros.ament_python)",
+        "gibson_sim_learn\tsrc/gibson_sim_learn\t(ros.ament_python)",
         "gibson_sim_tools\tsrc/gibson_sim_tools\t(ros.ament_python)",
         "rosbag2_interfaces\tsrc/compat/rosbag2_interfaces\t(ros.ament_cmake)",
         "simulation_interfaces\tsrc/compat/simulation_interfaces\t(ros.ament_cmake)",
@@ -72,6 +79,7 @@ def test_links_are_relative_and_lead_somewhere(root: Path) -> None:
         "ros_ws/src/gibson_sim",
         "ros_ws/src/gibson_sim_tools",
         "ros_ws/src/gibson_sim_bench",
+        "ros_ws/src/gibson_sim_learn",
         "src/gibson_sim/config",
         "src/gibson_sim/scenes",
     ]
@@ -95,10 +103,9 @@ def test_everything_that_setup_py_needs_has_a_version(root: Path, package: str) 
 def _imported(root: Path, package: str) -> set[str]:
     """Returns the packages that the code of one of ours imports: none of Python's and of ROS, nor itself."""
     found: set[str] = set()
-    peers = (
-        root / "src/gibson_sim_bench/gibson_sim_bench/peers.py"
-    )  # measures what users have installed themselves, each optional
-    for file in set((root / "src" / package / package).rglob("*.py")) - {peers}:
+    # Measures what users have installed themselves, each optional.
+    peers = _folder(root, "gibson_sim_bench") / "gibson_sim_bench" / "peers.py"
+    for file in set((_folder(root, package) / package).rglob("*.py")) - {peers}:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.partition(".")[0] for alias in node.names}

@@ -128,7 +128,7 @@ _PIP_NAMES = {
     "yaml": "PyYAML",
 }  # fmt: skip
 """Module -> package of PyPI, where the names differ."""
-_OURS = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
+_OURS = ("gibson_sim", "gibson_sim_tools", "gibson_sim_learn", "gibson_sim_bench", "gibson_path_following")
 _OF_ROS = ("rclpy", "rpyutils", "ament_index_python", "launch", "launch_ros")
 
 
