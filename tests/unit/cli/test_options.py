@@ -45,3 +45,20 @@ def test_node_arguments_carry_any_text_as_text(scene: str) -> None:
 def test_parameter_table_has_a_row_for_every_setting() -> None:
     text = markdown()
     assert "| `step_hz` | int | `240` | 60 to 10000 Hz | Physics steps per second of simulation time |" in text
+
+
+def test_help_tells_what_each_value_is() -> None:
+    parser = argparse.ArgumentParser()
+    add_settings(parser, PhysicsConfig, ("scene", "start", "step_hz", "duration", "map", "seed", "rate", "publish_map_tf"))
+    text = " ".join(parser.format_help().split())
+    for shown in (
+        "--scene NAME|FILE",
+        "--start NAME|X,Y,DEG",
+        "--step-hz HZ",
+        "--duration SECONDS",
+        "--map {auto,on,off}",
+        "--seed N",
+        "--rate FACTOR",
+    ):
+        assert shown in text
+    assert "(default: linden_flat)" in text and "(default: '')" not in text and "default: False" not in text

@@ -29,3 +29,26 @@ def test_drive_sends_a_type_with_a_subscription(cmd_vel_type: str, stamped: bool
 def test_drive_without_a_matching_subscription_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--stamped sends TwistStamped, which --cmd-vel-type twist does not receive"):
         plan(tmp_path, "--drive", "square", "--stamped", "--cmd-vel-type", "twist")
+
+
+def test_help_begins_with_what_is_used_most_in_groups() -> None:
+    parser = argparse.ArgumentParser()
+    subparsers = parser.add_subparsers()
+    run.add_parser(subparsers)
+    text = subparsers.choices["run"].format_help()
+    assert "[options]\n" in text.splitlines(keepends=True)[0] and " X " not in text
+    titles = [line[:-1] for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert titles == [
+        "options",
+        "scene and robots",
+        "page",
+        "drive",
+        "record",
+        "time",
+        "commands and grippers",
+        "cameras",
+        "compressed images",
+        "rendering",
+        "lockstep",
+        "the run",
+    ]

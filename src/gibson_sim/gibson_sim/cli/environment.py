@@ -17,7 +17,7 @@ from gibson_sim.processes.environment import (
 from gibson_sim.reach import REACHES
 
 
-def add_network(parser: argparse.ArgumentParser) -> None:
+def add_network(parser: argparse._ActionsContainer) -> None:
     """Adds the options of ROS domain and reach, which ``environment_of`` reads."""
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.add_argument(

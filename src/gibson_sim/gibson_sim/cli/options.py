@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import Field, fields
 from typing import Any, TypeVar
 
 from gibson_sim.cli.names import check_names
@@ -12,23 +12,67 @@ from gibson_sim.cli.names import check_names
 T = TypeVar("T")
 
 
-def add_settings(parser: argparse.ArgumentParser, cls: type[Any], names: Iterable[str]) -> None:
+_UNITS = {"m": "METRES", "s": "SECONDS", "px": "PIXELS", "N": "NEWTONS"}
+"""Units in full; others are written as they are, in capitals."""
+_METAVARS = {
+    "asset_roots": "DIRS",
+    "cache": "DIR",
+    "camera_outputs": "NAMES",
+    "cameras": "NAMES",
+    "drive": "NAME|FILE",
+    "egl_library": "FILE",
+    "host": "ADDRESS",
+    "lights": "FILE",
+    "outputs": "NAMES",
+    "participants": "RULES",
+    "randomise": "NAME|FILE",
+    "rate": "FACTOR",
+    "register_depth": "NAMES",
+    "robot": "NAME|FILE",
+    "scene": "NAME|FILE",
+    "start": "NAME|X,Y,DEG",
+    "topics": "NAMES",
+    "view_size": "WxH",
+    "views": "NAMES|FILE",
+}
+"""What the value of an option is, by setting, where neither its unit nor its type tells."""
+
+
+def add_settings(parser: argparse._ActionsContainer, cls: type[Any], names: Iterable[str]) -> None:
     """Adds one option for each named field of the settings class ``cls``: ``step_hz`` becomes ``--step-hz``."""
     wanted = set(names)
     for f in fields(cls):
         if f.name not in wanted:
             continue
         wanted.discard(f.name)
-        unit = f" [{f.metadata['unit']}]" if f.metadata["unit"] else ""
-        text = f"{f.metadata['doc']}{unit} (default: {f.default!r})".replace("%", "%%")
+        text = f"{f.metadata['doc']}{_default_of(f.default)}".replace("%", "%%")
         flag = "--" + f.name.replace("_", "-")
         if isinstance(f.default, bool):
             parser.add_argument(flag, dest=f.name, action=argparse.BooleanOptionalAction, default=None, help=text)
         else:
             kind = _parser_of(f.name, type(f.default))
-            action = parser.add_argument(flag, dest=f.name, type=kind, default=None, metavar="X", help=text)
+            action = parser.add_argument(flag, dest=f.name, type=kind, default=None, metavar=_metavar(f), help=text)
             action.suggestions = f.metadata["choices"]  # type: ignore[attr-defined]  # for shell completion: the class checks them
     assert not wanted, f"{cls.__name__} has no settings {sorted(wanted)}"
+
+
+def _metavar(f: Field[Any]) -> str:
+    """Returns what help shows for the value of an option."""
+    if f.metadata["choices"]:
+        return f"{{{','.join(f.metadata['choices'])}}}"
+    if f.name in _METAVARS:
+        return _METAVARS[f.name]
+    unit: str = f.metadata["unit"]
+    if unit:
+        return _UNITS.get(unit, unit.upper())
+    return "TEXT" if isinstance(f.default, str) else "N" if isinstance(f.default, int) else "NUMBER"
+
+
+def _default_of(default: Any) -> str:
+    """Returns what help says of a default; nothing of an empty text, whose meaning the setting's doc tells, and of what is off."""
+    if default == "" or default is False:
+        return ""
+    return f" (default: {'on' if default is True else f'{default:g}' if isinstance(default, float) else default})"
 
 
 def _parser_of(name: str, kind: type[Any]) -> Any:

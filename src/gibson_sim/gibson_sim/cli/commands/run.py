@@ -20,6 +20,51 @@ from gibson_sim.quoting import quoted
 
 _OF_ONE_ROBOT = ("clock", "tf", "odom", "ground_truth/odom", "joint_states", STATE_TOPIC)
 """Topics that every robot has."""
+_RENDER = tuple(f.name for f in fields(RenderConfig) if f.name not in ("digests", "summary_path"))
+_FIRST = "scene and robots"
+_GROUPS: dict[str, tuple[str, ...]] = {
+    _FIRST: ("scene", "robot", "start", "robot_tf", "seed", "map", "map_resolution", "publish_map_tf"),
+    "time": ("rate", "duration", "start_paused", "reset_time", "step_hz", "clock_hz", "publish_hz"),
+    "commands and grippers": (
+        "cmd_vel_timeout",
+        "cmd_vel_type",
+        "grasp_mode",
+        "grasp_distance",
+        "grasp_force",
+        "grasp_release_force",
+        "grasp_release_angle_deg",
+    ),
+    "cameras": ("camera_rate", "camera_outputs", "cameras", "views", "view_size", "view_rate", "register_depth"),
+    "compressed images": (
+        "compressed_format",
+        "jpeg_quality",
+        "png_level",
+        "compressed_depth_max",
+        "compressed_depth_quantization",
+    ),
+    "rendering": (
+        "egl_device",
+        "egl_uuid",
+        "egl_library",
+        "detail_px",
+        "compress_textures",
+        "cache",
+        "asset_roots",
+        "sdf_lamps",
+        "randomise",
+        "randomise_seed",
+    ),
+    "lockstep": (
+        "lockstep",
+        "pipelined",
+        "participants",
+        "participant_timeout",
+        "on_timeout",
+        "image_timeout",
+        "digests",
+    ),
+}
+"""Settings of both nodes, by what they are about, in the order of the help."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -27,68 +72,26 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "run",
         help="start the simulation: both nodes, and on request a drive, a recording or a video",
-        description="Starts the physics and the render node, and stops both on Ctrl-C, after --duration or at the end of the drive.",
+        usage="%(prog)s [options]",
+        description="Starts the physics and the render node, and stops both on Ctrl-C, after --duration or at the end of the drive. "
+        "Most used: --scene, --robot, --web, --drive, --record; all have defaults.",
     )
-    add_settings(
-        parser,
-        PhysicsConfig,
-        (
-            "scene",
-            "robot",
-            "start",
-            "robot_tf",
-            "rate",
-            "start_paused",
-            "reset_time",
-            "seed",
-            "map",
-            "map_resolution",
-            "duration",
-            "lockstep",
-            "pipelined",
-            "participants",
-            "participant_timeout",
-            "on_timeout",
-            "image_timeout",
-            "digests",
-            "step_hz",
-            "clock_hz",
-            "publish_hz",
-            "camera_rate",
-            "camera_outputs",
-            "views",
-            "view_size",
-            "view_rate",
-            "cmd_vel_timeout",
-            "cmd_vel_type",
-            "grasp_mode",
-            "grasp_distance",
-            "grasp_force",
-            "grasp_release_force",
-            "grasp_release_angle_deg",
-            "publish_map_tf",
-            "sdf_lamps",
-            "randomise",
-            "randomise_seed",
-        ),
-    )
-    add_settings(
-        parser,
-        RenderConfig,
-        tuple(f.name for f in fields(RenderConfig) if f.name not in ("digests", "summary_path")),
-    )
-    parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
-    drive = parser.add_argument_group("drive")
-    add_settings(drive, DriveConfig, ("drive", "length", "linear", "angular", "stamped"))
-    record = parser.add_argument_group("record")
-    record.add_argument("--record", metavar="DIR", help="record a rosbag2 bag into this folder, which must not exist")
-    add_settings(
-        record,
-        RecordConfig,
-        ("topics", "record_images", "storage", "compression", "max_bag_size", "max_bag_duration", "flush_period", "reserve_mb"),
-    )
-    record.add_argument("--video", metavar="FILE.mp4", help="write a video and, beside it, a contact sheet PNG of RGB and depth")
-    record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
+    for title, settings in _GROUPS.items():
+        group = parser.add_argument_group(title)
+        if title == "rendering":
+            group.add_argument("--no-render", action="store_true", help="physics alone, no images")
+        add_settings(group, PhysicsConfig, [name for name in settings if name not in _RENDER])
+        add_settings(group, RenderConfig, [name for name in settings if name in _RENDER])
+        if title == _FIRST:
+            _add_uses(parser)
+    job = parser.add_argument_group("the run")
+    add_network(job)
+    job.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
+    parser.set_defaults(run=run)
+
+
+def _add_uses(parser: argparse.ArgumentParser) -> None:
+    """Adds what a run can do besides simulating: a page, a drive, a recording."""
     web = parser.add_argument_group("page")
     web.add_argument(
         "--web",
@@ -116,9 +119,22 @@ def add_parser(subparsers: Any) -> None:
         type=int,
         help="its TCP port (default: 8765, or any if that is taken); implies --foxglove",
     )
-    add_network(parser)
-    parser.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
-    parser.set_defaults(run=run)
+    drive = parser.add_argument_group("drive")
+    drive.add_argument(
+        "--drive",
+        metavar="NAME|FILE",
+        help="drive the robot, then end: tour, forward, square, spin, or a file with lines `linear angular seconds` (default: no drive)",
+    )
+    add_settings(drive, DriveConfig, ("length", "linear", "angular", "stamped"))
+    record = parser.add_argument_group("record")
+    record.add_argument("--record", metavar="DIR", help="record a rosbag2 bag into this folder, which must not exist")
+    add_settings(
+        record,
+        RecordConfig,
+        ("topics", "record_images", "storage", "compression", "max_bag_size", "max_bag_duration", "flush_period", "reserve_mb"),
+    )
+    record.add_argument("--video", metavar="FILE.mp4", help="write a video and, beside it, a contact sheet PNG of RGB and depth")
+    record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
 
 
 def run(args: argparse.Namespace) -> int:
