@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from gibson_sim.bags.plots.load import load_run
-from gibson_sim.bags.plots.panels import contact_rows, rates, velocity_parts
+from gibson_sim.bags.plots.panels import contact_rows, motion_limits, rates, velocity_parts
 from gibson_sim.bags.plots.plot import write_plots
-from gibson_sim.bags.plots.run_data import Arrivals, RecordedRun
+from gibson_sim.bags.plots.run_data import Arrivals, RecordedRun, RobotRun, Velocities
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.cli.command_line import run as run_command
 from gibson_sim.errors import ConfigError, EnvironmentProblemError, RecordError
@@ -231,6 +231,19 @@ def test_rate_of_a_topic_that_stopped_is_none_from_then_on() -> None:
     assert names == [("/x", pytest.approx(20.0))]
     assert edges.tolist() == list(range(31))
     assert (parts[0, 10:15] == 0.0).all() and parts[0, :10] == pytest.approx(1.0) and parts[0, 15:] == pytest.approx(1.0)
+
+
+def test_a_long_rest_at_the_end_is_left_out_of_the_motion() -> None:
+    """The robot drives until 10.0 s and stands until 60 s, then until 12 s."""
+
+    def driven_until_10(end: float) -> RecordedRun:
+        t = np.arange(0.0, end + 0.05, 0.1)
+        speed, none = np.where(t < 10.05, 0.5, 1e-6), np.zeros(len(t))
+        robot = RobotRun("", None, None, None, None, Velocities(t, speed, none, none, "/odom"), None, ())
+        return RecordedRun(Path("bag"), 0.0, end, "s", (robot,), None, False, ())
+
+    assert motion_limits(driven_until_10(60.0)) == (0.0, pytest.approx(12.0)), "two seconds of it are shown"
+    assert motion_limits(driven_until_10(13.0)) == (0.0, 13.0), "a short rest is shown whole"
 
 
 def test_command_writes_a_picture_beside_the_bag(write_run: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:

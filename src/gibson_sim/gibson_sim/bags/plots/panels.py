@@ -33,6 +33,16 @@ _MOST_CONTACTS, MOST_TOPICS = 12, 45
 """Rows of contacts, and of topics."""
 _MOST_BINS = 120
 """Columns of the rates of topics."""
+_LEAST_SPAN = 0.1
+"""Least height of an axis of velocities, m/s and rad/s: smaller motion is a robot that settles on its wheels."""
+_MOVES = 0.01
+"""Velocity from which on a robot moves, m/s and rad/s."""
+_IDLE_SHARE, IDLE_MARGIN_S = 0.3, 2.0
+"""Share of a run from which on its idle end is left out of the panels of motion; time that is still shown of it, s."""
+_NORMAL, _MOST_RATE = 1.0, 1.8
+"""Rates as parts of the usual one: the usual one, and the one that is drawn darkest."""
+_SHADES = ("#ffffff", "#dbeafe", "#60a5fa", "#1e40af")
+"""Colours of rates, from none to ``_MOST_RATE``."""
 _MARKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600)
 """Times between marks along a path, s."""
 
@@ -177,7 +187,8 @@ def _draw_times(axis: Any, run: RecordedRun, track: Track) -> None:
     seconds = run.end - run.begin
     every = float(next((mark for mark in _MARKS if seconds / mark <= 12), np.ceil(seconds / 12)))
     before: tuple[float, float] | None = None
-    left, right, bottom, top = (float(f(v)) for v in (track.x, track.y) for f in (np.min, np.max))
+    shown = (float(f(v)) for v in (track.x, track.y) for f in (np.min, np.max))
+    left, right, bottom, top = shown if run.floor is None else _window(run, run.floor)
     apart = 0.06 * max(right - left, top - bottom, 1.0)
     for t in np.arange(np.ceil((run.begin + 1e-6) / every) * every, float(track.t[-1]) + 1e-9, every):
         x, y, _ = track.at(float(t))
@@ -218,7 +229,10 @@ def draw_velocities(axis: Any, run: RecordedRun, part: str, label: str) -> None:
         for touch in robot.touches:
             if touch.is_press:
                 axis.axvspan(touch.begin, touch.end, color=RED, alpha=0.08, linewidth=0)
-    axis.set(ylabel=label, xlim=_time_limits(run))
+    axis.set(ylabel=label, xlim=motion_limits(run))
+    low, high = axis.get_ylim()
+    if high - low < _LEAST_SPAN:
+        axis.set_ylim((low + high - _LEAST_SPAN) / 2.0, (low + high + _LEAST_SPAN) / 2.0)
     if not axis.get_legend_handles_labels()[0]:
         axis.text(0.5, 0.5, "no velocities in the bag", ha="center", va="center", transform=axis.transAxes, color=ASKED)
 
@@ -226,6 +240,23 @@ def draw_velocities(axis: Any, run: RecordedRun, part: str, label: str) -> None:
 def _time_limits(run: RecordedRun) -> tuple[float, float]:
     """Returns the ends of the time axes, s; a run's first message comes a step after 0."""
     return (0.0 if 0.0 < run.begin < 0.05 * run.end else run.begin), run.end
+
+
+def motion_limits(run: RecordedRun) -> tuple[float, float]:
+    """Returns the ends of the time axes of motion, s: without a long end of the run in which no robot moves, touches or is commanded."""
+    begin, end = _time_limits(run)
+    last = max((t for robot in run.robots for t in _times_of_motion(robot)), default=end) + IDLE_MARGIN_S
+    return begin, last if end - last > _IDLE_SHARE * (end - begin) else end
+
+
+def _times_of_motion(robot: RobotRun) -> list[float]:
+    """Returns the last time, s, at which a robot moved, was commanded to, and touched something; none of what it did not do."""
+    found = [touch.end for touch in robot.touches]
+    for velocities in (robot.commands, robot.by_wheels, robot.in_truth):
+        if velocities is not None:
+            fast = np.maximum(np.hypot(velocities.forward, velocities.sideways), np.abs(velocities.turning)) > _MOVES
+            found += [float(t) for t in velocities.t[fast][-1:]]
+    return found
 
 
 def _held(t: F64, values: F64, end: float) -> tuple[F64, F64]:
@@ -239,7 +270,7 @@ def _held(t: F64, values: F64, end: float) -> tuple[F64, F64]:
 def draw_contacts(axis: Any, run: RecordedRun) -> None:
     """Draws when each thing was touched, a row each, with the numbers of ``draw_paths``."""
     rows, tint, alone = contact_rows(run), colours(run), len(run.robots) == 1
-    axis.set(xlim=_time_limits(run), ylim=(len(rows) + 0.1 or 1.0, -0.6) if rows else (0, 1))
+    axis.set(xlim=motion_limits(run), ylim=(len(rows) + 0.1 or 1.0, -0.6) if rows else (0, 1))
     if not rows:
         text = "touched nothing" if run.tells_contacts else "the bag has no contacts: record collisions, contacts or bumper"
         axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes, color="#6b7280")
@@ -322,9 +353,22 @@ def draw_rates(axis: Any, run: RecordedRun) -> None:
         axis.text(0.5, 0.5, "no topic has several messages", ha="center", va="center", transform=axis.transAxes, color=ASKED)
         return
     from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.patches import Patch
 
-    shades = LinearSegmentedColormap.from_list("rates", ["#ffffff", "#dbeafe", "#60a5fa", "#1e40af"])
-    axis.pcolormesh(edges, np.arange(len(names) + 1), parts, cmap=shades, vmin=0.0, vmax=1.8, linewidth=0, rasterized=True)
+    shades = LinearSegmentedColormap.from_list("rates", _SHADES)
+    axis.pcolormesh(edges, np.arange(len(names) + 1), parts, cmap=shades, vmin=0.0, vmax=_MOST_RATE, linewidth=0, rasterized=True)
+    meanings = (
+        (0.0, "no message"),
+        (0.5, "half"),
+        (_NORMAL, "usual rate (at the right)"),
+        (_MOST_RATE, f"{_MOST_RATE:g} times that, or more"),
+    )
+    patches = [
+        Patch(facecolor=shades(part / _MOST_RATE), edgecolor="#9ca3af", linewidth=0.6, label=text) for part, text in meanings
+    ]
+    axis.legend(
+        handles=patches, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(patches), fontsize=8.5, borderaxespad=0.2
+    )
     axis.set_yticks(np.arange(len(names)) + 0.5, [name for name, _ in names], fontsize=8)
     axis.tick_params(axis="y", length=0)
     axis.set_ylim(len(names), 0)

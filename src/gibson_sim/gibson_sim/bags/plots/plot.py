@@ -117,9 +117,10 @@ _PATH_CAPTION = (
     "A dot is the start, a triangle the end and its heading; red dots are contacts, with the numbers that they have below."
 )
 _MOTION_CAPTION = (
-    "Asked by commands, by the wheels' odometry, and in truth, where recorded. Red: the robot presses against something."
+    "Asked by commands, by the wheels' odometry, and in truth, where recorded. Red: the robot presses against something. A long rest at the "
+    "end is left out."
 )
-_RATES_CAPTION = "Darker is more messages than usual in that second, white is none; the number is the usual rate."
+_RATES_CAPTION = "Darker is more messages than usual in that time, white is none; the number is the usual rate."
 
 
 def draw_motion(figure: Any, run: RecordedRun) -> None:
@@ -131,7 +132,9 @@ def draw_motion(figure: Any, run: RecordedRun) -> None:
     panels.draw_legend(axes[0], run)
     axes[0].set_title("Velocities")
     panels.draw_contacts(axes[-1], run)
-    axes[-1].set(title="Contacts", xlabel=run.time_label)
+    end = panels.motion_limits(run)[1]
+    rest = f"; at rest from {end - panels.IDLE_MARGIN_S:.1f} s to the end at {run.end:.1f} s" if end < run.end else ""
+    axes[-1].set(title="Contacts", xlabel=f"{run.time_label}{rest}")
 
 
 def _draw_rates(figure: Any, run: RecordedRun, *, is_titled: bool) -> None:
