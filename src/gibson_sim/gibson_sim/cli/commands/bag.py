@@ -1,4 +1,4 @@
-"""``gibson-sim bag``: checks, plots and repairs a bag, and makes pictures and videos of it."""
+"""``gibson-sim bag``: checks, plots and repairs a bag, makes pictures and videos of it, or a bag of pictures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 from gibson_sim import __version__
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.film import write_film, write_film_strip
+from gibson_sim.bags.images.from_files import FOLDER_RATE_HZ, SUFFIXES as IMAGE_SUFFIXES, CameraSettings, write_bag
+from gibson_sim.bags.progress import progress_bar
 from gibson_sim.bags.video import write_contact_sheet, write_pictures
 from gibson_sim.bags.writer import repair
 from gibson_sim.errors import RecordError
@@ -17,7 +19,9 @@ from gibson_sim.picture_files import SUFFIXES
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command with its own sub-commands."""
-    parser = subparsers.add_parser("bag", help="check or plot a bag, repair a truncated one, make a video of one")
+    parser = subparsers.add_parser(
+        "bag", help="check or plot a bag, repair a truncated one, make a video of one, or one of images"
+    )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     check = actions.add_parser(
         "check", help="counts, rates, stamps, contacts and odometry of a bag; exit code 1 if stamps do not agree"
@@ -33,6 +37,9 @@ def add_parser(subparsers: Any) -> None:
     sheet.set_defaults(run=_sheet)
     film = actions.add_parser("film", help="write a film strip or a video of several cameras, stacked")
     film.set_defaults(run=_film)
+    making = actions.add_parser("from-images", help="make a bag of a folder of photographs, or of a video")
+    making.set_defaults(run=_from_images)
+    _add_from_images(making)
     for action in (check, plot, repairing, video, sheet, film):
         action.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     plot.add_argument(
@@ -55,6 +62,42 @@ def add_parser(subparsers: Any) -> None:
     film.add_argument("--to", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the start of the bag")
     film.add_argument("--fps", type=float, help="frames a second of the video (default: by the stamps)")
     film.add_argument("--speed", type=float, default=1.0, help="seconds of the run in a second of the video (default: 1)")
+
+
+def _add_from_images(parser: argparse.ArgumentParser) -> None:
+    default = CameraSettings()
+    parser.add_argument(
+        "source",
+        type=Path,
+        metavar="FOLDER|VIDEO",
+        help=f"folder of images ({', '.join(IMAGE_SUFFIXES)}) in the order of their names, or a video",
+    )
+    parser.add_argument("--output", type=Path, required=True, metavar="BAG", help="folder of the new bag")
+    parser.add_argument(
+        "--topic", default=default.topic, help=f"topic of the images; camera_info stands beside it (default: {default.topic})"
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help=f"images a second: of a folder, at which they were taken (default: {FOLDER_RATE_HZ:g}); of a video, at most so many (default: all)",
+    )
+    parser.add_argument("--frame", default=default.frame, help=f"frame of the images (default: {default.frame})")
+    parser.add_argument(
+        "--hfov",
+        type=float,
+        metavar="DEG",
+        help="horizontal field of view of a pinhole camera, degrees (default: camera_info says that it is not calibrated)",
+    )
+    parser.add_argument("--compressed", action="store_true", help="JPEG images, on TOPIC/compressed")
+
+
+def _from_images(args: argparse.Namespace) -> int:
+    settings = CameraSettings(args.topic, args.rate, args.frame, args.hfov, args.compressed)
+    with progress_bar("images") as advance:
+        made = write_bag(args.source, args.output, settings, advance)
+    print(made.text())
+    return 0
 
 
 def _check(args: argparse.Namespace) -> int:
