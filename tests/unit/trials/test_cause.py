@@ -132,6 +132,13 @@ def test_no_plan(tmp_path: Path) -> None:
     )
 
 
+def test_goal_that_the_stack_refused_is_not_one_without_a_plan(tmp_path: Path) -> None:
+    run = Run(truth=stands, plans=[], commands=[])
+    cause = sure(blamed(tmp_path, run, "gave up", detail="the action did not accept the goal"))
+    assert cause.kind == "gave up"
+    assert cause.text.endswith("the stack gave up 5.00 m from the goal: the action did not accept the goal")
+
+
 def test_plan_without_commands(tmp_path: Path) -> None:
     assert sure(blamed(tmp_path, Run(truth=stands, commands=commands((0.0, 12.0, 0.0))))).kind == "no command"
 

@@ -84,6 +84,15 @@ def test_files_of_an_earlier_execution_are_removed(tmp_path: Path) -> None:
         (replace(STACK, goal=GoalInterface("action", "go", "NavigateToPose")), "must be package/action/Name"),
         (replace(STACK, goal=GoalInterface("service", "go", "a_msgs/action/Go")), "must be package/srv/Name"),
         (replace(STACK, goal=GoalInterface("action", "go", "no_such_msgs/action/Go")), "package 'no_such_msgs'"),
+        (
+            replace(STACK, goal=GoalInterface("service", "go", "nav_msgs/srv/GetPlans", "goal")),
+            "'nav_msgs/srv/GetPlans', which package nav_msgs does not have; did you mean 'GetPlan'? known: GetMap, GetPlan,",
+        ),
+        (
+            replace(STACK, goal=GoalInterface("service", "go", "nav_msgs/srv/GetPlan", "pose")),
+            "field is 'pose', must be a field of type geometry_msgs/PoseStamped of nav_msgs/srv/GetPlan, which has "
+            "start (geometry_msgs/PoseStamped), goal (geometry_msgs/PoseStamped), tolerance (float)",
+        ),
         (replace(STACK, lockstep=("cmd_vel sometimes",)), "cmd_vel sometimes"),
         (replace(STACK, lockstep=("",)), "participants"),
     ],
@@ -97,7 +106,7 @@ def test_stack_that_cannot_be_run_is_refused_in_one_line(stack: StackSpec, text:
 
 def test_stack_that_can_be_run_is_accepted() -> None:
     check_stack(replace(STACK, ready=Ready(node="controller_server")))
-    check_stack(replace(STACK, goal=GoalInterface("service", "go", "std_srvs/srv/Trigger")))
+    check_stack(replace(STACK, goal=GoalInterface("service", "go", "nav_msgs/srv/GetPlan", "goal")))
 
 
 def test_two_rules_on_one_topic_need_names() -> None:

@@ -105,7 +105,9 @@ def test_the_plan_is_a_line_a_run() -> None:
     ]
 
 
-def test_junit_has_a_case_for_each_run() -> None:
+def test_junit_has_a_case_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("out/a/runs/0001/bag").mkdir(parents=True)
     broken = failed(2, "the render node was killed", "simulation failed")
     top = ElementTree.fromstring(junit_xml(trial([passed(0), failed(1), broken]), Path("out/a"), ["--runs", "3"]))
     (suite,) = top
@@ -121,6 +123,7 @@ def test_junit_has_a_case_for_each_run() -> None:
     assert problem is not None
     assert problem.attrib == {"message": "collision with chair_2 at 3.2,4.1 after 12.3 s", "type": "collision"}
     assert problem.text == "collisions: 1 collision, at most 0"
+    assert error.findtext("system-out") == "run again: gibson-sim trial rooms.yaml --runs 3 --run 2"
     assert bad.findtext("system-out") == (
         "repeat to the bit: gibson-sim replay out/a/runs/0001/bag --verify\nrun again: gibson-sim trial rooms.yaml --runs 3 --run 1"
     )

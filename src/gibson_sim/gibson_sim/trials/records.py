@@ -17,6 +17,8 @@ from typing import Any, Literal
 
 PlanarPose = tuple[float, float, float]
 """x, y, yaw: map frame, metres and radians."""
+REFUSED_GOAL = "did not accept the goal"
+"""End of the detail of an outcome of a stack whose action refused the goal."""
 
 
 @dataclass(frozen=True, slots=True)

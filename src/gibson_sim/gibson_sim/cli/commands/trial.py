@@ -255,7 +255,7 @@ class _Trial:
         return trial
 
     def _print(self, trial: TrialResults) -> None:
-        from gibson_sim.trials.report.words import again_command, replay_command, run_folder
+        from gibson_sim.trials.report.words import again_command, can_be_replayed, replay_command
 
         print(trial.rate.text())
         for kind, numbers in trial.causes().items():
@@ -265,7 +265,7 @@ class _Trial:
             _print_comparison(self._comparison)
         if trial.failed:
             first = trial.failed[0].run.number
-            if (run_folder(self._folder, first) / "bag").is_dir():
+            if can_be_replayed(self._folder, trial.failed[0]):
                 print(f"run {first}, to the bit: {replay_command(self._folder, first)}")
             print(f"run {first}, with the stack: {again_command(trial.file, first, self._changes.options())}")
         print(f"page: {self._folder / 'index.html'}")

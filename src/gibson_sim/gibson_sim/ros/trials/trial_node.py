@@ -40,9 +40,10 @@ from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.discovery import is_fully_matched
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class, service_class
 from gibson_sim.trials.execution.monitor import Decision, RunMonitor
+from gibson_sim.trials.execution.node_settings import POSE_TYPE
 from gibson_sim.trials.execution.plan import CLOCK, IMAGES, MARKER, PROGRESS, TrialPlan, TrialReport
 from gibson_sim.trials.execution.walking import PERIOD_TICKS, person_pose, person_urdf
-from gibson_sim.trials.records import PlanarPose
+from gibson_sim.trials.records import REFUSED_GOAL, PlanarPose
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, Pose
 
 OURS = frozenset({"physics", "render", "record", "_record_intake", "trial"})
@@ -520,7 +521,7 @@ class _ActionGoal:
         self._answered = True
         handle = future.result()
         if not handle.accepted:
-            self._monitor.receive_result(False, "did not accept the goal")
+            self._monitor.receive_result(False, REFUSED_GOAL)
             return
         handle.get_result_async().add_done_callback(self._on_result)
 
@@ -553,10 +554,10 @@ def _goal_of(node: Node, plan: TrialPlan, monitor: RunMonitor) -> _TopicGoal | _
 
     part = kind.Goal if spec.kind == "action" else kind.Request
     found = part.get_fields_and_field_types().get(spec.field)
-    if found != "geometry_msgs/PoseStamped":
+    if found != POSE_TYPE:
         fields = ", ".join(f"{name} ({type_})" for name, type_ in part.get_fields_and_field_types().items())
         raise ConfigError(
-            f"stack.goal.field is {quoted(spec.field)}, must be a field of type geometry_msgs/PoseStamped of {spec.type}, which has "
+            f"stack.goal.field is {quoted(spec.field)}, must be a field of type {POSE_TYPE} of {spec.type}, which has "
             f"{fields or 'none'}"
         )
     if spec.kind == "service":

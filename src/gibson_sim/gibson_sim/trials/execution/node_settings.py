@@ -17,15 +17,20 @@ from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, EnvironmentProblemError
 from gibson_sim.quoting import quoted
 from gibson_sim.reach import LOCAL, reach_variables
+from gibson_sim.settings import nearest
 from gibson_sim.trials.execution.plan import MARKER, PLAN, REPORT
 from gibson_sim.trials.records import RunSpec
-from gibson_sim.trials.scenario_spec import Scenario, StackSpec
+from gibson_sim.trials.scenario_spec import GoalInterface, Scenario, StackSpec
 
 LONGEST_TICK_S = 86_400.0
 """Timeout of physics for a tick of lockstep, seconds: the trial node ends a run before, since only it knows whether the stack has a goal."""
 BAG = "bag"
 """Folder of the bag in the folder of the run."""
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(action|srv)/[A-Za-z]\w*")
+_MOST_LISTED = 10
+"""Types of a package that a message names."""
+POSE_TYPE = "geometry_msgs/PoseStamped"
+"""Type of the field of an action's goal, or a service's request, that is filled."""
 _NOT_A_NAME = re.compile(r"[^\w-]")
 
 
@@ -43,7 +48,7 @@ def check_stack(stack: StackSpec) -> None:
     """Checks what can be known of a stack before it is started.
 
     Raises:
-        ConfigError: its type of the goal or a rule of lockstep is of another form than the message shows.
+        ConfigError: its type of the goal or a rule of lockstep is of another form than the message shows, or has no field for a pose.
         EnvironmentProblemError: its program or a message package is not installed.
     """
     if not stack.command:
@@ -70,7 +75,39 @@ def check_stack(stack: StackSpec) -> None:
                 f"the stack is spoken to with messages of package {quoted(package)}, which this Python cannot import: install it, or "
                 "source the ROS workspace that has it"
             )
+    if stack.goal.kind in ("action", "service"):
+        _check_goal(stack.goal)
     participants_of(stack, ())
+
+
+def _check_goal(goal: GoalInterface) -> None:
+    """Checks that a package has the type of a goal, with a field for the pose; reads its generated source, and imports none of it.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    package, folder, name = goal.type.split("/")
+    spec = find_spec(package)
+    sources = Path(next(iter(spec.submodule_search_locations or ("",))) if spec else "") / folder
+    part = f"{name}_{'Goal' if folder == 'action' else 'Request'}"
+    texts = [source.read_text(errors="replace") for source in sorted(sources.glob("_*.py"))]
+    if not texts:
+        return  # of another generator; the trial node tells
+    own = next((text for text in texts if re.search(rf"^class {part}\(", text, re.MULTILINE)), None)
+    if own is None:
+        found = sorted(match for text in texts for match in re.findall(r"^class ([A-Za-z0-9]+)\(metaclass", text, re.MULTILINE))
+        hint = nearest(name, found)
+        raise ConfigError(
+            f"stack.goal.type is {quoted(goal.type)}, which package {package} does not have; {f'{hint} ' if hint else ''}"
+            f"known: {', '.join(found[:_MOST_LISTED])}"
+        )
+    table = re.search(rf"^class {part}\(.*?_fields_and_field_types = \{{(.*?)\}}", own, re.MULTILINE | re.DOTALL)
+    fields = dict(re.findall(r"'(\w+)': '([^']+)'", table[1])) if table else {}
+    if table and fields.get(goal.field) != POSE_TYPE:
+        told = ", ".join(f"{field} ({kind})" for field, kind in fields.items())
+        raise ConfigError(
+            f"stack.goal.field is {quoted(goal.field)}, must be a field of type {POSE_TYPE} of {goal.type}, which has {told or 'none'}"
+        )
 
 
 def participants_of(stack: StackSpec, ours: tuple[str, ...]) -> str:

@@ -17,7 +17,7 @@ from gibson_sim.trials.judging.evidence import Evidence, errors
 from gibson_sim.trials.judging.measures import Measured
 from gibson_sim.trials.judging.obstacles import place
 from gibson_sim.trials.judging.verdicts import RUN, is_alive, touches_begun
-from gibson_sim.trials.records import Cause, CauseKind, Outcome, RunSpec, Verdict
+from gibson_sim.trials.records import REFUSED_GOAL, Cause, CauseKind, Outcome, RunSpec, Verdict
 from gibson_sim.trials.scenario_spec import Scenario
 
 RECOVERED_S = 5.0
@@ -92,6 +92,8 @@ def find_cause(
         return None
     within = 0.0 if scenario.verdicts.reached is None else scenario.verdicts.reached.within
     events = find_events(run, outcome, evidence, measured.walls, within)
+    if outcome.end == "gave up" and outcome.detail.endswith(REFUSED_GOAL):
+        events = [event for event in events if event.kind not in ("no plan", "no command")]  # it never had a goal
     if any(verdict.name == "reached" and not verdict.passed for verdict in verdicts):
         events += [lost for lost in (_at_the_wrong_place(outcome, evidence, measured),) if lost is not None]
     # What an event is told for is the first failure that it brought about.

@@ -11,6 +11,7 @@ from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.results import TrialResults
 from gibson_sim.trials.report.words import (
     again_command,
+    can_be_replayed,
     identifier,
     reason,
     replay_command,
@@ -68,10 +69,9 @@ def _add_case(suite: ElementTree.Element, result: RunResult, file: str, folder: 
             case, "error" if _is_error(result) else "failure", {"message": _clean(reason(result)), "type": kind}
         )
         problem.text = _clean("\n".join(f"{verdict.name}: {verdict.text}" for verdict in result.verdicts if not verdict.passed))
-        lines += [
-            f"repeat to the bit: {replay_command(folder, run.number)}",
-            f"run again: {again_command(file, run.number, options)}",
-        ]
+        if can_be_replayed(folder, result):
+            lines.append(f"repeat to the bit: {replay_command(folder, run.number)}")
+        lines.append(f"run again: {again_command(file, run.number, options)}")
     else:
         lines.append(success(result))
     ElementTree.SubElement(case, "system-out").text = _clean("\n".join(lines))

@@ -18,6 +18,7 @@ from gibson_sim.trials.report.paths import read_path
 from gibson_sim.trials.report.results import RESULTS, Rate, TrialResults
 from gibson_sim.trials.report.words import (
     again_command,
+    can_be_replayed,
     reason,
     replay_command,
     robot_name,
@@ -267,7 +268,7 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
         if (own / name).exists()
     ]
     commands = [("Run again, with the stack", again_command(file, run.number, options))]
-    if (own / "bag").is_dir():
+    if can_be_replayed(folder, result):
         commands.insert(0, ("Repeat to the bit, without the stack", replay_command(folder, run.number)))
     shown = "".join(f'<h3>{name}</h3><pre class="command">{_text(command)}</pre>' for name, command in commands)
     return (

@@ -94,6 +94,11 @@ def replay_command(folder: Path, number: int) -> str:
     return shlex.join(["gibson-sim", "replay", str(run_folder(folder, number) / "bag"), "--verify"])
 
 
+def can_be_replayed(folder: Path, result: RunResult) -> bool:
+    """Returns whether a run in the folder of a trial has a bag, with at least one tick in it."""
+    return result.outcome.end_ns > 0 and (run_folder(folder, result.run.number) / "bag").is_dir()
+
+
 def again_command(file: str, number: int, options: Sequence[str] = ()) -> str:
     """Returns the command that makes a run again, with the stack.
 
