@@ -149,7 +149,7 @@ def _draw(robot: RobotSpec, args: argparse.Namespace, *, needed: bool) -> None:
         print(f"no picture: {error}")
         return
     write_picture(Path(args.picture), picture[:, :, ::-1])
-    print(f"picture: {args.picture}")
+    print(f"picture: {args.picture} (the arrow on the floor points ahead)")
 
 
 def _arguments(words: list[str]) -> dict[str, str]:

@@ -176,12 +176,14 @@ class _Backend:
 def opening_lines(url: str, config: FoxgloveConfig) -> list[str]:
     """Returns what is printed at the start: the address, and who can use it."""
     rights = "read and command everything" if config.commands else "read everything"
+    how = f"open https://app.foxglove.dev or the desktop app, `Open connection`, `Foxglove WebSocket`, {url}"
     if config.host in LOOPBACK:
         who = f"every program of this machine, and every web page in a browser on it, can {rights}"
-        return [f"foxglove: {url} ({who}: the protocol has no password)"]
+        return [f"foxglove: {url} ({who}: the protocol has no password)", f"foxglove: {how}"]
     advice = "" if config.commands is False else "; `--no-commands` lets them only look"
     return [
         f"foxglove: {url}",
+        f"foxglove: {how}",
         f"warning: every machine that reaches {config.host} port {url.rpartition(':')[2]} can {rights}: the protocol has no password{advice}",
     ]
 

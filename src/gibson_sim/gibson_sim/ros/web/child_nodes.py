@@ -68,7 +68,7 @@ class Recorder:
     def __init__(self) -> None:
         self._child: ChildNode | None = None
         self._folder: Path | None = None
-        self._began_s = 0.0
+        self._began_s: float | None = None
         self._error = ""
 
     @property
@@ -81,7 +81,7 @@ class Recorder:
         folder = RECORDINGS / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
         config = RecordConfig(output=str(folder), record_images="compressed" if images else "none", compression="zstd")
         self._child = ChildNode("record_node", config)
-        self._folder, self._began_s, self._error = folder, time.monotonic(), ""
+        self._folder, self._began_s, self._error = folder, None, ""
         return str(folder)
 
     def stop(self) -> None:
@@ -90,15 +90,17 @@ class Recorder:
             self._child.ask_to_end()
 
     def shown(self) -> dict[str, Any]:
-        """Returns what a page shows: whether it runs, folder, size in bytes, wall time in seconds, and the last error."""
+        """Returns what a page shows: whether it runs, folder, size in bytes, wall time since it records, in seconds, and the last error."""
         if self._child is not None and self._child.code is not None:
             self._error = self._reason(self._child)
             self._child = None
+        if self._began_s is None and self._folder is not None and self._folder.exists():  # the recorder takes seconds to load
+            self._began_s = time.monotonic()
         return {
             "on": self.running,
             "folder": "" if self._folder is None else str(self._folder),
             "bytes": _size(self._folder),
-            "seconds": round(time.monotonic() - self._began_s) if self.running else None,
+            "seconds": round(time.monotonic() - self._began_s) if self.running and self._began_s is not None else None,
             "error": self._error,
         }
 

@@ -235,7 +235,7 @@ export class FloorMap {
     if (p.name.includes('/') && this.view.scale < 90) return; // computed ones: rooms and starts first
     const c = this.context, [x, y] = this.screen(p.x, p.y);
     c.fillStyle = color('--soft'); c.beginPath(); c.arc(x, y, 2.5, 0, 7); c.fill();
-    if (this.view.scale > 25) this.label(p.name, x, y, 5, color('--soft'));
+    if (this.view.scale > 9) this.label(p.name, x, y, 5, color('--soft'));
   }
 
   flag(x, y, color) {

@@ -76,7 +76,7 @@ export class Panels {
     $('record').textContent = r.on ? 'Stop' : 'Record';
     $('record').classList.toggle('on', r.on);
     $('record-images').disabled = r.on;
-    $('record-what').textContent = r.on || r.bytes ? `${r.folder}: ${size(r.bytes)}${r.seconds === null ? '' : `, ${clock(r.seconds)}`}` : r.error ? '' : 'A rosbag2 folder on the server.';
+    $('record-what').textContent = r.on && r.seconds === null ? 'Starting: nothing is recorded yet …' : r.on || r.bytes ? `${r.folder}: ${size(r.bytes)}${r.seconds === null ? '' : `, ${clock(r.seconds)}`}` : r.error ? '' : 'A rosbag2 folder on the server.';
     $('record-error').textContent = r.error;
   }
 
