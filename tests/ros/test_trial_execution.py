@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -22,6 +23,7 @@ require("rclpy", "gibson_msgs", "simulation_interfaces")
 
 from rclpy.task import Future  # noqa: E402
 
+from gibson_sim.bags.reader import BagReader  # noqa: E402
 from gibson_sim.bags.replaying import read_run  # noqa: E402
 from gibson_sim.processes.domain_lock import DomainLock  # noqa: E402
 from gibson_sim.ros.trials.trial_node import _ActionGoal  # noqa: E402
@@ -164,6 +166,25 @@ def test_shell_script_is_a_stack_and_the_true_pose_decides(room: str, tmp_path: 
     assert outcome.end == "reached"
     assert outcome.detail.endswith("m from the goal")
     assert outcome.end_ns - outcome.decided_ns >= NS, "it has stood there for a second"
+
+
+@pytest.mark.usefixtures("leaves_nothing")
+def test_lifecycle_node_gets_its_goal_once_it_is_active_and_doors_close(tmp_path: Path) -> None:
+    house = write_room(tmp_path / "house")
+    with (house / "scene.yaml").open("a") as file:
+        file.write("bodies: [{name: way, model: door_90_left, pose: {xyz: [-1.0, 0.9, 0.0]}, joints: {hinge: 85.0}}]\n")
+    scenario = scenario_of(*drive("lifecycle"), ready=Ready(node="drive"), limits=Limits(time=30.0))
+    outcome = execute(scenario, replace(run_in(str(house)), closed_doors=("way",)), tmp_path / "run", domains=DOMAINS)
+    assert (outcome.end, outcome.goal_ns) == ("reached", 0)
+    with BagReader(tmp_path / "run" / "bag") as reader:
+        hinges = [
+            dict(zip(values.interface_names, values.values, strict=True))["position"]
+            for _, _, message in reader.messages(["/object_joint_states"])
+            for name, values in zip(message.joint_names, message.interface_values, strict=True)
+            if name == "way/hinge"
+        ]
+    assert hinges[0] == pytest.approx(math.radians(85.0))
+    assert hinges[-1] == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.usefixtures("leaves_nothing")

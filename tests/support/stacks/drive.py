@@ -1,6 +1,6 @@
 """A tiny stack, as a user might write it: drives to the goal by odometry that is true, and tells when it is there.
 
-One command for each odometry, so that it repeats in lockstep. ``python drive.py [crash|nan|hang|daemon|service]`` does as the word says.
+One command for each odometry, so that it repeats in lockstep. ``python drive.py [crash|nan|hang|daemon|service|lifecycle]`` does as the word says.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
 from nav_msgs.srv import GetPlan
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode
 from std_msgs.msg import String
 
 CRASH_S = HANG_S = 3.0
 """Simulation time of the crash, and after which no answer comes, seconds."""
+ACTIVE_AFTER_S = 0.5
+"""Wall time after which a lifecycle node becomes active, seconds."""
 NEAR = 0.05
 """Distance at which it stops, metres."""
 
 
-class Drive(Node):
+class Drive(LifecycleNode):
     def __init__(self, how: str) -> None:
         super().__init__("drive")
         self._how, self._goal = how, None
@@ -71,7 +73,11 @@ def main() -> None:
         subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True)
     print("the stack starts", os.getpid(), flush=True)
     rclpy.init()
-    rclpy.spin(Drive(how))
+    node = Drive(how)
+    if how == "lifecycle":
+        node.trigger_configure()
+        timer = node.create_timer(ACTIVE_AFTER_S, lambda: (timer.cancel(), node.trigger_activate()))
+    rclpy.spin(node)
 
 
 if __name__ == "__main__":

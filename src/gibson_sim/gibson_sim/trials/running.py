@@ -68,7 +68,10 @@ def check(scenario: Scenario) -> None:
     # Loaded here: planning and comparing need no ROS domain.
     from gibson_sim.trials.execution import check_stack
 
-    check_stack(scenario.stack)
+    try:
+        check_stack(scenario.stack)
+    except ConfigError as error:
+        raise ConfigError(f"{scenario.path}: {error}") from error
 
 
 def prepare(folder: Path, *, resume: bool) -> None:

@@ -80,13 +80,18 @@ def run(args: argparse.Namespace) -> int:
         return _compare_two(args)
     # Loaded here: a comparison of two files needs none of it.
     from gibson_sim.trials.report.words import plan_table
-    from gibson_sim.trials.running import Changes
+    from gibson_sim.trials.running import Changes, check, prepare
     from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
 
     before = _results(args.compare[0]) if args.compare else None
-    changes = Changes(args.runs, args.restart, args.keep)
+    changes, backend = Changes(args.runs, args.restart, args.keep), _backend(args)
     try:
         scenario = changes.applied(load_scenario(args.scenario))
+        folder: Path = args.output or _OUTPUT / f"{scenario.name}_{datetime.now():%Y%m%d-%H%M%S}"
+        if not args.plan:
+            # Before the runs are planned, which may take minutes.
+            prepare(folder, resume=args.resume)
+            check(scenario)
         plan = _plan(scenario, () if args.resume else args.numbers)
     except ScenarioError as error:
         for mistake in error.mistakes:
@@ -96,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plan:
         print(plan_table(runs))
         return ExitCode.OK
-    return _Trial(args, scenario, changes, plan, runs, before).made()
+    return _Trial(args, scenario, changes, plan, runs, before, folder).made(backend)
 
 
 def _plan(scenario: Scenario, numbers: Sequence[int]) -> Sequence[RunSpec]:
@@ -169,30 +174,20 @@ class _Trial:
         plan: Sequence[RunSpec],
         runs: Sequence[RunSpec],
         before: TrialResults | None,
+        folder: Path,
     ) -> None:
-        self._args, self._scenario, self._changes, self._plan, self._runs, self._before = (
-            args,
-            scenario,
-            changes,
-            plan,
-            runs,
-            before,
-        )
-        now = datetime.now()
-        self._folder: Path = args.output or _OUTPUT / f"{scenario.name}_{now:%Y%m%d-%H%M%S}"
+        self._args, self._scenario, self._changes, self._plan = args, scenario, changes, plan
+        self._runs, self._before, self._folder = runs, before, folder
         self._results: dict[int, RunResult] = {}
         self._comparison: Comparison | None = None
 
-    def made(self) -> int:
-        """Makes the runs, writes the report, and returns the exit code."""
+    def made(self, backend: Backend) -> int:
+        """Makes the runs, writes the report, and returns the exit code. ``backend``: where the runs are made."""
         from gibson_sim.cli.trial_progress import TrialProgress
         from gibson_sim.trials.comparing.comparison import runs_text
         from gibson_sim.trials.report.results import RESULTS
-        from gibson_sim.trials.running import check, finished, make_runs, prepare
+        from gibson_sim.trials.running import finished, make_runs
 
-        prepare(self._folder, resume=self._args.resume)
-        backend = _backend(self._args)
-        check(self._scenario)
         spent = 0.0
         if self._args.resume:
             self._results = finished(self._folder, self._plan)
