@@ -1,0 +1,495 @@
+"""Data to learn path following from: images of drives in scenes, with what is true about them.
+
+A *shard* is one folder of memory-mapped arrays: images along some paths in one scene, drawn twice: as the path was recorded, and as a follower
+meets it later, off the path, in conditions of the domain ``trained``: another light, another camera, things moved. Pairs of a later and a
+recorded image carry the pose of the one relative to the other. Everything is drawn from the seed, the scene and the number of the shard, so
+that an interrupted run goes on with the shards that are missing, and equal seeds give equal data.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.body import BodySpec
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy, quat_from_rpy
+from gibson_sim.maps.bodies import body_triangles, link_transforms
+from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.free_poses import random_free_poses
+from gibson_sim.maps.paths import PathPlanner
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomise
+from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
+from gibson_sim.tasks.episode import Item, item_body
+from gibson_sim.types import CameraSpec, Output, Pose, SceneState
+from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
+from gibson_sim_learn.path_following.photometry import Photometry, photographed, relit
+
+F64 = NDArray[np.float64]
+WIDTH, HEIGHT = 96, 64
+"""Size of an image, pixels."""
+DIRECTIONS = 24
+"""Number of directions in which the free distance is known: the middles of equal strips of the image, from left to right."""
+MAX_FREE = 3.0
+"""Largest free distance, metres; farther is this."""
+HFOV = math.radians(100.0)
+"""Horizontal field of view of the default camera, radians."""
+CAMERA_X, CAMERA_HEIGHT = 0.15, 0.46
+"""Where the default camera is: ahead of the middle of the robot, and above the floor, metres."""
+BODY_HEIGHT = 0.5
+"""Height above the floor up to which things stop the robot, metres."""
+ROBOT_RADIUS = 0.2
+"""Metres."""
+PAIR = np.dtype([("later", "<i4"), ("recorded", "<i4"), ("x", "<f4"), ("y", "<f4"), ("yaw", "<f4"), ("match", "?")])
+"""A pair: rows of two images; the pose of the recorded camera in the frame of the later one, x ahead, y to the left, metres and radians;
+whether both show one place, so that the pose can be seen."""
+
+_RESOLUTION = 0.025
+"""Cell of the maps that distances are measured in, metres."""
+_STEP = 0.0125
+"""Step of the rays, metres."""
+_MATCH_AHEAD, _MATCH_BESIDE, _MATCH_YAW = (-0.7, 2.2), 1.2, math.radians(65.0)
+"""Largest relative pose of two images of one place: metres and radians."""
+_THINGS = ("chair_wooden", "stool", "box_cardboard", "bin_waste", "basket", "table_side", "box_small", "ball")
+_TEXTURES = TextureRules(chance=0.15)
+
+
+@dataclass(frozen=True, slots=True)
+class DataSettings:
+    """How much data is drawn, and how varied it is."""
+
+    paths: int = 8
+    """Paths of a shard."""
+    views_per_path: int = 60
+    """Later images of a path."""
+    free_views: int = 60
+    """Later images of a shard at random free poses, where nothing was recorded: they teach free distances alone."""
+    spacing: float = 0.2
+    """Distance between recorded images, metres."""
+    length: tuple[float, float] = (3.0, 14.0)
+    """Shortest and longest path, metres; a longer one is cut."""
+    recolour_chance: float = 0.4
+    """Probability that a shard has other colours and textures than its scene."""
+    changed_recordings: float = 0.3
+    """Probability that a recorded image, too, is of another camera's exposure and colours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """The data of one shard; arrays may be memory-mapped."""
+
+    images: NDArray[np.uint8]
+    """(N, 64, 96, 3), RGB."""
+    free: NDArray[np.float32]
+    """(N, 24): free distance from the camera at the height of the robot's body, metres, from the left to the right of the image."""
+    pairs: NDArray[Any]
+    """(P,) of ``PAIR``."""
+
+
+def column_bearings(hfov: float, columns: int = DIRECTIONS) -> F64:
+    """Returns (columns,): the directions of the middles of equal strips of a pinhole image, radians, positive to the left, left first."""
+    across = 1.0 - (np.arange(columns) + 0.5) * 2.0 / columns
+    return np.asarray(np.arctan(across * math.tan(hfov / 2.0)))
+
+
+def free_distances(floor: FloorMap, poses: F64, bearings: F64, *, longest: float = MAX_FREE) -> F64:
+    """Returns (N, D): distances from places to the nearest cell that is not free, metres, at most ``longest``.
+
+    Args:
+        floor: the map.
+        poses: (N, 3): x, y, yaw in the world, metres and radians.
+        bearings: (D,) or (N, D): directions relative to yaw, radians.
+        longest: metres.
+    """
+    angles = poses[:, 2:3] + np.broadcast_to(bearings, (len(poses), np.shape(bearings)[-1]))
+    steps = np.arange(1, math.ceil(longest / _STEP) + 1) * _STEP
+    out = np.empty(angles.shape)
+    blocked = ~floor.free
+    for k, (x, y) in enumerate(poses[:, :2]):
+        rays = np.stack([x + np.cos(angles[k])[:, None] * steps, y + np.sin(angles[k])[:, None] * steps], axis=-1)
+        hits = floor.look_up(blocked, rays, outside=True)
+        out[k] = np.where(hits.any(axis=1), steps[hits.argmax(axis=1)], longest)
+    return np.minimum(out, longest)
+
+
+def relative_pose(frm: F64, to: F64) -> F64:
+    """Returns (..., 3): planar poses ``to`` in the frames ``frm``, both (..., 3): x, y, yaw; yaw in [-pi, pi)."""
+    dx, dy = to[..., 0] - frm[..., 0], to[..., 1] - frm[..., 1]
+    c, s = np.cos(frm[..., 2]), np.sin(frm[..., 2])
+    yaw = (to[..., 2] - frm[..., 2] + math.pi) % (2.0 * math.pi) - math.pi
+    return np.stack([c * dx + s * dy, c * dy - s * dx, yaw], axis=-1)
+
+
+def shard_name(scene: str, number: int) -> str:
+    """Returns the name of a shard's folder."""
+    return f"{scene}-{number:03d}"
+
+
+def load_shard(folder: Path) -> Shard:
+    """Returns a shard, its arrays memory-mapped.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        images, free, pairs = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("images", "free", "pairs"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: not a shard of data: {error}; delete it, and run the command again") from error
+    return Shard(images, free, pairs)
+
+
+def save_shard(folder: Path, shard: Shard) -> None:
+    """Writes a shard; the folder is there whole or not at all."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
+    try:
+        for name in ("images", "free", "pairs"):
+            np.save(part / f"{name}.npy", getattr(shard, name))
+        part.rename(folder)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def missing_shards(folder: Path, scenes: Sequence[str], count: int) -> Iterator[tuple[str, int]]:
+    """Yields scene and number of the shards that are not there yet, so that all scenes grow evenly."""
+    for number in range(count):
+        for scene in scenes:
+            if not (folder / shard_name(scene, number)).is_dir():
+                yield scene, number
+
+
+def make_data(
+    folder: Path,
+    scenes: Sequence[str],
+    count: int,
+    seed: int,
+    settings: DataSettings = DataSettings(),
+    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+) -> None:
+    """Draws the shards that are missing.
+
+    Args:
+        folder: where they are put.
+        scenes: names of the scenes.
+        count: shards of each scene.
+        seed: of all that is drawn.
+        settings: how much, how varied.
+        progress: called before each shard with its name, how many are there, and how many there will be.
+    """
+    worlds: dict[str, World] = {}
+    total = len(scenes) * count
+    todo = list(missing_shards(folder, scenes, count))
+    for done, (scene, number) in enumerate(todo, total - len(todo)):
+        progress(shard_name(scene, number), done, total)
+        if scene not in worlds:
+            worlds[scene] = World.load(scene)
+        save_shard(folder / shard_name(scene, number), draw_shard(worlds[scene], seed, number, settings))
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """A scene and its maps."""
+
+    scene: SceneSpec
+    """Without robots."""
+    floor: FloorMap
+    """Fine map of the static shapes and of the bodies where they stand at load."""
+    coarse: FloorMap
+    """The same with cells of 5 cm, for planning."""
+
+    @classmethod
+    def load(cls, name: str) -> World:
+        """Returns a scene by name."""
+        scene = replace(load_scene(name), robots=())
+        return cls(scene, _map(scene, _RESOLUTION), _map(scene, 0.05))
+
+
+def camera_at(x: float, y: float, yaw: float, floor_z: float, conditions: Conditions) -> CameraSpec:
+    """Returns the camera at a planar pose of its own, world frame, metres and radians."""
+    height = floor_z + CAMERA_HEIGHT + conditions.height_change
+    T_world_camera = matrix_from_pose(pose_from_xyz_rpy((x, y, height), (0.0, conditions.pitch_change, yaw)))
+    pose = pose_from_matrix(T_world_camera @ _T_CAMERA_OPTICAL)
+    fov_y = 2.0 * math.atan(math.tan((HFOV + conditions.hfov_change) / 2.0) * HEIGHT / WIDTH)
+    outputs: tuple[Output, ...] = ("rgb",) if conditions.light.is_unchanged else ("rgb", "normal_world", "position")
+    return CameraSpec("camera", "", pose, width=WIDTH, height=HEIGHT, fov_y=fov_y, near=0.02, outputs=outputs)
+
+
+_T_CAMERA_OPTICAL = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(-math.pi / 2.0, 0.0, -math.pi / 2.0)))
+
+
+def draw_shard(world: World, seed: int, number: int, settings: DataSettings = DataSettings()) -> Shard:
+    """Returns a shard; equal arguments give equal data."""
+    digest = hashlib.sha256(f"{seed} {world.scene.name} {number}".encode()).digest()
+    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    planner = PathPlanner(world.coarse, ROBOT_RADIUS + 0.08)
+    paths = [draw_path(world.coarse, planner, rng, settings) for _ in range(settings.paths)]
+    drives = np.concatenate(paths)
+    count = int(rng.integers(TRAINED.moved[0], TRAINED.moved[1] + 1)) + 1
+    things = [_things(world.coarse, rng, count, name, keep_off=drives) for name in ("recorded", "later")]
+    floors = [_with_things(world.scene, world.floor, some) for some in things]
+
+    recorded, later, of_recorded, of_later = [], [], [], []
+    every = max(1, round(settings.spacing / _PATH_STEP))
+    for k, path in enumerate(paths):
+        nodes = path[::every] + rng.normal(0.0, (0.03, 0.03, 0.05), (len(path[::every]), 3))
+        recorded.append(nodes)
+        of_recorded += [(k, row * every) for row in range(len(nodes))]
+        poses, rows = _off_path(path, floors[1], rng, settings.views_per_path)
+        later.append(poses)
+        of_later += [(k, int(row)) for row in rows]
+    anywhere = random_free_poses(world.coarse, settings.free_views, rng, clearance=ROBOT_RADIUS)
+    yaws = rng.uniform(-math.pi, math.pi, len(anywhere))
+    later.append(np.array([(*pose.position[:2], yaw) for pose, yaw in zip(anywhere, yaws, strict=True)]))
+    of_later += [(-1, 0)] * len(anywhere)
+
+    before, after = _ahead(np.concatenate(recorded)), _ahead(np.concatenate(later))
+    drawn = [draw(TRAINED, rng) for _ in range(settings.paths + 1)]  # the last one for the free views
+    conditions = ([Conditions()] * len(before), [drawn[path] for path, _ in of_later])
+    images, free = [], []
+    with _Drawing(world.scene, rng, settings) as drawing:
+        for poses, some, floor, of_each, chance in (
+            (before, things[0], floors[0], conditions[0], settings.changed_recordings),
+            (after, things[1], floors[1], conditions[1], 1.0),
+        ):
+            images.append(drawing.images(some, poses, of_each, chance))
+            bearings = np.array([column_bearings(HFOV + each.hfov_change) for each in of_each])
+            free.append(free_distances(floor, poses, bearings))
+    pairs = make_pairs(after, of_later, before, of_recorded, world.floor, rng)
+    pairs["later"] += len(before)
+    return Shard(np.concatenate(images), np.concatenate(free).astype(np.float32), pairs)
+
+
+_PATH_STEP = 0.05
+"""Distance between the points of a path, metres."""
+
+
+def draw_path(floor: FloorMap, planner: PathPlanner, rng: np.random.Generator, settings: DataSettings) -> F64:
+    """Returns (K, 3): a smooth drive from one free place to another, x, y, yaw every 5 cm, world metres and radians.
+
+    Raises:
+        SceneError: the scene has no path that is long enough.
+    """
+    for _ in range(60):
+        start, goal = (pose.position[:2] for pose in random_free_poses(floor, 2, rng, clearance=ROBOT_RADIUS + 0.1))
+        try:
+            corners = planner.path(start, goal)
+        except SceneError:
+            continue
+        drive = smooth_path(corners, planner.places, floor)
+        if len(drive) * _PATH_STEP >= settings.length[0]:
+            return drive[: int(settings.length[1] / _PATH_STEP)]
+    raise SceneError(f"no free path of {settings.length[0]:g} m or more was found; choose another scene")
+
+
+def smooth_path(corners: F64, places: NDArray[np.bool_], floor: FloorMap) -> F64:
+    """Returns (K, 3): points every 5 cm along corners (C, 2), rounded as a robot drives, and the heading there."""
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(lengths)])
+    at = np.arange(0.0, arc[-1], _PATH_STEP)
+    points = np.stack([np.interp(at, arc, corners[:, k]) for k in range(2)], axis=1)
+    if len(points) < 3:
+        return np.zeros((0, 3))
+    rounded = points
+    for _ in range(16):
+        padded = np.concatenate([rounded[:1], rounded, rounded[-1:]])
+        mean = (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
+        keep = floor.look_up(places, mean, outside=False)
+        rounded = np.where(keep[:, None], mean, rounded)
+    ahead = np.gradient(rounded, axis=0)
+    return np.column_stack([rounded, np.arctan2(ahead[:, 1], ahead[:, 0])])
+
+
+def _off_path(path: F64, floor: FloorMap, rng: np.random.Generator, count: int) -> tuple[F64, NDArray[np.int64]]:
+    """Returns poses (M, 3) of a follower near a path that touch nothing, and the rows (M,) of the path that they are near."""
+    rows = rng.integers(0, len(path), count * 3)
+    far, turned = rng.random(len(rows)) < 0.25, rng.random(len(rows)) < 0.25
+    beside = np.where(far, rng.uniform(-0.5, 0.5, len(rows)), rng.normal(0.0, 0.12, len(rows)))
+    turn = np.where(turned, rng.uniform(-1.1, 1.1, len(rows)), rng.normal(0.0, 0.2, len(rows)))
+    x, y, yaw = path[rows].T
+    poses = np.column_stack([x - np.sin(yaw) * beside, y + np.cos(yaw) * beside, yaw + turn])
+    fits = floor.clearance(poses[:, :2]) >= ROBOT_RADIUS
+    return poses[fits][:count], rows[fits][:count]
+
+
+def make_pairs(
+    later: F64,
+    of_later: Sequence[tuple[int, int]],
+    recorded: F64,
+    of_recorded: Sequence[tuple[int, int]],
+    floor: FloorMap,
+    rng: np.random.Generator,
+    *,
+    negatives: int = 3,
+) -> NDArray[Any]:
+    """Returns (P,) of ``PAIR``: for each later image those recorded around it, and some that show other places.
+
+    Args:
+        later: (M, 3), poses of the later cameras, world frame.
+        of_later: path and row of each on it; path -1 = none.
+        recorded: (N, 3), the same of the recorded ones.
+        of_recorded: the same.
+        floor: map through which cameras see each other, or not.
+        rng: random generator.
+        negatives: other places for each later image.
+    """
+    paths, rows = np.array(of_recorded).T
+    pairs: list[tuple[Any, ...]] = []
+    for k, (path, row) in enumerate(of_later):
+        if path < 0:
+            continue
+        offset = (rows - row) * _PATH_STEP
+        near = np.flatnonzero((paths == path) & (offset > -0.5) & (offset < 1.7))
+        others = rng.integers(0, len(recorded), negatives)
+        chosen = np.concatenate([near, others])
+        pose = relative_pose(later[k], recorded[chosen])
+        match = is_match(pose) & _sees(floor, later[k], recorded[chosen])
+        pairs += [(k, j, *p, m) for j, p, m in zip(chosen.tolist(), pose.tolist(), match.tolist(), strict=True)]
+    return np.array(pairs, dtype=PAIR)
+
+
+def is_match(pose: F64) -> NDArray[np.bool_]:
+    """Returns (...,): whether cameras at relative poses (..., 3) are near enough, and look alike, to see one place."""
+    x, y, yaw = np.moveaxis(pose, -1, 0)
+    low, high = _MATCH_AHEAD
+    return np.asarray((x > low) & (x < high) & (np.abs(y) < _MATCH_BESIDE) & (np.abs(yaw) < _MATCH_YAW))
+
+
+def _sees(floor: FloorMap, place: F64, others: F64) -> NDArray[np.bool_]:
+    """Returns (N,): whether nothing stands on the lines from a pose (3,) to others (N, 3)."""
+    along = np.linspace(0.0, 1.0, 60)[:, None]
+    lines = place[:2] + (others[:, None, :2] - place[:2]) * along
+    return np.asarray(floor.look_up(floor.free, lines, outside=False).all(axis=1))
+
+
+def _ahead(poses: F64) -> F64:
+    """Returns (N, 3): planar poses of the cameras of robots at poses (N, 3)."""
+    x, y, yaw = poses.T
+    return np.column_stack([x + CAMERA_X * np.cos(yaw), y + CAMERA_X * np.sin(yaw), yaw])
+
+
+def _map(scene: SceneSpec, resolution: float) -> FloorMap:
+    floor = scene_floor_map(scene, robot_height=BODY_HEIGHT, resolution=resolution)
+    return _with_things(scene, floor, list(scene.bodies))
+
+
+def _with_things(scene: SceneSpec, floor: FloorMap, things: Sequence[BodySpec]) -> FloorMap:
+    """Returns a map with bodies on it."""
+    if not things:
+        return floor
+    vertices, triangles = body_triangles(replace(scene, bodies=tuple(things)))
+    return floor.furnished(vertices, triangles, BODY_HEIGHT)
+
+
+def _thing(rng: np.random.Generator, name: str, x: float, y: float, z: float) -> BodySpec:
+    model = _THINGS[int(rng.integers(len(_THINGS)))]
+    return item_body(Item(name, model, pose_from_xyz_rpy((x, y, z), (0.0, 0.0, float(rng.uniform(-math.pi, math.pi))))))
+
+
+def _things(floor: FloorMap, rng: np.random.Generator, count: int, name: str, keep_off: F64) -> list[BodySpec]:
+    """Returns things at random free places that leave room for drives (K, 3)."""
+    places = random_free_poses(floor, 3 * count, rng, clearance=0.25) if count else ()
+    points = [pose.position for pose in places if np.hypot(*(keep_off[:, :2] - pose.position[:2]).T).min() > 0.5]
+    return [_thing(rng, f"{name}_{k}", *point) for k, point in enumerate(points[:count])]
+
+
+class _Drawing:
+    """Draws images in one scene, as it is or in other colours, with things put into it."""
+
+    def __init__(self, scene: SceneSpec, rng: np.random.Generator, settings: DataSettings) -> None:
+        self._scene, self._rng = scene, rng
+        self._base = drawn_scene(scene, _links(scene.bodies))
+        self._cache: Path | None = default_folder()
+        if rng.random() < settings.recolour_chance:
+            self._base = randomise(self._base, int(rng.integers(2**31)), _RECOLOURED)
+            self._cache = None
+        self._renderer: Renderer | None = None
+        self._revision = self._base.revision
+
+    def images(
+        self, things: Sequence[BodySpec], cameras: F64, conditions: Sequence[Conditions], photometry_chance: float
+    ) -> NDArray[np.uint8]:
+        """Returns (N, 64, 96, 3): what cameras see at planar poses (N, 3), each in its conditions, with things in the scene.
+
+        Args:
+            things: bodies that are put into the scene.
+            cameras: poses of the cameras, world frame, metres and radians.
+            conditions: of each image; exposure and colours are drawn anew for each.
+            photometry_chance: probability that exposure and colours of an image differ.
+        """
+        if self._renderer is None:
+            self._load(self._base)
+        bodies = (*self._scene.bodies, *things)
+        added = drawn_scene(replace(self._scene, visuals=(), bodies=tuple(things)), ())
+        self._load(replace(self._base, visuals=(*self._base.visuals, *added.visuals), links=_links(bodies)))
+        state = _standing(bodies, self._revision)
+        specs = [
+            camera_at(float(x), float(y), float(yaw), self._scene.floor_z, each)
+            for (x, y, yaw), each in zip(cameras, conditions, strict=True)
+        ]
+        out = np.empty((len(specs), HEIGHT, WIDTH, 3), np.uint8)
+        assert self._renderer is not None
+        for first in range(0, len(specs), _TOGETHER):
+            for k, frame in enumerate(self._renderer.render(state, specs[first : first + _TOGETHER]), first):
+                light = conditions[k].light
+                assert frame.rgb is not None
+                image: NDArray[np.uint8] | NDArray[np.float32] = frame.rgb
+                if not light.is_unchanged:
+                    assert frame.normal_world is not None and frame.position is not None
+                    x, y, z = frame.T_world_camera[:3, 3].tolist()
+                    image = relit(frame.rgb, frame.normal_world, frame.position, (x, y, z), light)
+                drawn, changed = draw(TRAINED, self._rng).photometry, self._rng.random() < photometry_chance
+                out[k] = photographed(image, drawn if changed else Photometry(), self._rng)
+        return out
+
+    def _load(self, scene: DrawnScene) -> None:
+        self._revision += 1
+        scene = replace(scene, revision=self._revision)
+        if self._renderer is None:
+            self._renderer = Renderer(scene, cache=self._cache)
+        else:
+            self._renderer.update(scene)
+
+    def close(self) -> None:
+        """Frees everything; a second call does nothing."""
+        renderer, self._renderer = self._renderer, None
+        if renderer is not None:
+            renderer.close()
+
+    def __enter__(self) -> _Drawing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _links(bodies: Sequence[BodySpec]) -> tuple[str, ...]:
+    return tuple(f"{body.name}/{link}" for body in bodies for link in body.links)
+
+
+def _standing(bodies: Sequence[BodySpec], revision: int) -> SceneState:
+    """Returns the state of a scene in which all bodies stand where they are at load."""
+    transforms = [(body, link_transforms(body)) for body in bodies]
+    poses = [pose_from_matrix(matrices[link]) for body, matrices in transforms for link in body.links]
+    return replace(
+        SceneState.still(revision, _links(bodies)),
+        positions=np.array([pose.position for pose in poses]).reshape(-1, 3),
+        quats_xyzw=np.array([pose.quat_xyzw for pose in poses]).reshape(-1, 4),
+    )
+
+
+_TOGETHER = 16
+"""Images that are drawn side by side."""
+_RECOLOURED = Rules({"*": ClassRules(hue=(-0.15, 0.15), saturation=(0.5, 1.5), value=(0.6, 1.3), texture=_TEXTURES)})

@@ -1,0 +1,153 @@
+"""The network that follows paths: where a recorded image is from here, whether it shows this place, and how far the floor ahead is free.
+
+One small encoder sees both images. Its features are compared everywhere with everywhere, which yields for each place of the present image
+where in the recorded one it is; a few convolutions turn that into a pose. Free distances come from the present image alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from gibson_sim_learn.path_following.data import DIRECTIONS, HEIGHT, WIDTH
+
+_ROWS, _COLUMNS = HEIGHT // 4, WIDTH // 4
+"""Size of the features."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSettings:
+    """Size of the network."""
+
+    channels: int = 48
+    """Channels of the features."""
+    compared: int = 32
+    """Channels in which features are compared."""
+    joint: int = 64
+    """Channels of the layers that see both images."""
+    hidden: int = 128
+    """Neurons of the last hidden layer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What the network returns for B pairs."""
+
+    pose: Tensor
+    """(B, 3): the recorded camera in the frame of the present one: x ahead, y to the left, yaw; metres and radians."""
+    scale: Tensor
+    """(B, 3): mean absolute error that it expects, same units."""
+    match: Tensor
+    """(B,): log-odds that both show one place."""
+
+
+class PathNetwork(nn.Module):  # type: ignore[misc]  # types are checked without PyTorch
+    """Encoder, comparison and two heads."""
+
+    def __init__(self, settings: NetworkSettings = NetworkSettings()) -> None:
+        super().__init__()
+        c, joint = settings.channels, settings.joint
+        if _COLUMNS != DIRECTIONS:
+            raise AssertionError("one direction for each column of the features")
+        self.encoder = nn.Sequential(
+            _convolution(3, c, kernel=8, stride=4, padding=2),
+            _Residual(_convolution(c, c), _convolution(c, c, active=False)),
+            _Residual(_separable(c), _separable(c, active=False)),
+        )
+        self.compared = nn.Conv2d(c, settings.compared, 1)
+        self.sharpness = nn.Parameter(torch.tensor(10.0))
+        goals = (_ROWS // 2) * (_COLUMNS // 2)
+        self.joint = nn.Sequential(
+            _convolution(goals + 3 + c + 2, joint, kernel=2, stride=2, padding=0),
+            _convolution(joint, joint * 3 // 2, stride=2),
+            nn.Flatten(),
+            nn.Linear(joint * 3 // 2 * (_ROWS // 4) * (_COLUMNS // 4), settings.hidden),
+            nn.ReLU(),
+            nn.Linear(settings.hidden, 7),
+        )
+        self.columns = nn.Sequential(
+            nn.Conv2d(c, joint, (_ROWS, 3), padding=(0, 1)),
+            nn.ReLU(),
+            nn.Conv2d(joint, joint, (1, 5), padding=(0, 2)),
+            nn.ReLU(),
+            nn.Conv2d(joint, 1, (1, 5), padding=(0, 2)),
+        )
+        self.grid: Tensor
+        self.goal_grid: Tensor
+        self.register_buffer("grid", _grid(_ROWS, _COLUMNS), persistent=False)
+        self.register_buffer("goal_grid", _grid(_ROWS // 2, _COLUMNS // 2), persistent=False)
+
+    def encode(self, images: Tensor) -> Tensor:
+        """Returns features (B, C, 16, 24) of images (B, 64, 96, 3), uint8 or float, RGB; exposure and colour of the light do not count."""
+        x = images.permute(0, 3, 1, 2).to(torch.float32)
+        mean = x.mean(dim=(2, 3), keepdim=True)
+        deviation = ((x - mean) ** 2).mean(dim=(2, 3), keepdim=True).sqrt()
+        features: Tensor = self.encoder((x - mean) / (deviation + 4.0))
+        return features
+
+    def compare(self, present: Tensor, recorded: Tensor) -> Estimate:
+        """Returns the estimate for features (B, C, 16, 24) of present and recorded images."""
+        count = len(present)
+        # Channels stay last in memory throughout: copies would take most of the time.
+        a = self.compared(present).permute(0, 2, 3, 1).reshape(count, _ROWS * _COLUMNS, -1)
+        b = functional.avg_pool2d(self.compared(recorded), 2).permute(0, 2, 3, 1).reshape(count, len(self.goal_grid), -1)
+        likeness = torch.bmm(functional.normalize(a, dim=2), functional.normalize(b, dim=2).transpose(1, 2))  # (B, places, goals)
+        where = torch.softmax(likeness * self.sharpness, dim=2)
+        moved = torch.matmul(where, self.goal_grid) - self.grid
+        peak = (where * where).sum(dim=2, keepdim=True)
+        grid = self.grid.expand(count, -1, -1)
+        seen = torch.cat([likeness, moved.to(likeness.dtype), peak.to(likeness.dtype), grid.to(likeness.dtype)], dim=2)
+        stack = torch.cat([seen.view(count, _ROWS, _COLUMNS, -1).permute(0, 3, 1, 2), present], dim=1)
+        out = self.joint(stack)
+        return Estimate(out[:, :3], functional.softplus(out[:, 3:6]) + 0.005, out[:, 6])
+
+    def free(self, present: Tensor) -> Tensor:
+        """Returns (B, 24): logarithms of free distances, metres, from the left to the right of the image."""
+        columns: Tensor = self.columns(present)
+        return columns[:, 0, 0]
+
+
+def parameter_count(network: nn.Module) -> int:
+    """Returns the number of weights."""
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+class _Residual(nn.Module):  # type: ignore[misc]
+    """Layers whose output is added to their input."""
+
+    def __init__(self, *layers: nn.Module) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(*layers)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.layers(x))
+
+
+def _convolution(
+    inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1, padding: int = 1, active: bool = True
+) -> nn.Sequential:
+    layers: list[nn.Module] = [
+        nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False),
+        nn.BatchNorm2d(outputs),
+    ]
+    return nn.Sequential(*layers, nn.ReLU()) if active else nn.Sequential(*layers)
+
+
+def _separable(channels: int, *, active: bool = True) -> nn.Sequential:
+    """Returns a depthwise convolution and a pointwise one."""
+    layers: list[nn.Module] = [
+        nn.Conv2d(channels, channels, 3, 1, 1, groups=channels, bias=False),
+        nn.Conv2d(channels, channels, 1, bias=False),
+        nn.BatchNorm2d(channels),
+    ]
+    return nn.Sequential(*layers, nn.ReLU()) if active else nn.Sequential(*layers)
+
+
+def _grid(rows: int, columns: int) -> Tensor:
+    """Returns (rows * columns, 2): places in an image, -1 to 1, left to right and top to bottom, row by row."""
+    y = (torch.arange(rows, dtype=torch.float32) + 0.5) * (2.0 / rows) - 1.0
+    x = (torch.arange(columns, dtype=torch.float32) + 0.5) * (2.0 / columns) - 1.0
+    return torch.stack([x.expand(rows, columns), y[:, None].expand(rows, columns)], dim=-1).reshape(-1, 2)

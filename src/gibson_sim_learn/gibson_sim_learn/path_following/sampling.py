@@ -1,0 +1,129 @@
+"""Draws batches from shards: which images, mirrored or not, with what is true about them. numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim_learn.path_following.data import HEIGHT, WIDTH, Shard, load_shard
+
+F32 = NDArray[np.float32]
+_GAMMA = 1.35
+"""Largest exponent of the contrast of an image, and the inverse of the smallest."""
+_NOISE = 4.0
+"""Largest standard deviation of added noise, grey levels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """L later images, and R recorded ones for each."""
+
+    later: NDArray[np.uint8]
+    """(L, 64, 96, 3)."""
+    recorded: NDArray[np.uint8]
+    """(L, R, 64, 96, 3)."""
+    pose: F32
+    """(L, R, 3): the recorded camera in the frame of the later one, metres and radians."""
+    match: NDArray[np.bool_]
+    """(L, R): whether both show one place, so that ``pose`` can be seen."""
+    free: F32
+    """(L, 24): free distances in the later images, metres."""
+    has_pairs: NDArray[np.bool_]
+    """(L,): whether ``recorded`` belongs to the later image; False = it was drawn for its free distances alone."""
+
+
+class Sampler:
+    """All shards of a folder."""
+
+    def __init__(self, shards: Sequence[Shard]) -> None:
+        """Indexes the pairs by their later images.
+
+        Raises:
+            ConfigError: there is no data.
+        """
+        if not shards:
+            raise ConfigError("there is no data to train on: draw some shards first")
+        self._shards = tuple(shards)
+        self._pairs: list[NDArray[Any]] = []
+        self._first: list[NDArray[np.int64]] = []
+        """By shard: (N + 1,), where the pairs of each image begin."""
+        later: list[tuple[int, int]] = []
+        for number, shard in enumerate(self._shards):
+            pairs = np.sort(np.asarray(shard.pairs), order="later", kind="stable")
+            self._pairs.append(pairs)
+            self._first.append(np.searchsorted(pairs["later"], np.arange(len(shard.images) + 1)))
+            later += [(number, row) for row in range(len(shard.images))]
+        self._images = np.array(later)
+
+    @classmethod
+    def of_folders(cls, folders: Sequence[Path]) -> Sampler:
+        """Returns a sampler of all shards in some folders, in the order of their names."""
+        found = [
+            shard for folder in folders if folder.is_dir() for shard in sorted(folder.iterdir()) if not shard.name.startswith(".")
+        ]
+        return cls([load_shard(path) for path in found])
+
+    @property
+    def image_count(self) -> int:
+        """Number of images."""
+        return len(self._images)
+
+    @property
+    def pair_count(self) -> int:
+        """Number of pairs."""
+        return sum(len(pairs) for pairs in self._pairs)
+
+    def batch(self, rng: np.random.Generator, later: int, recorded: int, *, augment: bool = True) -> Batch:
+        """Returns random images; equal generators give equal batches.
+
+        Args:
+            rng: random generator.
+            later: number of later images.
+            recorded: recorded images for each.
+            augment: mirror half of the images, and change contrast and noise.
+        """
+        chosen = self._images[rng.integers(0, len(self._images), later)]
+        images = np.empty((later, HEIGHT, WIDTH, 3), np.uint8)
+        others = np.zeros((later, recorded, HEIGHT, WIDTH, 3), np.uint8)
+        pose = np.zeros((later, recorded, 3), np.float32)
+        match, has = np.zeros((later, recorded), bool), np.zeros(later, bool)
+        free = np.empty((later, self._shards[0].free.shape[1]), np.float32)
+        for k, (number, row) in enumerate(chosen):
+            shard, first = self._shards[number], self._first[number]
+            images[k], free[k] = shard.images[row], shard.free[row]
+            pairs = self._pairs[number][first[row] : first[row + 1]]
+            if not len(pairs):
+                continue
+            has[k] = True
+            some = pairs[rng.choice(len(pairs), recorded, replace=len(pairs) < recorded)]
+            others[k] = shard.images[some["recorded"]]
+            pose[k] = np.stack([some["x"], some["y"], some["yaw"]], axis=-1)
+            match[k] = some["match"]
+        if augment:
+            mirrored = rng.random(later) < 0.5
+            images[mirrored] = images[mirrored, :, ::-1]
+            others[mirrored] = others[mirrored, :, :, ::-1]
+            pose[mirrored, :, 1:] *= -1.0
+            free[mirrored] = free[mirrored, ::-1]
+            images = _other_contrast(images, rng)
+            others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng).reshape(others.shape)
+        return Batch(images, others, pose, match, free, has)
+
+
+def _other_contrast(images: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Returns images (N, H, W, 3) with a drawn exponent of their contrast, and noise."""
+    out = np.empty_like(images)
+    levels = np.arange(256) / 255.0
+    grain = rng.standard_normal((HEIGHT * WIDTH * 3 + 997,), dtype=np.float32)
+    for k, image in enumerate(images):
+        table = 255.0 * levels ** (_GAMMA ** rng.uniform(-1.0, 1.0))
+        start = int(rng.integers(997))
+        noise = rng.uniform(0.0, _NOISE) * grain[start : start + image.size].reshape(image.shape)
+        out[k] = np.clip(table.astype(np.float32)[image] + noise, 0.0, 255.0)
+    return out

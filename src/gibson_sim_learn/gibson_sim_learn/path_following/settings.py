@@ -1,0 +1,112 @@
+"""The configuration of a training: one YAML file, or the defaults of the class."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.formats.yaml_map import YamlMap, read_yaml_map
+from gibson_sim.types import check_seed
+from gibson_sim_learn.path_following.data import DataSettings
+
+DEFAULT_CONFIG = Path(__file__).with_name("path_following.yaml")
+"""The configuration that the network in the package was trained with."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingSettings:
+    """What is drawn, and how long and how the network is trained."""
+
+    seed: int = 0
+    """Of the data, the network and the order of the examples."""
+    shards: int = 6
+    """Shards of each training scene."""
+    validation_shards: int = 2
+    """Shards of each validation scene."""
+    iterations: int = 12000
+    """Steps of the optimiser on the data that was drawn."""
+    dagger_rounds: int = 2
+    """Rounds of drives with the network, each followed by more iterations."""
+    dagger_iterations: int = 2000
+    """Steps of the optimiser after each round."""
+    dagger_drives: int = 4
+    """Drives in each training scene and round."""
+    later: int = 24
+    """Later images in a step."""
+    recorded: int = 2
+    """Recorded images for each of them; as many pairs of different places are made of the same images."""
+    learning_rate: float = 0.002
+    """Largest step size; it rises at the start and falls to 0 along a cosine."""
+    weight_decay: float = 0.01
+    """Of AdamW."""
+    evaluate_every: int = 250
+    """Iterations between two points of the curve, and between two checkpoints."""
+    bfloat16: bool = True
+    """Compute in bfloat16 where the processor has instructions for it (AVX512-BF16); elsewhere it would be slower."""
+    data: DataSettings = field(default_factory=DataSettings)
+    """How varied the data are."""
+
+    def __post_init__(self) -> None:
+        check_seed("training", self.seed)
+        for name, least, most in (
+            ("shards", 1, 1000),
+            ("validation_shards", 1, 1000),
+            ("iterations", 1, 10_000_000),
+            ("dagger_rounds", 0, 100),
+            ("dagger_iterations", 1, 10_000_000),
+            ("dagger_drives", 1, 1000),
+            ("later", 2, 4096),
+            ("recorded", 1, 16),
+            ("learning_rate", 1e-6, 1.0),
+            ("weight_decay", 0.0, 1.0),
+            ("evaluate_every", 1, 100_000),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ConfigError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+
+
+def load_settings(path: Path | None, seed: int | None = None) -> TrainingSettings:
+    """Returns the settings of a file.
+
+    Args:
+        path: YAML file whose keys are the fields of ``TrainingSettings``, ``data`` a mapping with those of ``DataSettings``; None = the
+            configuration of the package.
+        seed: takes the place of the file's; None = the file's.
+
+    Raises:
+        ConfigError: the file cannot be read, a key is unknown, or a value is not allowed.
+    """
+    names = tuple(f.name for f in fields(TrainingSettings))
+    top = read_yaml_map(path or DEFAULT_CONFIG, names, ConfigError)
+    default = TrainingSettings()
+    values = {name: _value(top, name, getattr(default, name)) for name in names if name != "data"}
+    if seed is not None:
+        values["seed"] = seed
+    if top.has("data"):
+        part = top.within(top.value("data"), "data", tuple(f.name for f in fields(DataSettings)))
+        values["data"] = DataSettings(
+            **{f.name: _value(part, f.name, getattr(default.data, f.name)) for f in fields(DataSettings)}
+        )
+    return TrainingSettings(**values)
+
+
+def as_dict(settings: TrainingSettings) -> dict[str, Any]:
+    """Returns the settings as plain values, for JSON and for comparison."""
+    return dataclasses.asdict(settings)
+
+
+def _value(part: YamlMap, key: str, default: Any) -> Any:
+    if isinstance(default, bool):
+        return part.flag(key, default)
+    if isinstance(default, tuple):
+        return part.floats(key, len(default)) if part.has(key) else default
+    value = part.number(key, float(default))
+    if isinstance(default, int):
+        if value != round(value):
+            raise ConfigError(f"{part.where}: {key} is {value:g}, must be a whole number")
+        return int(value)
+    return value
