@@ -44,7 +44,7 @@ class Estimate:
     """(B,): log-odds that both show one place."""
 
 
-class PathNetwork(nn.Module):  # type: ignore[misc]  # types are checked without PyTorch
+class PathNetwork(nn.Module):
     """Encoder, comparison and two heads."""
 
     def __init__(self, settings: NetworkSettings = NetworkSettings()) -> None:
@@ -115,7 +115,7 @@ def parameter_count(network: nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters())
 
 
-class _Residual(nn.Module):  # type: ignore[misc]
+class _Residual(nn.Module):
     """Layers whose output is added to their input."""
 
     def __init__(self, *layers: nn.Module) -> None:

@@ -1,0 +1,112 @@
+"""Writes a trained network as ONNX, and its card. Needs PyTorch and onnx.
+
+Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB. Outputs: ``pose`` (K, 3), ``scale`` (K, 3), ``match`` (K,),
+``free`` (24,), as ``gibson_path_following.learned.Sighting`` describes them.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from gibson_sim.writing import write_file
+from gibson_sim_learn.path_following.data import HEIGHT, HFOV, MAX_FREE, WIDTH
+from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
+from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
+from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+from gibson_sim_learn.path_following.training import CurvePoint
+
+_OPSET = 17
+
+
+def export_network(network: PathNetwork, file: Path) -> int:
+    """Writes a network as ONNX; returns the size of the file, bytes."""
+    network = network.eval()
+    arguments = (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8), torch.zeros(4, HEIGHT, WIDTH, 3, dtype=torch.uint8))
+    buffer: Any = io.BytesIO()
+    torch.onnx.export(
+        _Exported(network).eval(),
+        arguments,
+        buffer,
+        input_names=["present", "recorded"],
+        output_names=["pose", "scale", "match", "free"],
+        dynamic_axes={name: {0: "recorded_images"} for name in ("recorded", "pose", "scale", "match")},
+        opset_version=_OPSET,
+        dynamo=False,
+    )
+    model = onnx.load_from_string(buffer.getvalue())
+    for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("max_free", f"{MAX_FREE:g}"), ("license", "Apache-2.0")):
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    onnx.checker.check_model(model)
+    content = model.SerializeToString()
+    write_file(file, content)
+    return len(content)
+
+
+def write_card(
+    file: Path,
+    settings: TrainingSettings,
+    network: PathNetwork,
+    point: CurvePoint,
+    data: Mapping[str, int],
+    results: Sequence[str] = (),
+) -> None:
+    """Writes the card of a network, Markdown.
+
+    Args:
+        file: where.
+        settings: of the training.
+        network: the network.
+        point: the last point of its curve.
+        data: name of a quantity of the data -> number.
+        results: further lines on how it drives.
+    """
+    lines = [
+        "# Card of the path-following network",
+        "",
+        "- **What for**: following a path that was recorded as images, with a pinhole camera about 0.46 m above the floor, indoors. "
+        "Perception alone; `gibson_path_following/arcs.py` drives.",
+        "- **Not for**: people's safety. Free distances are estimates of a small network: a robot needs a bumper or a scanner of its own.",
+        f"- **Size**: {parameter_count(network)} weights, float32.",
+        f"- **Trained in**: {', '.join(TRAINING)}, domain `trained`. **Validated in**: {', '.join(VALIDATION)}. "
+        f"**Never seen**: {', '.join(HELD_OUT)}.",
+        f"- **Data**: {', '.join(f'{number} {name}' for name, number in data.items())}; drawn by Gibson Sim, no photograph of the world.",
+        f"- **Command**: `gibson-sim learn path-following --seed {settings.seed}`",
+        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
+        "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
+        "- **Licence**: Apache-2.0, as Gibson Sim.",
+        "",
+        "| error on the validation scenes | |",
+        "|---|---|",
+        f"| ahead, median | {point.ahead:.3f} m |",
+        f"| beside, median | {point.beside:.3f} m |",
+        f"| heading, median | {point.yaw_deg:.1f} degrees |",
+        f"| one place or not, right | {100.0 * point.match:.1f} % |",
+        f"| free distance, median | {point.free:.3f} m |",
+        f"| within 1 m, told as twice as far or more | {100.0 * point.too_far:.1f} % of the directions |",
+        "",
+        *results,
+    ]
+    write_file(file, "\n".join(lines).rstrip() + "\n")
+
+
+class _Exported(nn.Module):
+    """The network as one function of two inputs."""
+
+    def __init__(self, network: PathNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, present: Tensor, recorded: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        here, there = self.network.encode(present), self.network.encode(recorded)
+        estimate = self.network.compare(here.expand(there.shape[0], -1, -1, -1), there)
+        free = self.network.free(here)[0].exp().clamp(max=MAX_FREE)
+        return estimate.pose, estimate.scale, torch.sigmoid(estimate.match), free
