@@ -73,6 +73,7 @@ def test_tf_messages_are_there_in_cpp(root: Path, tmp_path: Path) -> None:
     [
         ("gibson_sim", "sim.launch.py", "physics_node"),
         ("gibson_examples", "nav2.launch.py", "navigate"),
+        ("gibson_path_following", "path_following.launch.py", "path_policy"),
     ],
 )
 def test_launch_finds_our_packages_with_the_environment_alone(

@@ -38,5 +38,9 @@ setup(
         ("share/" + NAME + "/launch", sorted(glob("launch/*.launch.py"))),
     ],
     zip_safe=False,
-    entry_points={"console_scripts": []},
+    entry_points={
+        "console_scripts": [
+            f"{name} = {NAME}.nodes.{name}:main" for name in ("path_recorder", "path_localiser", "path_policy", "path_evaluator")
+        ]
+    },
 )

@@ -145,6 +145,14 @@ class PathFollower:
             return self._send(now_ns, STOP)
         return self._log.last
 
+    def hold(self, now_ns: int) -> Velocity:
+        """Commands a stop, whatever the views say: another instance, such as a dead man's switch, does not let the robot drive.
+
+        Args:
+            now_ns: present time on the clock of the stamps, ns.
+        """
+        return self._send(now_ns, STOP)
+
     def _send(self, now_ns: int, velocity: Velocity) -> Velocity:
         self._log.add(now_ns, velocity)
         return velocity

@@ -1,0 +1,106 @@
+"""Conversions between ROS messages and the types of this package."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Twist, TwistStamped
+
+from gibson_path_following.cameras import Calibration
+from gibson_path_following.errors import ViewError, quoted
+from gibson_path_following.types import Image, Velocity
+
+NS_PER_S = 1_000_000_000
+MAX_PIXELS = 2**25
+"""Pixels of an image."""
+_TO_RGB = {
+    "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB), "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB), "8UC1": (1, cv2.COLOR_GRAY2RGB), "8UC3": (3, cv2.COLOR_BGR2RGB),
+}  # fmt: skip
+"""Encoding -> bytes of a pixel, and how OpenCV makes RGB of it."""
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Returns a stamp as nanoseconds."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def time_msg(ns: int) -> Any:
+    """Returns nanoseconds as a stamp."""
+    return Time(sec=ns // NS_PER_S, nanosec=ns % NS_PER_S)
+
+
+def rgb_of_image(msg: Any) -> Image:
+    """Returns the pixels of a ``sensor_msgs/Image``, (H, W, 3) RGB.
+
+    Raises:
+        ViewError: the encoding is another one, or the data do not fit the size.
+    """
+    if msg.encoding not in _TO_RGB:
+        raise ViewError(f"an image has the encoding {quoted(msg.encoding)}, must be one of {', '.join(_TO_RGB)}")
+    size, code = _TO_RGB[msg.encoding]
+    height, width, step = int(msg.height), int(msg.width), int(msg.step)
+    if not (0 < height * width <= MAX_PIXELS and step >= width * size and len(msg.data) >= step * height):
+        raise ViewError(f"an image of {width}x{height} {msg.encoding} pixels has {len(msg.data)} bytes in rows of {step}")
+    rows = np.frombuffer(msg.data, dtype=np.uint8, count=step * height).reshape(height, step)
+    pixels = rows[:, : width * size].reshape(height, width, size)
+    return np.ascontiguousarray(pixels) if code is None else np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+
+
+def rgb_of_compressed(msg: Any) -> Image:
+    """Returns the pixels of a ``sensor_msgs/CompressedImage``, (H, W, 3) RGB.
+
+    Raises:
+        ViewError: it cannot be decoded.
+    """
+    try:
+        bgr = cv2.imdecode(np.frombuffer(msg.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        bgr = None
+    if bgr is None:
+        raise ViewError(f"a compressed image of {len(msg.data)} bytes, format {quoted(msg.format)}, cannot be decoded")
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+
+
+def calibration_from(msg: Any) -> Calibration | None:
+    """Returns the calibration in a ``sensor_msgs/CameraInfo``; None if it says that there is none, K = 0.
+
+    Raises:
+        SettingError: its model is unknown, or its numbers cannot be.
+    """
+    if float(msg.k[0]) == 0.0:
+        return None
+    distortion = tuple(map(float, msg.d))
+    if msg.distortion_model not in ("equidistant", "fisheye") and not any(distortion):
+        return Calibration(int(msg.width), int(msg.height), tuple(map(float, msg.k)), (), "")
+    return Calibration(int(msg.width), int(msg.height), tuple(map(float, msg.k)), distortion, str(msg.distortion_model))
+
+
+def pose_from(msg: Any) -> tuple[float, float, float] | None:
+    """Returns x, y and yaw of a ``nav_msgs/Odometry``, metres and radians; None if they are not finite."""
+    p, q = msg.pose.pose.position, msg.pose.pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    found = (float(p.x), float(p.y), yaw)
+    return found if all(map(math.isfinite, found)) else None
+
+
+def velocity_from(msg: Any) -> Velocity | None:
+    """Returns the velocity in a Twist or a TwistStamped; None if it is not finite."""
+    twist = msg.twist if hasattr(msg, "twist") else msg
+    linear, angular = float(twist.linear.x), float(twist.angular.z)
+    return Velocity(linear, angular) if math.isfinite(linear) and math.isfinite(angular) else None
+
+
+def twist_msg(velocity: Velocity, ns: int, frame: str, *, stamped: bool) -> Any:
+    """Returns a Twist, or a TwistStamped in ``frame``."""
+    twist = Twist()
+    twist.linear.x, twist.angular.z = float(velocity.linear), float(velocity.angular)
+    if not stamped:
+        return twist
+    msg = TwistStamped(twist=twist)
+    msg.header.stamp, msg.header.frame_id = time_msg(ns), frame
+    return msg

@@ -1,0 +1,33 @@
+"""Declares the parameters of a node from the fields of its options, with their descriptions and limits."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from gibson_path_following.options import Options
+
+_Options = TypeVar("_Options", bound=Options)
+
+
+def declared(node: Any, kind: type[_Options]) -> _Options:
+    """Declares a parameter for every field of ``kind`` and returns their values.
+
+    Raises:
+        SettingError: a value is not allowed.
+    """
+    values = {}
+    for one in fields(kind):
+        default: Any = list(one.default) if isinstance(one.default, tuple) else one.default
+        # Any type is accepted here, so that the options reject a wrong value with their own message.
+        descriptor = ParameterDescriptor(description=one.metadata["text"], read_only=True, dynamic_typing=True)
+        least, most = one.metadata["least"], one.metadata["most"]
+        if least is not None:
+            if isinstance(default, float):
+                descriptor.floating_point_range = [FloatingPointRange(from_value=float(least), to_value=float(most))]
+            else:
+                descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(most))]
+        values[one.name] = node.declare_parameter(one.name, default, descriptor).value
+    return kind(**values)

@@ -1,0 +1,230 @@
+"""``path_policy``: drives the robot along a recorded path by its images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Joy
+from std_msgs.msg import String
+
+from gibson_path_following.backends import make_policy
+from gibson_path_following.errors import PathFollowingError
+from gibson_path_following.follower import FollowerSettings, PathFollower
+from gibson_path_following.nodes import conversions
+from gibson_path_following.nodes.camera_input import CameraInput
+from gibson_path_following.nodes.parameters import declared
+from gibson_path_following.nodes.path_localiser import PlacePublisher
+from gibson_path_following.nodes.running import run_node
+from gibson_path_following.options import PolicyOptions
+from gibson_path_following.path_folder import load_path
+from gibson_path_following.types import STOP, RecordedPath, Velocity, View
+
+JOY_TIMEOUT_S = 0.5
+"""Age of the newest ``joy`` from which the dead man's switch counts as released, seconds."""
+_REST_NS = 1_000_000_000
+"""How long stops are sent after the end of the path, ns; then others may drive."""
+
+
+class PathPolicyNode(LifecycleNode):
+    """Follows a path. It stops when the robot is lost, when images are missing or old, at the end, and when it is deactivated.
+
+    A lifecycle node: configure loads the path, activate drives, deactivate stops. With ``autostart`` it does both by itself.
+
+    Parameters: the fields of ``gibson_path_following.options.PolicyOptions``.
+
+    Subscribes, while active:
+        the image topics, and camera_info beside them.
+        joy (sensor_msgs/Joy), with ``deadman_button``.
+
+    Publishes:
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of the
+            robot's time.
+        path/state (std_msgs/String, latched): following, lost, stale, finished, held (the dead man's switch) or inactive.
+        path/index, path/confidence (std_msgs/Float32), path/lost (std_msgs/Bool): with each view; /diagnostics once a second.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Reads the parameters. ``kwargs`` go to ``rclpy.node.Node``.
+
+        Raises:
+            PathFollowingError: a parameter or, with ``autostart``, the path cannot be used.
+        """
+        super().__init__("path_policy", **kwargs)
+        self._options = declared(self, PolicyOptions)
+        self.exit_code: int | None = None
+        self._path: RecordedPath | None = None
+        self._follower: PathFollower | None = None
+        self._places: PlacePublisher | None = None
+        self._input: CameraInput | None = None
+        self._joy: Any = None
+        self._joy_ns: int | None = None
+        """When the dead man's switch was last held, ns; None = it is released."""
+        self._ended_ns: int | None = None
+        self._state = ""
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._state_pub = self.create_publisher(String, "path/state", latched)
+        self._cmd_pub = self.create_publisher(TwistStamped if self._options.stamped else Twist, "cmd_vel", 1)
+        self._timer: Any = None
+        self._report("inactive")
+        if self._options.autostart:
+            self._load()
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def _load(self) -> None:
+        """Loads path and policy.
+
+        Raises:
+            PathFollowingError: they cannot be used.
+        """
+        o = self._options
+        self._path = path = load_path(o.path)
+        policy, localiser = make_policy(o.backend, path, o.max_linear, o.max_angular)
+        settings = FollowerSettings(
+            stale_after=o.stale_after, latency=o.latency, max_linear=o.max_linear, max_angular=o.max_angular,
+            start=o.start if o.start >= 0.0 else None,
+        )  # fmt: skip
+        self._follower = PathFollower(path, policy, settings, localiser)
+        self._places = PlacePublisher(self, len(path.nodes))
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Loads the path, unless that is done."""
+        try:
+            if self._follower is None:
+                self._load()
+        except PathFollowingError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begins to drive, at the start of the path."""
+        path, follower, o = self._path, self._follower, self._options
+        assert path is not None and follower is not None
+        follower.reset()
+        self._joy_ns = self._ended_ns = None
+        height, width = path.nodes[0].view[0].shape[:2]
+        try:
+            self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump)
+        except PathFollowingError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        if o.deadman_button >= 0:
+            self._joy = self.create_subscription(Joy, "joy", self._on_joy, 10)
+        self._timer = self.create_timer(1.0 / o.watchdog_hz, self._on_timer)  # in the robot's time: of use_sim_time too
+        self.get_logger().info(f"following {o.path}: {len(path.nodes)} nodes, {path.length:.2f} m, with {o.backend}")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stops the robot."""
+        self._halt()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forgets the path."""
+        self._path = self._follower = self._places = None
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stops the robot."""
+        self._halt()
+        return super().on_shutdown(state)
+
+    def _halt(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        if self._joy is not None:
+            self.destroy_subscription(self._joy)
+            self._joy = None
+        if self._input is not None:
+            self._input.close()
+            self._input = None
+            self._send(STOP)
+        self._report("inactive")
+
+    def _on_joy(self, msg: Any) -> None:
+        button = self._options.deadman_button
+        held = button < len(msg.buttons) and bool(msg.buttons[button])
+        self._joy_ns = self._now_ns() if held else None
+        if not held:
+            self._on_timer()
+
+    def _may_drive(self) -> bool:
+        if self._options.deadman_button < 0:
+            return True
+        return self._joy_ns is not None and 0 <= self._now_ns() - self._joy_ns <= JOY_TIMEOUT_S * conversions.NS_PER_S
+
+    def _on_view(self, stamp_ns: int, view: View) -> None:
+        follower, places = self._follower, self._places
+        assert follower is not None and places is not None
+        try:
+            velocity = follower.observe(stamp_ns, view)
+        except PathFollowingError as error:
+            self.get_logger().error(str(error), throttle_duration_sec=5.0)
+            return
+        places.publish(stamp_ns, follower.place, follower.state)
+        self._command(velocity, stamp_ns)
+
+    def _on_jump(self) -> None:
+        assert self._follower is not None
+        self._follower.reset()
+        self._joy_ns = self._ended_ns = None
+
+    def _on_timer(self) -> None:
+        assert self._follower is not None
+        now_ns = self._now_ns()
+        self._command(self._follower.tick(now_ns), now_ns)
+
+    def _command(self, velocity: Velocity, now_ns: int) -> None:
+        """Publishes a velocity, or a stop if the dead man's switch is released."""
+        follower = self._follower
+        assert follower is not None
+        if follower.state == "finished":
+            self._finish(now_ns)
+            return
+        if not self._may_drive():
+            self._report("held")
+            self._send(follower.hold(now_ns))
+            return
+        self._report(follower.state)
+        self._send(velocity)
+
+    def _finish(self, now_ns: int) -> None:
+        """Sends stops for a while after the end of the path, then nothing."""
+        self._ended_ns = now_ns if self._ended_ns is None else self._ended_ns
+        self._report("finished")
+        if now_ns - self._ended_ns <= _REST_NS:
+            self._send(STOP)
+        elif self._options.exit_at_end:
+            self.exit_code = 0
+
+    def _send(self, velocity: Velocity) -> None:
+        self._cmd_pub.publish(
+            conversions.twist_msg(velocity, self._now_ns(), self._options.base_frame, stamped=self._options.stamped)
+        )
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _report(self, state: str) -> None:
+        if state != self._state:
+            self._state = state
+            self._state_pub.publish(String(data=state))
+            self.get_logger().info(state)
+
+    def stop(self) -> None:
+        """Stops the robot."""
+        self._halt()
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node."""
+    run_node(PathPolicyNode, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Parameters of the nodes, each with its unit, its limits and a description. Independent of ROS: a node declares a parameter for every field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from gibson_path_following.errors import SettingError, quoted
+from gibson_path_following.types import IMAGES_OF
+
+
+def option(default: Any, text: str, least: float | None = None, most: float | None = None) -> Any:
+    """Returns a field with a description and, for a number, its limits."""
+    metadata = {"text": text, "least": least, "most": most}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Base of the parameters of a node; checks types and limits."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            _check(one.name, value, one.default, one.metadata["least"], one.metadata["most"])
+
+
+@dataclass(frozen=True)
+class CameraOptions(Options):
+    """The robot's camera, or pair of cameras."""
+
+    image_topics: Sequence[str] = option(
+        ("camera/image_raw",),
+        "topics of the images: one for a pinhole camera; front, back for a fisheye pair. Names that end in /compressed carry "
+        "sensor_msgs/CompressedImage, others sensor_msgs/Image",
+    )
+    use_camera_info: bool = option(True, "wait for camera_info beside each image topic, and map the images by its calibration")
+    camera_hfov_deg: float = option(
+        0.0, "horizontal field of view of a camera without calibration, degrees; 0 = that of the path", 0.0, 360.0
+    )
+    rate_hz: float = option(5.0, "images a second that are used at most, by their stamps; 0 = all", 0.0, 1000.0)
+    sync_tolerance: float = option(0.02, "largest difference between the stamps of front and back, seconds", 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class RecorderOptions(CameraOptions):
+    """Parameters of ``path_recorder``."""
+
+    rate_hz: float = option(10.0, "images a second that are used at most, by their stamps; 0 = all", 0.0, 1000.0)
+    folder: str = option("path", "folder of the path")
+    replace: bool = option(False, "whether an older path in that folder is replaced")
+    autostart: bool = option(False, "record from the start on, until stop is called or the node ends")
+    camera: str = option("pinhole", f"kind of the path's camera: {' or '.join(IMAGES_OF)}")
+    width: int = option(96, "width of the path's images, pixels", 16, 4096)
+    height: int = option(64, "height of the path's images, pixels", 16, 4096)
+    hfov_deg: float = option(
+        0.0, "horizontal field of view of the path's images, degrees; 0 = all that a calibrated camera sees", 0.0, 360.0
+    )
+    spacing: float = option(0.2, "distance between nodes, metres", 0.01, 10.0)
+    turn_deg: float = option(20.0, "turn after which a node follows even without distance, degrees", 1.0, 360.0)
+    use_odometry: bool = option(True, "distances and poses from odom; else distances from the commands, and no poses")
+    stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_camera(self.camera, self.image_topics)
+        if not self.folder:
+            raise SettingError("parameter folder is empty, must be the folder of the path")
+
+
+@dataclass(frozen=True)
+class LocaliserOptions(CameraOptions):
+    """Parameters of ``path_localiser``."""
+
+    path: str = option("", "folder of the path")
+    start: float = option(-1.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
+    use_commands: bool = option(True, "expect the motion of cmd_vel; else localise from images alone")
+    stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_path(self.path)
+
+
+@dataclass(frozen=True)
+class PolicyOptions(CameraOptions):
+    """Parameters of ``path_policy``."""
+
+    path: str = option("", "folder of the path")
+    backend: str = option("teach_repeat", "teach_repeat, learned, or onnx:FILE")
+    autostart: bool = option(True, "configure and activate without a lifecycle manager")
+    start: float = option(0.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
+    max_linear: float = option(0.5, "largest speed, m/s", 0.01, 10.0)
+    max_angular: float = option(1.0, "largest yaw rate, rad/s", 0.01, 10.0)
+    stale_after: float = option(0.5, "age of the newest images at which the robot stops, seconds", 0.05, 60.0)
+    latency: float = option(0.0, "usual time from a command to its motion, seconds", 0.0, 10.0)
+    watchdog_hz: float = option(
+        10.0, "how often commands are sent and the age of the images is checked, in the robot's time", 1.0, 100.0
+    )
+    stamped: bool = option(False, "send geometry_msgs/TwistStamped")
+    base_frame: str = option("base_footprint", "frame of TwistStamped")
+    deadman_button: int = option(-1, "button of joy that must be held while the robot drives; -1 = none", -1, 64)
+    exit_at_end: bool = option(False, "end with code 0 when the end of the path is reached")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_path(self.path)
+
+
+@dataclass(frozen=True)
+class EvaluatorOptions(Options):
+    """Parameters of ``path_evaluator``."""
+
+    path: str = option("", "folder of the path; its nodes need poses in the frame of ground_truth/odom")
+    file: str = option("path_following.json", "file of the results")
+    collision_topic: str = option("bumper", "topic that tells of collisions; empty = none is counted")
+    collision_type: str = option(
+        "std_msgs/msg/Bool",
+        "its type: a message with a bool `data`, or with `count` and `ongoing` as gibson_msgs/msg/CollisionCount",
+    )
+    arrival_radius: float = option(0.5, "a node is visited, and the end reached, within this distance, metres", 0.01, 10.0)
+    time_limit: float = option(0.0, "ends the drive after this time, seconds in the robot's time; 0 = never", 0.0, 1e6)
+    exit_at_end: bool = option(True, "end when the results are written, with code 0")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_path(self.path)
+        if not self.file.endswith(".json"):
+            raise SettingError(f"parameter file is {quoted(self.file)}, must be a name that ends in .json")
+
+
+def _check(name: str, value: Any, default: object, least: Any, most: Any) -> None:
+    """``least`` and ``most``: limits of a number; None = it has none."""
+    if isinstance(default, tuple):
+        if not isinstance(value, Sequence) or isinstance(value, str) or not all(isinstance(part, str) and part for part in value):
+            raise SettingError(f"parameter {name} is {quoted(value)}, must be a list of names")
+        return
+    allowed: Any = (int, float) if isinstance(default, float) else type(default)
+    if not isinstance(value, allowed) or (isinstance(value, bool) and not isinstance(default, bool)):
+        raise SettingError(f"parameter {name} is {quoted(value)}, must be of type {type(default).__name__}, such as {default!r}")
+    is_limited = least is not None and most is not None and isinstance(value, (int, float))
+    if is_limited and not (math.isfinite(value) and least <= value <= most):
+        raise SettingError(f"parameter {name} is {value:g}, must be {least:g} to {most:g}")
+
+
+def _check_camera(camera: str, topics: Sequence[str]) -> None:
+    if camera not in IMAGES_OF:
+        raise SettingError(f"parameter camera is {quoted(camera)}, must be one of {', '.join(IMAGES_OF)}")
+    check_topics(camera, topics)
+
+
+def check_topics(camera: str, topics: Sequence[str]) -> None:
+    """Checks that a camera has the topics that it needs.
+
+    Raises:
+        SettingError: their number is another one.
+    """
+    names = next(images for kind, images in IMAGES_OF.items() if kind == camera)
+    if len(topics) != len(names):
+        raise SettingError(
+            f"parameter image_topics has {len(topics)} names, a {camera} camera needs {len(names)}: {', '.join(names)}"
+        )
+
+
+def _check_path(path: str) -> None:
+    if not path:
+        raise SettingError("parameter path is empty, must be a folder that path_recorder wrote")
