@@ -31,6 +31,8 @@ class FollowerSettings:
     """Contrast of a view below which the lens counts as covered, grey levels of 255; 0 = never."""
     end_tolerance: float = 0.5
     """The path is finished within this distance of the last node, nodes."""
+    end_views: int = 2
+    """Views in a row that must be there, so that one image that looks like the end does not end a drive."""
     start: float | None = 0.0
     """Node where the robot most likely is at the start; None = anywhere."""
     start_deviation: float = 3.0
@@ -46,6 +48,7 @@ class FollowerSettings:
             ("latency", 0.0, 10.0),
             ("least_texture", 0.0, 128.0),
             ("end_tolerance", 0.0, 1000.0),
+            ("end_views", 1, 1000),
             ("start_deviation", 0.1, 1e6),
             ("max_linear", 0.0, 10.0),
             ("max_angular", 0.0, 10.0),
@@ -87,6 +90,8 @@ class PathFollower:
         """Of the newest view, ns."""
         self._placed_ns: int | None = None
         """Of the newest view that was localised, ns."""
+        self._at_end = 0
+        """Views in a row at the end of the path."""
         self.state: State = "stale"
         """What the follower does; all but ``following`` command a stop."""
         self.place: Place | None = None
@@ -97,6 +102,7 @@ class PathFollower:
         """Begins again at the start of the path."""
         self._log.clear()
         self._stamp_ns, self._placed_ns, self.place, self.state = None, None, None, "stale"
+        self._at_end = 0
         self.localiser.reset(self.settings.start, self.settings.start_deviation)
         self._policy.reset()
 
@@ -127,7 +133,9 @@ class PathFollower:
         if self.place.is_lost:
             self.state = "lost"
             return self._send(stamp_ns, STOP)
-        if self.place.index >= self._last - self.settings.end_tolerance:
+        at_end = self.place.index >= self._last - self.settings.end_tolerance
+        self._at_end = self._at_end + 1 if at_end else 0
+        if self._at_end >= self.settings.end_views:
             self.state = "finished"
             return self._send(stamp_ns, STOP)
         self.state = "following"

@@ -33,11 +33,11 @@ class LocaliserSettings:
     """The same where no commands are known, nodes."""
     turn_radius: float = 0.3
     """Metres that a radian of a turn counts as."""
-    sharpness: float = 25.0
+    sharpness: float = 20.0
     """Log-likelihood that a difference of 1 in score makes."""
-    outliers: float = 0.002
+    outliers: float = 0.001
     """Likelihood of the worst image against the best: how far one image can move the belief."""
-    relocation: float = 0.001
+    relocation: float = 0.0001
     """Share of the belief that is spread over the whole path with each view."""
     least_score: float = 0.2
     """Score of the best node near the believed place, below which the images fit nowhere."""
@@ -85,13 +85,12 @@ class NodeMatcher:
         """
         height, width = path.nodes[0].view[0].shape[:2]
         self.preprocessor = Preprocessor(path.camera, path.hfov, (width, height), preprocessing)
-        gradients = [self.preprocessor.gradients(self.preprocessor.panorama(node.view)) for node in path.nodes]
-        self.matcher = Matcher(self.preprocessor, gradients, matching)
+        self.matcher = Matcher(self.preprocessor, [self.pattern(node.view) for node in path.nodes], matching)
         self.nodes = len(path.nodes)
 
-    def gradients(self, view: View) -> NDArray[np.float32]:
-        """Returns the gradients of a view, as ``Matcher.match`` takes them."""
-        return self.preprocessor.gradients(self.preprocessor.panorama(view))
+    def pattern(self, view: View) -> NDArray[np.float32]:
+        """Returns the normalised panorama of a view, as ``Matcher.match`` takes it."""
+        return self.preprocessor.normalised(self.preprocessor.panorama(view))
 
 
 class Localiser:
@@ -154,7 +153,7 @@ class Localiser:
         Raises:
             ViewError: the images are not those of the path's camera.
         """
-        matches = self.nodes.matcher.match(self.nodes.gradients(view))
+        matches = self.nodes.matcher.match(self.nodes.pattern(view))
         self._move(motion)
         scores = np.interp(self.places, np.arange(len(matches.scores)), matches.scores)
         likelihood = np.exp(self.settings.sharpness * (scores - scores.max())) + self.settings.outliers

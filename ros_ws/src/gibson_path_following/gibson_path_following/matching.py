@@ -1,4 +1,4 @@
-"""Compares panoramas of gradients: how alike they are, and by how many columns one is shifted against the other."""
+"""Compares normalised panoramas: how alike they are, and by how many columns one is shifted against the other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ F64 = NDArray[np.float64]
 class MatchingSettings:
     """How far panoramas are shifted against each other."""
 
-    max_shift: float = math.radians(40.0)
+    max_shift: float = math.radians(30.0)
     """Largest shift, radians of azimuth."""
     max_rows: int = 2
     """Largest vertical shift, rows: what pitch and height of the camera change."""
@@ -52,12 +52,12 @@ class Matches:
 class Matcher:
     """Compares views with the nodes of a path by normalised cross-correlation over columns, through a Fourier transform of the rows."""
 
-    def __init__(self, preprocessor: Preprocessor, gradients: Sequence[F32], settings: MatchingSettings | None = None) -> None:
+    def __init__(self, preprocessor: Preprocessor, patterns: Sequence[F32], settings: MatchingSettings | None = None) -> None:
         """Transforms the nodes.
 
         Args:
             preprocessor: of the path's camera.
-            gradients: the gradients of the nodes, each (rows, columns).
+            patterns: the normalised panoramas of the nodes, each (rows, columns).
             settings: limits of the shift; None = the defaults.
         """
         self.settings = settings or MatchingSettings()
@@ -73,19 +73,19 @@ class Matcher:
         self.angles: F64 = np.asarray(-self._shifts * preprocessor.radians_per_column, dtype=np.float64)
         """Radians to the left that the robot must turn, for each shift."""
         self._size = columns if preprocessor.is_closed else _fast(columns + reach)
-        stack = np.stack([np.asarray(g, dtype=np.float32) for g in gradients])
+        stack = np.stack([np.asarray(g, dtype=np.float32) for g in patterns])
         self._spectra = np.fft.rfft(stack, self._size, axis=2).astype(np.complex64).conj()  # (nodes, rows, frequencies)
         energy = (stack.astype(np.float64) ** 2).sum(axis=1)  # (nodes, columns)
         self._energies = self._overlapping(energy, -self._shifts)
 
-    def match(self, gradients: F32, first: int = 0, end: int | None = None) -> Matches:
-        """Returns the comparison with the nodes from ``first`` to before ``end`` (None = the last)."""
+    def match(self, pattern: F32, first: int = 0, end: int | None = None) -> Matches:
+        """Returns the comparison of a normalised panorama with the nodes from ``first`` to before ``end`` (None = the last)."""
         spectra = self._spectra[first:end]
         energies = self._energies[first:end]
         best: F64 | None = None
         rows = self.settings.max_rows
         for shift in range(-rows, rows + 1):
-            moved = _moved(gradients, shift)
+            moved = _moved(pattern, shift)
             spectrum = np.fft.rfft(moved, self._size, axis=1).astype(np.complex64)
             product = np.einsum("nrf,rf->nf", spectra, spectrum, optimize=True)
             correlation = np.fft.irfft(product, self._size, axis=1)[:, self._shifts % self._size]
@@ -121,14 +121,14 @@ def _peaks(curves: F64, at: NDArray[np.intp], angles: F64) -> tuple[F64, F64]:
     return np.clip(scores, -1.0, 1.0), angles[at] + np.where(at == middle, offset, 0.0) * step
 
 
-def _moved(gradients: F32, rows: int) -> F32:
+def _moved(pattern: F32, rows: int) -> F32:
     if rows == 0:
-        return gradients
-    moved = np.zeros_like(gradients)
+        return pattern
+    moved = np.zeros_like(pattern)
     if rows > 0:
-        moved[rows:] = gradients[:-rows]
+        moved[rows:] = pattern[:-rows]
     else:
-        moved[:rows] = gradients[-rows:]
+        moved[:rows] = pattern[-rows:]
     return moved
 
 

@@ -1,4 +1,4 @@
-"""Turns the images of a view into one panorama of gradients in which a rotation of the robot is a shift of columns."""
+"""Turns the images of a view into one panorama, normalised in contrast, in which a rotation of the robot is a shift of columns."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class PreprocessingSettings:
     """Rows of the panorama."""
     half_height: float = 0.7
     """Tangent of the largest elevation, upwards and downwards, in the panorama."""
-    smoothing: float = 0.8
+    smoothing: float = 1.2
     """Standard deviation of the Gaussian against noise, pixels of the panorama."""
     window: float = 5.0
     """Standard deviation of the Gaussian window within which contrast is normalised, pixels of the panorama."""
@@ -111,27 +111,19 @@ class Preprocessor:
             grey += weight * cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return grey
 
-    def gradients(self, panorama: F32) -> F32:
-        """Returns the horizontal gradients of a grey panorama after its contrast was normalised around each pixel, (rows, columns)."""
-        settings = self.settings
-        wide = self._padded(panorama, math.ceil(4 * settings.window))
-        smooth = _blur(wide, settings.smoothing)
-        mean = _blur(smooth, settings.window)
-        deviation = np.sqrt(np.maximum(_blur((smooth - mean) ** 2, settings.window), 0.0))
-        normal = (smooth - mean) / (deviation + settings.contrast_floor)
-        pad = (wide.shape[1] - panorama.shape[1]) // 2
-        gradient = np.zeros_like(normal)
-        gradient[:, 1:-1] = normal[:, 2:] - normal[:, :-2]
-        inner = gradient[:, pad : pad + panorama.shape[1]]
-        if not self.is_closed:
-            inner[:, 0] = inner[:, -1] = 0.0
-        return np.ascontiguousarray(inner)
+    def normalised(self, panorama: F32) -> F32:
+        """Returns a grey panorama with mean 0 and standard deviation 1 around each pixel, (rows, columns): light and exposure are gone.
 
-    def _padded(self, panorama: F32, pad: int) -> F32:
-        if self.is_closed:
-            pad = min(pad, panorama.shape[1])
-            return np.concatenate([panorama[:, -pad:], panorama, panorama[:, :pad]], axis=1)
-        return np.asarray(cv2.copyMakeBorder(panorama, 0, 0, pad, pad, cv2.BORDER_REPLICATE), dtype=np.float32)
+        Whole patterns tell places apart better than horizontal gradients alone, of which shelves, tables and floors have none.
+        """
+        settings = self.settings
+        pad = min(math.ceil(4 * settings.window), panorama.shape[1]) if self.is_closed else 0
+        wide = np.concatenate([panorama[:, -pad:], panorama, panorama[:, :pad]], axis=1) if pad else panorama
+        smooth = _blur(wide, settings.smoothing)
+        centred = smooth - _blur(smooth, settings.window)
+        deviation = np.sqrt(np.maximum(_blur(centred**2, settings.window), 0.0))
+        found = centred / (deviation + settings.contrast_floor)
+        return np.ascontiguousarray(found[:, pad : pad + panorama.shape[1]])
 
 
 def texture(view: View) -> float:

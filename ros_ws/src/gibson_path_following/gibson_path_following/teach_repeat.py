@@ -68,6 +68,7 @@ class TeachRepeatPolicy:
         self.settings = settings or TeachRepeatSettings()
         self.nodes = nodes or NodeMatcher(path)
         parts = segments(path)
+        self._spacing = path.spacing
         self._headings: NDArray[np.float64] = np.concatenate([[0.0], np.cumsum([part.turn for part in parts])])
         """Heading at each node against the first, by the recorded velocities, radians."""
         self._velocities = np.array([self._velocity(part) for part in parts])  # (nodes - 1, 2)
@@ -80,9 +81,8 @@ class TeachRepeatPolicy:
         settings = self.settings
         error = self.heading_error(view, place)
         middles = np.arange(len(self._velocities)) + 0.5
-        linear = float(np.interp(place.index, middles, self._velocities[:, 0]))
-        rate = linear / max(0.05, 0.2)
-        at = place.index + settings.preview * rate
+        speed = float(np.interp(place.index, middles, self._velocities[:, 0]))
+        at = place.index + settings.preview * speed / self._spacing
         linear = float(np.interp(at, middles, self._velocities[:, 0]))
         angular = float(np.interp(at, middles, self._velocities[:, 1])) + settings.gain * error
         linear *= max(0.1, 1.0 - (error / settings.slow_error) ** 2)
@@ -95,7 +95,7 @@ class TeachRepeatPolicy:
         """Returns the radians that the robot must turn to the left to look along the path; 0 if no node fits."""
         first = int(place.index)
         end = min(first + self.settings.ahead + 1, self.nodes.nodes)
-        matches = self.nodes.matcher.match(self.nodes.gradients(view), first, end)
+        matches = self.nodes.matcher.match(self.nodes.pattern(view), first, end)
         here = float(np.interp(place.index, np.arange(self.nodes.nodes), self._headings))
         errors = matches.turns - (self._headings[first:end] - here)
         weights = np.maximum(matches.scores - self.settings.least_score, 0.0)
