@@ -8,7 +8,6 @@ import select
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from gibson_sim.errors import ConfigError, WriteError
 from gibson_sim.jobs import units as units_module
 from gibson_sim.jobs.local import LocalWorkers, shares
 from gibson_sim.jobs.units import Unit, UnitResult, run_units
-from gibson_sim.processes.descendants import VARIABLE, end_marked, marked, with_mark
 from support.processes import is_running, wait_for_end
 
 TESTS = Path(__file__).resolve().parents[2]
@@ -235,18 +233,6 @@ def test_nothing_is_left_when_the_caller_is_killed(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "pipe"]
 
 
-def test_what_ignores_sigterm_is_killed() -> None:
-    code = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM}); print('deaf', flush=True); signal.pause()"
-    command = [sys.executable, "-c", code]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=with_mark(os.environ, "of this test")) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "deaf\n"
-        assert marked("of this test") == [process.pid]
-        threading.Thread(target=process.wait).start()
-        end_marked("of this test", term_s=0.0)
-    assert process.returncode == -signal.SIGKILL
-
-
 def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
@@ -259,11 +245,6 @@ def test_each_worker_has_its_share_of_the_cores(tmp_path: Path) -> None:
     assert shares([0, 1], 3) == [[0], [1], [0]]
     (result,) = run_units([Unit("u", "support.work:cores")], LocalWorkers(1, bind=True), output=tmp_path)
     assert result.value == sorted(os.sched_getaffinity(0))
-
-
-def test_marks_of_workers_within_workers_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert with_mark({}, "a") == {VARIABLE: "a"}
-    assert with_mark({VARIABLE: "a", "HOME": "/"}, "b") == {VARIABLE: "a:b", "HOME": "/"}
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a b", "-a", "ä", "a\n", "a" * 101, "a.log", "a\0"])

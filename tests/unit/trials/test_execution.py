@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError, ConfigError, EnvironmentProblemError
-from gibson_sim.processes import leftovers
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE
 from gibson_sim.trials.execution import check_stack
@@ -154,6 +151,8 @@ def test_end_of_a_node_tells_its_last_error() -> None:
     output = "INFO scene flat\nERROR first\nerror: no such scene\nINFO bye\n"
     assert last_error(output) == "no such scene"
     assert node_died("physics", 1, output).detail == "the physics node ended with code 1: no such scene"
+    clock = "error: another node publishes /clock in this ROS domain: stop that simulation\n"
+    assert node_died("physics", 1, clock).detail.startswith("the stack publishes /clock, which the simulation alone may do")
 
 
 def test_stack_is_not_to_blame_if_time_waited_for_a_node_of_ours() -> None:
@@ -178,26 +177,3 @@ def test_domain_with_a_simulation_is_passed_over() -> None:
     finally:
         lock.close()
     DomainLock(free).close()
-
-
-def test_process_that_left_its_session_is_found_by_its_marker_and_ended() -> None:
-    code = (
-        "import subprocess, sys; subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], start_new_session=True)"
-    )
-    marker = f"unit-{os.getpid()}"
-    subprocess.run([sys.executable, "-c", code], env={**os.environ, "GIBSON_SIM_TRIAL": marker}, check=True)
-    assert len(leftovers.find_marked("GIBSON_SIM_TRIAL", marker)) == 1
-    assert leftovers.end_marked("GIBSON_SIM_TRIAL", marker) == 1
-    assert leftovers.find_marked("GIBSON_SIM_TRIAL", marker) == []
-
-
-def test_process_that_waits_does_not_run(tmp_path: Path) -> None:
-    for process_id, state in ((10, "S"), (11, "R"), (12, "D")):
-        task = tmp_path / str(process_id) / "task" / str(process_id)
-        task.mkdir(parents=True)
-        (task / "stat").write_text(f"{process_id} (a (b) c) {state} 1 1")
-        (tmp_path / str(process_id) / "stat").write_text(f"{process_id} (a (b) c) {state} {os.getppid()} 1")
-    assert not leftovers.any_runs([10, 99], tmp_path)
-    assert leftovers.any_runs([10, 11], tmp_path)
-    assert leftovers.any_runs([12], tmp_path)
-    assert sorted(leftovers.find_siblings(tmp_path)) == [10, 11, 12]

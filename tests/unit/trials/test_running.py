@@ -14,7 +14,7 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim.trials import execution, judging, running
 from gibson_sim.trials.records import Outcome, RunResult, RunSpec
-from gibson_sim.trials.running import Changes, broken, finished, make_run, make_runs, prepare
+from gibson_sim.trials.running import Changes, broken, claimed, finished, make_run, make_runs, prepare
 from gibson_sim.trials.scenario_spec import Scenario, StackSpec
 from support.trial_results import failed, passed, spec
 
@@ -182,6 +182,23 @@ def test_a_folder_with_a_trial_goes_on_with_resume_alone(tmp_path: Path) -> None
     with pytest.raises(ConfigError, match="or add --resume to go on"):
         prepare(tmp_path, resume=False)
     prepare(tmp_path, resume=True)
+
+
+def test_two_trials_do_not_share_a_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "out"
+    used = pytest.raises(ConfigError, match="another trial is being made in the folder")
+    with claimed(folder, resume=False), used, claimed(folder, resume=True):
+        raise AssertionError("it is in use")
+    with claimed(folder, resume=False):
+        assert list(folder.iterdir()) == []
+
+
+def test_output_that_cannot_be_a_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes").write_text("")
+    with pytest.raises(ConfigError, match=r"notes' is a file, must be a folder$"):
+        prepare(tmp_path / "notes", resume=False)
+    with pytest.raises(ConfigError, match=r"notes/out' cannot be made: .*notes is a file$"):
+        prepare(tmp_path / "notes" / "out", resume=False)
 
 
 def test_changes_of_the_command_line_count(scenario: Scenario) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
+import os
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -82,8 +85,15 @@ def prepare(folder: Path, *, resume: bool) -> None:
     """
     try:
         there = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
+        above = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    except NotADirectoryError as error:
+        raise ConfigError(f"--output {quoted(str(folder))} is a file, must be a folder") from error
     except OSError as error:
         raise ConfigError(f"--output {quoted(str(folder))}: cannot be read: {error.strerror}") from error
+    if not (above.is_dir() and os.access(above, os.W_OK)):
+        raise ConfigError(
+            f"--output {quoted(str(folder))} cannot be made: {above} is {'read-only' if above.is_dir() else 'a file'}"
+        )
     if there and not resume:
         is_trial = RESULTS in there or RUNS in there
         remedy = "give a new one, or add --resume to go on with the trial in it" if is_trial else "give a new one"
@@ -92,6 +102,34 @@ def prepare(folder: Path, *, resume: bool) -> None:
         raise ConfigError(
             f"--output {quoted(str(folder))}: the folder holds {quoted(there[0])}, but no trial to go on with; give another one"
         )
+
+
+@contextmanager
+def claimed(folder: Path, *, resume: bool) -> Iterator[None]:
+    """Makes the output folder, see ``prepare``, and keeps other trials out of it in a block.
+
+    Raises:
+        ConfigError: another trial is being made in it, or it cannot be used.
+        WriteError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ConfigError(
+                f"--output {quoted(str(folder))}: another trial is being made in the folder; wait for it, or give a new one"
+            ) from error
+        except OSError:  # the file system has no locks
+            _log.debug("no lock of %s", folder)
+        prepare(folder, resume=resume)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def finished(folder: Path, runs: Iterable[RunSpec]) -> dict[int, RunResult]:

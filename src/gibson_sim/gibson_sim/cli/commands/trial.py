@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         return _compare_two(args)
     # Loaded here: a comparison of two files needs none of it.
     from gibson_sim.trials.report.words import plan_table
-    from gibson_sim.trials.running import Changes, check, prepare
+    from gibson_sim.trials.running import Changes, check, claimed, prepare
     from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
 
     before = _results(args.compare[0]) if args.compare else None
@@ -101,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
     if args.plan:
         print(plan_table(runs))
         return ExitCode.OK
-    return _Trial(args, scenario, changes, plan, runs, before, folder).made(backend)
+    with claimed(folder, resume=args.resume):
+        return _Trial(args, scenario, changes, plan, runs, before, folder).made(backend)
 
 
 def _plan(scenario: Scenario, numbers: Sequence[int]) -> Sequence[RunSpec]:

@@ -2,6 +2,7 @@
 
 A node takes a second of processor time to import its modules; a fork of this process takes milliseconds. Requests come as packets on a
 socket that ``trials.execution.node_server`` holds. When that socket closes, however its holder ended, all that was started here is ended.
+Orphans become children of this process (PR_SET_CHILD_SUBREAPER, prctl(2)), so that it finds those that changed their environment, too.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError, RecordError
 from gibson_sim.maps.placement import populate
-from gibson_sim.processes.leftovers import end_marked
+from gibson_sim.processes.descendants import below, end_all, end_marked
 from gibson_sim.processes.node_process import PARENT_VARIABLE
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
 from gibson_sim.standard.simulator import Simulator
@@ -78,8 +79,8 @@ _LARGEST = 1 << 20
 """Largest packet, bytes."""
 _PATIENCE_S = 3.0
 """Wall time that processes have to end after SIGTERM, seconds."""
-_PR_SET_PDEATHSIG = 1
-"""Option of prctl(2)."""
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+"""Options of prctl(2)."""
 Task = Callable[[], None]
 
 
@@ -118,6 +119,10 @@ class NodeServer:
         if request["do"] == "signal":
             for process_id in [pid for pid, name in self._names.items() if name == request["name"]]:
                 _signal_group(process_id, request["number"])
+            return None
+        if request["do"] == "end rest":
+            end_all(lambda: below(os.getpid(), self._names))
+            self._report(request["name"], 0, 0.0)
             return None
         if request["marker"]:
             self._markers.add(tuple(request["marker"]))
@@ -165,11 +170,15 @@ class NodeServer:
             if not process_id:
                 return
             name = self._names.pop(process_id, "")
-            event = {"ended": name, "code": os.waitstatus_to_exitcode(status), "cpu_s": usage.ru_utime + usage.ru_stime}
-            try:
-                self._requests.send(json.dumps(event).encode())
-            except OSError:  # its holder has ended, which the next read tells
-                continue
+            if name:  # else an orphan of one of them
+                self._report(name, os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime)
+
+    def _report(self, name: str, code: int, cpu_s: float) -> None:
+        """Tells that a process has ended."""
+        try:
+            self._requests.send(json.dumps({"ended": name, "code": code, "cpu_s": cpu_s}).encode())
+        except OSError:  # the holder has ended, which the next read tells
+            return
 
     def _end_all(self) -> None:
         """Ends all that was started here, and what came of it."""
@@ -181,7 +190,8 @@ class NodeServer:
                 self._reap()
                 time.sleep(0.02)
         for variable, value in self._markers:
-            end_marked(variable, value)
+            end_marked(value, variable)
+        end_all(lambda: below(os.getpid()))
 
 
 def _signal_group(process_id: int, number: int) -> None:
@@ -252,6 +262,7 @@ def main() -> None:
     logging.disable(logging.NOTSET)
     gc.collect()
     gc.freeze()
+    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
     task = NodeServer(requests).serve()
     if task is not None:
         task()

@@ -27,8 +27,8 @@ from std_msgs.msg import String
 from gibson_msgs.msg import Scene
 from gibson_sim.client_config import TrialConfig
 from gibson_sim.errors import ConfigError, EnvironmentProblemError, GibsonSimError
+from gibson_sim.processes.descendants import any_runs, marked, siblings
 from gibson_sim.processes.job_folder import note_in_job
-from gibson_sim.processes.leftovers import any_runs, find_marked, find_siblings
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 from gibson_sim.ros import conversions
@@ -174,9 +174,9 @@ class TrialNode(Node):
         elif now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
             if self._idle_looks == 0:
-                self._busy = set(find_siblings())
+                self._busy = set(siblings())
             self._busy = {process_id for process_id in self._busy if any_runs([process_id])}
-            self._idle_looks = 0 if any_runs(find_marked(MARKER, self._plan.marker)) else self._idle_looks + 1
+            self._idle_looks = 0 if any_runs(marked(self._plan.marker, MARKER)) else self._idle_looks + 1
         return self._idle_looks >= IDLE_LOOKS and not self._busy
 
     # Before the first tick

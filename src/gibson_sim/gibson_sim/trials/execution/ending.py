@@ -12,6 +12,8 @@ from gibson_sim.trials.records import End
 
 _ERROR = re.compile(r"(?:error: |\[?(?:ERROR|FATAL)\]?:? )(.+)")
 _WAITS = re.compile(r"lockstep: waiting for (.+?); [\d.]+ s so far")
+_CLOCK = "another node publishes /clock"
+"""Error of physics; no other simulation is in the ROS domain of a run."""
 _OURS = ("'record'", "'render'")
 """Our participants of lockstep, beside the trial node, as physics names them."""
 _LONGEST = 300
@@ -55,7 +57,18 @@ def stack_died(code: int, last_line: str) -> Ending:
 def node_died(name: str, code: int, output: str) -> Ending:
     """Returns the end of a run one of whose nodes ended too early."""
     error = last_error(output)
+    if _CLOCK in error:
+        return Ending(
+            "simulation failed", "the stack publishes /clock, which the simulation alone may do: let it run with use_sim_time"
+        )
     return Ending("simulation failed", f"the {name} node {how_it_ended(code)}" + (f": {error}" if error else ""))
+
+
+def server_died() -> Ending:
+    """Returns the end of a run whose node server, the parent of nodes and stack, ended, and all of them with it."""
+    return Ending(
+        "simulation failed", "the parent process of nodes and stack was killed: by the stack, or because the memory ran out"
+    )
 
 
 def reported(report: TrialReport, physics_output: str) -> Ending:

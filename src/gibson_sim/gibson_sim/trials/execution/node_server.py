@@ -19,6 +19,8 @@ from gibson_sim.processes.node_process import command_of, node_arguments
 
 SOCKET_VARIABLE = "GIBSON_SIM_NODE_SERVER"
 """Environment variable of the server with the number of the socket that it inherits."""
+REST = "rest"
+"""Stands for processes that ended ones left behind."""
 _LARGEST = 1 << 16
 """Largest report, bytes."""
 _END_S = 15.0
@@ -111,6 +113,14 @@ class NodeServer:
                 self._socket.send(json.dumps({"do": "signal", "name": name, "number": int(number)}).encode())
             except OSError:  # the server has ended meanwhile, which ``poll`` tells
                 return
+
+    def end_rest(self) -> None:
+        """Ends what the processes that have ended left behind; ``REST`` is in ``running`` until that is done."""
+        try:
+            self._socket.send(json.dumps({"do": "end rest", "name": REST}).encode())
+        except OSError:  # the server has ended meanwhile, and all with it
+            return
+        self._running.add(REST)
 
     def poll(self) -> None:
         """Reads which processes have ended, without waiting; all have if the server has ended."""

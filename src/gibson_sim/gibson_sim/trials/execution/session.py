@@ -10,11 +10,11 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 
+from gibson_sim.processes.descendants import end_marked
 from gibson_sim.processes.environment import node_environment
-from gibson_sim.processes.leftovers import end_marked
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import lock_free_domain
-from gibson_sim.trials.execution.node_server import SERVERS
+from gibson_sim.trials.execution.node_server import REST, SERVERS
 from gibson_sim.trials.execution.node_settings import stack_environment
 from gibson_sim.trials.execution.plan import MARKER
 from gibson_sim.trials.scenario_spec import StackSpec
@@ -111,7 +111,10 @@ class Session:
 
     def end_leftovers(self) -> None:
         """Ends what is left of the stack, wherever its processes went."""
-        end_marked(MARKER, self.marker)
+        end_marked(self.marker, MARKER)
+        self.server.end_rest()  # what has no marker
+        while REST in self.server.running:
+            self._look()
 
     def close(self) -> None:
         """Ends the stack, and frees the domain."""

@@ -17,7 +17,7 @@ from typing import Any
 from gibson_sim.processes.job_folder import LOADED, VARIABLE, read_note
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import DOMAINS
-from gibson_sim.trials.execution.ending import Ending, node_died, reported, stack_died
+from gibson_sim.trials.execution.ending import Ending, node_died, reported, server_died, stack_died
 from gibson_sim.trials.execution.monitor import STILL_NS
 from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings
 from gibson_sim.trials.execution.plan import CLOCK, IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
@@ -174,6 +174,8 @@ class _Run:
         ended = self._server.ended
         if (report := self._report()).end:
             return reported(report, self._written_by(PHYSICS))
+        if ended and not self._server.is_alive:
+            return server_died()
         if TRIAL in ended:
             # It ends without a report where physics is at fault, too.
             self._wait(lambda: PHYSICS in ended, 0.5)
