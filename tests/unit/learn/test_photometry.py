@@ -9,11 +9,12 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.colours import linear_from_srgb
-from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit, white_gains
+from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit, relit_linear, white_gains
 
 GREY = np.full((4, 6, 3), 100, dtype=np.uint8)
 TOWARDS_X = np.tile(np.array([-1.0, 0.0, 0.0], dtype=np.float32), (4, 6, 1))
 """Normals of a wall ahead of a camera that looks along +x."""
+EYE = (0.0, 0.0, 0.0)
 AT_2_M = np.tile(np.array([2.0, 0.0, 0.0], dtype=np.float32), (4, 6, 1))
 
 
@@ -26,7 +27,8 @@ def linear(pixel: int) -> float:
 
 
 def test_neutral_light_and_camera_change_nothing() -> None:
-    assert (relit(GREY, TOWARDS_X, AT_2_M, (0.0, 0.0, 0.0), RoomLight()) == GREY).all()
+    assert (relit(GREY, TOWARDS_X, AT_2_M, EYE, RoomLight()) == GREY).all()
+    assert (photographed(relit_linear(GREY, TOWARDS_X, AT_2_M, EYE, RoomLight()), Photometry(), rng()) == GREY).all()
     assert (photographed(GREY, Photometry(), rng()) == GREY).all()
     assert white_gains(6500.0).tolist() == [1.0, 1.0, 1.0]
 
@@ -76,22 +78,27 @@ def test_blur_spreads_a_point_and_keeps_its_light() -> None:
 
 def test_a_lamp_falls_off_with_the_square_of_the_distance() -> None:
     night = RoomLight(ambient=0.0, lamp=1.0)
-    out = relit(GREY, TOWARDS_X, AT_2_M, (0.0, 0.0, 0.0), night)
-    assert linear(int(out[0, 0, 0])) == pytest.approx(linear(100) / 4.09, rel=0.03)
-    assert (relit(GREY, -TOWARDS_X, AT_2_M, (0.0, 0.0, 0.0), night) == 0).all()  # it faces away
+    out = relit_linear(GREY, TOWARDS_X, AT_2_M, EYE, night)
+    assert out[0, 0, 0] == pytest.approx(linear(100) / 4.09, rel=1e-4)
+    assert (relit_linear(GREY, -TOWARDS_X, AT_2_M, EYE, night) == 0).all()  # it faces away
 
 
 def test_a_sun_lights_what_faces_it() -> None:
     sun = RoomLight(sun=1.0, sun_azimuth=math.pi, sun_elevation=0.0)
-    lit = relit(GREY, TOWARDS_X, AT_2_M, (0.0, 0.0, 0.0), sun)
-    assert linear(int(lit[0, 0, 0])) == pytest.approx(2.0 * linear(100), rel=0.01)
-    assert (relit(GREY, -TOWARDS_X, AT_2_M, (0.0, 0.0, 0.0), sun) == GREY).all()
+    lit = relit_linear(GREY, TOWARDS_X, AT_2_M, EYE, sun)
+    assert lit[0, 0, 0] == pytest.approx(2.0 * linear(100), rel=1e-4)
+    assert relit_linear(GREY, -TOWARDS_X, AT_2_M, EYE, sun)[0, 0, 0] == pytest.approx(linear(100), rel=1e-4)
 
 
 def test_where_there_is_nothing_only_the_ambient_light_counts() -> None:
     nothing = np.full((4, 6, 3), np.nan, dtype=np.float32)
-    out = relit(GREY, nothing, nothing, (0.0, 0.0, 0.0), RoomLight(ambient=2.0, sun=1.0, lamp=1.0, unevenness_ev=1.0))
-    assert linear(int(out[0, 0, 0])) == pytest.approx(2.0 * linear(100), rel=0.01)
+    out = relit_linear(GREY, nothing, nothing, EYE, RoomLight(ambient=2.0, sun=1.0, lamp=1.0, unevenness_ev=1.0))
+    assert out[0, 0, 0] == pytest.approx(2.0 * linear(100), rel=1e-4)
+
+
+def test_light_brighter_than_white_is_kept_for_the_exposure() -> None:
+    bright = relit_linear(np.full_like(GREY, 255), TOWARDS_X, AT_2_M, EYE, RoomLight(ambient=4.0))
+    assert (photographed(bright, Photometry(exposure_ev=-2.0), rng()) == 255).all()
 
 
 def test_impossible_values_are_refused_with_their_limits() -> None:

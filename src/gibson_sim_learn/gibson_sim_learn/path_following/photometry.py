@@ -97,7 +97,12 @@ class Photometry:
 
 
 def relit(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float], light: RoomLight) -> Image:
-    """Returns an image in another light.
+    """Returns the image of ``relit_linear`` as sRGB: what is brighter than white is white, whatever is then made of it."""
+    return rgb if light.is_unchanged else srgb8_from_linear(relit_linear(rgb, normal, position, eye, light))
+
+
+def relit_linear(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float], light: RoomLight) -> F32:
+    """Returns an image (H, W, 3) in another light, linear; what is brighter than white is above 1, for ``photographed`` to expose.
 
     Args:
         rgb: (H, W, 3), sRGB.
@@ -107,8 +112,8 @@ def relit(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float
         light: the light.
     """
     if light.is_unchanged:
-        return rgb
-    there = np.isfinite(position).all(axis=2)
+        return np.asarray(_LINEAR[rgb])
+    there = np.asarray(np.isfinite(position).all(axis=2))
     points = np.where(there[..., None], position, 0.0).astype(np.float32)
     normals = np.nan_to_num(normal)
     level = np.full(rgb.shape[:2], light.ambient, dtype=np.float32)
@@ -124,22 +129,20 @@ def relit(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float
         squared = np.maximum((away**2).sum(axis=2), 1e-6)
         facing = np.maximum(-(away * normals).sum(axis=2) / np.sqrt(squared), 0.0)
         factor += np.where(there, light.lamp * facing / (squared + _SOFT), 0.0)[..., None] * white_gains(light.lamp_temperature_k)
-    return srgb8_from_linear(_LINEAR[rgb] * factor.astype(np.float32))
+    return np.asarray(_LINEAR[rgb] * factor.astype(np.float32))
 
 
-def photographed(rgb: Image, camera: Photometry, rng: np.random.Generator) -> Image:
+def photographed(image: Image | F32, camera: Photometry, rng: np.random.Generator) -> Image:
     """Returns an image as another camera gives it.
 
     Args:
-        rgb: (H, W, 3), sRGB.
+        image: (H, W, 3), sRGB as uint8, or linear as float32.
         camera: the camera.
         rng: of the noise, from which as much is drawn for every camera.
     """
-    grain = rng.standard_normal(rgb.shape, dtype=np.float32)
-    if camera == Photometry():
-        return rgb
-    height, width = rgb.shape[:2]
-    linear = _LINEAR[rgb]
+    grain = rng.standard_normal(image.shape, dtype=np.float32)
+    height, width = image.shape[:2]
+    linear: F32 = _LINEAR[image] if image.dtype == np.uint8 else image.astype(np.float32, copy=False)
     if camera.blur:
         sigma = camera.blur * width / 96.0
         linear = ndimage.gaussian_filter(linear, (sigma, sigma, 0.0), mode="nearest", truncate=3.0)

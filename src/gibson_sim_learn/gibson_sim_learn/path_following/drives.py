@@ -1,0 +1,511 @@
+"""Drives in one process, without ROS: an oracle records a path, then any driver follows it under conditions. Equal seeds give equal bits.
+
+``PathSite`` is a scene with its robot, loaded once for many drives. ``record`` and ``follow`` make one drive each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_path_following.evaluation import Outcome, TracePoint, evaluate
+from gibson_path_following.follower import PathFollower
+from gibson_path_following.types import STOP, PathNode, Place, RecordedPath, Velocity, View
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy, yaw_from_quat
+from gibson_sim.simulation import Simulation
+from gibson_sim.types import Output, VelocityCommand
+from gibson_sim_learn.path_following.cameras import Rig
+from gibson_sim_learn.path_following.cases import ROBOT, PathCase, path_ground
+from gibson_sim_learn.path_following.domains import Conditions
+from gibson_sim_learn.path_following.layout import Layout, draw_layout
+from gibson_sim_learn.path_following.oracle import OracleSettings, PurePursuit, around
+from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit_linear
+
+F64 = NDArray[np.float64]
+Planar = tuple[float, float, float]
+"""x, y, yaw: world frame, metres and radians."""
+STEP_HZ, CONTROL_HZ = 120, 5
+"""Physics steps, and images and commands, per second of simulation time."""
+MAX_LINEAR, MAX_ANGULAR = 0.5, 1.0
+"""Limits of commands, m/s and rad/s."""
+SPACING = 0.2
+"""Distance of the nodes of a path, metres."""
+NODE_TURN = math.radians(20.0)
+"""Turn after which a path gets a node without 0.2 m of way, radians."""
+_PARTS = 2
+"""Parts of a control tick after each of which a node may be recorded."""
+_SETTLE_S = 0.3
+"""Simulation time before the first image, in which bodies come to rest, seconds."""
+_PATIENCE_S = 6.0
+"""A drive ends when the robot has stood for so long, seconds of simulation time."""
+_STANDING = 0.05
+"""It stands if it moves less than this in that time, metres."""
+_DONE_S = 0.6
+"""Time that a driver who is finished has to come to rest, seconds."""
+_PURSUIT_DELAY = 1.0 / CONTROL_HZ
+_ORACLE_ROOM = 0.08
+"""Clearance of an oracle's way round obstacles beyond the robot's radius, metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a driver may use at one tick. Only oracles may use ``pose``."""
+
+    stamp_ns: int
+    view: View
+    """Empty for drivers that need no images."""
+    pose: Planar
+    """The true one."""
+
+
+class Driver(Protocol):
+    """Whatever drives the robot along a path."""
+
+    needs_view: bool
+    """Whether it uses images."""
+    place: Place | None
+    """Where on the path it believes to be; None = it has no belief."""
+    state: str
+    """In a word; ``finished`` ends the drive."""
+
+    def drive(self, sight: Sight) -> Velocity:
+        """Returns the velocity until the next tick."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One control tick of a drive."""
+
+    stamp_ns: int
+    pose: Planar
+    """The true one, when the image was taken."""
+    command: Velocity
+    """What the driver returned."""
+    in_collision: bool
+    """Whether the robot touched anything but the floor since the tick before."""
+    index: float
+    """Believed place on the path, nodes; NaN = no belief."""
+    state: str
+    """Of the driver."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A drive, tick by tick."""
+
+    ticks: tuple[Tick, ...]
+    ended: str
+    """finished, standing, or time."""
+    touched: tuple[str, ...] = ()
+    """Names of what the robot collided with, in the order of the first touch."""
+    layout: Layout | None = None
+    views: tuple[View, ...] = ()
+    """Of each tick, if they were to be kept."""
+
+    def outcome(self, recording: Recording) -> Outcome:
+        """Returns how it went."""
+        points = [TracePoint(tick.stamp_ns, *tick.pose, tick.in_collision) for tick in self.ticks]
+        return evaluate([(x, y) for x, y, _ in recording.poses], points)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A path as an oracle drove it."""
+
+    case: PathCase
+    path: RecordedPath
+    poses: tuple[Planar, ...]
+    """True poses of the nodes."""
+    commands: tuple[Velocity, ...]
+    """Of all control ticks, in order."""
+    line: tuple[tuple[float, float], ...]
+    """Where the robot truly was at each control tick."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return len(self.commands) / CONTROL_HZ
+
+
+class PathSite:
+    """A scene with its robot and cameras, for many drives. Close it, or use it in a ``with`` statement.
+
+    Args:
+        scene: name or path.
+        rig: cameras; None = one pinhole camera.
+        robot: name or path.
+        device: EGL device that draws, as ``Simulation`` takes it.
+
+    Raises:
+        GibsonSimError: scene or robot cannot be used.
+    """
+
+    def __init__(self, scene: str, *, rig: Rig | None = None, robot: str = ROBOT, device: int | str | None = None) -> None:
+        self.scene = scene
+        self.rig = rig or Rig()
+        self.ground = path_ground(scene, robot)
+        self.simulation = Simulation(self.ground.scene, None, step_hz=STEP_HZ, device=device)
+        """Physics and renderer. Use ``begin`` here, not ``simulation.reset``."""
+        self.world = self.simulation.world
+        self._name = self.ground.robot.name
+        self._link = f"{self._name}/{self.ground.robot.base_link}"
+        self._touching = 0.0
+
+    @property
+    def pose(self) -> Planar:
+        """True pose of the robot."""
+        base = self.world.base_pose(self._name)
+        return base.position[0], base.position[1], yaw_from_quat(base.quat_xyzw)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulation time since the drive began, ns."""
+        return self.world.stamp_ns
+
+    def begin(self, layout: Layout, start: Planar) -> None:
+        """Puts the robot and all bodies in place, at time 0.
+
+        Raises:
+            SceneError: the robot touches something there.
+        """
+        x, y, yaw = start
+        pose = pose_from_xyz_rpy((x, y, self.ground.floor.floor_z), (0.0, 0.0, yaw))
+        self.world.repopulate([replace(self.ground.robot, start=pose)], layout.bodies)
+        self.world.set_step_count(0)
+        self.world.collisions(self._name)  # counting begins
+        self.world.step(round(_SETTLE_S * STEP_HZ))
+        self.world.set_step_count(0)
+        count = self.world.collisions(self._name)
+        self._touching = count.duration
+        if count.ongoing:
+            raise SceneError(
+                f"scene {self.scene!r}: at {x:.2f}, {y:.2f} m the robot touches {count.last_body}; start it elsewhere"
+            )
+
+    def advance(self, velocity: Velocity, steps: int = STEP_HZ // CONTROL_HZ) -> str | None:
+        """Drives at a velocity for some physics steps, by default a control tick; returns the name of what it touched, not the floor."""
+        self.world.command(
+            self._name, VelocityCommand((velocity.linear, 0.0, 0.0), (0.0, 0.0, velocity.angular), self.world.stamp_ns)
+        )
+        self.world.step(steps)
+        count = self.world.collisions(self._name)
+        before, self._touching = self._touching, count.duration
+        return count.last_body if count.duration > before else None
+
+    def view(self, conditions: Conditions, rng: np.random.Generator) -> View:
+        """Returns what the cameras see now.
+
+        Args:
+            conditions: light and cameras.
+            rng: of the noise.
+        """
+        outputs: tuple[Output, ...] = ("rgb",) if conditions.light.is_unchanged else ("rgb", "normal_world", "position")
+        cameras = self.rig.cameras(self._link, conditions, outputs)
+        images = []
+        for frame in self.simulation.renderer.render(self.world.state(), cameras):
+            image = frame.rgb
+            assert image is not None
+            if frame.normal_world is None or frame.position is None:
+                images.append(photographed(image, conditions.photometry, rng))
+                continue
+            x, y, z = frame.T_world_camera[:3, 3].tolist()
+            linear = relit_linear(image, frame.normal_world, frame.position, (x, y, z), conditions.light)
+            images.append(photographed(linear, conditions.photometry, rng))
+        return tuple(images)
+
+    def close(self) -> None:
+        """Frees engine and renderer; a second call does nothing."""
+        self.simulation.close()
+
+    def __enter__(self) -> PathSite:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+# Drivers that need no learning
+
+
+class OracleDriver:
+    """Knows the line, its own pose, and the map with all that stands on it.
+
+    Args:
+        line: where to drive, (K, 2), world frame, metres.
+        latency_ticks: ticks until its commands count, which it allows for.
+        settings: how it drives; None = the defaults.
+    """
+
+    needs_view = False
+
+    def __init__(
+        self, line: Sequence[tuple[float, float]] | F64, latency_ticks: int = 0, settings: OracleSettings | None = None
+    ) -> None:
+        self.pursuit = PurePursuit(line, settings)
+        self.place: Place | None = None
+        self.state = "following"
+        self._pending: deque[Velocity] = deque([STOP] * latency_ticks)
+
+    def drive(self, sight: Sight) -> Velocity:
+        """Returns the velocity at a pose."""
+        x, y, yaw = sight.pose
+        for velocity in self._pending:
+            yaw += 0.5 * velocity.angular * _PURSUIT_DELAY
+            x += velocity.linear * _PURSUIT_DELAY * math.cos(yaw)
+            y += velocity.linear * _PURSUIT_DELAY * math.sin(yaw)
+            yaw += 0.5 * velocity.angular * _PURSUIT_DELAY
+        found = self.pursuit.velocity(x, y, yaw)
+        self._pending.append(found)
+        self._pending.popleft()
+        if self.pursuit.finished:
+            self.state = "finished"
+        return found
+
+
+class BlindDriver:
+    """Repeats the recorded commands."""
+
+    needs_view = False
+
+    def __init__(self, recording: Recording) -> None:
+        self._commands = deque(recording.commands)
+        self.place: Place | None = None
+        self.state = "following"
+
+    def drive(self, sight: Sight) -> Velocity:
+        """Returns the next recorded velocity."""
+        if not self._commands:
+            self.state = "finished"
+            return STOP
+        return self._commands.popleft()
+
+
+class RandomDriver:
+    """Drives at random velocities, a new one every second, for as long as the recording took."""
+
+    needs_view = False
+
+    def __init__(self, recording: Recording, rng: np.random.Generator) -> None:
+        self._left, self._rng = len(recording.commands), rng
+        self._velocity = STOP
+        self.place: Place | None = None
+        self.state = "following"
+
+    def drive(self, sight: Sight) -> Velocity:
+        """Returns a random velocity."""
+        if not self._left:
+            self.state = "finished"
+            return STOP
+        if self._left % CONTROL_HZ == 0 or self._velocity == STOP:
+            self._velocity = Velocity(
+                float(self._rng.uniform(0.0, MAX_LINEAR)), float(self._rng.uniform(-MAX_ANGULAR, MAX_ANGULAR))
+            )
+        self._left -= 1
+        return self._velocity
+
+
+class FollowerDriver:
+    """A follower as it runs on a robot, which sees images alone."""
+
+    needs_view = True
+
+    def __init__(self, follower: PathFollower) -> None:
+        self.follower = follower
+
+    @property
+    def place(self) -> Place | None:
+        """Where it believes to be."""
+        return self.follower.place
+
+    @property
+    def state(self) -> str:
+        """What it does."""
+        return self.follower.state
+
+    def drive(self, sight: Sight) -> Velocity:
+        """Returns the velocity until the next view."""
+        return self.follower.observe(sight.stamp_ns, sight.view)
+
+
+# One drive
+
+
+def record(
+    site: PathSite, case: PathCase, *, light: RoomLight | None = None, settings: OracleSettings | None = None, seed: int = 0
+) -> Recording:
+    """Returns a path as an oracle drives it, in the scene as it is.
+
+    Args:
+        site: the scene.
+        case: the path.
+        light: light; None = that of the scene.
+        settings: how the oracle drives.
+        seed: of the noise of images.
+
+    Raises:
+        SceneError: the robot touches something on the way, or does not arrive.
+    """
+    conditions = Conditions(light=light or RoomLight(), photometry=Photometry())
+    rng = np.random.default_rng(seed)
+    site.begin(Layout(site.ground.scene.bodies, site.ground.floor), case.start)
+    driver = OracleDriver(case.line, settings=settings)
+    commands: list[Velocity] = []
+    line: list[tuple[float, float]] = []
+    nodes: list[_Node] = []
+    travelled, step, velocity = 0.0, 0.0, STOP
+    last = site.pose
+    for part in range(round((case.length / 0.1 + 20.0) * CONTROL_HZ * _PARTS)):
+        pose, now_ns = site.pose, site.stamp_ns
+        step = math.dist(last[:2], pose[:2])
+        travelled, last = travelled + step, pose
+        is_tick = part % _PARTS == 0
+        if is_tick:
+            line.append(pose[:2])
+            velocity = driver.drive(Sight(now_ns, (), pose))
+        is_over = driver.state == "finished"
+        if not nodes or is_over or _is_due(nodes[-1], pose, travelled, step):
+            if is_over and len(nodes) > 1 and travelled - nodes[-1].distance < SPACING / 4.0:
+                nodes.pop()
+            nodes.append(_Node(site.view(conditions, rng), now_ns, travelled, pose, [(0, velocity)]))
+        elif is_tick:
+            nodes[-1].velocities.append((now_ns - nodes[-1].stamp_ns, velocity))
+        if is_over:
+            break
+        if is_tick:
+            commands.append(velocity)
+        touched = site.advance(velocity, STEP_HZ // CONTROL_HZ // _PARTS)
+        if touched is not None:
+            raise SceneError(f"scene {case.scene!r}: the recording of path {case.number} of {case.length:g} m touches {touched}")
+    else:
+        raise SceneError(f"scene {case.scene!r}: the recording of path {case.number} of {case.length:g} m does not arrive")
+    path = RecordedPath(
+        site.rig.kind,
+        site.rig.field_of_view(),
+        tuple(PathNode(node.view, node.stamp_ns, node.distance, tuple(node.velocities), node.pose) for node in nodes),
+        SPACING,
+    )
+    return Recording(case, path, tuple(node.pose for node in nodes), tuple(commands), tuple(line))
+
+
+@dataclass
+class _Node:
+    """A node while it is recorded."""
+
+    view: View
+    stamp_ns: int
+    distance: float
+    pose: Planar
+    velocities: list[tuple[int, Velocity]]
+
+
+def _is_due(last: _Node, pose: Planar, travelled: float, step: float) -> bool:
+    """Returns whether a path gets a node: at the moment that is nearest to 0.2 m after the last one, or after a turn."""
+    turned = abs(math.remainder(pose[2] - last.pose[2], 2.0 * math.pi))
+    return travelled - last.distance >= SPACING - step / 2.0 or turned >= NODE_TURN
+
+
+def oracle_for(site: PathSite, recording: Recording, layout: Layout, conditions: Conditions) -> OracleDriver:
+    """Returns an oracle that follows a recording, around what stands in its way.
+
+    Raises:
+        SceneError: there is no way round.
+    """
+    line = around(layout.floor, recording.line, site.ground.robot.radius + _ORACLE_ROOM) if layout.obstacles else recording.line
+    return OracleDriver(line, conditions.latency_ticks)
+
+
+def follow(
+    site: PathSite,
+    recording: Recording,
+    driver_of: Callable[[Layout], Driver],
+    conditions: Conditions,
+    seed: int,
+    *,
+    keep_views: bool = False,
+    watch: Callable[[Sight, Velocity], None] | None = None,
+) -> Trace:
+    """Returns the drive of a driver along a recording. Equal arguments give equal traces, bit for bit.
+
+    Args:
+        site: the scene.
+        recording: the path.
+        driver_of: makes the driver from what stands where.
+        conditions: in what the drive differs from the recording.
+        seed: of places of things and of the noise of images.
+        keep_views: whether the trace has the images.
+        watch: called at each tick with what was to be seen, images included, and with the command.
+
+    Raises:
+        SceneError: the robot cannot stand at the start.
+    """
+    layout_rng, noise = (np.random.default_rng([seed, k]) for k in range(2))
+    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng)
+    site.begin(layout, _start(recording.case.start, conditions))
+    driver = driver_of(layout)
+    pending: deque[Velocity] = deque([STOP] * conditions.latency_ticks)
+    ticks: list[Tick] = []
+    views: list[View] = []
+    touched: list[str] = []
+    last: str | None = None
+    finished = 0
+    limit = round((2.0 * recording.duration + 15.0) * CONTROL_HZ)
+    ended = "time"
+    while len(ticks) < limit:
+        needs_view = driver.needs_view or keep_views or watch is not None
+        sight = Sight(site.stamp_ns, site.view(conditions, noise) if needs_view else (), site.pose)
+        command = _limited(driver.drive(sight))
+        if watch is not None:
+            watch(sight, command)
+        place = driver.place
+        ticks.append(
+            Tick(sight.stamp_ns, sight.pose, command, last is not None, math.nan if place is None else place.index, driver.state)
+        )
+        if keep_views:
+            views.append(sight.view)
+        finished = finished + 1 if driver.state == "finished" else 0
+        if finished > _DONE_S * CONTROL_HZ + conditions.latency_ticks:
+            ended = "finished"
+            break
+        if _stands(ticks):
+            ended = "standing"
+            break
+        pending.append(command)
+        last = site.advance(_driven(pending.popleft(), conditions))
+        if last is not None and last not in touched:
+            touched.append(last)
+    return Trace(tuple(ticks), ended, tuple(touched), layout, tuple(views))
+
+
+def _start(pose: Planar, conditions: Conditions) -> Planar:
+    x, y, yaw = pose
+    c, s = math.cos(yaw), math.sin(yaw)
+    ahead, left = conditions.start_ahead, conditions.start_left
+    return x + c * ahead - s * left, y + s * ahead + c * left, yaw + conditions.start_yaw
+
+
+def _limited(velocity: Velocity) -> Velocity:
+    if not (math.isfinite(velocity.linear) and math.isfinite(velocity.angular)):
+        raise ConfigError(f"a driver returned {velocity}, must be finite")
+    return Velocity(min(max(velocity.linear, -MAX_LINEAR), MAX_LINEAR), min(max(velocity.angular, -MAX_ANGULAR), MAX_ANGULAR))
+
+
+def _driven(command: Velocity, conditions: Conditions) -> Velocity:
+    """Returns what the wheels make of a command."""
+    linear = conditions.slip * command.linear
+    return Velocity(linear, conditions.slip * command.angular + conditions.yaw_bias * linear)
+
+
+def _stands(ticks: Sequence[Tick]) -> bool:
+    count = round(_PATIENCE_S * CONTROL_HZ)
+    if len(ticks) <= count or math.dist(ticks[-1].pose[:2], ticks[-1 - count].pose[:2]) > _STANDING:
+        return False
+    x, y, yaw = (np.array([tick.pose[k] for tick in ticks[-1 - count :]]) for k in range(3))
+    return float(max(np.ptp(x), np.ptp(y))) < _STANDING and float(np.ptp(np.unwrap(yaw))) < 1.0
