@@ -27,7 +27,7 @@ setup(
         "Topic :: Scientific/Engineering",
     ],
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "models/*"]},
     python_requires=">=3.10",
     install_requires=["numpy", "opencv-python-headless", "PyYAML"],
     extras_require={"onnx": ["onnxruntime>=1.20"]},

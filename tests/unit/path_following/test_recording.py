@@ -91,6 +91,15 @@ def test_a_view_waits_for_the_odometry_of_its_time() -> None:
     assert pose is not None and pose[:2] == pytest.approx((0.2, 0.0)) and abs(pose[2]) == pytest.approx(math.pi)
 
 
+def test_images_alone_make_a_node_every_interval() -> None:
+    recorder = PathRecorder("pinhole", 1.5, RecorderSettings(interval=0.3, uses_odometry=False))
+    for k in range(8):
+        recorder.add_view(NS + k * TICK, VIEW)
+    path = recorder.finish()
+    assert [node.stamp_ns for node in path.nodes] == [NS, NS + 3 * TICK, NS + 6 * TICK]
+    assert _distances(path) == [0.0, 0.0, 0.0] and path.nodes[0].velocities == ()
+
+
 def test_without_odometry_the_commands_count_after_a_while() -> None:
     recorder = PathRecorder("pinhole", 1.5, RecorderSettings(odometry_patience=0.3))
     _drive(recorder, 1.0, FORWARD, odometry=False)

@@ -1,14 +1,16 @@
-"""Makes the policy that a name stands for, with a localiser of the same path. A network is loaded only when it is chosen."""
+"""Makes the policy that a name stands for, with a localiser of the same path. A network is loaded only where one is chosen."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 from gibson_path_following.errors import SettingError, quoted
 from gibson_path_following.localisation import Localiser, NodeMatcher
 from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import Policy, RecordedPath
 
-BACKENDS = ("teach_repeat",)
-"""Names of the policies."""
+BACKENDS = ("teach_repeat", "learned", "learned:FILE")
+"""Names of the policies: without learning; our network, that of the package or one in a file."""
 
 
 def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_angular: float = 1.0) -> tuple[Policy, Localiser]:
@@ -25,6 +27,13 @@ def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_a
     """
     nodes = NodeMatcher(path)
     localiser = Localiser(path, nodes=nodes)
+    name, _, file = backend.partition(":")
     if backend == "teach_repeat":
         return TeachRepeatPolicy(path, TeachRepeatSettings(max_linear=max_linear, max_angular=max_angular), nodes), localiser
-    raise SettingError(f"backend is {quoted(backend)}, must be {' or '.join(BACKENDS)}")
+    if name == "learned" and (file or backend == name):
+        from gibson_path_following.arcs import ArcSettings
+        from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings
+
+        settings = LearnedSettings(arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
+        return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings), localiser
+    raise SettingError(f"backend is {quoted(backend)}, must be {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}")

@@ -60,6 +60,12 @@ class RecorderOptions(CameraOptions):
     )
     spacing: float = option(0.2, "distance between nodes, metres", 0.01, 10.0)
     turn_deg: float = option(20.0, "turn after which a node follows even without distance, degrees", 1.0, 360.0)
+    interval: float = option(
+        0.0,
+        "time after which a node follows even without distance, seconds; 0 = never. For images alone, without odom and cmd_vel",
+        0.0,
+        3600.0,
+    )
     use_odometry: bool = option(True, "distances and poses from odom; else distances from the commands, and no poses")
     stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
 
@@ -89,7 +95,7 @@ class PolicyOptions(CameraOptions):
     """Parameters of ``path_policy``."""
 
     path: str = option("", "folder of the path")
-    backend: str = option("teach_repeat", "teach_repeat, learned, or onnx:FILE")
+    backend: str = option("teach_repeat", "teach_repeat; learned, or learned:FILE with another network")
     autostart: bool = option(True, "configure and activate without a lifecycle manager")
     start: float = option(0.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
     max_linear: float = option(0.5, "largest speed, m/s", 0.01, 10.0)

@@ -25,13 +25,20 @@ class RecorderSettings:
     """Distance between nodes, metres."""
     turn: float = 0.35
     """Turn after which a node follows even without distance, radians."""
+    interval: float = 0.0
+    """Time after which a node follows even without distance, seconds; 0 = never. For images alone."""
     uses_odometry: bool = True
     """Whether distances and turns come from odometry; else from the commands."""
     odometry_patience: float = 0.5
     """How long a view waits for the odometry of its time, seconds."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (("spacing", 0.01, 10.0), ("turn", 0.02, 6.3), ("odometry_patience", 0.0, 10.0)):
+        for name, least, most in (
+            ("spacing", 0.01, 10.0),
+            ("turn", 0.02, 6.3),
+            ("interval", 0.0, 3600.0),
+            ("odometry_patience", 0.0, 10.0),
+        ):
             value = getattr(self, name)
             if not least <= value <= most:
                 raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
@@ -138,14 +145,16 @@ class PathRecorder:
             driven = motion_between(self._commands, before_ns, stamp_ns)
             step, turn = abs(driven.distance), abs(driven.turn)
         self._driven, self._turned = self._driven + step, self._turned + turn
-        if len(self._nodes) == 1 and self._driven < _STANDING and self._turned < _STANDING:  # it stands, and has not begun
+        is_due = 0.0 < self.settings.interval * NS_PER_S <= stamp_ns - self._nodes[-1].stamp_ns
+        stands = len(self._nodes) == 1 and self._driven < _STANDING and self._turned < _STANDING
+        if stands and self.settings.interval == 0.0:  # the path has not begun
             self._last = (stamp_ns, view, 0.0, pose)
             self._nodes.clear()
             self._add_node(*self._last)
             return
         self._last = (stamp_ns, view, distance + step, pose)
         # Half a step early is nearer than half a step late.
-        if self._driven + step / 2.0 >= self.settings.spacing or self._turned + turn / 2.0 >= self.settings.turn:
+        if is_due or self._driven + step / 2.0 >= self.settings.spacing or self._turned + turn / 2.0 >= self.settings.turn:
             self._add_node(*self._last)
 
     def _add_node(self, stamp_ns: int, view: View, distance: float, pose: Pose | None) -> None:

@@ -70,7 +70,7 @@ class PathRecorderNode(Node):
 
     def _begin(self) -> None:
         o = self._options
-        settings = RecorderSettings(o.spacing, math.radians(o.turn_deg), o.use_odometry)
+        settings = RecorderSettings(o.spacing, math.radians(o.turn_deg), o.interval, o.use_odometry)
         self._recorder, self._reported = PathRecorder(cast("CameraKind", o.camera), math.nan, settings), 0
 
     def _save(self) -> str:
