@@ -38,15 +38,15 @@ EVALUATION_SEEDS = 1_000_000  # and up; a training seed is drawn from 0 to 2**31
 
 
 def features(state):
-    """Returns numbers of about 1 that a network learns from easily: the goal, the speeds, what touches the robot, how close obstacles are.
+    """Returns numbers of about 1 that a network learns from easily: the goal, speeds, touch, the shortest path, near obstacles.
 
     Raw metres take many times as many steps. Objects are left out, since the scan sees them.
     """
     forward, left, _, speed, yaw_rate = state[:5]
     away = np.hypot(forward, left)
     goal = [forward / max(away, 1e-3), left / max(away, 1e-3), min(away, 3.0) / 3.0, away / 10.0, 2.0 * speed, yaw_rate / 2.0]
-    touch, scan = state[20:22], state[22:54]  # with images there is no scan
-    return np.concatenate([goal, touch, 1.0 - scan / 2.5, 1.0 / (3.0 * (scan + 0.2))]).astype(np.float32)
+    touch, path, scan = state[20:22], state[22:24], state[24:56]  # with images there is neither path nor scan
+    return np.concatenate([goal, touch, path, 1.0 - scan / 2.5, 1.0 / (3.0 * (scan + 0.2))]).astype(np.float32)
 
 
 class Features(gymnasium.ObservationWrapper):
@@ -104,7 +104,6 @@ def new_model(args, envs):
         # Rewards of a step are small, about 0.1: a bonus of 1 for random actions, the default at first, would drown them for long.
         more = {
             "ent_coef": "auto_0.01",
-            "learning_rate": 1e-3,
             "buffer_size": 300_000,
             "learning_starts": 2_000,
             "train_freq": 1,

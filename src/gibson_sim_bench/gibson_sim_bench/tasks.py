@@ -212,7 +212,7 @@ def _observe(run: TaskRun, controls: Controls, camera: TaskCamera | None) -> Any
     def rays(origins: Any, directions: Any, longest: float) -> Any:
         return run.world.cast_rays(origins, directions, longest, ignore=run.robot.name)
 
-    return full_state(controls.layout, run.episode, run.observation, classes, rays)
+    return full_state(controls.layout, run.episode, run.observation, classes, rays, (0.0, 0.0))
 
 
 def _together(plan: TaskPlan, name: str, observation: str, processes: int) -> TaskRow:

@@ -28,6 +28,16 @@ def test_distance_leads_through_the_doorway(arena: Ground) -> None:
     assert 3.50 <= DrivingDistance(arena, (5.52, 0.8))((3.0, 0.8)) <= 3.70
 
 
+def test_direction_leads_to_the_doorway_and_then_to_the_goal(arena: Ground) -> None:
+    distance = DrivingDistance(arena, (5.52, 0.8))
+    # The tangent of 1.515 m above; the goal itself is straight ahead, behind the wall.
+    forward, left = distance.direction((3.0, 0.8))
+    assert np.degrees(np.arctan2(left, forward)) == pytest.approx(46.5, abs=6.0)
+    near = DrivingDistance(arena, (3.0, 1.0))
+    assert near.direction((2.0, 1.0)) == pytest.approx((1.0, 0.0), abs=0.1)
+    assert near.direction((3.0, 1.3)) == pytest.approx((0.0, -1.0), abs=0.2)
+
+
 def test_distance_has_no_jumps_even_beside_walls_where_no_path_begins(arena: Ground) -> None:
     distance = DrivingDistance(arena, (3.0, 2.2))
     # Towards the wall at x = 0, past the place where paths end.

@@ -169,14 +169,19 @@ def test_observations_stay_within_their_bounds_and_have_the_goal_first() -> None
     episode = Episode("t", 0, Pose(), (item,), Goal("", (100.0, -3.0, 0.0), 0.1, "a", "ball"), 2.0, 60.0)
     layout = ObservationLayout((), (), ())
     obs = _observation(episode)
-    state = full_state(layout, episode, obs, ("ball",), lambda origins, directions, longest: np.full(len(origins), np.inf))
+
+    def rays(origins: np.ndarray, directions: np.ndarray, longest: float) -> np.ndarray:
+        return np.full(len(origins), np.inf)
+
+    state = full_state(layout, episode, obs, ("ball",), rays, (0.6, 0.8))
     low, high = layout.state()
     assert state.shape == low.shape and (state >= low).all() and (state <= high).all()
     assert state[:2].tolist() == [FARTHEST, -3.0]
     own = own_state(layout, episode, obs)
     assert own[5 + CLASSES.index("ball")] == 1.0 and own[5:].sum() == 1.0
-    assert set(state[len(own) : len(own) + 32].tolist()) == {SCAN_RANGE}
-    assert state[len(own) + 32 :][:5].tolist() == pytest.approx([1.0, 1.0, 2.0, 0.1, CLASSES.index("ball") + 1.0])
+    assert state[len(own) : len(own) + 2].tolist() == pytest.approx([0.6, 0.8]), "the robot looks along x"
+    assert set(state[len(own) + 2 : len(own) + 34].tolist()) == {SCAN_RANGE}
+    assert state[len(own) + 34 :][:5].tolist() == pytest.approx([1.0, 1.0, 2.0, 0.1, CLASSES.index("ball") + 1.0])
 
 
 def test_actions_are_parts_of_the_fastest(arena: Ground) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -9,6 +11,9 @@ from scipy import ndimage
 from gibson_sim.tasks.ground import Ground
 
 F64 = NDArray[np.float64]
+_AHEAD = 0.5
+"""How far ahead the shortest path is looked up, metres."""
+_DIRECTIONS = 64
 
 
 class DrivingDistance:
@@ -37,3 +42,13 @@ class DrivingDistance:
         floor = self._floor
         column, row = (np.asarray(xy, dtype=np.float64) - floor.origin) / floor.resolution - 0.5
         return float(ndimage.map_coordinates(self._lengths, [[row], [column]], order=1, mode="nearest")[0])
+
+    def direction(self, xy: tuple[float, float]) -> tuple[float, float]:
+        """Returns where the shortest path leads from a place: unit vector, world frame; to the goal itself once it is close."""
+        ahead = min(_AHEAD, max(self(xy), self._floor.resolution))
+        angles = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
+        ring = np.stack([np.cos(angles), np.sin(angles)])
+        points = np.asarray(xy, dtype=np.float64)[:, None] + ahead * ring
+        columns, rows = (points - np.asarray(self._floor.origin)[:, None]) / self._floor.resolution - 0.5
+        best = int(np.argmin(ndimage.map_coordinates(self._lengths, [rows, columns], order=1, mode="nearest")))
+        return float(ring[0, best]), float(ring[1, best])

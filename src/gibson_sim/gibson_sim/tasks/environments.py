@@ -169,7 +169,9 @@ class TaskEnvironment(gymnasium.Env[ObservationArrays, NDArray[np.float32]]):
     def _observe(self) -> ObservationArrays:
         run, layout = self._running(), self._controls.layout
         if self._observation == "state":
-            return full_state(layout, run.episode, run.observation, self._classes, self._rays)
+            path = self._driving_distance
+            way = (0.0, 0.0) if path is None else path.direction(run.observation.xy)
+            return full_state(layout, run.episode, run.observation, self._classes, self._rays, way)
         rgb, depth = self._task_camera().rgbd()
         return {"rgb": rgb, "depth": depth, "state": own_state(layout, run.episode, run.observation)}
 

@@ -71,10 +71,10 @@ class ObservationLayout:
         low, high = self.own()
         row_low = np.array([0.0, -THING_RANGE, -THING_RANGE, -2.0, 0.0], dtype=np.float32)
         row_high = np.array([1.0, THING_RANGE, THING_RANGE, 2.0, len(CLASSES)], dtype=np.float32)
-        scan = np.zeros(BEAMS, dtype=np.float32)
+        one, scan = np.ones(2, dtype=np.float32), np.zeros(BEAMS, dtype=np.float32)
         return (
-            np.concatenate([low, scan, np.tile(row_low, THINGS)]),
-            np.concatenate([high, scan + np.float32(SCAN_RANGE), np.tile(row_high, THINGS)]),
+            np.concatenate([low, -one, scan, np.tile(row_low, THINGS)]),
+            np.concatenate([high, one, scan + np.float32(SCAN_RANGE), np.tile(row_high, THINGS)]),
         )
 
 
@@ -94,8 +94,11 @@ def own_state(layout: ObservationLayout, episode: Episode, obs: Observation) -> 
     return _clipped(values, *layout.own())
 
 
-def full_state(layout: ObservationLayout, episode: Episode, obs: Observation, classes: Sequence[str], rays: Rays) -> F32:
-    """Returns ``own_state``, the scan, and for each of the nearest items: 1, forward, left, up, class number (0 = none, else index + 1).
+def full_state(
+    layout: ObservationLayout, episode: Episode, obs: Observation, classes: Sequence[str], rays: Rays, way: tuple[float, float]
+) -> F32:
+    """Returns ``own_state``, where the shortest path leads (unit vector, forward and left; 0 = there is no path), the scan, and for each of
+    the nearest items: 1, forward, left, up, class number (0 = none, else index + 1).
 
     Args:
         layout: of the arrays.
@@ -103,10 +106,12 @@ def full_state(layout: ObservationLayout, episode: Episode, obs: Observation, cl
         obs: the observation.
         classes: semantic class of each item.
         rays: casts the rays of the scan.
+        way: where the shortest path leads: unit vector, world frame; zeros = there is no path.
     """
-    return _clipped(
-        np.concatenate([own_state(layout, episode, obs), _scan(obs, rays), _things(episode, obs, classes)]), *layout.state()
-    )
+    cos, sin = math.cos(obs.yaw), math.sin(obs.yaw)
+    ahead = np.array([cos * way[0] + sin * way[1], cos * way[1] - sin * way[0]])
+    parts = [own_state(layout, episode, obs), ahead, _scan(obs, rays), _things(episode, obs, classes)]
+    return _clipped(np.concatenate(parts), *layout.state())
 
 
 def _scan(obs: Observation, rays: Rays) -> F64:
