@@ -6,6 +6,7 @@ ROS parameters (``ros/nodes/params.py``), command-line options (``cli``) and Pyt
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -320,9 +321,9 @@ class RenderConfig:
         for there, here in pairs:
             if not there.startswith("/"):
                 raise ConfigError(f"setting 'asset_roots' has {quoted(there)}, must be an absolute folder of the physics machine")
-            if not Path(here).expanduser().is_dir():
+            if not Path(os.path.expanduser(here)).is_dir():
                 raise ConfigError(f"setting 'asset_roots' maps {there} to {quoted(here)}, which is not a folder of this machine")
-        return tuple((there, str(Path(here).expanduser())) for there, here in pairs)
+        return tuple((there, str(Path(os.path.expanduser(here)))) for there, here in pairs)
 
 
 def _pairs(name: str, text: str, example: str) -> tuple[tuple[str, str], ...]:

@@ -27,7 +27,7 @@ _OBJECTS = "objects"
 
 def share_folders() -> tuple[Path, ...]:
     """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, by precedence."""
-    candidates = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
+    candidates = [Path(os.path.expanduser(entry)) for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
     prefixes = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
     prefixes += [*_installation_prefixes(Path(__file__).resolve()), Path(sys.prefix)]
     candidates += [_unlinked(prefix / "share" / PACKAGE) for prefix in prefixes]
@@ -138,7 +138,7 @@ def _robot_folders() -> tuple[Path, ...]:
 
 
 def _folders(kind: str) -> tuple[Path, ...]:
-    explicit = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
+    explicit = [Path(os.path.expanduser(entry)) for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
     return tuple(p for share in share_folders() for p in ((share / kind, share) if share in explicit else (share / kind,)))
 
 

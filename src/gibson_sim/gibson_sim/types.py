@@ -29,6 +29,8 @@ DISTORTIONS: dict[Projection, dict[str, tuple[int, ...]]] = {
     "equirectangular": {},
 }
 """Projection -> ``distortion_model`` of camera_info -> allowed lengths of its ``d``."""
+FARTHEST_M = 1e4
+"""Greatest coordinate of what a client or a user puts anywhere, m: beyond it, images and contacts in single precision get rough."""
 NS_PER_S = 1_000_000_000
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import mmap
 import subprocess
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.cli.environment import enclave_variables, in_wheels, node_environment
+from gibson_sim.cli.environment import enclave_variables, environment_of, in_wheels, node_environment
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.processes import shared_memory
 from gibson_sim.processes.shared_memory import remove_dead_segments
@@ -140,3 +141,9 @@ def test_the_library_path_of_another_environment_with_ros_from_pip_is_left() -> 
     own = f"{sys.prefix}/lib:/opt/cuda/lib"
     assert node_environment({**done, "LD_LIBRARY_PATH": own})["LD_LIBRARY_PATH"] == own
     assert node_environment({"LD_LIBRARY_PATH": "/opt/cuda/lib"})["LD_LIBRARY_PATH"] == "/opt/cuda/lib"
+
+
+@pytest.mark.parametrize("domain", [-3, 232, 9999])
+def test_a_domain_that_dds_has_not_is_refused_before_anything_starts(domain: int) -> None:
+    with pytest.raises(EnvironmentProblemError, match=f"'{domain}', must be a whole number from 0 to 231"):
+        environment_of(argparse.Namespace(domain_id=domain, reach=None))

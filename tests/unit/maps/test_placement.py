@@ -61,6 +61,11 @@ def test_other_start_is_refused_and_the_known_ones_are_named(room: SceneSpec, st
         _xyz_and_yaw(room, start)
 
 
+def test_start_beyond_any_scene_is_refused(room: SceneSpec) -> None:
+    with pytest.raises(ConfigError, match="start is '1e300,0,0', x and y must be -10000 to 10000 m"):
+        _xyz_and_yaw(room, "1e300,0,0")
+
+
 def test_start_that_is_nearly_a_known_one_is_answered_with_it(room: SceneSpec) -> None:
     with pytest.raises(ConfigError, match="did you mean 'middle'"):
         _xyz_and_yaw(room, "midle")

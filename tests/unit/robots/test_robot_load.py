@@ -12,7 +12,7 @@ import pytest
 from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy
-from gibson_sim.robots.load import load_robot
+from gibson_sim.robots.load import find_robot_file, load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.types import DepthNoise, ImageEffects
 
@@ -213,3 +213,9 @@ def test_gibson_bot_camera_does_not_see_the_robot(root: Path) -> None:
         half_height = {"box": size[2] / 2, "sphere": size[0], "cylinder": size[1] / 2}[visual.shape.kind]
         below = eye[2] - (centre[2] + half_height)
         assert ahead <= 0.05 or below > ahead * slope, visual.name
+
+
+@pytest.mark.parametrize("name", ["~no_such_user/robot.yaml", "~no_such_user/x", "~no_such_user/a.urdf"])
+def test_home_of_an_unknown_user_is_a_path_without_a_robot(name: str) -> None:
+    with pytest.raises(RobotError, match=f"no robot at {name}"):
+        find_robot_file(name)

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from gibson_sim.ros.tools.hints import missing_service, spawned_as, suggestion, type_and_values
+from gibson_sim.errors import ConfigError
+from gibson_sim.ros.tools.hints import check_name, missing_service, spawned_as, suggestion, type_and_values
 
 SIMULATION = {
     "/get_simulation_state": ["simulation_interfaces/srv/GetSimulationState"],
@@ -73,3 +74,14 @@ def test_the_name_of_a_resource_finds_the_entities_that_it_was_spawned_as() -> N
     text = spawned_as("bottle_water", "bottle", ["robot", "bottle", "kitchen_bottle_water", "bottle_3", "bottle_opener"])
     assert text.endswith("'bottle_water' is spawned as 'bottle': did you mean bottle or bottle_3?")
     assert spawned_as("bottle_water", "bottle", ["robot"]) == ""
+
+
+@pytest.mark.parametrize("name", ["/a b", "/a//b", "1x", "/9", "/a{b}", "/a-b", "/a/", "/", "~", "/\u00e4", "a\n"])
+def test_what_is_no_name_in_ros_is_refused_in_one_line(name: str) -> None:
+    with pytest.raises(ConfigError, match="is no name in ROS: letters"):
+        check_name("topic", name)
+
+
+@pytest.mark.parametrize("name", ["odom", "/odom", "/robot_1/scan", "_hidden", "~/x", "/view_top/image_raw"])
+def test_names_of_ros_are_taken(name: str) -> None:
+    check_name("topic", name)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, cast
 
 import aiohttp
 import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.web.curves import CurveName, Sample
-from gibson_sim.web.pages import Answer
+from gibson_sim.web.pages import Answer, Page
 from gibson_sim.web.requests import Drive, Plot, Request, Time
 from gibson_sim.web.server import MAX_PAGES, PageServer
 from gibson_sim.web.videos import Image
@@ -302,3 +303,24 @@ def test_a_page_that_comes_later_gets_the_image_of_this_moment_but_none_of_the_p
     assert found is not None and found.endswith(b"/ajpeg")
     server.forget_images(7.0)
     assert _talk(server, first_image) is None
+
+
+def test_a_page_that_asks_without_end_is_told_once() -> None:
+    """60 requests at once, and 30 a second after that."""
+    page = Page(cast("Any", None), asyncio.Queue())
+    assert [page.may_ask(100.0) for _ in range(70)] == [True] * 60 + [False] * 10
+    assert [page.may_ask(101.0) for _ in range(40)] == [True] * 30 + [False] * 10
+    told = [json.loads(page.queue.get_nowait())["value"]["text"] for _ in range(page.queue.qsize())]
+    assert told == ["too many requests: at most 30 a second are answered"] * 2, "once each time that it begins to"
+
+
+def test_requests_beyond_the_limit_do_not_reach_the_backend_but_a_drive_does(server: PageServer, backend: Backend) -> None:
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        for _ in range(1000):
+            await socket.send_json({"type": "time", "action": "play"})
+        await socket.send_json({"type": "drive", "linear": 0.5})
+        await asyncio.to_thread(_until, lambda: bool(backend.commands))
+
+    _talk(server, talk)
+    assert 60 <= len(backend.asked) < 1000
+    assert backend.commands[0] == Drive(0.5, 0.0, 0.0)

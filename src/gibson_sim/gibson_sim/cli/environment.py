@@ -34,7 +34,9 @@ def environment_of(args: argparse.Namespace) -> dict[str, str]:
     Raises:
         GibsonSimError: the nodes cannot work in the environment.
     """
-    return node_environment(domain_id=args.domain_id, reach=args.reach)
+    environment = node_environment(domain_id=args.domain_id, reach=args.reach)
+    domain_of(environment)
+    return environment
 
 
 def require_nodes() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
@@ -175,7 +176,7 @@ def plan(given: Mapping[str, str]) -> LaunchPlan:
             values[setting.node][setting.field.name] = _value(name, given[name], type(setting.field.default))
     namespace = given.get("namespace", "").strip("/")
     within = [part for part in f"{given.get('ros_namespace', '')}/{namespace}".split("/") if part]
-    file = Path(given["params_file"]).expanduser().absolute() if given.get("params_file") else None
+    file = Path(os.path.expanduser(given["params_file"])).absolute() if given.get("params_file") else None
     sections = _read(file) if file else {}
     starts = []
     wanted = {name: _value(name, given.get(name, "false"), bool) for name in (*VIEWERS, RVIZ)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -92,7 +93,7 @@ def _check_views(text: str) -> None:
 
 
 def _check_file(name: str) -> None:
-    if not Path(name).expanduser().is_file():
+    if not Path(os.path.expanduser(name)).is_file():
         raise ConfigError(f"{name}: there is no such file")
 
 

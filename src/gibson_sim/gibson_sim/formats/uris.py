@@ -24,7 +24,7 @@ def environment_folders() -> tuple[Path, ...]:
 
 
 def _entries(variable: str) -> list[Path]:
-    return [Path(entry).expanduser() for entry in os.environ.get(variable, "").split(":") if entry]
+    return [Path(os.path.expanduser(entry)) for entry in os.environ.get(variable, "").split(":") if entry]
 
 
 def ancestors(folder: Path, levels: int = _LEVELS_UP) -> tuple[Path, ...]:

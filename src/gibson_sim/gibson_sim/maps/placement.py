@@ -19,7 +19,7 @@ from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.settings import nearest
-from gibson_sim.types import Pose
+from gibson_sim.types import FARTHEST_M, Pose
 
 logger = logging.getLogger(__name__)
 
@@ -115,6 +115,8 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
                 f"{f'; {hint}' if hint else ''}"
             )
         x, y, yaw_deg = numbers
+        if max(abs(x), abs(y)) > FARTHEST_M:
+            raise ConfigError(f"start is {quoted(start)}, x and y must be -{FARTHEST_M:g} to {FARTHEST_M:g} m")
         return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, math.radians(yaw_deg)))
     if scene.starts:
         return scene.starts[0].pose

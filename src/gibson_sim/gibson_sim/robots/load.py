@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -143,7 +144,7 @@ def find_robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None
     path = Path(path_or_name)
     suffixes = (".yaml", ".yml", *DESCRIPTION_SUFFIXES)
     is_path = isinstance(path_or_name, Path) or path.suffix.lower() in (*suffixes, *_NO_ROBOTS) or len(path.parts) != 1
-    path = path.expanduser() if is_path else Path((find or find_robot)(str(path_or_name)))
+    path = Path(os.path.expanduser(path)) if is_path else Path((find or find_robot)(str(path_or_name)))
     if is_folder(path):
         path = _in_folder(path)
     if not is_file(path):

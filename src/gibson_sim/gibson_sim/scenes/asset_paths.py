@@ -6,6 +6,7 @@ A path that exists is kept. Otherwise it is mapped by the user's table of folder
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -62,7 +63,7 @@ def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
     """Returns the path on this machine of a file of the other machine."""
     for there, here in folders:
         if PurePosixPath(path).is_relative_to(there):
-            candidate = Path(here).expanduser() / PurePosixPath(path).relative_to(there)
+            candidate = Path(os.path.expanduser(here)) / PurePosixPath(path).relative_to(there)
             if exists(candidate):
                 return candidate
     for kind, name, tail in _named(path):

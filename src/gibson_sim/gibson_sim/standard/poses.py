@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gibson_sim.standard.codes import Result, SimulationError
-from gibson_sim.types import Pose, Quat, Vec3
+from gibson_sim.types import FARTHEST_M, Pose, Quat, Vec3
 
-FARTHEST = 1e4
-"""Greatest coordinate, m: beyond it, images and contacts in single precision get rough."""
 FASTEST = 1e3
 """Greatest velocity, m/s and rad/s."""
 NORM_TOLERANCE = 0.01
@@ -29,9 +27,9 @@ def checked_pose(position: Vec3, quat_xyzw: Quat, code: IntEnum) -> Pose:
     """
     if not all(map(math.isfinite, (*position, *quat_xyzw))):
         raise SimulationError(code, f"the pose holds a NaN or an infinity: position {position}, orientation {quat_xyzw}")
-    if any(abs(c) > FARTHEST for c in position):
+    if any(abs(c) > FARTHEST_M for c in position):
         raise SimulationError(
-            code, f"position {position} is too far away; each coordinate must be -{FARTHEST:g} to {FARTHEST:g} m"
+            code, f"position {position} is too far away; each coordinate must be -{FARTHEST_M:g} to {FARTHEST_M:g} m"
         )
     norm = math.hypot(*quat_xyzw)
     if norm == 0.0:

@@ -15,6 +15,9 @@ from gibson_sim.web.curves import CurveName, Sample
 from gibson_sim.web.requests import Drive, Request
 from gibson_sim.web.videos import Viewer
 
+MOST_AT_ONCE, MOST_PER_S = 60, 30.0
+"""Requests that a page may send at once, and each second after that: they would delay the stop of a robot that another page drives."""
+
 
 class Answer(Protocol):
     """Tells the page that asked for something what has become of it; may be called later and from any thread."""
@@ -48,9 +51,30 @@ class Page:
     viewer: Viewer = field(init=False)
     curves: frozenset[CurveName] = frozenset()
     """What it plots."""
+    _left: float = MOST_AT_ONCE
+    """Requests that it may send now."""
+    _asked_s: float = 0.0
+    """When it sent the last one."""
+    _refused: bool = False
 
     def __post_init__(self) -> None:
         self.viewer = Viewer(lambda image: self.put(image.message()))
+
+    def may_ask(self, now_s: float) -> bool:
+        """Returns whether the page may send a request now, and counts it; tells the page once that it sends too many.
+
+        Args:
+            now_s: a clock that never goes back.
+        """
+        self._left = min(self._left + MOST_PER_S * (now_s - self._asked_s), MOST_AT_ONCE)
+        self._asked_s = now_s
+        may = self._left >= 1.0
+        if may:
+            self._left -= 1.0
+        elif not self._refused:
+            self.reply("", False, f"too many requests: at most {MOST_PER_S:.0f} a second are answered")
+        self._refused = not may
+        return may
 
     def put(self, message: bytes | str) -> None:
         """Queues a message; drops it where the page has not taken the ones before."""

@@ -255,6 +255,8 @@ class PageServer:
         except PageRequestError as error:
             page.reply("", False, str(error))
             return
+        if not isinstance(request, Shown | Drive) and not page.may_ask(time.monotonic()):
+            return
         if isinstance(request, Watch):
             new = page.viewer.watch(request.topics)
             self._update_watched()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +50,7 @@ def _report(scene: str) -> SceneReport:
     from gibson_sim_tools.importing.checks.check import check_path
     from gibson_sim_tools.importing.sources import SourceKind, identify
 
-    path = Path(scene).expanduser()
+    path = Path(os.path.expanduser(scene))
     if path.exists() and "/" in str(path):
         kind = identify(path).kind
         if kind in (SourceKind.GIBSON, SourceKind.REPLICA, SourceKind.USD, SourceKind.ARCHIVE):

@@ -212,8 +212,8 @@ class WebNode(Node):
 
     def _record(self, request: Record, answer: Answer) -> None:
         if request.action == "stop":
+            answer(self._recorder.running, "" if self._recorder.running else "no recording runs")
             self._recorder.stop()
-            answer(True, "")
         elif self._recorder.running:
             answer(False, "a recording runs already")
         else:
@@ -318,10 +318,13 @@ class WebNode(Node):
         self._tell_changed("task", self._task.shown())
         if self._simulation.is_there():
             self._simulation.get_rate(lambda rate: self._tell_changed("rate", rate))
-            self._simulation.get("get_simulation_state", GetSimulationState.Request(), self._on_state)
-            self._simulation.get("get_entities_states", GetEntitiesStates.Request(), self._on_entities)
-            self._simulation.get("get_named_poses", GetNamedPoses.Request(), self._on_places)
-            self._simulation.get("get_spawnables", GetSpawnables.Request(), self._on_catalogue)
+            for service, request, then in (
+                ("get_simulation_state", GetSimulationState.Request(), self._on_state),
+                ("get_entities_states", GetEntitiesStates.Request(), self._on_entities),
+                ("get_named_poses", GetNamedPoses.Request(), self._on_places),
+                ("get_spawnables", GetSpawnables.Request(), self._on_catalogue),
+            ):
+                self._simulation.get(service, request, partial(self._on_answer, service, then))
         else:
             self._state = "connected"
             self._places = {}
@@ -349,6 +352,10 @@ class WebNode(Node):
         self._robots = dict(sorted(self._robots.items()))
         for robot in self._robots.values():
             robot.choose_type()
+
+    def _on_answer(self, service: str, then: Callable[[Any], None], response: Any) -> None:
+        """Shows the answer of a service, whatever simulator gave it."""
+        self.guarded(f"the answer of {service}", partial(then, response))
 
     def _on_state(self, response: Any) -> None:
         self._state = STATES.get(response.state.state, "unknown")

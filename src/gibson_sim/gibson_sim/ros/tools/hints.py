@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping
 
+from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
 _SIMILAR = 0.66
@@ -13,6 +14,21 @@ _SIMILAR = 0.66
 _STANDARD, _STATE = "simulation_interfaces/srv/", "simulation_interfaces/srv/GetSimulationState"
 _OF_NODES = ("get_parameters", "set_parameters", "describe_parameters", "list_parameters")
 """Services that a node with parameters offers below its name."""
+
+
+_NAME = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*", re.ASCII)
+
+
+def check_name(what: str, name: str) -> None:
+    """Checks the name of a topic, a service, an action or a node.
+
+    Raises:
+        ConfigError: ROS has no such names.
+    """
+    if not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{what} {quoted(name)} is no name in ROS: letters, digits and _ between single slashes, no digit first, such as /robot_1/odom"
+        )
 
 
 def simulation_runs(services: Mapping[str, Iterable[str]]) -> bool:

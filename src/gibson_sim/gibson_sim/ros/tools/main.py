@@ -25,7 +25,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
 from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
 from gibson_sim.ros.nodes.wait_for_simulation import start_hint
-from gibson_sim.ros.tools.hints import missing_service, no_simulation, simulation_runs, suggestion, type_and_values
+from gibson_sim.ros.tools.hints import check_name, missing_service, no_simulation, simulation_runs, suggestion, type_and_values
 from gibson_sim.ros.tools.yaml_messages import field_of, fill, value_text, yaml_text
 from gibson_sim.ros.topics.silence import SilenceNotice
 from gibson_sim.ros.wire.message_types import UNKNOWN, message_class
@@ -64,6 +64,9 @@ class Tool(Node):
         if command in VERBS:
             _say(VERBS[command](self, **self._words))
             return 0
+        for what in ("topic", "service", "action", "node"):
+            if name := self._words.get(what):
+                check_name(what, name)
         return int(_COMMANDS[command](self, **self._words) or 0)
 
     def close(self) -> None:

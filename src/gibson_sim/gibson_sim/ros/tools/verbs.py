@@ -15,7 +15,7 @@ from simulation_interfaces.srv import LoadWorld
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.client.requests import flat_pose
 from gibson_sim.ros.client.standard_services import StandardServices
-from gibson_sim.ros.tools.hints import spawned_as
+from gibson_sim.ros.tools.hints import simulation_runs, spawned_as
 from gibson_sim.ros.tools.main import Tool
 from gibson_sim.ros.topics import names
 from gibson_sim.scenes.spawning import own_spawnables, spawn_name
@@ -77,7 +77,14 @@ def load(tool: Tool, world: str) -> str:
         request.world_resource.uri = world
     else:
         request.uri = world
-    StandardServices(tool.call).send("load_world", request)
+    services = StandardServices(tool.call)
+    try:
+        services.send("load_world", request)
+    except GibsonSimError as error:
+        runs = simulation_runs(tool.offered_services())
+        if runs and services.ask("get_simulation_state").state.state == SimulationState.STATE_NO_WORLD:
+            raise GibsonSimError(f"{error}; the world before is unloaded, as the standard requires: load another one") from error
+        raise
     return f"loaded {world}"
 
 
