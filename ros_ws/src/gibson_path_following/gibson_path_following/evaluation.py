@@ -39,7 +39,7 @@ class JudgeSettings:
     arrival_radius: float = 0.5
     """A node is visited, and the end reached, within this distance, metres."""
     collision_gap: float = 0.5
-    """Contacts that are less than this apart are one collision, seconds."""
+    """Contacts with less than this between them are one collision, seconds; so are those of points in a row."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.arrival_radius < math.inf:
@@ -99,19 +99,18 @@ def evaluate(nodes: Sequence[tuple[float, float]], trace: Sequence[TracePoint], 
     steps = np.hypot(*np.diff(driven, axis=0).T)
     travelled = float(steps.sum())
     length = float(np.hypot(*np.diff(way, axis=0).T).sum())
-    to_nodes = np.hypot(way[:, None, 0] - driven[None, :, 0], way[:, None, 1] - driven[None, :, 1])  # (nodes, points)
     deviation = distances_to_line(way, driven)
     weights = np.concatenate([steps[:1], (steps[:-1] + steps[1:]) / 2, steps[-1:]]) if len(steps) else np.ones(1)
     mean = float(np.average(deviation, weights=weights)) if weights.sum() > 0.0 else float(deviation.mean())
     collisions = _collisions(trace, round(settings.collision_gap * NS_PER_S))
-    end = float(to_nodes[-1, -1])
+    end = float(np.hypot(*(driven[-1] - way[-1])))
     arrived = end <= settings.arrival_radius
     success = arrived and collisions == 0
     longest = max(length, travelled)
     return Outcome(
         success=success,
         arrived=arrived,
-        coverage=float((to_nodes.min(axis=1) <= settings.arrival_radius).mean()),
+        coverage=float((distances_to_line(driven, way) <= settings.arrival_radius).mean()),
         collisions=collisions,
         collisions_per_metre=collisions / travelled if travelled > 0.0 else 0.0,
         deviation_mean=mean,
@@ -151,10 +150,11 @@ def distances_to_line(line: F64, points: F64) -> F64:
 
 
 def _collisions(trace: Sequence[TracePoint], gap_ns: int) -> int:
-    count, last_ns = 0, None
+    count, last_ns, was_in_collision = 0, None, False
     for point in trace:
         if point.in_collision:
-            if last_ns is None or point.stamp_ns - last_ns > gap_ns:
+            if last_ns is None or (not was_in_collision and point.stamp_ns - last_ns > gap_ns):
                 count += 1
             last_ns = point.stamp_ns
+        was_in_collision = point.in_collision
     return count

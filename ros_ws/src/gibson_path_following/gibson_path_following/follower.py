@@ -32,7 +32,7 @@ class FollowerSettings:
     end_tolerance: float = 0.5
     """The path is finished within this distance of the last node, nodes."""
     end_views: int = 2
-    """Views in a row that must be there, so that one image that looks like the end does not end a drive."""
+    """Views in a row that must fit there, so that one image that looks like the end does not end a drive."""
     start: float | None = 0.0
     """Node where the robot most likely is at the start; None = anywhere."""
     start_deviation: float = 3.0
@@ -133,7 +133,7 @@ class PathFollower:
         if self.place.is_lost:
             self.state = "lost"
             return self._send(stamp_ns, STOP)
-        at_end = self.place.index >= self._last - self.settings.end_tolerance
+        at_end = self.place.confidence > 0.0 and self.place.index >= self._last - self.settings.end_tolerance
         self._at_end = self._at_end + 1 if at_end else 0
         if self._at_end >= self.settings.end_views:
             self.state = "finished"

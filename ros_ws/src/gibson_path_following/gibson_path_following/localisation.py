@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,8 +38,8 @@ class LocaliserSettings:
     """Likelihood of the worst image against the best: how far one image can move the belief."""
     relocation: float = 0.0001
     """Share of the belief that is spread over the whole path with each view."""
-    least_score: float = 0.2
-    """Score of the best node near the believed place, below which the images fit nowhere."""
+    least_score: float = 0.38
+    """Score of the best node near the believed place, below which the images do not fit there: confidence is 0."""
     least_confidence: float = 0.4
     """Confidence below which the images fit to several places."""
     lost_after: int = 4
@@ -189,7 +188,9 @@ class Localiser:
         index = float((part * self.places[low:high]).sum() / part.sum())
         near = np.abs(self.places - index) <= 1.0
         confidence = float(min(1.0, self._belief[near].sum()))
-        fits = bool(scores[near].max() >= settings.least_score and confidence >= settings.least_confidence)
+        if scores[near].max() < settings.least_score:
+            confidence = 0.0
+        fits = confidence >= settings.least_confidence
         self._fits = self._fits + 1 if fits else 0
         self._doubts = 0 if fits else self._doubts + 1
         if self._is_lost and self._fits >= settings.found_after:
@@ -197,4 +198,4 @@ class Localiser:
         elif not self._is_lost and self._doubts >= settings.lost_after:
             self._is_lost = True
             self._belief = 0.5 * self._belief + 0.5 / len(self._belief)
-        return Place(index, confidence if math.isfinite(confidence) else 0.0, self._is_lost)
+        return Place(index, confidence, self._is_lost)

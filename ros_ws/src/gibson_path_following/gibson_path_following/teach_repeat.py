@@ -32,7 +32,7 @@ class TeachRepeatSettings:
     """How far ahead of the believed place recorded velocities are read, seconds."""
     slow_error: float = 0.6
     """Heading error at which the robot turns almost in place, radians."""
-    least_score: float = 0.15
+    least_score: float = 0.25
     """Score below which a node tells nothing about the heading."""
 
     def __post_init__(self) -> None:
@@ -98,7 +98,7 @@ class TeachRepeatPolicy:
         matches = self.nodes.matcher.match(self.nodes.pattern(view), first, end)
         here = float(np.interp(place.index, np.arange(self.nodes.nodes), self._headings))
         errors = matches.turns - (self._headings[first:end] - here)
-        weights = np.maximum(matches.scores - self.settings.least_score, 0.0)
+        weights = np.maximum(matches.scores - self.settings.least_score, 0.0) ** 2
         if weights.sum() < 1e-6:
             return 0.0
         return float((weights * errors).sum() / weights.sum())

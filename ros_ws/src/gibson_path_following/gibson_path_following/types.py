@@ -75,7 +75,7 @@ class Place:
     index: float
     """Node, with a fraction: 3.5 = half-way between nodes 3 and 4."""
     confidence: float
-    """Share of the belief within one node of ``index``, 0 to 1."""
+    """Share of the belief within one node of ``index``, 0 to 1; 0 if the images do not fit there."""
     is_lost: bool
     """Whether the images fit nowhere, or to several places alike."""
 
