@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import Field, fields
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -21,13 +21,19 @@ def declared(node: Any, kind: type[_Options]) -> _Options:
     values = {}
     for one in fields(kind):
         default: Any = list(one.default) if isinstance(one.default, tuple) else one.default
-        # Any type is accepted here, so that the options reject a wrong value with their own message.
-        descriptor = ParameterDescriptor(description=one.metadata["text"], read_only=True, dynamic_typing=True)
-        least, most = one.metadata["least"], one.metadata["most"]
-        if least is not None:
-            if isinstance(default, float):
-                descriptor.floating_point_range = [FloatingPointRange(from_value=float(least), to_value=float(most))]
-            else:
-                descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(most))]
-        values[one.name] = node.declare_parameter(one.name, default, descriptor).value
-    return kind(**values)
+        # Any value is accepted here, so that the options reject a wrong one with their own message.
+        values[one.name] = node.declare_parameter(one.name, default, ParameterDescriptor(dynamic_typing=True)).value
+    options = kind(**values)
+    for one in fields(kind):
+        node.set_descriptor(one.name, _descriptor(one))
+    return options
+
+
+def _descriptor(one: Field[Any]) -> Any:
+    descriptor = ParameterDescriptor(description=one.metadata["text"], read_only=True, dynamic_typing=True)
+    least, most = one.metadata["least"], one.metadata["most"]
+    if least is not None and isinstance(one.default, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(least), to_value=float(most))]
+    elif least is not None:
+        descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(most))]
+    return descriptor

@@ -1,0 +1,223 @@
+"""The nodes, fed by hand: what a robot does when images, time or the dead man's switch are not as they should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.simulation import require
+
+require("rclpy", "sensor_msgs", "lifecycle_msgs")
+
+import rclpy  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
+from std_msgs.msg import Bool, String  # noqa: E402
+
+from gibson_path_following.errors import SettingError  # noqa: E402
+from gibson_path_following.nodes import conversions  # noqa: E402
+from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
+from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
+from gibson_path_following.path_folder import save_path  # noqa: E402
+from gibson_path_following.types import PathNode, RecordedPath, Velocity  # noqa: E402
+
+pytestmark = pytest.mark.ros
+NS = 1_000_000_000
+TICK = NS // 5
+WIDTH, HEIGHT = 96, 64
+RNG = np.random.default_rng(5)
+WALL = RNG.integers(0, 255, (HEIGHT // 8, 40 * WIDTH // 8, 3)).repeat(8, 0).repeat(8, 1).astype(np.uint8)
+"""A wall of coloured squares, along which the camera looks farther and farther to the left."""
+
+
+def _image(node: int) -> np.ndarray:
+    return np.ascontiguousarray(WALL[:, node * WIDTH : (node + 1) * WIDTH])
+
+
+def _path() -> RecordedPath:
+    forward = ((0, Velocity(0.4, 0.0)),)
+    nodes = tuple(PathNode((_image(k),), k * NS // 2, 0.2 * k, forward, (0.2 * k, 0.0, 0.0)) for k in range(12))
+    return RecordedPath("pinhole", 1.4, nodes)
+
+
+class Driven:
+    """The policy with a clock and a publisher of this test."""
+
+    def __init__(self, context: Any, folder: Path, **parameters: Any) -> None:
+        values = {"path": str(folder), "use_camera_info": False, **parameters}
+        self.node = PathPolicyNode(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in values.items()])
+        self.sent: list[float] = []
+        self.now_ns = 0
+        self.node._cmd_pub.publish = lambda msg: self.sent.append(msg.linear.x)
+        self.node._now_ns = lambda: self.now_ns
+
+    def see(self, node: int, stamp_ns: int) -> None:
+        self.now_ns = stamp_ns
+        msg = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH, data=_image(node).tobytes())
+        msg.header.stamp = conversions.time_msg(stamp_ns)
+        self.node._input._on_image("front", "camera/image_raw", False, msg)
+
+    def begin(self) -> int:
+        """Sees the first node until it drives; returns the time."""
+        for k in range(1, 4):
+            self.see(0, k * TICK)
+        return 3 * TICK
+
+
+@pytest.fixture
+def context(ros_domain: int) -> Iterator[Any]:
+    context = rclpy.Context()
+    context.init(domain_id=ros_domain)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    save_path(_path(), tmp_path / "path")
+    return tmp_path / "path"
+
+
+def test_it_drives_once_it_has_found_its_place_and_stops_without_images(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    now = driven.begin()
+    assert driven.sent[0] == 0.0 and driven.sent[-1] > 0.2 and driven.node._state == "following"
+    driven.now_ns = now + NS // 2
+    driven.node._on_timer()
+    assert driven.sent[-1] > 0.2, "images are half a second old, which is allowed"
+    driven.now_ns += 1
+    driven.node._on_timer()
+    assert driven.sent[-1] == 0.0 and driven.node._state == "stale"
+    driven.node.destroy_node()
+
+
+def test_it_drives_only_while_the_dead_mans_switch_is_held(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder, deadman_button=1)
+    now = driven.begin()
+    assert set(driven.sent) == {0.0} and driven.node._state == "held"
+    driven.node._on_joy(Joy(buttons=[0, 1]))
+    driven.see(0, now + TICK)
+    assert driven.sent[-1] > 0.2
+    driven.node._on_joy(Joy(buttons=[1, 0]))
+    assert driven.sent[-1] == 0.0, "at once"
+    driven.node._on_joy(Joy(buttons=[0, 1]))
+    driven.now_ns += 2 * NS
+    driven.node._on_timer()
+    assert driven.sent[-1] == 0.0, "joy is silent"
+    driven.node.destroy_node()
+
+
+def test_it_stands_until_a_manager_activates_it(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder, autostart=False)
+    assert driven.node._input is None and driven.node._state == "inactive"
+    driven.node.trigger_configure()
+    driven.node.trigger_activate()
+    driven.begin()
+    assert driven.sent[-1] > 0.2
+    driven.node.trigger_deactivate()
+    assert driven.sent[-1] == 0.0 and driven.node._input is None and driven.node._state == "inactive"
+    driven.node.trigger_cleanup()
+    driven.node.destroy_node()
+
+
+def test_a_path_that_cannot_be_read_fails_the_transition(context: Any, tmp_path: Path) -> None:
+    node = PathPolicyNode(
+        context=context,
+        parameter_overrides=[Parameter("path", value=str(tmp_path / "none")), Parameter("autostart", value=False)],
+    )
+    assert node.trigger_configure().name == "FAILURE"
+    node.destroy_node()
+
+
+def test_stamps_that_go_back_begin_the_path_again(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    driven.begin()
+    for k in range(4, 14):
+        driven.see(min(11, k - 3), k * TICK)
+    assert driven.node._follower.place.index > 5.0
+    driven.see(0, 1)
+    assert driven.node._follower.place.index < 1.0
+    driven.node.destroy_node()
+
+
+def test_images_wait_for_their_camera_info(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder, use_camera_info=True)
+    driven.see(0, TICK)
+    assert driven.node._follower.place is None
+    info = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob", d=[0.0] * 5)
+    focal = WIDTH / 2 / np.tan(0.7)
+    info.k = [focal, 0.0, (WIDTH - 1) / 2, 0.0, focal, (HEIGHT - 1) / 2, 0.0, 0.0, 1.0]
+    driven.node._input._on_info("front", info)
+    driven.see(0, 2 * TICK)
+    assert driven.node._follower.place is not None
+    driven.node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("values", "part"),
+    [
+        ({"rate_hz": -1.0}, "rate_hz"),
+        ({"backend": "magic"}, "backend is 'magic'"),
+        ({"max_linear": "fast"}, "max_linear is 'fast'"),
+    ],
+)
+def test_parameters_that_cannot_be_used_are_one_line(context: Any, folder: Path, values: dict[str, Any], part: str) -> None:
+    with pytest.raises(SettingError, match=part):
+        Driven(context, folder, **values)
+
+
+def test_descriptions_and_ranges_are_declared(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    descriptor = driven.node.describe_parameter("max_linear")
+    assert descriptor.description == "largest speed, m/s"
+    assert (descriptor.floating_point_range[0].from_value, descriptor.floating_point_range[0].to_value) == (0.01, 10.0)
+    driven.node.destroy_node()
+
+
+def test_the_evaluator_judges_from_the_first_move_to_a_second_after_the_end(context: Any, folder: Path, tmp_path: Path) -> None:
+    import json
+
+    from nav_msgs.msg import Odometry
+
+    file = tmp_path / "result.json"
+    node = PathEvaluatorNode(
+        context=context, parameter_overrides=[Parameter("path", value=str(folder)), Parameter("file", value=str(file))]
+    )
+
+    def at(seconds: float, x: float) -> None:
+        msg = Odometry()
+        msg.header.stamp = conversions.time_msg(round(seconds * NS))
+        msg.pose.pose.position.x, msg.pose.pose.orientation.w = x, 1.0
+        node._on_truth(msg)
+
+    node._on_collision(Bool(data=True))  # before the drive: it does not count
+    node._on_collision(Bool(data=False))
+    at(0.0, -5.0)
+    node._on_state(String(data="following"))
+    for k in range(23):
+        at(1.0 + 0.25 * k, 0.1 * k)
+        if k == 10:
+            node._on_collision(Bool(data=True))
+            node._on_collision(Bool(data=False))
+    node._on_state(String(data="finished"))
+    at(7.0, 2.2)
+    assert node.exit_code is None
+    at(7.5, 2.2)
+    assert node.exit_code == 0
+    result = json.loads(file.read_text())
+    # The path is 2.2 m long, straight, and was driven whole; it was touched once.
+    assert (result["success"], result["arrived"], result["coverage"], result["collisions"]) == (False, True, 1.0, 1)
+    assert result["travelled"] == pytest.approx(2.2) and result["deviation_max"] == pytest.approx(0.0, abs=1e-9)
+    assert [state for _, state in result["states"]] == ["following", "finished"]
+    node.destroy_node()
+
+
+@pytest.mark.parametrize("name", ["std_msgs/msg/Nothing", "nothing_msgs/msg/Bool", "Bool", "geometry_msgs/msg/Twist"])
+def test_a_collision_type_that_tells_nothing_is_refused(context: Any, folder: Path, name: str) -> None:
+    overrides = [Parameter("path", value=str(folder)), Parameter("collision_type", value=name)]
+    with pytest.raises(SettingError, match="collision_type is"):
+        PathEvaluatorNode(context=context, parameter_overrides=overrides)
