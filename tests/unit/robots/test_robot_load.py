@@ -219,3 +219,13 @@ def test_gibson_bot_camera_does_not_see_the_robot(root: Path) -> None:
 def test_home_of_an_unknown_user_is_a_path_without_a_robot(name: str) -> None:
     with pytest.raises(RobotError, match=f"no robot at {name}"):
         find_robot_file(name)
+
+
+def test_a_robot_whose_meshes_are_all_missing_says_so(tmp_path: Path) -> None:
+    mesh = '<geometry><mesh filename="package://nowhere/x.stl"/></geometry>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="base"><collision>{mesh}</collision></link></robot>')
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\n")
+    with pytest.raises(
+        RobotError, match=r"nothing is left to measure: r.urdf: link 'base': collision: mesh package://nowhere/x.stl is not"
+    ):
+        load_robot(tmp_path)

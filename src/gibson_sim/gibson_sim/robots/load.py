@@ -219,9 +219,11 @@ def _size(model: UrdfModel, robot: YamlMap, joints: Mapping[str, float], points:
                 radius, height = max(radius, found[0]), max(height, found[1])
     if len(given) < 2:
         if radius == 0.0:
-            raise RobotError(
-                f"{robot.where}: give radius and height (metres): {model.path.name} has no collision shapes to measure"
+            lost = [warning for warning in model.warnings if ": collision: " in warning]
+            why = (
+                f"{model.path.name} has no collision shapes to measure" if not lost else f"nothing is left to measure: {lost[0]}"
             )
+            raise RobotError(f"{robot.where}: give radius and height (metres): {why}")
         if meshes:
             logger.warning("%s: radius and height leave out %d collision meshes; give them in the file", robot.where, meshes)
     radius, height = given.get("radius", radius), given.get("height", height)

@@ -85,7 +85,7 @@ def load(tool: Tool, world: str) -> str:
         if runs and services.ask("get_simulation_state").state.state == SimulationState.STATE_NO_WORLD:
             raise GibsonSimError(f"{error}; the world before is unloaded, as the standard requires: load another one") from error
         raise
-    return f"loaded {world}"
+    return f"loaded {world}; it has no robot yet, and time is stopped: `gibson-sim spawn gibson_bot --at X,Y`, `gibson-sim play`"
 
 
 def goal(tool: Tool, at: tuple[float, float, float]) -> str:
