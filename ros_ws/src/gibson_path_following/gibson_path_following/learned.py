@@ -16,11 +16,17 @@ from numpy.typing import NDArray
 
 from gibson_path_following.arcs import ArcPlanner, ArcSettings
 from gibson_path_following.errors import ModelError, SettingError, ViewError, quoted
+from gibson_path_following.motions import NS_PER_S, Motion, segments
+from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
 from gibson_path_following.types import STOP, Image, Place, RecordedPath, Velocity, View
 
 F64 = NDArray[np.float64]
 DEFAULT_MODEL = Path(__file__).with_name("models") / "path_following.onnx"
 """The network in the package."""
+_TURN_METRES = 0.3
+"""Distance that a radian of heading counts as, metres, where two parts of a path are near."""
+_JUMP = 0.2
+"""Distance that a metre along the path counts as, beyond the first metre from where the robot was."""
 _INPUTS = ("present", "recorded")
 _OUTPUTS = ("pose", "scale", "match", "free")
 
@@ -123,29 +129,44 @@ class PathModel:
 
 @dataclass(frozen=True, slots=True)
 class LearnedSettings:
-    """Where the sub-goals are, and how the robot drives."""
+    """Which recorded images are looked for, and how the robot drives."""
 
-    ahead: tuple[float, ...] = (0.4, 0.6, 0.8, 1.0)
-    """Distances of the sub-goals from the believed place along the path, metres; the farthest that is seen well is driven to."""
+    looked_for: tuple[float, ...] = (0.2, 0.5, 0.8, 1.2)
+    """Recorded images that are compared with each view: distances ahead along the path, metres."""
+    ahead: float = 0.5
+    """Distance along the path of the place that the robot goes for, metres."""
     least_match: float = 0.5
-    """Probability below which a sub-goal is not seen."""
+    """Probability below which a recorded image is not seen."""
     camera_ahead: float = 0.12
     """Of the camera in front of the middle of the robot, metres."""
-    correction: float = 0.5
-    """Share of the difference between the localiser's place and the network's that is corrected, 0 to 1."""
-    unseen_views: int = 3
-    """Views in a row without a sub-goal, after which the robot stops; until then it goes for the last one."""
+    speed_ratio: float = 1.1
+    """Largest speed, as a multiple of the recorded one there."""
+    usual_linear: float = 0.3
+    """Recorded speed where the path has none, m/s."""
+    least_linear: float = 0.15
+    """Speed below which the recorded one does not limit, m/s."""
+    unseen_views: int = 8
+    """Views in a row in which no recorded image is seen, after which the robot stops; until then it goes by its commands."""
+    far_off: float = 1.5
+    """Distance along the path between the localiser's place and the network's at which they disagree, metres."""
+    far_off_views: int = 5
+    """Views in a row in which they disagree, after which the network begins anew at the localiser's place."""
     arcs: ArcSettings = field(default_factory=ArcSettings)
     """The local planner."""
 
     def __post_init__(self) -> None:
-        if not self.ahead or not all(0.0 < a <= 3.0 for a in self.ahead) or list(self.ahead) != sorted(self.ahead):
-            raise SettingError(f"ahead is {quoted(self.ahead)}, must be distances in metres, above 0, at most 3, nearest first")
+        if not self.looked_for or not all(0.0 <= a <= 3.0 for a in self.looked_for):
+            raise SettingError(f"looked_for is {quoted(self.looked_for)}, must be distances of 0 to 3 metres")
         for name, least, most in (
+            ("ahead", 0.05, 3.0),
             ("least_match", 0.0, 1.0),
             ("camera_ahead", -5.0, 5.0),
-            ("correction", 0.0, 1.0),
+            ("speed_ratio", 0.1, 10.0),
+            ("usual_linear", 0.01, 10.0),
+            ("least_linear", 0.0, 10.0),
             ("unseen_views", 0, 1000),
+            ("far_off", 0.1, 1000.0),
+            ("far_off_views", 1, 1000),
         ):
             value = getattr(self, name)
             if not least <= value <= most:
@@ -153,7 +174,7 @@ class LearnedSettings:
 
 
 class LearnedPolicy:
-    """A ``Policy`` with a network."""
+    """A ``Policy`` with a network: it sees where beside its path the robot is, and what is free."""
 
     def __init__(
         self, path: RecordedPath, model: Path | PathModel = DEFAULT_MODEL, settings: LearnedSettings | None = None
@@ -176,60 +197,105 @@ class LearnedPolicy:
         self._hfov = path.hfov
         self._images = np.stack([self.model.fitted(node.view[0], path.hfov) for node in path.nodes])
         self._distances = np.array([node.distance for node in path.nodes])
+        poses = node_poses(path)
+        self._poses: F64 = self._seen_poses() if poses is None else poses
+        """(N, 3), of the nodes in the frame of the path."""
+        self._speeds = np.array([self._speed(part) for part in segments(path)])
         self._planner = ArcPlanner(self.settings.arcs)
-        self._goal: tuple[float, float, float] | None = None
-        self._unseen = 0
+        self.filter = PoseFilter()
+        """Where beside the path the robot is."""
         self.sighting: Sighting | None = None
         """What the network told about the last view."""
+        self._last: tuple[int, Velocity] | None = None
+        self._unseen = self._disagreed = 0
+        self._here = 0.0
+        """Distance along the path of the last view, metres."""
+        self.reset()
 
     def reset(self) -> None:
         """Forgets all earlier views."""
         self._planner.reset()
-        self._goal, self._unseen, self.sighting = None, 0, None
+        self.sighting, self._last = None, None
+        self._unseen = self._disagreed = 0
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
-        """Returns the velocity towards the farthest sub-goal that is seen well, around what stands in the way."""
+        """Returns the velocity towards a place of the path ahead, around what stands in the way."""
         settings = self.settings
-        here = float(np.interp(place.index, np.arange(len(self._distances)), self._distances))
-        nodes = self._nodes(here)
-        self.sighting = sighting = self.model.estimate(self.model.fitted(view[0], self._hfov), self._images[nodes])
-        shift = self._shift(sighting, nodes, here)
-        if abs(shift) > 0.1:
-            nodes = self._nodes(here + settings.correction * shift)
-            self.sighting = sighting = self.model.estimate(self.model.fitted(view[0], self._hfov), self._images[nodes])
-        seen = np.flatnonzero(sighting.match >= settings.least_match)
-        if len(seen):
-            self._goal, self._unseen = self._in_base(sighting.pose[seen[-1]]), 0
+        believed = float(np.interp(place.index, np.arange(len(self._distances)), self._distances))
+        if self._last is None:
+            self.filter.reset(self._at(believed))
+            self._here = believed
         else:
-            self._unseen += 1
-        if self._goal is None or self._unseen > settings.unseen_views:
-            return STOP
-        return self._planner.velocity(self._goal, self._obstacles(sighting.free))
+            before_ns, velocity = self._last
+            self.filter.move(velocity, (stamp_ns - before_ns) / NS_PER_S)
+        here = self._along()
+        self._disagreed = self._disagreed + 1 if abs(here - believed) > settings.far_off else 0
+        if self._disagreed >= settings.far_off_views:
+            self.filter.reset(self._at(believed))
+            here = self._here = believed
+            self._disagreed = 0
+        nodes = np.unique([int(np.abs(self._distances - here - ahead).argmin()) for ahead in settings.looked_for])
+        self.sighting = sighting = self.model.estimate(self.model.fitted(view[0], self._hfov), self._images[nodes])
+        seen = np.flatnonzero(sighting.match >= settings.least_match)
+        fits = [
+            self.filter.correct(self._poses[nodes[k]], self._in_base(sighting.pose[k]), sighting.scale[k], 1.0 / len(seen))
+            for k in seen
+        ]
+        self._unseen = 0 if any(fits) else self._unseen + 1
+        velocity = STOP if self._unseen > settings.unseen_views else self._towards(sighting.free)
+        self._last = stamp_ns, velocity
+        return velocity
 
-    def _nodes(self, here: float) -> NDArray[np.intp]:
-        """Returns the nodes of the sub-goals, nearest first, each once."""
-        wanted = here + np.array(self.settings.ahead)
-        return np.unique(np.abs(self._distances[:, None] - wanted).argmin(axis=0))
+    def _towards(self, free: F64) -> Velocity:
+        here = self._along()
+        goal = relative(self.filter.pose, self._at(min(here + self.settings.ahead, self._distances[-1])))
+        middles = 0.5 * (self._distances[1:] + self._distances[:-1])
+        limit = max(self.settings.least_linear, self.settings.speed_ratio * float(np.interp(here, middles, self._speeds)))
+        found = self._planner.velocity(goal, self._obstacles(free))
+        share = min(1.0, limit / max(abs(found.linear), 1e-6))
+        return Velocity(share * found.linear, share * found.angular) if found.linear else found
 
-    def _shift(self, sighting: Sighting, nodes: NDArray[np.intp], here: float) -> float:
-        """Returns how much farther along the path the robot is than believed, metres, as the network sees it; 0 = it sees nothing."""
-        seen = sighting.match >= self.settings.least_match
-        if not seen.any():
-            return 0.0
-        away = np.sign(sighting.pose[seen, 0]) * np.hypot(sighting.pose[seen, 0], sighting.pose[seen, 1])
-        return float(np.clip(np.median(self._distances[nodes[seen]] - away - here), -0.6, 0.6))
+    def _along(self) -> float:
+        """Returns the distance along the path, metres, of its point that is nearest to the robot, and near where it was looked for."""
+        points, (x, y) = self._poses[:, :2], self.filter.pose[:2]
+        parts = np.diff(points, axis=0)
+        lengths = np.maximum((parts**2).sum(axis=1), 1e-9)
+        share = np.clip((([x, y] - points[:-1]) * parts).sum(axis=1) / lengths, 0.0, 1.0)
+        away = np.linalg.norm(points[:-1] + share[:, None] * parts - [x, y], axis=1)
+        # Of two parts of the path that are equally near, the robot is on the one along which it looks.
+        turned = np.abs((self._poses[:-1, 2] - self.filter.pose[2] + math.pi) % (2.0 * math.pi) - math.pi)
+        along = self._distances[:-1] + share * np.diff(self._distances)
+        best = int((away + _TURN_METRES * turned + _JUMP * np.maximum(0.0, np.abs(along - self._here) - 1.0)).argmin())
+        self._here = float(along[best])
+        return self._here
 
-    def _in_base(self, pose: F64) -> tuple[float, float, float]:
-        """Returns the pose of the robot that recorded the camera, in the frame of this robot."""
+    def _at(self, distance: float) -> F64:
+        """Returns the pose (3,) at a distance along the path, metres, in its frame."""
+        return np.array([np.interp(distance, self._distances, self._poses[:, k]) for k in range(3)])
+
+    def _in_base(self, pose: F64) -> F64:
+        """Returns (3,): the pose of the robot that recorded the camera, in the frame of this robot."""
         x, y, yaw = (float(value) for value in pose)
         ahead = self.settings.camera_ahead
-        return ahead + x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw
+        return np.array([ahead + x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw])
 
     def _obstacles(self, free: F64) -> F64:
         """Returns (M, 2): points in the frame of the robot at which free distances end."""
         ends = free < 0.95 * self.model.max_free
         bearings = self.model.bearings[ends]
         return np.stack([self.settings.camera_ahead + free[ends] * np.cos(bearings), free[ends] * np.sin(bearings)], axis=-1)
+
+    def _seen_poses(self) -> F64:
+        """Returns the poses of the nodes (N, 3) as the network sees one from the other, for a path without recorded velocities."""
+        poses = [np.zeros(3)]
+        for k in range(len(self._images) - 1):
+            turn = float(self.model.estimate(self._images[k], self._images[k + 1 : k + 2]).pose[0, 2])
+            x, y, yaw = (float(value) for value in poses[-1])
+            poses.append(np.array(moved((x, y, yaw), float(self._distances[k + 1] - self._distances[k]), turn)))
+        return np.array(poses)
+
+    def _speed(self, part: Motion) -> float:
+        return abs(part.distance) / part.duration if part.duration > 1e-3 else self.settings.usual_linear
 
 
 def _is_image(shape: list[Any]) -> bool:

@@ -35,7 +35,7 @@ from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.tasks.episode import Item, item_body
 from gibson_sim.types import CameraSpec, Output, Pose, SceneState
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
-from gibson_sim_learn.path_following.photometry import Photometry, photographed, relit
+from gibson_sim_learn.path_following.photometry import Photometry, photographed, relit_linear
 
 F64 = NDArray[np.float64]
 WIDTH, HEIGHT = 96, 64
@@ -58,6 +58,8 @@ whether both show one place, so that the pose can be seen."""
 
 _RESOLUTION = 0.025
 """Cell of the maps that distances are measured in, metres."""
+_COARSE = 0.05
+"""Cell of the maps that drives are planned on, metres."""
 _STEP = 0.0125
 """Step of the rays, metres."""
 _MATCH_AHEAD, _MATCH_BESIDE, _MATCH_YAW = (-0.7, 2.2), 1.2, math.radians(65.0)
@@ -205,8 +207,10 @@ class World:
 
     scene: SceneSpec
     """Without robots."""
+    bare: FloorMap
+    """Fine map of the static shapes alone."""
     floor: FloorMap
-    """Fine map of the static shapes and of the bodies where they stand at load."""
+    """The same with the bodies where they stand at load."""
     coarse: FloorMap
     """The same with cells of 5 cm, for planning."""
 
@@ -214,7 +218,8 @@ class World:
     def load(cls, name: str) -> World:
         """Returns a scene by name."""
         scene = replace(load_scene(name), robots=())
-        return cls(scene, _map(scene, _RESOLUTION), _map(scene, 0.05))
+        bare, coarse = (scene_floor_map(scene, robot_height=BODY_HEIGHT, resolution=cell) for cell in (_RESOLUTION, _COARSE))
+        return cls(scene, bare, *(with_bodies(scene, floor, scene.bodies) for floor in (bare, coarse)))
 
 
 def camera_at(x: float, y: float, yaw: float, floor_z: float, conditions: Conditions) -> CameraSpec:
@@ -239,7 +244,7 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     drives = np.concatenate(paths)
     count = int(rng.integers(TRAINED.moved[0], TRAINED.moved[1] + 1)) + 1
     things = [_things(world.coarse, rng, count, name, keep_off=drives) for name in ("recorded", "later")]
-    floors = [_with_things(world.scene, world.floor, some) for some in things]
+    floors = [with_bodies(world.scene, world.floor, some) for some in things]
 
     recorded, later, of_recorded, of_later = [], [], [], []
     every = max(1, round(settings.spacing / _PATH_STEP))
@@ -255,7 +260,7 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     later.append(np.array([(*pose.position[:2], yaw) for pose, yaw in zip(anywhere, yaws, strict=True)]))
     of_later += [(-1, 0)] * len(anywhere)
 
-    before, after = _ahead(np.concatenate(recorded)), _ahead(np.concatenate(later))
+    before, after = (camera_poses(np.concatenate(poses), CAMERA_X) for poses in (recorded, later))
     drawn = [draw(TRAINED, rng) for _ in range(settings.paths + 1)]  # the last one for the free views
     conditions = ([Conditions()] * len(before), [drawn[path] for path, _ in of_later])
     images, free = [], []
@@ -374,19 +379,19 @@ def _sees(floor: FloorMap, place: F64, others: F64) -> NDArray[np.bool_]:
     return np.asarray(floor.look_up(floor.free, lines, outside=False).all(axis=1))
 
 
-def _ahead(poses: F64) -> F64:
-    """Returns (N, 3): planar poses of the cameras of robots at poses (N, 3)."""
+def camera_poses(poses: F64, ahead: float) -> F64:
+    """Returns (N, 3): planar poses of the cameras of robots at poses (N, 3), metres and radians; ``ahead`` of their middle, metres."""
     x, y, yaw = poses.T
-    return np.column_stack([x + CAMERA_X * np.cos(yaw), y + CAMERA_X * np.sin(yaw), yaw])
+    return np.column_stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
 
 
-def _map(scene: SceneSpec, resolution: float) -> FloorMap:
-    floor = scene_floor_map(scene, robot_height=BODY_HEIGHT, resolution=resolution)
-    return _with_things(scene, floor, list(scene.bodies))
+def path_row(distance: float) -> int:
+    """Returns the row on a path, as ``make_pairs`` takes it, of a distance along it, metres."""
+    return round(distance / _PATH_STEP)
 
 
-def _with_things(scene: SceneSpec, floor: FloorMap, things: Sequence[BodySpec]) -> FloorMap:
-    """Returns a map with bodies on it."""
+def with_bodies(scene: SceneSpec, floor: FloorMap, things: Sequence[BodySpec]) -> FloorMap:
+    """Returns a map with bodies of a scene on it."""
     if not things:
         return floor
     vertices, triangles = body_triangles(replace(scene, bodies=tuple(things)))
@@ -449,7 +454,7 @@ class _Drawing:
                 if not light.is_unchanged:
                     assert frame.normal_world is not None and frame.position is not None
                     x, y, z = frame.T_world_camera[:3, 3].tolist()
-                    image = relit(frame.rgb, frame.normal_world, frame.position, (x, y, z), light)
+                    image = relit_linear(frame.rgb, frame.normal_world, frame.position, (x, y, z), light)
                 drawn, changed = draw(TRAINED, self._rng).photometry, self._rng.random() < photometry_chance
                 out[k] = photographed(image, drawn if changed else Photometry(), self._rng)
         return out

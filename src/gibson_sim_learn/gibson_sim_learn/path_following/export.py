@@ -28,7 +28,7 @@ _OPSET = 17
 
 def export_network(network: PathNetwork, file: Path) -> int:
     """Writes a network as ONNX; returns the size of the file, bytes."""
-    network = network.eval()
+    was_training = network.training
     arguments = (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8), torch.zeros(4, HEIGHT, WIDTH, 3, dtype=torch.uint8))
     buffer: Any = io.BytesIO()
     torch.onnx.export(
@@ -41,6 +41,7 @@ def export_network(network: PathNetwork, file: Path) -> int:
         opset_version=_OPSET,
         dynamo=False,
     )
+    network.train(was_training)
     model = onnx.load_from_string(buffer.getvalue())
     for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("max_free", f"{MAX_FREE:g}"), ("license", "Apache-2.0")):
         entry = model.metadata_props.add()

@@ -57,6 +57,7 @@ class PathNetwork(nn.Module):
             _Residual(_convolution(c, c), _convolution(c, c, active=False)),
             _Residual(_separable(c), _separable(c, active=False)),
         )
+        self._compared = settings.compared
         self.compared = nn.Conv2d(c, settings.compared, 1)
         self.sharpness = nn.Parameter(torch.tensor(10.0))
         goals = (_ROWS // 2) * (_COLUMNS // 2)
@@ -90,17 +91,17 @@ class PathNetwork(nn.Module):
 
     def compare(self, present: Tensor, recorded: Tensor) -> Estimate:
         """Returns the estimate for features (B, C, 16, 24) of present and recorded images."""
-        count = len(present)
-        # Channels stay last in memory throughout: copies would take most of the time.
-        a = self.compared(present).permute(0, 2, 3, 1).reshape(count, _ROWS * _COLUMNS, -1)
-        b = functional.avg_pool2d(self.compared(recorded), 2).permute(0, 2, 3, 1).reshape(count, len(self.goal_grid), -1)
+        # Channels stay last in memory throughout: copies would take most of the time. No size is that of the batch, for the export.
+        places, goals = len(self.grid), len(self.goal_grid)
+        a = self.compared(present).permute(0, 2, 3, 1).reshape(-1, places, self._compared)
+        b = functional.avg_pool2d(self.compared(recorded), 2).permute(0, 2, 3, 1).reshape(-1, goals, self._compared)
         likeness = torch.bmm(functional.normalize(a, dim=2), functional.normalize(b, dim=2).transpose(1, 2))  # (B, places, goals)
         where = torch.softmax(likeness * self.sharpness, dim=2)
         moved = torch.matmul(where, self.goal_grid) - self.grid
         peak = (where * where).sum(dim=2, keepdim=True)
-        grid = self.grid.expand(count, -1, -1)
-        seen = torch.cat([likeness, moved.to(likeness.dtype), peak.to(likeness.dtype), grid.to(likeness.dtype)], dim=2)
-        stack = torch.cat([seen.view(count, _ROWS, _COLUMNS, -1).permute(0, 3, 1, 2), present], dim=1)
+        grid = self.grid + torch.zeros_like(moved)
+        seen = torch.cat([likeness, *(part.to(likeness.dtype) for part in (moved, peak, grid))], dim=2)
+        stack = torch.cat([seen.view(-1, _ROWS, _COLUMNS, goals + 5).permute(0, 3, 1, 2), present], dim=1)
         out = self.joint(stack)
         return Estimate(out[:, :3], functional.softplus(out[:, 3:6]) + 0.005, out[:, 6])
 

@@ -88,6 +88,17 @@ class Training:
         """File of the newest checkpoint."""
         return self.folder / "checkpoint.pt"
 
+    @property
+    def first_of_round(self) -> int:
+        """Number of the first iteration of the present round; round 0 is the training before the first drives."""
+        settings = self.settings
+        return settings.iterations + (self.round - 1) * settings.dagger_iterations if self.round else 0
+
+    def begin_round(self) -> None:
+        """Begins the next round: the step size rises again."""
+        self.round += 1
+        self._save()
+
     def run(self, data: Sampler, validation: Sampler, until: int, progress: Progress = lambda text: None) -> None:
         """Trains until an iteration, with a checkpoint and a point of the curve every so many.
 
@@ -100,7 +111,7 @@ class Training:
             progress: called with one line after each tenth iteration.
         """
         settings, losses = self.settings, []
-        first = self.iteration if self.round else 0
+        first = self.first_of_round
         began, before = time.monotonic(), time.process_time()
         start = self.iteration
         while self.iteration < until:
@@ -221,7 +232,7 @@ class Training:
         self._processor_s = content["processor_s"]
 
 
-_MAY_CHANGE = ("iterations", "dagger_rounds", "dagger_iterations", "dagger_drives", "shards", "validation_shards")
+_MAY_CHANGE = ("iterations", "dagger_rounds", "dagger_drives", "shards", "validation_shards")
 """Settings by which a training can be made longer."""
 
 

@@ -1,0 +1,129 @@
+"""Where a robot is beside its path: an extended Kalman filter in the frame of the path, moved by commands, corrected by recorded images that
+were seen from here.
+
+The frame of a path is that of its first node; its nodes lie where the recorded velocities lead. Over a few metres that is true enough.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_path_following.motions import NS_PER_S
+from gibson_path_following.types import RecordedPath, Velocity
+
+F64 = NDArray[np.float64]
+_START = (0.3, 0.2, 0.2)
+"""Standard deviation at the start along the path, across it, and of the heading: metres and radians."""
+_RATIO, _RATIO_DEVIATION = 0.95, 0.15
+"""Share of the commanded motion that a robot makes: mean and standard deviation."""
+_DRIFT = (0.01, 0.005, 0.01)
+"""Standard deviation of the motion between two views that no command explains: ahead, beside, heading."""
+_TURN_PER_METRE = 0.08
+"""Standard deviation of the turn that driving a metre adds, radians."""
+_FLOOR = (0.03, 0.03, 0.02)
+"""Least standard deviation of a sighting, metres and radians."""
+_TRUST = 1.3
+"""Standard deviation of a sighting by the mean absolute error that the network expects."""
+_GATE = 25.0
+"""Squared Mahalanobis distance beyond which a sighting counts as wrong."""
+
+
+def node_poses(path: RecordedPath) -> F64 | None:
+    """Returns (N, 3): x, y, yaw of the nodes in the frame of the first one, by the recorded velocities; None = there are none.
+
+    The length of each part is that of the nodes' distances.
+    """
+    if not any(node.velocities for node in path.nodes[:-1]):
+        return None
+    poses = [(0.0, 0.0, 0.0)]
+    for node, after in zip(path.nodes[:-1], path.nodes[1:], strict=True):
+        x, y, yaw, driven = *poses[-1], 0.0
+        begin_x, begin_y = x, y
+        ends = [time for time, _ in node.velocities[1:]] + [after.stamp_ns - node.stamp_ns]
+        for (start, velocity), end in zip(node.velocities, ends, strict=True):
+            seconds = max(0, end - start) / NS_PER_S
+            x, y, yaw = moved((x, y, yaw), velocity.linear * seconds, velocity.angular * seconds)
+            driven += abs(velocity.linear) * seconds
+        scale = (after.distance - node.distance) / driven if driven > 1e-3 else 1.0
+        poses.append((begin_x + scale * (x - begin_x), begin_y + scale * (y - begin_y), yaw))
+    return np.array(poses)
+
+
+def moved(pose: tuple[float, float, float], distance: float, turn: float) -> tuple[float, float, float]:
+    """Returns a pose x, y, yaw after an arc of a length, metres, and a turn, radians."""
+    x, y, yaw = pose
+    half = 0.5 * turn
+    chord = distance * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
+
+
+class PoseFilter:
+    """A pose and its covariance."""
+
+    def __init__(self) -> None:
+        self.pose: F64 = np.zeros(3)
+        """x, y, yaw in the frame of the path, metres and radians."""
+        self.covariance: F64 = np.zeros((3, 3))
+
+    def reset(self, pose: F64) -> None:
+        """Begins near a pose (3,) on the path."""
+        self.pose = np.array(pose, dtype=np.float64)
+        turn = _rotation(self.pose[2])
+        self.covariance = turn @ np.diag(np.square(_START)) @ turn.T
+
+    def move(self, velocity: Velocity, seconds: float) -> None:
+        """Moves by a command that held for a time, seconds."""
+        distance, turn = velocity.linear * seconds, velocity.angular * seconds
+        before = self.pose
+        x, y, yaw = (float(value) for value in before)
+        self.pose = np.array(moved((x, y, yaw), _RATIO * distance, _RATIO * turn))
+        jacobian = np.eye(3)
+        jacobian[:2, 2] = -(self.pose[1] - before[1]), self.pose[0] - before[0]
+        noise = (
+            math.hypot(_RATIO_DEVIATION * distance, _DRIFT[0]),
+            math.hypot(0.3 * _RATIO_DEVIATION * distance, _DRIFT[1]),
+            math.hypot(_RATIO_DEVIATION * turn, _TURN_PER_METRE * distance, _DRIFT[2]),
+        )
+        rotation = _rotation(self.pose[2])
+        self.covariance = jacobian @ self.covariance @ jacobian.T + rotation @ np.diag(np.square(noise)) @ rotation.T
+
+    def correct(self, node: F64, seen: F64, error: F64, weight: float = 1.0) -> bool:
+        """Corrects the pose by a node that was seen; returns whether the sighting was plausible.
+
+        Args:
+            node: (3,), pose of the node in the frame of the path.
+            seen: (3,), its pose in the frame of the robot.
+            error: (3,), mean absolute errors of that.
+            weight: share of the information that counts: sightings in one image are alike wrong.
+        """
+        x, y, yaw = self.pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        dx, dy = node[0] - x, node[1] - y
+        expected = np.array([c * dx + s * dy, c * dy - s * dx, node[2] - yaw])
+        innovation = seen - expected
+        innovation[2] = math.remainder(innovation[2], 2.0 * math.pi)
+        jacobian = np.array([[-c, -s, expected[1]], [s, -c, -expected[0]], [0.0, 0.0, -1.0]])
+        noise = np.diag((np.square(_TRUST * error) + np.square(_FLOOR)) / weight)
+        spread = jacobian @ self.covariance @ jacobian.T + noise
+        if float(innovation @ np.linalg.solve(spread, innovation)) > _GATE:
+            return False
+        gain = np.linalg.solve(spread, jacobian @ self.covariance).T
+        self.pose = self.pose + gain @ innovation
+        left = np.eye(3) - gain @ jacobian
+        self.covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
+        return True
+
+
+def relative(frm: F64, to: F64) -> tuple[float, float, float]:
+    """Returns the pose ``to`` (3,) in the frame of the pose ``frm`` (3,): x, y, yaw."""
+    dx, dy = float(to[0] - frm[0]), float(to[1] - frm[1])
+    c, s = math.cos(frm[2]), math.sin(frm[2])
+    return c * dx + s * dy, c * dy - s * dx, math.remainder(float(to[2] - frm[2]), 2.0 * math.pi)
+
+
+def _rotation(yaw: float) -> F64:
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
