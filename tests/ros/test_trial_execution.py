@@ -136,7 +136,9 @@ def test_bad_stacks_end_as_what_they_are(room: str, tmp_path: Path, monkeypatch:
     never = scenario_of(sys.executable, "never_ready.py", ready=Ready(within=0.5, service="plan"), limits=limits)
     outcome = execute(never, run, tmp_path / "never", domains=DOMAINS)
     assert outcome.end == "never ready"
-    assert outcome.detail.endswith("no subscriber of /goal_pose and no service 'plan'")
+    assert outcome.detail.endswith(
+        "no subscriber of /goal_pose, on which the goal is given (key stack.goal) and no service 'plan'"
+    )
 
 
 @pytest.mark.usefixtures("leaves_nothing")

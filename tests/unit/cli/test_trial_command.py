@@ -117,9 +117,10 @@ def test_ctrl_c_keeps_the_results_and_says_how_to_go_on(
     backend: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     backend.interrupted_after = 2
-    assert run("rooms.yaml", "--output", "out", "--runs", "4") == ExitCode.INTERRUPTED
+    assert run("rooms.yaml", "--output", "out", "--runs", "4", "--workers", "2", "--keep", "all") == ExitCode.INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "interrupted: 2 of 4 runs are kept; to go on: gibson-sim trial rooms.yaml --runs 4 --output out --resume"
+        "interrupted: 2 of 4 runs are kept; to go on: "
+        "gibson-sim trial rooms.yaml --runs 4 --workers 2 --keep all --output out --resume"
     )
     found = results_in(tmp_path / "out")
     assert (found["complete"], found["totals"]["runs"]) == (False, 2)

@@ -268,6 +268,10 @@ class _Trial:
 
     def _say_how_to_go_on(self, trial: TrialResults) -> int:
         rest = [word for number in self._args.numbers for word in ("--run", str(number))]
+        for name, value in (("--workers", self._args.workers), ("--ray", self._args.ray), ("--keep", self._args.keep)):
+            rest += [] if value is None else [name, str(value)]
+        if self._args.compare:
+            rest += ["--compare", str(self._args.compare[0]), *["--fail-if-worse"] * self._args.fail_if_worse]
         words = ["gibson-sim", "trial", trial.file, *self._changes.options(), *rest, "--output", str(self._folder), "--resume"]
         say(f"interrupted: {len(trial.results)} of {trial.planned} runs are kept; to go on: {shlex.join(words)}")
         return ExitCode.INTERRUPTED

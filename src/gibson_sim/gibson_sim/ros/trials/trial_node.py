@@ -459,7 +459,7 @@ class _TopicGoal:
     def __init__(self, node: Node, topic: str, message: Callable[[int], PoseStamped]) -> None:
         self._node, self._message = node, message
         self._publisher = node.create_publisher(PoseStamped, topic, qos.LATCHED)
-        self.what = f"subscriber of {self._publisher.topic_name}"
+        self.what = f"subscriber of {self._publisher.topic_name}, on which the goal is given (key stack.goal)"
 
     def is_there(self) -> bool:
         """Returns whether the stack subscribes to it, and gets what is published from now on."""

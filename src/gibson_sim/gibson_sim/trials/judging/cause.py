@@ -34,6 +34,8 @@ _NOT_TOLD: tuple[CauseKind, ...] = ("too slow", "verdict", "unknown")
 """What says no more than the verdicts do."""
 _MOST_FOLLOWING = 2
 """Events that are told after the first one."""
+_STACK = "the stack"
+"""Begins the detail of an outcome of a stack that died."""
 _LONGEST = 300
 """Longest text of others in a cause, characters."""
 
@@ -158,7 +160,7 @@ def _failure(
     name, end = verdict.name.partition(".")[0], evidence.duration
     itself = Event("verdict", end, end, f"{verdict.name}: {verdict.text}")
     if name in (RUN, "alive", "reached") and outcome.end in _ENDS:
-        how = Event(_ENDS[outcome.end], end, end, f"{outcome.end}: {clipped(outcome.detail, _LONGEST)}")
+        how = Event(_ENDS[outcome.end], end, end, _ended(outcome, measured))
         return _Failure(how, _LATE if outcome.end == "wall time limit" else ())
     if name == "alive" and not is_alive(outcome):
         return _Failure(Event("stack died", end, end, verdict.text))
@@ -180,6 +182,14 @@ def _failure(
     if name == "path_ratio" and verdict.value is not None:
         return _Failure(itself, _LATE)
     return _Failure(itself)
+
+
+def _ended(outcome: Outcome, measured: Measured) -> str:
+    """Returns how a run was broken off."""
+    detail, distance = clipped(outcome.detail, _LONGEST), measured.goal_distance
+    if outcome.end == "stack died" and detail.startswith(_STACK) and distance is not None:
+        return f"{_STACK}, {distance:.2f} m from the goal, {detail.removeprefix(_STACK).lstrip()}"
+    return f"{outcome.end}: {detail}"
 
 
 def _at(kind: CauseKind, t: float, what: str, evidence: Evidence) -> Event:

@@ -286,6 +286,7 @@ def _headline(kind: str, why: str) -> str:
 
 _UNITS = {
     "time": "s", "length": "m", "clearance": "m", "goal_distance": "m", "rms_acceleration": "m/s²", "localisation_error": "m",
+    "localisation_error_max": "m", "localisation_yaw_error": "rad", "yaw_error": "rad", "mean_speed": "m/s", "greatest_force": "N",
 }  # fmt: skip
 
 
