@@ -1,0 +1,132 @@
+"""Opens ONNX files of strangers with onnxruntime: one core, nothing read but the file itself, every failure in one line."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from gibson_path_following.errors import ModelError, quoted
+
+MAX_BYTES = 1 << 30
+"""Size of a file; those of the family have 35 to 111 MB."""
+_MAX_DEPTH = 60
+"""Messages within messages: subgraphs of nodes of subgraphs."""
+_CHILDREN: dict[str, dict[int, str]] = {
+    "model": {7: "graph", 25: "function"},
+    "function": {7: "node"},
+    "graph": {1: "node", 5: "tensor", 15: "sparse"},
+    "node": {5: "attribute"},
+    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
+    "sparse": {1: "tensor", 2: "tensor"},
+}
+"""Kind of a message of onnx.proto -> number of a field -> kind of the messages in it, as far as tensors can be in them."""
+_EXTERNAL_DATA, _DATA_LOCATION = 13, 14
+"""Fields of a tensor that send a reader to another file."""
+
+
+def open_session(file: Path) -> Any:
+    """Returns a session of onnxruntime for a file.
+
+    Raises:
+        ModelError: onnxruntime is not installed, or the file holds no network that it runs, or one that reads other files.
+    """
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ModelError(f"{file} needs onnxruntime, which is not installed: pip install gibson_path_following[onnx]") from error
+    content = _content(file)
+    try:
+        external = _has_external_data(memoryview(content), "model", 0)
+    except (ValueError, IndexError) as error:
+        raise ModelError(f"{file} is no ONNX file, or is cut; export it anew") from error
+    if external:
+        raise ModelError(f"{file} keeps its weights in other files, which are not read; export it into one file")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # of types that onnxruntime does not export
+        raise ModelError(f"{file} is no network that onnxruntime runs: {_reason(error)}") from error
+
+
+def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
+    """Returns all outputs.
+
+    Raises:
+        ModelError: the network cannot be run with these inputs.
+    """
+    try:
+        return list(session.run(None, feeds))
+    except Exception as error:  # of types that onnxruntime does not export
+        raise ModelError(f"{file} cannot be run: {_reason(error)}") from error
+
+
+def _content(file: Path) -> bytes:
+    try:
+        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe must not block
+        with open(descriptor, "rb") as opened:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                raise ModelError(f"{file} is no regular file; give an ONNX file")
+            if status.st_size > MAX_BYTES:
+                raise ModelError(f"{file} has {status.st_size / 2**20:.0f} MB, at most {MAX_BYTES >> 20} are read")
+            return opened.read(MAX_BYTES)
+    except (OSError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise ModelError(f"cannot read {file}: {reason}; give an ONNX file") from error
+
+
+def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
+    """Returns whether a message holds a tensor whose values are in another file.
+
+    Raises:
+        ValueError: it is no such message.
+        IndexError: it is cut.
+    """
+    if depth > _MAX_DEPTH:
+        raise ValueError("too deep")
+    children = _CHILDREN.get(kind, {})
+    at = 0
+    while at < len(message):
+        tag, at = _varint(message, at)
+        field, wire = tag >> 3, tag & 7
+        if wire == 0:
+            value, at = _varint(message, at)
+            if kind == "tensor" and field == _DATA_LOCATION and value:
+                return True
+        elif wire == 2:
+            size, at = _varint(message, at)
+            if at + size > len(message):
+                raise IndexError("cut")
+            if kind == "tensor" and field == _EXTERNAL_DATA:
+                return True
+            if field in children and _has_external_data(message[at : at + size], children[field], depth + 1):
+                return True
+            at += size
+        elif wire in (1, 5):
+            at += 8 if wire == 1 else 4
+            if at > len(message):
+                raise IndexError("cut")
+        else:
+            raise ValueError("no such wire type")
+    return False
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+        if shift > 63:
+            raise ValueError("number too long")
+
+
+def _reason(error: Exception) -> str:
+    return quoted(" ".join(str(error).split()) or type(error).__name__)
