@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import ModelError, SettingError, ViewError
 from gibson_path_following.foreign_onnx import Diffusion, ForeignPolicy, ForeignSettings, open_network, velocity_to
 from gibson_path_following.types import PathNode, Place, RecordedPath, Velocity
@@ -271,3 +273,9 @@ def test_a_path_of_two_fisheyes_and_impossible_settings_are_refused(tmp_path: Pa
         ForeignPolicy(RecordedPath("fisheye_pair", math.pi, nodes), tmp_path / "any.onnx")
     with pytest.raises(SettingError, match=r"rate_hz is 0, must be 0\.1 to 100"):
         ForeignSettings(rate_hz=0.0)
+
+
+def test_a_network_is_chosen_by_the_name_of_its_file(tmp_path: Path) -> None:
+    policy, localiser = make_policy(f"onnx:{write(tmp_path, goal_network())}", straight_path(), max_linear=0.3)
+    assert isinstance(policy, ForeignPolicy) and policy.settings.max_linear == 0.3
+    assert localiser.places[-1] == 11.0

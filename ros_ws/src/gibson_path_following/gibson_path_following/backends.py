@@ -9,8 +9,8 @@ from gibson_path_following.localisation import Localiser, NodeMatcher
 from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import Policy, RecordedPath
 
-BACKENDS = ("teach_repeat", "learned", "learned:FILE")
-"""Names of the policies: without learning; our network, that of the package or one in a file."""
+BACKENDS = ("teach_repeat", "learned", "learned:FILE", "onnx:FILE")
+"""Names of the policies: without learning; our network, that of the package or one in a file; one of the GNM family in a file or folder."""
 
 
 def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_angular: float = 1.0) -> tuple[Policy, Localiser]:
@@ -36,4 +36,8 @@ def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_a
 
         settings = LearnedSettings(arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
         return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings), localiser
+    if name == "onnx" and file:
+        from gibson_path_following.foreign_onnx import ForeignPolicy, ForeignSettings
+
+        return ForeignPolicy(path, Path(file), ForeignSettings(max_linear=max_linear, max_angular=max_angular)), localiser
     raise SettingError(f"backend is {quoted(backend)}, must be {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}")

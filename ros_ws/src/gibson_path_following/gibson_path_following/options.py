@@ -95,7 +95,7 @@ class PolicyOptions(CameraOptions):
     """Parameters of ``path_policy``."""
 
     path: str = option("", "folder of the path")
-    backend: str = option("teach_repeat", "teach_repeat; learned, or learned:FILE with another network")
+    backend: str = option("teach_repeat", "teach_repeat; learned, or learned:FILE with another network; onnx:FILE")
     autostart: bool = option(True, "configure and activate without a lifecycle manager")
     start: float = option(0.0, "node where the robot is at the start; -1 = anywhere", -1.0, 1e6)
     max_linear: float = option(0.5, "largest speed, m/s", 0.01, 10.0)
