@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-TYPES = {"float32": 1, "int64": 7}
+TYPES = {"float32": 1, "uint8": 2, "int64": 7}
 """Numbers of element types."""
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gibson_path_following.arcs import ArcPlanner, ArcSettings
 from gibson_path_following.errors import ModelError, SettingError, ViewError, quoted
 from gibson_path_following.motions import NS_PER_S, Motion, segments
+from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
 from gibson_path_following.types import STOP, Image, Place, RecordedPath, Velocity, View
 
@@ -54,22 +55,7 @@ class PathModel:
         Raises:
             ModelError: onnxruntime is not installed, or the file holds no such network.
         """
-        try:
-            import onnxruntime
-        except ImportError as error:
-            raise ModelError(
-                "the learned policy needs onnxruntime, which is not installed: pip install gibson_path_following[onnx]"
-            ) from error
-        if not file.is_file():
-            raise ModelError(f"{file}: there is no such file; give an ONNX file that gibson-sim learn path-following wrote")
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # of a type that onnxruntime does not export
-            first = (str(error).splitlines() or [""])[0]
-            raise ModelError(f"{file}: not a network that onnxruntime reads: {quoted(first)}") from error
+        self._file, self._session = file, open_session(file)
         self._check(file)
         _, self.height, self.width, _ = self._session.get_inputs()[0].shape
         metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
@@ -91,8 +77,11 @@ class PathModel:
         Args:
             present: image of the model's size and field of view, as ``fitted`` returns it.
             recorded: (K, height, width, 3).
+
+        Raises:
+            ModelError: the network cannot be run.
         """
-        pose, scale, match, free = self._session.run(list(_OUTPUTS), {"present": present[None], "recorded": recorded})
+        pose, scale, match, free = run(self._session, self._file, {"present": present[None], "recorded": recorded})
         return Sighting(*(np.asarray(value, dtype=np.float64) for value in (pose, scale, match, free)))
 
     def fitted(self, image: Image, hfov: float) -> Image:

@@ -1,0 +1,44 @@
+"""A small network of the form of ours that is made by hand: the colours of a recorded image tell where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from support.onnx_bytes import message, model, node, value
+
+_FLOAT = 1
+OUTPUTS = ("pose", "scale", "match", "free")
+METADATA = {"hfov_deg": "100", "max_free": "3"}
+
+
+def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA, outputs: Sequence[str] = OUTPUTS) -> bytes:
+    """Returns the bytes of an ONNX file.
+
+    x is the mean red / 100 m, y (green - 100) / 100 m, yaw (blue - 100) / 100 rad; an image matches if its mean red is above 0; the expected
+    errors are 0.05.
+
+    Args:
+        free: free distances that it always sees, metres.
+        metadata: that of the file.
+        outputs: their names.
+    """
+    nodes = [
+        node("Cast", ["recorded"], "floats", to=_FLOAT),
+        node("ReduceMean", ["floats"], "mean", axes=[1, 2], keepdims=0),
+        node("Sub", ["mean", "zero_at"], "shifted"),
+        node("Mul", ["shifted", "hundredth"], outputs[0]),
+        node("Mul", ["mean", "none"], "nothing"),
+        node("Add", ["nothing", "error"], outputs[1]),
+        node("Mul", ["mean", "only_red"], "red"),
+        node("ReduceMax", ["red"], "reddest", axes=[1], keepdims=0),
+        node("Sign", ["reddest"], outputs[2]),
+        node("Identity", ["seen"], outputs[3]),
+    ]
+    constants = {"zero_at": [0, 100, 100], "hundredth": [0.01], "none": [0], "error": [0.05], "only_red": [1, 0, 0], "seen": free}
+    inputs = [value("present", "uint8", [1, 64, 96, 3]), value("recorded", "uint8", ["k", 64, 96, 3])]
+    shapes: list[list[int | str]] = [["k", 3], ["k", 3], ["k"], [len(free)]]
+    ports = [value(name, "float32", shape) for name, shape in zip(outputs, shapes, strict=True)]
+    content = model(nodes, inputs, ports, {name: np.array(some, np.float32) for name, some in constants.items()})
+    return content + b"".join(message(14, message(1, key) + message(2, text)) for key, text in metadata.items())

@@ -1,0 +1,156 @@
+"""The learned policy, with a network made by hand whose recorded images tell by their colours where they are."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_path_following.errors import ModelError, SettingError, ViewError
+from gibson_path_following.learned import LearnedPolicy, LearnedSettings, PathModel
+from gibson_path_following.pose_filter import PoseFilter, node_poses, relative
+from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Velocity
+from support.path_models import path_model
+
+HFOV = math.radians(100.0)
+AHEAD = Velocity(0.4, 0.0)
+STEP_NS = 500_000_000  # 0.2 m at 0.4 m/s
+FREE = (3.0,) * 24
+
+
+def colour(x: float, y: float, yaw: float) -> Image:
+    """Returns the image that the network by hand sees at a pose."""
+    return np.full((64, 96, 3), (round(100 * x), round(100 * y) + 100, round(100 * yaw) + 100), np.uint8)
+
+
+def path_of(images: list[Image], velocity: Velocity = AHEAD) -> RecordedPath:
+    nodes = tuple(PathNode((image,), k * STEP_NS, 0.2 * k, ((0, velocity),)) for k, image in enumerate(images))
+    return RecordedPath("pinhole", HFOV, nodes)
+
+
+def model(folder: Path, free: tuple[float, ...] = FREE) -> PathModel:
+    file = folder / "model.onnx"
+    file.write_bytes(path_model(free))
+    return PathModel(file)
+
+
+def at(index: float) -> Place:
+    return Place(index, 1.0, False)
+
+
+VIEW = (np.zeros((64, 96, 3), np.uint8),)
+
+
+def test_network_gives_poses_of_recorded_images(tmp_path: Path) -> None:
+    found = model(tmp_path).estimate(VIEW[0], np.stack([colour(0.5, 0.2, -0.3), colour(1.0, 0.0, 0.0)]))
+    np.testing.assert_allclose(found.pose, [[0.5, 0.2, -0.3], [1.0, 0.0, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(found.match, [1.0, 1.0])
+    np.testing.assert_allclose(found.free, FREE)
+
+
+def test_directions_are_the_middles_of_equal_strips(tmp_path: Path) -> None:
+    bearings = model(tmp_path).bearings
+    assert bearings[0] == pytest.approx(math.atan(23.0 / 24.0 * math.tan(HFOV / 2.0)))
+    np.testing.assert_allclose(bearings, -bearings[::-1])
+
+
+def test_robot_beside_the_path_turns_back_to_it(tmp_path: Path) -> None:
+    # All recorded images are seen 0.3 m to the left, where they truly are ahead: the robot is to the right of its path.
+    images = [colour(0.0, 0.0, 0.0), *(colour(0.2 * k, 0.3, 0.0) for k in range(1, 12))]
+    policy = LearnedPolicy(path_of(images), model(tmp_path))
+    velocity = policy.act(VIEW, 0, at(0.0))
+    assert policy.filter.pose[1] < -0.15
+    assert velocity.linear > 0.0
+    assert velocity.angular > 0.1
+
+
+def test_robot_on_the_path_drives_straight_at_the_recorded_speed(tmp_path: Path) -> None:
+    images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
+    velocity = LearnedPolicy(path_of(images), model(tmp_path)).act(VIEW, 0, at(0.0))
+    assert velocity.linear == pytest.approx(0.44)  # 1.1 times 0.4
+    assert velocity.angular == pytest.approx(0.0, abs=0.05)
+
+
+def test_wall_ahead_slows_the_robot(tmp_path: Path) -> None:
+    images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
+    velocity = LearnedPolicy(path_of(images), model(tmp_path, (0.4,) * 24)).act(VIEW, 0, at(0.0))
+    assert velocity.linear < 0.3
+
+
+def test_robot_stops_when_nothing_of_the_path_is_seen_for_some_views(tmp_path: Path) -> None:
+    images = [np.zeros((64, 96, 3), np.uint8)] * 12  # no red: no match
+    policy = LearnedPolicy(path_of(images), model(tmp_path), LearnedSettings(unseen_views=2))
+    velocities = [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(4)]
+    assert [velocity.linear > 0.0 for velocity in velocities] == [True, True, False, False]
+    assert velocities[-1] == STOP
+
+
+def test_images_of_a_wider_camera_are_cut(tmp_path: Path) -> None:
+    wide = np.zeros((128, 192, 3), np.uint8)
+    wide[:, 48:144] = 200  # the middle half of the width: tan 45 degrees * 2 = tan 63.4 degrees
+    fitted = model(tmp_path).fitted(wide, 2.0 * math.atan(2.0 * math.tan(HFOV / 2.0)))
+    assert fitted.shape == (64, 96, 3)
+    assert fitted.min() == 200
+
+
+def test_paths_of_fisheyes_are_refused(tmp_path: Path) -> None:
+    path = RecordedPath("fisheye_pair", math.pi, path_of([VIEW[0]] * 3).nodes)
+    with pytest.raises(ViewError, match="needs a pinhole camera"):
+        LearnedPolicy(path, model(tmp_path))
+
+
+def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "other.onnx"
+    file.write_bytes(path_model(FREE, outputs=("a", "b", "c", "d")))
+    with pytest.raises(ModelError, match=r"its outputs a, b, c, d; must be present, recorded and pose, scale, match, free"):
+        PathModel(file)
+    file.write_bytes(path_model(FREE, metadata={}))
+    with pytest.raises(ModelError, match="its metadata lack hfov_deg or max_free"):
+        PathModel(file)
+    with pytest.raises(ModelError, match=r"nowhere\.onnx"):
+        PathModel(tmp_path / "nowhere.onnx")
+
+
+def test_settings_out_of_range_are_one_line() -> None:
+    with pytest.raises(SettingError, match=r"ahead is 9, must be 0.05 to 3"):
+        LearnedSettings(ahead=9.0)
+
+
+def test_nodes_lie_where_the_recorded_velocities_lead() -> None:
+    # A quarter turn to the left in 5 parts of 0.2 m: a circle of radius 2 / pi.
+    path = path_of([VIEW[0]] * 6, Velocity(0.4, 0.4 * math.pi / 2.0))
+    poses = node_poses(path)
+    assert poses is not None
+    np.testing.assert_allclose(poses[-1], [2.0 / math.pi, 2.0 / math.pi, math.pi / 2.0], atol=1e-9)
+
+
+def test_path_without_velocities_has_no_poses() -> None:
+    nodes = tuple(PathNode(VIEW, k * STEP_NS, 0.2 * k, ()) for k in range(3))
+    assert node_poses(RecordedPath("pinhole", HFOV, nodes)) is None
+
+
+def test_filter_goes_where_exact_sightings_say() -> None:
+    truth = np.array([0.25, -0.2, 0.15])
+    found = PoseFilter()
+    found.reset(np.zeros(3))
+    for node in (np.array([0.4, 0.0, 0.0]), np.array([0.8, 0.1, 0.2]), np.array([1.2, 0.2, 0.3])) * 3:
+        assert found.correct(node, np.array(relative(truth, node)), np.full(3, 0.01))
+    np.testing.assert_allclose(found.pose, truth, atol=0.02)
+
+
+def test_filter_refuses_a_sighting_that_cannot_be() -> None:
+    found = PoseFilter()
+    found.reset(np.zeros(3))
+    assert not found.correct(np.array([0.5, 0.0, 0.0]), np.array([0.5, 3.0, 0.0]), np.full(3, 0.05))
+    np.testing.assert_array_equal(found.pose, np.zeros(3))
+
+
+def test_filter_moves_by_commands_and_becomes_less_sure() -> None:
+    found = PoseFilter()
+    found.reset(np.array([0.0, 0.0, math.pi / 2.0]))
+    before = np.trace(found.covariance)
+    found.move(Velocity(0.5, 0.0), 1.0)
+    np.testing.assert_allclose(found.pose, [0.0, 0.475, math.pi / 2.0], atol=1e-9)
+    assert np.trace(found.covariance) > before
