@@ -20,6 +20,7 @@ from gibson_sim_bench.cli import (
     scaling as bench_scaling,
     soak as bench_soak,
     table1 as bench_table1,
+    table2 as bench_table2,
     tasks as bench_tasks,
     tensors as bench_tensors,
     web as bench_web,
@@ -34,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser("bench", help="measure rendering, physics, tasks and ROS on this machine")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
-    for module in (bench_table1, bench_peers, bench_scaling, bench_soak, bench_report, bench_compare):
+    for module in (bench_table1, bench_table2, bench_peers, bench_scaling, bench_soak, bench_report, bench_compare):
         module.add_parser(kinds)
     _add_render(kinds)
     for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks, bench_learning, bench_web):

@@ -31,8 +31,17 @@ START_ROOM = 0.25
 _TURN = math.radians(60.0)
 """Least turn within ``_WITHIN`` metres that a path must have."""
 _WITHIN = 1.2
-_TRIES = 2000
-"""Pairs of start and goal that are tried for a path."""
+_TRIES = 1000
+"""Pairs of start and goal that are tried for the paths of a length."""
+_DIRECT = 300
+"""Of these, those that are connected by the shortest way; later ones lead by a third place, since a small scene has few long ways."""
+_SHARE = (0.3, 0.7)
+"""Part of a path on which its third place lies."""
+_SHARPEST = math.radians(120.0)
+"""Greatest turn of a path with a third place: it must not turn back."""
+_OWN_WAY = 0.7
+"""Least distance of such a path from itself, metres, between places that are more than ``_LATER`` apart along it."""
+_LATER = 2.0
 _APART = 0.6
 """Least distance of the starts, or else of the ends, of two paths, metres."""
 
@@ -89,12 +98,12 @@ def draw_cases(ground: Ground, scene: str, length: float, count: int, seed: int)
     planner = PathPlanner(ground.floor, clearance)
     region = ground.floor.largest_free_region(clearance)
     found: list[PathCase] = []
-    for _ in range(_TRIES):
+    for attempt in range(_TRIES):
         if len(found) == count:
             return tuple(found)
         room = ground.robot.radius + START_ROOM
         start = random_free_poses(ground.floor, 1, rng, clearance=room, region=region)[0].position[:2]
-        line = _line_from(ground, planner, start, length, rng)
+        line = (_line_from if attempt < _DIRECT else _line_by)(ground, planner, start, length, rng)
         if line is not None and all(_differ(line, other.line) for other in found):
             corners = tuple((round(float(x), 4), round(float(y), 4)) for x, y in line)
             found.append(PathCase(scene, length, len(found), corners))
@@ -117,6 +126,28 @@ def _line_from(
     goal = floor.centers(cells[int(rng.integers(len(cells)))])
     line = _cut(planner.path(start, goal), length)
     return line if line is not None and greatest_turn(line) >= _TURN else None
+
+
+def _line_by(ground: Ground, planner: PathPlanner, start: Sequence[float], length: float, rng: np.random.Generator) -> F64 | None:
+    """Returns the corners (K, 2) of a path from a place by another one; None = there is none that is a way of its own."""
+    floor = ground.floor
+    away = planner.distances(start)
+    first = length * float(rng.uniform(*_SHARE))
+    cells = np.argwhere(np.abs(away - first) < 0.2)
+    if not len(cells):
+        return None
+    middle = floor.centers(cells[int(rng.integers(len(cells)))])
+    onward = planner.distances(middle)
+    cells = np.argwhere((onward >= length - first + 0.3) & (onward <= length - first + 0.8) & (away > first))
+    if not len(cells):
+        return None
+    goal = floor.centers(cells[int(rng.integers(len(cells)))])
+    line = _cut(np.concatenate([planner.path(start, middle), planner.path(middle, goal)[1:]]), length)
+    if line is None or not _TURN <= greatest_turn(line) <= _SHARPEST:
+        return None
+    points, arc = dense(line)
+    apart = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    return line if float(apart[np.abs(arc[:, None] - arc[None]) > _LATER].min()) >= _OWN_WAY else None
 
 
 def greatest_turn(line: ArrayLike) -> float:

@@ -71,10 +71,14 @@ class Driver(Protocol):
 
     needs_view: bool
     """Whether it uses images."""
-    place: Place | None
-    """Where on the path it believes to be; None = it has no belief."""
-    state: str
-    """In a word; ``finished`` ends the drive."""
+
+    @property
+    def place(self) -> Place | None:
+        """Where on the path it believes to be; None = it has no belief."""
+
+    @property
+    def state(self) -> str:
+        """What it does, in a word; ``finished`` ends the drive."""
 
     def drive(self, sight: Sight) -> Velocity:
         """Returns the velocity until the next tick."""

@@ -1,0 +1,149 @@
+"""Which runs a table has: cases, domains, methods, seeds. Equal plans give equal runs."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gibson_path_following.types import CameraKind
+from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
+from gibson_sim.settings import nearest
+from gibson_sim_learn.path_following.cases import LENGTHS, PathCase, draw_cases, path_ground
+from gibson_sim_learn.path_following.domains import DOMAINS, domain_of
+from gibson_sim_learn.path_following.split import HELD_OUT
+
+METHODS = {
+    "oracle": "pure pursuit by the true pose and the true map",
+    "learned": "the network of gibson-sim learn path-following, images alone",
+    "teach_repeat": "no learning: images are compared with those of the path",
+    "blind": "the recorded commands again, without looking",
+    "random": "random commands for as long as the recording took",
+}
+"""By name: what it is."""
+PATHS = 10
+"""Paths of a case, over all scenes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table2Plan:
+    """What is run.
+
+    Raises:
+        ConfigError: a value is impossible.
+    """
+
+    runs: int = 100
+    """Runs of each case, domain and method."""
+    lengths: tuple[float, ...] = LENGTHS
+    """Lengths of the cases, metres."""
+    domains: tuple[str, ...] = tuple(DOMAINS)
+    methods: tuple[str, ...] = tuple(METHODS)
+    scenes: tuple[str, ...] = HELD_OUT
+    paths: int = PATHS
+    """Paths of each case, spread over the scenes."""
+    camera: CameraKind = "pinhole"
+    seed: int = 0
+    model: str = ""
+    """ONNX file of ``learned``; empty = the one that is shipped."""
+
+    def __post_init__(self) -> None:
+        if self.runs < 1:
+            raise ConfigError(f"runs is {self.runs}, must be 1 or more")
+        if not 1 <= self.paths <= 1000:
+            raise ConfigError(f"paths is {self.paths}, must be 1 to 1000")
+        if self.seed < 0:
+            raise ConfigError(f"seed is {self.seed}, must be 0 or more")
+        for length in self.lengths:
+            if not 1.0 <= length <= 100.0:
+                raise ConfigError(
+                    f"a case is {length:g} m, must be 1 to 100 m; the paper's are {', '.join(f'{x:g}' for x in LENGTHS)}"
+                )
+        for what, values in (
+            ("cases", self.lengths),
+            ("domains", self.domains),
+            ("methods", self.methods),
+            ("scenes", self.scenes),
+        ):
+            if not values:
+                raise ConfigError(f"{what} is empty; name one, or leave it out")
+        for name in self.domains:
+            domain_of(name)
+        for name in self.methods:
+            if name not in METHODS:
+                hint = nearest(name, tuple(METHODS))
+                raise ConfigError(f"there is no method {quoted(name)}; {f'{hint} ' if hint else ''}known: {', '.join(METHODS)}")
+
+    def identity(self) -> dict[str, Any]:
+        """Returns what all runs in one folder must have in common: with another of these they could not be compared."""
+        return {"scenes": list(self.scenes), "paths": self.paths, "camera": self.camera, "seed": self.seed}
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the plan as JSON types."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+@dataclass(frozen=True, slots=True)
+class RunKey:
+    """One run of a table."""
+
+    scene: str
+    length: float
+    path: int
+    """Number of the path among those of this length in the scene."""
+    repeat: int
+    domain: str
+    method: str
+    policy: str = ""
+    """Digest of the network of ``learned``: other weights are another method."""
+
+    @property
+    def name(self) -> str:
+        """A name for files."""
+        return f"{Path(self.scene).name}_{self.length:g}m_{self.path}_{self.domain}_{self.method}_{self.repeat}"
+
+
+def seeds_of(plan_seed: int, key: RunKey) -> list[int]:
+    """Returns the entropy of a run. Domain and method are no part of it: runs that differ in them alone are pairs."""
+    return [plan_seed, zlib.crc32(Path(key.scene).name.encode()), round(1000 * key.length), key.path, key.repeat]
+
+
+def cases_of(plan: Table2Plan) -> tuple[PathCase, ...]:
+    """Returns the paths of all cases, scene by scene.
+
+    Raises:
+        GibsonSimError: a scene cannot be loaded, or has no room.
+    """
+    found: list[PathCase] = []
+    for k, scene in enumerate(plan.scenes):
+        ground = path_ground(scene)
+        count = plan.paths * (k + 1) // len(plan.scenes) - plan.paths * k // len(plan.scenes)
+        for length in plan.lengths:
+            if count:
+                found += draw_cases(ground, scene, length, count, plan.seed)
+    return tuple(found)
+
+
+def keys_of(plan: Table2Plan, cases: Sequence[PathCase], policy: str) -> dict[PathCase, list[RunKey]]:
+    """Returns the runs of each path: of each case ``plan.runs``, one more on some paths than on others if they cannot be shared out.
+
+    Args:
+        plan: the plan.
+        cases: its paths.
+        policy: digest of the network.
+    """
+    out: dict[PathCase, list[RunKey]] = {case: [] for case in cases}
+    for length in plan.lengths:
+        of_length = [case for case in cases if case.length == length]
+        for k, case in enumerate(of_length):
+            repeats = (plan.runs + len(of_length) - 1 - k) // len(of_length)
+            out[case] = [
+                RunKey(case.scene, length, case.number, repeat, domain, method, policy if method == "learned" else "")
+                for repeat in range(repeats)
+                for domain in plan.domains
+                for method in plan.methods
+            ]
+    return out

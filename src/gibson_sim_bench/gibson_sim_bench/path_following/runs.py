@@ -1,0 +1,289 @@
+"""Makes the runs of one path, in this process: ``run_path`` is the unit of work. Each run ends as a line of JSON in the file of its path."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_path_following.backends import make_policy
+from gibson_path_following.errors import PathFollowingError
+from gibson_path_following.follower import FollowerSettings, PathFollower
+from gibson_path_following.learned import DEFAULT_MODEL
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.jobs.units import Context
+from gibson_sim.reading import read_file
+from gibson_sim.writing import cannot_write
+from gibson_sim_bench.path_following.plan import RunKey, seeds_of
+from gibson_sim_learn.path_following.cameras import Rig
+from gibson_sim_learn.path_following.cases import PathCase
+from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
+from gibson_sim_learn.path_following.drives import (
+    BlindDriver,
+    Driver,
+    FollowerDriver,
+    PathSite,
+    RandomDriver,
+    Recording,
+    Trace,
+    follow,
+    oracle_for,
+    record,
+)
+from gibson_sim_learn.path_following.layout import Layout
+
+UNIT = "gibson_sim_bench.path_following.runs:run_path"
+SUCCESS = "success"
+_MAX_MODEL_BYTES = 200_000_000
+"""Largest network that is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """How one run went."""
+
+    key: RunKey
+    kind: str
+    """``success``, or the kind of failure in a few words."""
+    success: bool
+    arrived: bool
+    coverage: float
+    collisions: int
+    travelled: float
+    """Metres."""
+    deviation_mean: float
+    """Metres."""
+    deviation_max: float
+    """Metres."""
+    end_distance: float
+    """Metres."""
+    spl: float
+    duration: float
+    """Seconds of simulation time."""
+    ended: str
+    """What ended the drive: finished, standing, time."""
+    state: str
+    """Of the driver at the end."""
+    touched: tuple[str, ...] = ()
+    moved: int = 0
+    """Things that stood elsewhere, or were new."""
+    obstacles: int = 0
+    """Things and people on the path."""
+    seconds: float = 0.0
+    """Processor time of the run."""
+
+    def as_line(self) -> str:
+        """Returns the result as a line of JSON."""
+        return json.dumps(asdict(self))
+
+
+def result_of(values: Any) -> RunResult:
+    """Returns the result that a line of JSON stands for.
+
+    Raises:
+        ConfigError: it stands for none.
+    """
+    try:
+        fields = dict(values)
+        key = RunKey(**fields.pop("key"))
+        return RunResult(key=key, **{**fields, "touched": tuple(fields["touched"])})
+    except (TypeError, KeyError, ValueError) as error:
+        raise ConfigError(f"a result of a run is not as this version writes it: {error}; choose another folder") from error
+
+
+def policy_digest(model: str) -> str:
+    """Returns the first digits of the digest of a network; empty = there is none.
+
+    Args:
+        model: file; empty = the one that is shipped.
+
+    Raises:
+        ConfigError: the file that is named cannot be read.
+    """
+    file = Path(model) if model else DEFAULT_MODEL
+    if not model and not file.is_file():
+        return ""
+    try:
+        return hashlib.sha256(read_file(file, _MAX_MODEL_BYTES)).hexdigest()[:16]
+    except OSError as error:
+        raise ConfigError(f"--model {file}: cannot be read: {error.strerror}; name an ONNX file of gibson-sim learn") from error
+
+
+class Runner:
+    """Makes runs, and keeps the scene that was used last, and its last recording.
+
+    Args:
+        seed: of the plan.
+        rig: cameras.
+        model: ONNX file of ``learned``; empty = the one that is shipped.
+    """
+
+    def __init__(self, seed: int, rig: Rig, model: str = "") -> None:
+        self._seed, self._rig, self._model = seed, rig, model
+        self._site: PathSite | None = None
+        self._recording: Recording | None = None
+
+    def site(self, scene: str) -> PathSite:
+        """Returns a scene, opened."""
+        if self._site is None or self._site.scene != scene:
+            self.close()
+            self._site = PathSite(scene, rig=self._rig)
+        return self._site
+
+    def recording(self, case: PathCase) -> Recording:
+        """Returns a path as the oracle drove it."""
+        if self._recording is None or self._recording.case != case:
+            self._recording = record(self.site(case.scene), case, seed=self._seed)
+        return self._recording
+
+    def conditions(self, key: RunKey) -> Conditions:
+        """Returns the conditions of a run."""
+        return draw(domain_of(key.domain), np.random.default_rng(seeds_of(self._seed, key)))
+
+    def trace(self, case: PathCase, key: RunKey, *, keep_views: bool = False) -> Trace:
+        """Returns the drive of a run.
+
+        Raises:
+            GibsonSimError: it cannot be made.
+        """
+        recording, conditions, site = self.recording(case), self.conditions(key), self.site(case.scene)
+        rng = np.random.default_rng([*seeds_of(self._seed, key), 1])
+        return follow(
+            site,
+            recording,
+            lambda layout: self._driver(key.method, site, recording, layout, conditions, rng),
+            conditions,
+            int(rng.integers(2**31)),
+            keep_views=keep_views,
+        )
+
+    def run(self, case: PathCase, key: RunKey) -> RunResult:
+        """Returns how a run went."""
+        self.recording(case)  # once for many runs: its time is not that of a run
+        began = time.process_time()
+        try:
+            trace = self.trace(case, key)
+        except SceneError as error:
+            return RunResult(
+                key, f"not run: {error}", False, False, 0.0, 0, 0.0, 0.0, 0.0, case.length, 0.0, 0.0, "not run", "",
+                seconds=time.process_time() - began,
+            )  # fmt: skip
+        outcome = trace.outcome(self.recording(case))
+        layout = trace.layout
+        assert layout is not None
+        return RunResult(
+            key,
+            kind=kind_of(trace, success=outcome.success, arrived=outcome.arrived, collisions=outcome.collisions),
+            success=outcome.success,
+            arrived=outcome.arrived,
+            coverage=outcome.coverage,
+            collisions=outcome.collisions,
+            travelled=round(outcome.travelled, 4),
+            deviation_mean=round(outcome.deviation_mean, 4),
+            deviation_max=round(outcome.deviation_max, 4),
+            end_distance=round(outcome.end_distance, 4),
+            spl=round(outcome.spl, 4),
+            duration=outcome.duration,
+            ended=trace.ended,
+            state=trace.ticks[-1].state,
+            touched=trace.touched,
+            moved=len(layout.moved),
+            obstacles=len(layout.obstacles),
+            seconds=round(time.process_time() - began, 3),
+        )
+
+    def _driver(
+        self, method: str, site: PathSite, recording: Recording, layout: Layout, conditions: Conditions, rng: np.random.Generator
+    ) -> Driver:
+        if method == "oracle":
+            return oracle_for(site, recording, layout, conditions)
+        if method == "blind":
+            return BlindDriver(recording)
+        if method == "random":
+            return RandomDriver(recording, rng)
+        backend = f"learned:{self._model}" if method == "learned" and self._model else method
+        try:
+            policy, localiser = make_policy(backend, recording.path)
+            return FollowerDriver(PathFollower(recording.path, policy, FollowerSettings(), localiser))
+        except PathFollowingError as error:
+            raise ConfigError(f"method {method}: {error}") from error
+
+    def close(self) -> None:
+        """Closes the scene; a second call does nothing."""
+        site, self._site, self._recording = self._site, None, None
+        if site is not None:
+            site.close()
+
+
+def kind_of(trace: Trace, *, success: bool, arrived: bool, collisions: int) -> str:
+    """Returns ``success``, or the kind of failure: what was hit first, else why the robot did not arrive."""
+    if success:
+        return SUCCESS
+    if collisions and trace.touched:
+        layout, first = trace.layout, trace.touched[0]
+        if layout is not None and first in layout.obstacles:
+            return "hit what stood on the path"
+        return "hit a moved thing" if layout is not None and first in layout.moved else "hit the scene"
+    state = trace.ticks[-1].state
+    if arrived:
+        return "touched something"
+    if state == "finished":
+        return "ended elsewhere"
+    if state == "lost":
+        return "lost"
+    return "stood still" if trace.ended == "standing" else "out of time"
+
+
+_KEPT: dict[tuple[int, str, str], Runner] = {}
+"""The runner of a worker process, which keeps its scene from one unit to the next."""
+
+
+def run_path(arguments: dict[str, Any], folder: Path, context: Context) -> int:
+    """Makes the runs of one path, and appends a line for each to its file; returns their number. A unit of work, see ``jobs``."""
+    settings = (arguments["seed"], arguments["camera"], arguments["model"])
+    if settings not in _KEPT:
+        for runner in _KEPT.values():
+            runner.close()
+        _KEPT.clear()
+        _KEPT[settings] = Runner(settings[0], Rig(settings[1]), settings[2])
+    case = case_of(arguments["case"])
+    keys = [RunKey(**values) for values in arguments["keys"]]
+    return make_runs(_KEPT[settings], case, keys, Path(arguments["file"]), context.stop, context.progress)
+
+
+def make_runs(
+    runner: Runner,
+    case: PathCase,
+    keys: Sequence[RunKey],
+    file: Path,
+    stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[str], None] = lambda text: None,
+) -> int:
+    """Makes runs of one path, appends their lines to a file, and returns the number that were made.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+    for k, key in enumerate(keys):
+        if stop():
+            return k
+        result = runner.run(case, key)
+        try:
+            with file.open("ab") as lines:
+                # One write: a line is there as a whole, or its end is missing and it does not count.
+                lines.write((result.as_line() + "\n").encode())
+        except OSError as error:
+            raise cannot_write(file, error) from error
+        progress(f"{key.domain}, {key.method}: {result.kind}")
+    return len(keys)
+
+
+def case_of(values: dict[str, Any]) -> PathCase:
+    """Returns the path that JSON stands for."""
+    return PathCase(**{**values, "line": tuple((float(x), float(y)) for x, y in values["line"])})
