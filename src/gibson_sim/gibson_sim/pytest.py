@@ -46,8 +46,18 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def _simulation_pool(pytestconfig: pytest.Config) -> Iterator[SimulationPool]:
-    from gibson_sim.testing.pool import SimulationPool
+    from gibson_sim.errors import missing_package
 
+    reason = ""
+    try:
+        from gibson_sim.testing.pool import SimulationPool
+    except ImportError as error:
+        missing = missing_package(error)
+        if missing is None:
+            raise
+        reason = str(missing)
+    if reason:
+        pytest.fail(reason, pytrace=False)
     pool = SimulationPool(str(pytestconfig.getini(_DOMAINS)), pytestconfig.rootpath)
     yield pool
     pool.close()

@@ -93,6 +93,18 @@ def test_a_failed_test_gives_its_simulation_back(pytester: pytest.Pytester) -> N
     _run(pytester, "-s", "-x").stdout.fnmatch_lines(["*given back*"])
 
 
+def test_a_package_that_is_not_installed_is_an_error_of_one_line(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile("def test_it(sim): pass")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delitem(sys.modules, "gibson_sim.testing.pool")
+        patch.setitem(sys.modules, "gibson_sim.testing.headless_simulation", None)
+        patch.setattr("gibson_sim.errors._OURS", ())
+        result = _run(pytester)
+    result.assert_outcomes(errors=1)
+    said = "the Python package gibson_sim is not installed: `pip install gibson_sim`"
+    result.stdout.fnmatch_lines(["*_ ERROR at setup of test_it _*", said, "*= short test summary info =*"], consecutive=True)
+
+
 @pytest.mark.parametrize(
     ("marker", "said"),
     [

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from gibson_sim import __version__
 from gibson_sim.cli.console import say
+from gibson_sim.cli.environment import require_nodes
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.workers import add_workers, backend_of
 from gibson_sim.errors import ConfigError
@@ -90,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
         folder: Path = args.output or _OUTPUT / f"{scenario.name}_{datetime.now():%Y%m%d-%H%M%S}"
         if not args.plan:
             # Before the runs are planned, which may take minutes.
+            if not args.ray:
+                require_nodes()
             prepare(folder, resume=args.resume)
             check(scenario)
         plan = _plan(scenario, () if args.resume else args.numbers)

@@ -66,9 +66,7 @@ def node_died(name: str, code: int, output: str) -> Ending:
 
 def server_died() -> Ending:
     """Returns the end of a run whose node server, the parent of nodes and stack, ended, and all of them with it."""
-    return Ending(
-        "simulation failed", "the parent process of nodes and stack was killed: by the stack, or because the memory ran out"
-    )
+    return Ending("simulation failed", "the parent process of nodes and stack ended: killed by the stack, or for lack of memory")
 
 
 def reported(report: TrialReport, physics_output: str) -> Ending:

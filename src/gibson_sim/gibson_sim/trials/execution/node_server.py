@@ -46,6 +46,8 @@ class NodeServer:
                 start_new_session=True,
             )
         self._socket = ours
+        self._hung_up = False
+        """Whether the server has closed its end of the socket."""
         self._running: set[str] = set()
         self.ended: dict[str, int] = {}
         """Name -> exit code of each process that ended; negative = the signal."""
@@ -60,7 +62,7 @@ class NodeServer:
     @property
     def is_alive(self) -> bool:
         """Whether the server itself runs."""
-        return self._process.poll() is None
+        return not self._hung_up and self._process.poll() is None
 
     def fileno(self) -> int:
         """Returns the descriptor that becomes readable when a process has ended."""
@@ -132,6 +134,7 @@ class NodeServer:
             except OSError:
                 data = b""
             if not data:
+                self._hung_up = True
                 self.ended.update(dict.fromkeys(self._running, -signal.SIGKILL))
                 self._running.clear()
                 return
