@@ -22,7 +22,9 @@ SCENE_COMMANDS = {"map": "scene_map"}
 """Sub-command of ``gibson-sim scene`` -> module of this package."""
 _COMMAND_GROUP, _SCENE_GROUP = "gibson_sim.commands", "gibson_sim.scene_commands"
 _OF_TOOLS = ("check", "collision", "fetch", "fuse", "generate", "import", "inspect", "objects", "robot", "scan", "view")
-BROUGHT_BY = {("bench",): "gibson_sim_bench"} | {("scene", name): "gibson_sim_tools" for name in _OF_TOOLS}
+BROUGHT_BY = {("bench",): "gibson_sim_bench", ("learn",): "gibson_sim_learn"} | {
+    ("scene", name): "gibson_sim_tools" for name in _OF_TOOLS
+}
 """Command -> package that provides it and may not be installed."""
 
 

@@ -313,6 +313,7 @@ def smooth_path(corners: F64, places: NDArray[np.bool_], floor: FloorMap) -> F64
         mean = (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
         keep = floor.look_up(places, mean, outside=False)
         rounded = np.where(keep[:, None], mean, rounded)
+        rounded[[0, -1]] = points[[0, -1]]
     ahead = np.gradient(rounded, axis=0)
     return np.column_stack([rounded, np.arctan2(ahead[:, 1], ahead[:, 0])])
 

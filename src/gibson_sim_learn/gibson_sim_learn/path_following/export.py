@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,16 +32,18 @@ def export_network(network: PathNetwork, file: Path) -> int:
     was_training = network.training
     arguments = (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8), torch.zeros(4, HEIGHT, WIDTH, 3, dtype=torch.uint8))
     buffer: Any = io.BytesIO()
-    torch.onnx.export(
-        _Exported(network).eval(),
-        arguments,
-        buffer,
-        input_names=["present", "recorded"],
-        output_names=["pose", "scale", "match", "free"],
-        dynamic_axes={name: {0: "recorded_images"} for name in ("recorded", "pose", "scale", "match")},
-        opset_version=_OPSET,
-        dynamo=False,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter that PyTorch recommends instead needs further packages
+        torch.onnx.export(
+            _Exported(network).eval(),
+            arguments,
+            buffer,
+            input_names=["present", "recorded"],
+            output_names=["pose", "scale", "match", "free"],
+            dynamic_axes={name: {0: "recorded_images"} for name in ("recorded", "pose", "scale", "match")},
+            opset_version=_OPSET,
+            dynamo=False,
+        )
     network.train(was_training)
     model = onnx.load_from_string(buffer.getvalue())
     for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("max_free", f"{MAX_FREE:g}"), ("license", "Apache-2.0")):

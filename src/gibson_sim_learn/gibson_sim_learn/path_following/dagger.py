@@ -1,0 +1,132 @@
+"""DAgger: drives with the present network in the training scenes, in lockstep, and labels what it saw by what is true.
+
+What a follower sees depends on how it drives. The shards that its own drives make are of the same form as those of ``data.py``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_path_following.types import RecordedPath
+from gibson_sim.errors import SceneError
+from gibson_sim_learn.path_following.cases import draw_cases
+from gibson_sim_learn.path_following.data import (
+    HFOV,
+    Shard,
+    World,
+    camera_poses,
+    column_bearings,
+    free_distances,
+    make_pairs,
+    path_row,
+    save_shard,
+    with_bodies,
+)
+from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
+from gibson_sim_learn.path_following.drives import Driver, PathSite, Recording, Trace, follow, record
+
+F64 = NDArray[np.float64]
+LENGTHS = (5.0, 7.0, 9.0, 11.0)
+"""Lengths of the paths, metres; one after another."""
+_MOVED, _TURNED = 0.03, math.radians(3.0)
+"""A view is kept if the robot moved or turned so far since the one before, metres and radians."""
+
+DriverOf = Callable[[RecordedPath], Driver]
+"""Makes the driver of a path."""
+
+
+def drive_all(
+    folder: Path,
+    scenes: Sequence[str],
+    drives: int,
+    seed: int,
+    driver_of: DriverOf,
+    progress: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Makes the shards of one round that are missing, one of each drive.
+
+    Args:
+        folder: where they are put.
+        scenes: names of the scenes.
+        drives: drives in each.
+        seed: of paths and conditions; another one for each round.
+        driver_of: makes the driver of a path: a follower with the network.
+        progress: called after each drive, with how it went.
+    """
+    for scene in scenes:
+        names = [folder / f"{scene}-{number:03d}" for number in range(drives)]
+        if all(name.is_dir() for name in names):
+            continue
+        world = World.load(scene)
+        with PathSite(scene) as site:
+            for number, name in enumerate(names):
+                if name.is_dir():
+                    continue
+                length = LENGTHS[number % len(LENGTHS)]
+                case = draw_cases(site.ground, scene, length, number // len(LENGTHS) + 1, seed)[-1]
+                conditions = draw(TRAINED, np.random.default_rng([seed, number]))
+                try:
+                    recording = record(site, case)
+                    trace = _driven(site, recording, driver_of(recording.path), conditions, number)
+                except SceneError as error:  # a path that the robot cannot be put on
+                    progress(f"{name.name}: {error}")
+                    continue
+                save_shard(name, drive_shard(world, site, recording, trace, conditions, seed))
+                progress(f"{name.name}: {trace.ended}, coverage {trace.outcome(recording).coverage:.2f}")
+
+
+def _driven(site: PathSite, recording: Recording, driver: Driver, conditions: Conditions, seed: int) -> Trace:
+    return follow(site, recording, lambda _: driver, conditions, seed, keep_views=True)
+
+
+def drive_shard(world: World, site: PathSite, recording: Recording, trace: Trace, conditions: Conditions, seed: int) -> Shard:
+    """Returns what was seen on a drive, and what is true about it.
+
+    Args:
+        world: the scene and its maps.
+        site: where it was driven.
+        recording: the path.
+        trace: the drive, with its images.
+        conditions: of the drive.
+        seed: of the choice of pairs of different places.
+    """
+    kept = kept_ticks(np.array([tick.pose for tick in trace.ticks]))
+    nodes = np.array(recording.poses)
+    later = np.array([trace.ticks[k].pose for k in kept])
+    rows = [path_row(node.distance) for node in recording.path.nodes]
+    nearest = np.linalg.norm(later[:, None, :2] - nodes[None, :, :2], axis=2).argmin(axis=1)
+    ahead = site.rig.ahead
+    before, after = camera_poses(nodes, ahead), camera_poses(later, ahead)
+    scene = world.scene
+    floor = world.floor
+    if trace.layout is not None:
+        floor = with_bodies(scene, world.bare, trace.layout.bodies)
+    bearings = column_bearings(HFOV), column_bearings(HFOV + conditions.hfov_change)
+    free = [free_distances(world.floor, before, bearings[0]), free_distances(floor, after, bearings[1])]
+    pairs = make_pairs(
+        after,
+        [(0, rows[node]) for node in nearest],
+        before,
+        [(0, row) for row in rows],
+        floor,
+        np.random.default_rng(seed),
+    )
+    pairs["later"] += len(before)
+    images = [node.view[0] for node in recording.path.nodes] + [trace.views[k][0] for k in kept]
+    return Shard(np.stack(images), np.concatenate(free).astype(np.float32), pairs)
+
+
+def kept_ticks(poses: F64) -> list[int]:
+    """Returns the rows of poses (N, 3) at which a robot has moved or turned since the one that was kept before."""
+    kept = [0]
+    for k, pose in enumerate(poses):
+        last = poses[kept[-1]]
+        turned = abs((pose[2] - last[2] + math.pi) % (2.0 * math.pi) - math.pi)
+        if math.dist(pose[:2], last[:2]) >= _MOVED or turned >= _TURNED:
+            kept.append(k)
+    return kept

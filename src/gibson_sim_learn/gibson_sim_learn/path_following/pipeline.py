@@ -1,0 +1,81 @@
+"""The whole training by one call: data, training, rounds of DAgger, the network as ONNX and its card. Needs PyTorch and onnx."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gibson_path_following.follower import PathFollower
+from gibson_path_following.learned import LearnedPolicy, PathModel
+from gibson_path_following.types import RecordedPath
+from gibson_sim_learn.path_following.dagger import drive_all
+from gibson_sim_learn.path_following.data import make_data
+from gibson_sim_learn.path_following.drives import FollowerDriver
+from gibson_sim_learn.path_following.export import export_network, write_card
+from gibson_sim_learn.path_following.sampling import Sampler
+from gibson_sim_learn.path_following.settings import TrainingSettings
+from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
+from gibson_sim_learn.path_following.training import CurvePoint, Training
+
+MODEL, CARD = "path_following.onnx", "path_following.md"
+"""Files of a training's folder: the network, and its card."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a training left."""
+
+    model: Path
+    card: Path
+    point: CurvePoint
+    """Errors of the network on the validation scenes."""
+    size: int
+    """Of the model, bytes."""
+
+
+def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], None] = lambda text: None) -> Learned:
+    """Trains in a folder, or goes on there, and writes the network.
+
+    Args:
+        folder: data, checkpoint, curve, network and card are put here.
+        settings: the configuration.
+        progress: called with one line now and then.
+
+    Raises:
+        GibsonSimError: nothing can be drawn here, or the folder holds another training.
+    """
+    data, validation = folder / "data" / "training", folder / "data" / "validation"
+
+    def told(name: str, done: int, total: int) -> None:
+        progress(f"data: {name}, {done} of {total} shards")
+
+    make_data(data, TRAINING, settings.shards, settings.seed, settings.data, told)
+    make_data(validation, VALIDATION, settings.validation_shards, settings.seed, settings.data, told)
+    training, judge = Training(folder, settings), Sampler.of_folders([validation])
+    training.run(Sampler.of_folders([data]), judge, settings.iterations, progress)
+    driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
+    for number, drives in enumerate(driven):
+        if training.round == number:
+            _drive(drives, folder / f"round-{number}.onnx", training, number, progress)
+            training.begin_round()
+        until = settings.iterations + (number + 1) * settings.dagger_iterations
+        training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, progress)
+    every = Sampler.of_folders([data, *driven])
+    size = export_network(training.network, folder / MODEL)
+    point = training.curve[-1]
+    counts = {"images": every.image_count, "pairs": every.pair_count}
+    write_card(folder / CARD, settings, training.network, point, counts)
+    return Learned(folder / MODEL, folder / CARD, point, size)
+
+
+def _drive(folder: Path, model: Path, training: Training, number: int, progress: Callable[[str], None]) -> None:
+    """Makes the drives of a round with the network as it is; an interrupted round goes on with the same network."""
+    if not model.is_file():
+        export_network(training.network, model)
+    network, settings = PathModel(model), training.settings
+
+    def driver_of(path: RecordedPath) -> FollowerDriver:
+        return FollowerDriver(PathFollower(path, LearnedPolicy(path, network)))
+
+    drive_all(folder, TRAINING, settings.dagger_drives, settings.seed + number + 1, driver_of, progress)

@@ -1,0 +1,119 @@
+"""What is true about images of drives: free distances, relative poses, pairs, shards. No scene is loaded."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim_learn.path_following.data import (
+    HFOV,
+    Shard,
+    column_bearings,
+    free_distances,
+    is_match,
+    load_shard,
+    make_pairs,
+    missing_shards,
+    relative_pose,
+    save_shard,
+    smooth_path,
+)
+
+CELL = 0.05
+
+
+def room() -> FloorMap:
+    """Returns a room of 4 x 4 m from the origin on, with a wall at x = 3 m that leaves y > 3 m free."""
+    occupied = np.zeros((80, 80), bool)
+    occupied[:60, 60:62] = True
+    return FloorMap(CELL, (0.0, 0.0), occupied, np.ones((80, 80), bool))
+
+
+def test_free_distance_ends_at_the_wall() -> None:
+    found = free_distances(room(), np.array([[1.0, 2.0, 0.0]]), np.array([0.0, math.pi]))
+    np.testing.assert_allclose(found, [[2.0, 1.0]], atol=0.02)
+
+
+def test_free_distance_is_at_most_three_metres_and_turns_with_the_robot() -> None:
+    found = free_distances(room(), np.array([[0.5, 3.5, 0.0], [0.5, 3.5, -math.pi / 2.0]]), np.array([0.0]))
+    np.testing.assert_allclose(found[:, 0], [3.0, 3.0])
+
+
+def test_directions_go_from_left_to_right() -> None:
+    bearings = column_bearings(HFOV, 2)
+    # The middles of two halves lie at half the tangent of half the field of view.
+    assert bearings[0] == pytest.approx(math.atan(0.5 * math.tan(HFOV / 2.0)))
+    assert bearings[1] == pytest.approx(-bearings[0])
+
+
+def test_relative_pose_is_in_the_frame_of_the_first() -> None:
+    found = relative_pose(np.array([1.0, 1.0, math.pi / 2.0]), np.array([0.5, 3.0, math.pi]))
+    np.testing.assert_allclose(found, [2.0, 0.5, math.pi / 2.0], atol=1e-12)
+
+
+def test_images_that_look_elsewhere_or_are_far_away_match_not() -> None:
+    poses = np.array([[1.0, 0.2, 0.3], [3.0, 0.0, 0.0], [1.0, 1.5, 0.0], [1.0, 0.0, 1.5], [-1.0, 0.0, 0.0]])
+    assert is_match(poses).tolist() == [True, False, False, False, False]
+
+
+def test_pairs_are_those_ahead_on_the_same_path_and_some_of_others() -> None:
+    later = np.array([[1.0, 2.0, 0.0]])
+    recorded = np.array([[0.0, 2.0, 0.0], [2.0, 2.0, 0.0], [3.5, 2.0, 0.0], [2.0, 2.2, 0.0]])
+    # Rows are 5 cm: the first is 1 m behind, the second 1 m ahead, the third 2.5 m; the fourth is on another path.
+    pairs = make_pairs(
+        later, [(0, 20)], recorded, [(0, 0), (0, 40), (0, 70), (1, 20)], room(), np.random.default_rng(0), negatives=0
+    )
+    assert pairs["recorded"].tolist() == [1]
+    np.testing.assert_allclose([pairs["x"][0], pairs["y"][0], pairs["yaw"][0]], [1.0, 0.0, 0.0])
+    assert pairs["match"].all()
+
+
+def test_images_with_a_wall_between_match_not() -> None:
+    pairs = make_pairs(
+        np.array([[2.5, 1.0, 0.0]]),
+        [(0, 0)],
+        np.array([[3.5, 1.0, 0.0]]),
+        [(0, 20)],
+        room(),
+        np.random.default_rng(0),
+        negatives=0,
+    )
+    assert pairs["match"].tolist() == [False]
+
+
+def test_smooth_path_rounds_its_corner_and_looks_along_it() -> None:
+    floor = FloorMap(CELL, (0.0, 0.0), np.zeros((80, 80), bool), np.ones((80, 80), bool))
+    path = smooth_path(np.array([[0.5, 0.5], [2.0, 0.5], [2.0, 2.0]]), floor.free, floor)
+    np.testing.assert_allclose(path[0], [0.5, 0.5, 0.0], atol=0.02)
+    assert path[-1, 2] == pytest.approx(math.pi / 2.0, abs=0.02)
+    assert np.linalg.norm(path[:, :2] - [2.0, 0.5], axis=1).min() > 0.05
+    assert np.abs(np.diff(path[:, 2])).max() < 0.4
+
+
+def test_shards_come_back_as_they_were_saved(tmp_path: Path) -> None:
+    shard = _shard(3)
+    save_shard(tmp_path / "a-000", shard)
+    found = load_shard(tmp_path / "a-000")
+    np.testing.assert_array_equal(found.images, shard.images)
+    np.testing.assert_array_equal(found.pairs, shard.pairs)
+    assert list(missing_shards(tmp_path, ("a", "b"), 2)) == [("b", 0), ("a", 1), ("b", 1)]
+
+
+def test_broken_shard_is_one_line(tmp_path: Path) -> None:
+    save_shard(tmp_path / "a-000", _shard(3))
+    (tmp_path / "a-000" / "free.npy").write_bytes(b"nothing")
+    with pytest.raises(ConfigError, match="not a shard of data"):
+        load_shard(tmp_path / "a-000")
+
+
+def _shard(count: int) -> Shard:
+    rng = np.random.default_rng(0)
+    poses = np.column_stack([np.linspace(0.5, 1.5, count), np.full(count, 2.0), np.zeros(count)])
+    pairs = make_pairs(poses, [(0, 0)] * count, poses, [(0, 0)] * count, room(), rng)
+    images = rng.integers(0, 256, (count, 64, 96, 3)).astype(np.uint8)
+    return Shard(images, np.ones((count, 24), np.float32), pairs)

@@ -1,0 +1,50 @@
+"""Batches from shards: what belongs together stays together, also when it is mirrored."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim_learn.path_following.data import DIRECTIONS, PAIR, Shard
+from gibson_sim_learn.path_following.sampling import Sampler
+
+
+def shard() -> Shard:
+    """Returns four images, bright on their right half; the first two are recorded, the third was seen later, the last has no pairs."""
+    images = np.zeros((4, 64, 96, 3), np.uint8)
+    images[:, :, 48:] = (np.arange(4) * 40 + 80)[:, None, None, None]
+    free = np.tile(np.linspace(1.0, 2.0, DIRECTIONS, dtype=np.float32), (4, 1))
+    pairs = np.array([(2, 0, 1.0, 0.5, 0.25, True), (2, 1, 2.0, -0.5, -0.25, False)], dtype=PAIR)
+    return Shard(images, free, pairs)
+
+
+def test_pairs_belong_to_their_later_image() -> None:
+    batch = Sampler([shard()]).batch(np.random.default_rng(0), 40, 2, augment=False)
+    later = batch.later[:, 0, 95, 0]
+    assert batch.has_pairs.tolist() == (later == 160).tolist()
+    assert batch.has_pairs.any()
+    of_pairs = batch.recorded[batch.has_pairs][:, :, 0, 95, 0]
+    np.testing.assert_array_equal(batch.pose[batch.has_pairs][..., 0], np.where(of_pairs == 80, 1.0, 2.0))
+    np.testing.assert_array_equal(batch.match[batch.has_pairs], of_pairs == 80)
+
+
+def test_mirrored_images_have_mirrored_truth() -> None:
+    batch = Sampler([shard()]).batch(np.random.default_rng(1), 60, 1)
+    mirrored = batch.later[:, :, :40].mean(axis=(1, 2, 3)) > batch.later[:, :, 56:].mean(axis=(1, 2, 3))
+    assert 0 < mirrored.sum() < 60
+    np.testing.assert_array_equal(batch.free[:, 0] > batch.free[:, -1], mirrored)
+    match = batch.match[:, 0]
+    np.testing.assert_allclose(batch.pose[match, 0, 1], np.where(mirrored[match], -0.5, 0.5))
+    np.testing.assert_allclose(batch.pose[match, 0, 2], np.where(mirrored[match], -0.25, 0.25))
+
+
+def test_equal_generators_give_equal_batches() -> None:
+    first, second = (Sampler([shard()]).batch(np.random.default_rng(3), 8, 2) for _ in range(2))
+    np.testing.assert_array_equal(first.later, second.later)
+    np.testing.assert_array_equal(first.recorded, second.recorded)
+
+
+def test_no_data_is_one_line() -> None:
+    with pytest.raises(ConfigError, match="no data to train on"):
+        Sampler([])
