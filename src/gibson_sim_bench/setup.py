@@ -27,7 +27,15 @@ setup(
     packages=find_packages(include=[NAME, NAME + ".*"]),
     package_data={NAME: ["py.typed"]},
     python_requires=">=3.10",
-    install_requires=["gibson_sim==0.1.0", "gibson_sim_tools==0.1.0", "numpy", "opencv-python-headless", "PyYAML"],
+    install_requires=[
+        "gibson_sim==0.1.0",
+        "gibson_sim_tools==0.1.0",
+        "gibson_sim_learn==0.1.0",
+        "gibson_path_following==0.1.0",
+        "numpy",
+        "opencv-python-headless",
+        "PyYAML",
+    ],
     extras_require={"plots": ["matplotlib>=3.8"], "web": ["playwright>=1.50"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),

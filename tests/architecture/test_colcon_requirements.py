@@ -30,7 +30,11 @@ BOUNDS = {"numpy"}
 """Packages that the file names only to keep pip from replacing them."""
 WORTH_HAVING = {"numba", "meshoptimizer"}
 """Optional packages that the file installs."""
-WITHOUT = {"gibson_sim.tasks.environments": "gymnasium", "gibson_sim.pytest": "pytest", "gibson_sim_tools.making.blender": "bpy"}
+WITHOUT = {
+    "gibson_sim.tasks.environments": "gymnasium", "gibson_sim.pytest": "pytest", "gibson_sim_tools.making.blender": "bpy",
+    "gibson_sim_learn.path_following.network": "torch", "gibson_sim_learn.path_following.training": "torch",
+    "gibson_sim_learn.path_following.export": "onnx", "gibson_sim_learn.path_following.pipeline": "onnx",
+}  # fmt: skip
 """Modules, or folders of them, that need an optional package -> that package."""
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 IMPORT_ALL = r"""

@@ -1,0 +1,30 @@
+"""The policy that a name stands for."""
+
+from __future__ import annotations
+
+import pytest
+
+from gibson_path_following.backends import BACKENDS, make_policy
+from gibson_path_following.errors import ModelError, SettingError
+from gibson_path_following.teach_repeat import TeachRepeatPolicy
+from support.path_views import straight_path
+
+
+def test_teach_and_repeat_has_the_limits_and_shares_its_nodes_with_the_localiser() -> None:
+    policy, localiser = make_policy("teach_repeat", straight_path(), 0.25, 0.5)
+    assert isinstance(policy, TeachRepeatPolicy)
+    assert (policy.settings.max_linear, policy.settings.max_angular) == (0.25, 0.5)
+    assert policy.nodes is localiser.nodes
+
+
+@pytest.mark.parametrize("name", ["learned:none.onnx", "onnx:none.onnx"])
+def test_a_network_that_is_not_there_is_named(name: str) -> None:
+    with pytest.raises(ModelError, match=r"none\.onnx"):
+        make_policy(name, straight_path())
+
+
+@pytest.mark.parametrize("name", ["", "magic", "learned:", "onnx:", "teach_repeat:x"])
+def test_other_names_are_refused_with_those_that_there_are(name: str) -> None:
+    with pytest.raises(SettingError, match="must be teach_repeat, learned, learned:FILE or onnx:FILE"):
+        make_policy(name, straight_path())
+    assert name not in BACKENDS
