@@ -32,15 +32,15 @@ setup:
 run: setup
 	@'$(BIN)/gibson-sim' run $(ARGS)
 
-# Tests that start nodes as processes run one after the other: each needs the machine, and a ROS domain, for itself.
-# A failed one gets a second attempt; a first failure is printed at the end as FLAKY and needs a fix all the same.
+# Tests that start nodes as processes mostly wait: for time that passes, for nodes that find each other. So two files of them run at a time, each
+# in a ROS domain of its own. A failed test gets a second attempt; a first failure is printed at the end as FLAKY and needs a fix all the same.
 NODES := tests/ros tests/acceptance
 
 ifeq ($(strip $(PYTEST_ARGS)),)
 test: setup
 	@code=0; \
 	'$(BIN)/python' -m pytest -n auto --maxprocesses 4 --dist loadfile $(NODES:%=--ignore=%) || code=$$?; \
-	'$(BIN)/python' -m pytest --reruns 1 --durations 20 $(NODES) || code=$$?; \
+	'$(BIN)/python' -m pytest -n auto --maxprocesses 2 --dist loadfile --reruns 1 --durations 20 $(NODES) || code=$$?; \
 	exit $$code
 else
 test: setup

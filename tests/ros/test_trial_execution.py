@@ -165,7 +165,11 @@ def test_shell_script_is_a_stack_and_the_true_pose_decides(room: str, tmp_path: 
     scenario = scenario_of("./script.sh", lockstep=False, limits=Limits(wall_time=PATIENCE_S))
     scenario = replace(scenario, stack=replace(scenario.stack, status=Status()))
     outcome = execute(scenario, run_in(room, 0.8), tmp_path, domains=DOMAINS)
-    assert outcome.end == "reached"
+    assert outcome.end == "reached", (
+        outcome.detail,
+        (tmp_path / "stack.log").read_text(),
+        (tmp_path / "simulation.log").read_text(),
+    )
     assert outcome.detail.endswith("m from the goal")
     assert outcome.end_ns - outcome.decided_ns >= NS, "it has stood there for a second"
 
