@@ -28,7 +28,7 @@ class LocaliserSettings:
     """Standard deviation of that share."""
     drift: float = 0.15
     """Standard deviation of the motion between two views that no command explains, nodes."""
-    drift_unknown: float = 1.0
+    drift_unknown: float = 3.0
     """The same where no commands are known, nodes."""
     turn_radius: float = 0.3
     """Metres that a radian of a turn counts as."""
@@ -40,10 +40,12 @@ class LocaliserSettings:
     """Share of the belief that is spread over the whole path with each view."""
     least_score: float = 0.38
     """Score of the best node near the believed place, below which the images do not fit there: confidence is 0."""
-    least_confidence: float = 0.4
-    """Confidence below which the images fit to several places."""
+    least_share: float = 0.5
+    """Share of the belief within ``fit_radius`` below which the images fit to several places."""
+    fit_radius: float = 3.0
+    """Nodes around the believed place that count as one place."""
     lost_after: int = 4
-    """Views in a row with too little score or confidence, after which the robot is lost."""
+    """Views in a row with too little score or share of the belief, after which the robot is lost."""
     found_after: int = 2
     """Views in a row with enough of both, after which it is found again."""
 
@@ -59,7 +61,8 @@ class LocaliserSettings:
             ("outliers", 0.0, 0.99),
             ("relocation", 0.0, 0.5),
             ("least_score", -1.0, 1.0),
-            ("least_confidence", 0.0, 1.0),
+            ("least_share", 0.0, 1.0),
+            ("fit_radius", 0.5, 1000.0),
             ("lost_after", 1, 1000),
             ("found_after", 1, 1000),
         ):
@@ -84,12 +87,15 @@ class NodeMatcher:
         """
         height, width = path.nodes[0].view[0].shape[:2]
         self.preprocessor = Preprocessor(path.camera, path.hfov, (width, height), preprocessing)
+        self._newest: tuple[View, NDArray[np.float32]] | None = None
         self.matcher = Matcher(self.preprocessor, [self.pattern(node.view) for node in path.nodes], matching)
         self.nodes = len(path.nodes)
 
     def pattern(self, view: View) -> NDArray[np.float32]:
-        """Returns the normalised panorama of a view, as ``Matcher.match`` takes it."""
-        return self.preprocessor.normalised(self.preprocessor.panorama(view))
+        """Returns the normalised panorama of a view, as ``Matcher.match`` takes it; that of the newest view is kept."""
+        if self._newest is None or self._newest[0] is not view:
+            self._newest = view, self.preprocessor.normalised(self.preprocessor.panorama(view))
+        return self._newest[1]
 
 
 class Localiser:
@@ -186,11 +192,11 @@ class Localiser:
         low, high = max(0, centre - settings.cells_per_node), centre + settings.cells_per_node + 1
         part = self._belief[low:high]
         index = float((part * self.places[low:high]).sum() / part.sum())
-        near = np.abs(self.places - index) <= 1.0
-        confidence = float(min(1.0, self._belief[near].sum()))
-        if scores[near].max() < settings.least_score:
-            confidence = 0.0
-        fits = confidence >= settings.least_confidence
+        away = np.abs(self.places - index)
+        near = away <= 1.0
+        fits = bool(scores[near].max() >= settings.least_score)
+        confidence = float(min(1.0, self._belief[near].sum())) if fits else 0.0
+        fits = fits and bool(self._belief[away <= settings.fit_radius].sum() >= settings.least_share)
         self._fits = self._fits + 1 if fits else 0
         self._doubts = 0 if fits else self._doubts + 1
         if self._is_lost and self._fits >= settings.found_after:
