@@ -92,4 +92,5 @@ _KINDS = {
     "launch.substitutions": ("EqualsSubstitution", "LaunchConfiguration"),
     "launch_ros": (),
     "launch_ros.actions": ("Node",),
+    "launch_ros.parameter_descriptions": ("ParameterValue",),
 }

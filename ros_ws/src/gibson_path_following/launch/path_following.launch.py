@@ -37,7 +37,7 @@ def generate_launch_description():
         [
             DeclareLaunchArgument("path", description="folder of the path, as path_recorder wrote it"),
             DeclareLaunchArgument(
-                "backend", default_value="teach_repeat", description="policy: teach_repeat, learned, learned:FILE"
+                "backend", default_value="teach_repeat", description="policy: teach_repeat, learned, learned:FILE, onnx:FILE"
             ),
             DeclareLaunchArgument("namespace", default_value="", description="namespace of the robot"),
             DeclareLaunchArgument("sim_time", default_value="true", description="time of /clock; false on a robot"),

@@ -20,6 +20,9 @@ _QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 _BACK_NS = 1_000_000_000
 """How far stamps must go back for time to have jumped, ns: a reset of the simulation, or a bag that plays again."""
 
+_PATIENCE_NS = 2_000_000_000
+"""How long images may come without camera_info before a warning, ns."""
+
 
 class CameraInput:
     """Views of one path's camera, from the topics of a node.
@@ -51,6 +54,8 @@ class CameraInput:
         self._infos: dict[str, Calibration | None] = {}
         self._used_ns: dict[str, int] = {}
         """Stamp of the newest image that was used, by camera, ns."""
+        self._waiting_ns: int | None = None
+        """Stamp of the first image that had no camera_info, ns."""
         self._period_ns = 0 if options.rate_hz == 0.0 else round(conversions.NS_PER_S / options.rate_hz)
         self._subscriptions = []
         for name, topic in zip(IMAGES_OF[kind], options.image_topics, strict=True):
@@ -90,7 +95,7 @@ class CameraInput:
         if used is not None and stamp - used < 0.9 * self._period_ns:
             return
         try:
-            camera = self._camera(name, topic)
+            camera = self._camera(name, topic, stamp)
             if camera is None:
                 return
             rgb = conversions.rgb_of_compressed(msg) if compressed else conversions.rgb_of_image(msg)
@@ -102,9 +107,12 @@ class CameraInput:
         if view is not None:
             self._on_view(*view)
 
-    def _camera(self, name: str, topic: str) -> ViewCamera | None:
+    def _camera(self, name: str, topic: str, stamp: int) -> ViewCamera | None:
         """Returns the camera of an image; None while its camera_info or its field of view is not known."""
         if self._options.use_camera_info and name not in self._infos:
+            self._waiting_ns = min(stamp, self._waiting_ns or stamp)
+            if stamp - self._waiting_ns < _PATIENCE_NS:
+                return None
             self._node.get_logger().warning(
                 f"no camera_info beside {topic} yet; publish it, or set use_camera_info to false", throttle_duration_sec=5.0
             )
