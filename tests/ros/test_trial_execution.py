@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from support.processes import is_running
 from support.scenes import write_room
 from support.simulation import require
 
@@ -110,7 +111,9 @@ def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_p
     digests = [read_run(tmp_path / str(number) / "bag", digests=True).digests for number in range(2)]
     assert len(digests[0]) == first.end_ns * 60 // NS, "a digest for each tick, of 60 in a second"
     assert digests[0] == digests[1]
-    assert "the stack starts" in (tmp_path / "0" / "stack.log").read_text()
+    said = (tmp_path / "0" / "stack.log").read_text()
+    assert "the stack starts" in said
+    assert not is_running(int(said.partition("without environment: ")[2].split()[0]))
     assert "physics  | INFO lockstep: 'trial' joined" in (tmp_path / "0" / "simulation.log").read_text()
 
 

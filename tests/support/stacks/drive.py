@@ -70,7 +70,9 @@ class Drive(LifecycleNode):
 def main() -> None:
     how = sys.argv[1] if len(sys.argv) > 1 else ""
     if how == "daemon":
-        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True)
+        waits = [sys.executable, "-c", "import time; time.sleep(600)"]
+        subprocess.Popen(waits, start_new_session=True)
+        print("without environment:", subprocess.Popen(waits, start_new_session=True, env={}).pid, flush=True)
     print("the stack starts", os.getpid(), flush=True)
     rclpy.init()
     node = Drive(how)
