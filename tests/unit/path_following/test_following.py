@@ -100,6 +100,12 @@ def test_a_robot_that_looks_to_the_left_is_turned_to_the_right() -> None:
     assert 0.0 < found.linear < 0.4
 
 
+def test_it_slows_down_while_an_image_does_not_fit() -> None:
+    policy = TeachRepeatPolicy(straight_path())
+    found = policy.act(pinhole_view(4.0), 0, Place(4.0, 0.0, False))
+    assert found.linear == pytest.approx(0.2, abs=0.01)
+
+
 def test_turns_of_the_path_are_driven_and_are_no_heading_error() -> None:
     # 0.2 rad/s for 0.5 s: each node looks 0.1 rad further to the left, which a view of the node before shows as well.
     path = straight_path(angular=0.2)

@@ -32,6 +32,8 @@ class TeachRepeatSettings:
     """How far ahead of the believed place recorded velocities are read, seconds."""
     slow_error: float = 0.6
     """Heading error at which the robot turns almost in place, radians."""
+    doubtful: float = 0.5
+    """Share of the speed while an image does not fit where the robot is believed to be; it stops if that lasts."""
     least_score: float = 0.25
     """Score below which a node tells nothing about the heading."""
 
@@ -44,6 +46,7 @@ class TeachRepeatSettings:
             ("ahead", 0, 100),
             ("preview", 0.0, 5.0),
             ("slow_error", 0.01, math.pi),
+            ("doubtful", 0.0, 1.0),
             ("least_score", -1.0, 1.0),
         ):
             value = getattr(self, name)
@@ -86,6 +89,8 @@ class TeachRepeatPolicy:
         linear = float(np.interp(at, middles, self._velocities[:, 0]))
         angular = float(np.interp(at, middles, self._velocities[:, 1])) + settings.gain * error
         linear *= max(0.1, 1.0 - (error / settings.slow_error) ** 2)
+        if place.confidence <= 0.0:
+            linear *= settings.doubtful
         return Velocity(
             float(np.clip(linear, -settings.max_linear, settings.max_linear)),
             float(np.clip(angular, -settings.max_angular, settings.max_angular)),
