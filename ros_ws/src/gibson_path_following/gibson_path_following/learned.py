@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gibson_path_following.arcs import ArcPlanner, ArcSettings
 from gibson_path_following.errors import ModelError, SettingError, ViewError, quoted
+from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
 from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
@@ -28,6 +29,10 @@ _TURN_METRES = 0.3
 """Distance that a radian of heading counts as, metres, where two parts of a path are near."""
 _JUMP = 0.2
 """Distance that a metre along the path counts as, beyond the first metre from where the robot was."""
+_PLACE_DEVIATION = 0.3
+"""Standard deviation of the localiser's place along the path, metres."""
+_OVERSHOOT = 0.1
+"""Distance beyond the end of the path at which the robot stops by itself, metres."""
 _INPUTS = ("present", "recorded")
 _OUTPUTS = ("pose", "scale", "match", "free")
 
@@ -140,6 +145,13 @@ class LearnedSettings:
     """Distance along the path between the localiser's place and the network's at which they disagree, metres."""
     far_off_views: int = 5
     """Views in a row in which they disagree, after which the network begins anew at the localiser's place."""
+    columns: bool = True
+    """Also correct the pose by the columns that the view is shifted against recorded ones, and by the localiser's place; off = by the
+    network alone."""
+    least_score: float = 0.3
+    """Score of such a shift below which it tells nothing."""
+    least_confidence: float = 0.6
+    """Confidence of the localiser below which its place tells nothing."""
     arcs: ArcSettings = field(default_factory=ArcSettings)
     """The local planner."""
 
@@ -154,6 +166,8 @@ class LearnedSettings:
             ("usual_linear", 0.01, 10.0),
             ("least_linear", 0.0, 10.0),
             ("unseen_views", 0, 1000),
+            ("least_score", -1.0, 1.0),
+            ("least_confidence", 0.0, 1.0),
             ("far_off", 0.1, 1000.0),
             ("far_off_views", 1, 1000),
         ):
@@ -166,7 +180,11 @@ class LearnedPolicy:
     """A ``Policy`` with a network: it sees where beside its path the robot is, and what is free."""
 
     def __init__(
-        self, path: RecordedPath, model: Path | PathModel = DEFAULT_MODEL, settings: LearnedSettings | None = None
+        self,
+        path: RecordedPath,
+        model: Path | PathModel = DEFAULT_MODEL,
+        settings: LearnedSettings | None = None,
+        nodes: NodeMatcher | None = None,
     ) -> None:
         """Loads the network and prepares the images of the path.
 
@@ -174,6 +192,7 @@ class LearnedPolicy:
             path: a path of one pinhole camera.
             model: the network, or its file.
             settings: None = the defaults.
+            nodes: the nodes of this path, if they are prepared already.
 
         Raises:
             ModelError: the network cannot be used.
@@ -190,6 +209,7 @@ class LearnedPolicy:
         self._poses: F64 = self._seen_poses() if poses is None else poses
         """(N, 3), of the nodes in the frame of the path."""
         self._speeds = np.array([self._speed(part) for part in segments(path)])
+        self._nodes = (nodes or NodeMatcher(path)) if self.settings.columns else None
         self._planner = ArcPlanner(self.settings.arcs)
         self.filter = PoseFilter()
         """Where beside the path the robot is."""
@@ -230,14 +250,35 @@ class LearnedPolicy:
             self.filter.correct(self._poses[nodes[k]], self._in_base(sighting.pose[k]), sighting.scale[k], 1.0 / len(seen))
             for k in seen
         ]
+        if self._nodes is not None:
+            fits.append(self._correct_by_columns(self._nodes, view, place, believed))
         self._unseen = 0 if any(fits) else self._unseen + 1
         velocity = STOP if self._unseen > settings.unseen_views else self._towards(sighting.free)
         self._last = stamp_ns, velocity
         return velocity
 
+    def _correct_by_columns(self, nodes: NodeMatcher, view: View, place: Place, believed: float) -> bool:
+        """Corrects the pose by the nodes next to the robot and by the localiser; returns whether one of the nodes was plausible."""
+        if place.confidence >= self.settings.least_confidence and abs(believed - self._here) < self.settings.far_off:
+            self.filter.correct_along(self._at(believed), _PLACE_DEVIATION)
+        first = int(np.searchsorted(self._distances, self._along() - 0.05).clip(0, len(self._distances) - 1))
+        end = min(first + 2, len(self._distances))
+        matches = nodes.matcher.match(nodes.pattern(view), first, end)
+        return any(
+            score >= self.settings.least_score and self.filter.correct_heading(self._poses[first + k], float(turn))
+            for k, (score, turn) in enumerate(zip(matches.scores, matches.turns, strict=True))
+        )
+
     def _towards(self, free: F64) -> Velocity:
         here = self._along()
-        goal = relative(self.filter.pose, self._at(min(here + self.settings.ahead, self._distances[-1])))
+        end = self._poses[-1]
+        beyond, _, _ = relative(end, self.filter.pose)
+        if here >= self._distances[-1] - 1e-6 and beyond > _OVERSHOOT:
+            return STOP
+        at = self._at(here + self.settings.ahead)
+        # The path goes on straight behind its end, so that the robot arrives there at its speed; the follower stops it.
+        more = max(0.0, here + self.settings.ahead - self._distances[-1])
+        goal = relative(self.filter.pose, at + more * np.array([math.cos(end[2]), math.sin(end[2]), 0.0]))
         middles = 0.5 * (self._distances[1:] + self._distances[:-1])
         limit = max(self.settings.least_linear, self.settings.speed_ratio * float(np.interp(here, middles, self._speeds)))
         found = self._planner.velocity(goal, self._obstacles(free))

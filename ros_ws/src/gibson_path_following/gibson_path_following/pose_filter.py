@@ -27,6 +27,12 @@ _FLOOR = (0.03, 0.03, 0.02)
 """Least standard deviation of a sighting, metres and radians."""
 _TRUST = 1.3
 """Standard deviation of a sighting by the mean absolute error that the network expects."""
+_PARALLAX = 0.5
+"""Radians by which columns shift for each metre that the robot is beside a node: that of things 2 m away."""
+_COLUMNS_DEVIATION = 0.08
+"""Standard deviation of a turn by columns, radians."""
+_COLUMNS_GATE = 9.0
+"""Squared innovation, by its variance, beyond which a turn by columns counts as wrong."""
 _GATE = 25.0
 """Squared Mahalanobis distance beyond which a sighting counts as wrong."""
 
@@ -115,6 +121,40 @@ class PoseFilter:
         left = np.eye(3) - gain @ jacobian
         self.covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
         return True
+
+    def correct_heading(self, node: F64, turn: float) -> bool:
+        """Corrects the pose by the turn after which the columns of a view look as at a node near by; returns whether that was plausible.
+
+        Args:
+            node: (3,), pose of the node in the frame of the path.
+            turn: radians to the left. What is near shifts the columns, too, if the robot is beside the node: by ``_PARALLAX``.
+        """
+        yaw = float(self.pose[2])
+        s, c = math.sin(yaw), math.cos(yaw)
+        ahead, beside, difference = relative(self.pose, node)
+        innovation = math.remainder(turn - difference - _PARALLAX * beside, 2.0 * math.pi)
+        jacobian = np.array([_PARALLAX * s, -_PARALLAX * c, -1.0 - _PARALLAX * ahead])
+        spread = float(jacobian @ self.covariance @ jacobian) + _COLUMNS_DEVIATION**2
+        if innovation**2 > _COLUMNS_GATE * spread:
+            return False
+        gain = self.covariance @ jacobian / spread
+        self.pose = self.pose + gain * innovation
+        self.covariance = self.covariance - np.outer(gain, gain) * spread
+        return True
+
+    def correct_along(self, at: F64, deviation: float) -> None:
+        """Corrects the pose along the path.
+
+        Args:
+            at: (3,), pose on the path that is level with the robot.
+            deviation: standard deviation of that along the path, metres.
+        """
+        jacobian = np.array([math.cos(at[2]), math.sin(at[2]), 0.0])
+        innovation = float(jacobian @ (at - self.pose))
+        spread = float(jacobian @ self.covariance @ jacobian) + deviation**2
+        gain = self.covariance @ jacobian / spread
+        self.pose = self.pose + gain * innovation
+        self.covariance = self.covariance - np.outer(gain, gain) * spread
 
 
 def relative(frm: F64, to: F64) -> tuple[float, float, float]:
