@@ -9,7 +9,7 @@ import pytest
 
 from gibson_path_following.errors import SettingError
 from gibson_path_following.follower import FollowerSettings, PathFollower
-from gibson_path_following.localisation import Localiser, LocaliserSettings
+from gibson_path_following.localisation import Localiser, LocaliserSettings, NodeMatcher
 from gibson_path_following.motions import CommandLog, Motion, motion_between, segments
 from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import STOP, PathNode, Place, RecordedPath, Velocity, View
@@ -208,3 +208,9 @@ def test_settings_that_cannot_be_are_refused() -> None:
         LocaliserSettings(sharpness=math.nan)
     with pytest.raises(SettingError, match=r"gain is -1, must be 0 to 20"):
         TeachRepeatSettings(gain=-1.0)
+
+
+def test_limits_of_scores_are_lower_for_a_camera_that_sees_all_around() -> None:
+    nodes = tuple(PathNode(fisheye_view(i), i * STEP_NS, 0.2 * i, ()) for i in range(2))
+    assert NodeMatcher(straight_path(2)).score_scale == pytest.approx(1.0, abs=0.01)
+    assert NodeMatcher(RecordedPath("fisheye_pair", math.pi, nodes)).score_scale == pytest.approx(math.sqrt(100.0 / 360.0))

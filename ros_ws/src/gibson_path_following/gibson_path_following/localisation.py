@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from gibson_path_following.preprocessing import PreprocessingSettings, Preproces
 from gibson_path_following.types import Place, RecordedPath, View
 
 F64 = NDArray[np.float64]
+_USUAL_FIELD = math.radians(100.0)
+"""Field of view that limits of scores hold for, radians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +42,9 @@ class LocaliserSettings:
     relocation: float = 0.0001
     """Share of the belief that is spread over the whole path with each view."""
     least_score: float = 0.38
-    """Score of the best node near the believed place, below which the images do not fit there: confidence is 0."""
+    """Score of the best node near the believed place, below which the images do not fit there: confidence is 0.
+
+    For a field of view of 100 degrees; less for a wider one."""
     least_share: float = 0.5
     """Share of the belief within ``fit_radius`` below which the images fit to several places."""
     fit_radius: float = 3.0
@@ -90,6 +95,9 @@ class NodeMatcher:
         self._newest: tuple[View, NDArray[np.float32]] | None = None
         self.matcher = Matcher(self.preprocessor, [self.pattern(node.view) for node in path.nodes], matching)
         self.nodes = len(path.nodes)
+        across = self.preprocessor.columns * self.preprocessor.radians_per_column
+        self.score_scale = min(1.0, math.sqrt(_USUAL_FIELD / across))
+        """Factor on scores that are limits: the more a panorama shows, the less alike are two of different places."""
 
     def pattern(self, view: View) -> NDArray[np.float32]:
         """Returns the normalised panorama of a view, as ``Matcher.match`` takes it; that of the newest view is kept."""
@@ -194,7 +202,7 @@ class Localiser:
         index = float((part * self.places[low:high]).sum() / part.sum())
         away = np.abs(self.places - index)
         near = away <= 1.0
-        fits = bool(scores[near].max() >= settings.least_score)
+        fits = bool(scores[near].max() >= settings.least_score * self.nodes.score_scale)
         confidence = float(min(1.0, self._belief[near].sum())) if fits else 0.0
         fits = fits and bool(self._belief[away <= settings.fit_radius].sum() >= settings.least_share)
         self._fits = self._fits + 1 if fits else 0

@@ -103,7 +103,7 @@ class TeachRepeatPolicy:
         matches = self.nodes.matcher.match(self.nodes.pattern(view), first, end)
         here = float(np.interp(place.index, np.arange(self.nodes.nodes), self._headings))
         errors = matches.turns - (self._headings[first:end] - here)
-        weights = np.maximum(matches.scores - self.settings.least_score, 0.0) ** 2
+        weights = np.maximum(matches.scores - self.settings.least_score * self.nodes.score_scale, 0.0) ** 2
         if weights.sum() < 1e-6:
             return 0.0
         return float((weights * errors).sum() / weights.sum())
