@@ -163,6 +163,7 @@ def test_images_wait_for_their_camera_info(context: Any, folder: Path) -> None:
         ({"rate_hz": -1.0}, "rate_hz"),
         ({"backend": "magic"}, "backend is 'magic'"),
         ({"max_linear": "fast"}, "max_linear is 'fast'"),
+        ({"image_topics": ["a", "b"]}, "image_topics has 2 names"),
     ],
 )
 def test_parameters_that_cannot_be_used_are_one_line(context: Any, folder: Path, values: dict[str, Any], part: str) -> None:

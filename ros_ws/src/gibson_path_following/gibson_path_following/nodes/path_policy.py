@@ -18,7 +18,7 @@ from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.path_localiser import PlacePublisher
 from gibson_path_following.nodes.running import run_node
-from gibson_path_following.options import PolicyOptions
+from gibson_path_following.options import PolicyOptions, check_topics
 from gibson_path_following.path_folder import load_path
 from gibson_path_following.types import STOP, RecordedPath, Velocity, View
 
@@ -81,13 +81,14 @@ class PathPolicyNode(LifecycleNode):
             PathFollowingError: they cannot be used.
         """
         o = self._options
-        self._path = path = load_path(o.path)
+        path = load_path(o.path)
+        check_topics(path.camera, o.image_topics)
         policy, localiser = make_policy(o.backend, path, o.max_linear, o.max_angular)
         settings = FollowerSettings(
             stale_after=o.stale_after, latency=o.latency, max_linear=o.max_linear, max_angular=o.max_angular,
             start=o.start if o.start >= 0.0 else None,
         )  # fmt: skip
-        self._follower = PathFollower(path, policy, settings, localiser)
+        self._path, self._follower = path, PathFollower(path, policy, settings, localiser)
         self._places = PlacePublisher(self, len(path.nodes))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -107,11 +108,7 @@ class PathPolicyNode(LifecycleNode):
         follower.reset()
         self._joy_ns = self._ended_ns = None
         height, width = path.nodes[0].view[0].shape[:2]
-        try:
-            self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump)
-        except PathFollowingError as error:
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
+        self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump)
         if o.deadman_button >= 0:
             self._joy = self.create_subscription(Joy, "joy", self._on_joy, 10)
         self._timer = self.create_timer(1.0 / o.watchdog_hz, self._on_timer)  # in the robot's time: of use_sim_time too
