@@ -39,7 +39,7 @@ class ArcSettings:
     """1/metres."""
     arcs: int = 41
     """Number of arcs that are compared."""
-    braking: float = 1.0
+    braking: float = 0.7
     """Time in which the robot could drive to the end of what is free, seconds: less free space, less speed."""
     least_clear: float = 0.1
     """Free length of the best arc below which the robot does not drive, metres."""

@@ -127,13 +127,13 @@ class LearnedSettings:
 
     looked_for: tuple[float, ...] = (0.2, 0.5, 0.8, 1.2)
     """Recorded images that are compared with each view: distances ahead along the path, metres."""
-    ahead: float = 0.5
+    ahead: float = 0.35
     """Distance along the path of the place that the robot goes for, metres."""
     least_match: float = 0.5
     """Probability below which a recorded image is not seen."""
     camera_ahead: float = 0.12
     """Of the camera in front of the middle of the robot, metres."""
-    speed_ratio: float = 1.1
+    speed_ratio: float = 1.0
     """Largest speed, as a multiple of the recorded one there."""
     usual_linear: float = 0.3
     """Recorded speed where the path has none, m/s."""
