@@ -29,7 +29,7 @@ _TURN_METRES = 0.3
 """Distance that a radian of heading counts as, metres, where two parts of a path are near."""
 _JUMP = 0.2
 """Distance that a metre along the path counts as, beyond the first metre from where the robot was."""
-_PLACE_DEVIATION = 0.3
+_PLACE_DEVIATION = 0.12
 """Standard deviation of the localiser's place along the path, metres."""
 _OVERSHOOT = 0.1
 """Distance beyond the end of the path at which the robot stops by itself, metres."""

@@ -17,7 +17,7 @@ from gibson_path_following.types import RecordedPath, Velocity
 F64 = NDArray[np.float64]
 _START = (0.3, 0.2, 0.2)
 """Standard deviation at the start along the path, across it, and of the heading: metres and radians."""
-_RATIO, _RATIO_DEVIATION = 0.95, 0.15
+_RATIO, _RATIO_DEVIATION = 0.9, 0.15
 """Share of the commanded motion that a robot makes: mean and standard deviation."""
 _DRIFT = (0.01, 0.005, 0.01)
 """Standard deviation of the motion between two views that no command explains: ahead, beside, heading."""
@@ -25,8 +25,8 @@ _TURN_PER_METRE = 0.08
 """Standard deviation of the turn that driving a metre adds, radians."""
 _FLOOR = (0.03, 0.03, 0.02)
 """Least standard deviation of a sighting, metres and radians."""
-_TRUST = 1.3
-"""Standard deviation of a sighting by the mean absolute error that the network expects."""
+_TRUST = np.array([2.6, 1.3, 1.3])
+"""Standard deviation of a sighting by the mean absolute error that the network expects: it takes what is ahead for nearer than it is."""
 _PARALLAX = 0.5
 """Radians by which columns shift for each metre that the robot is beside a node: that of things 2 m away."""
 _COLUMNS_DEVIATION = 0.08
