@@ -13,7 +13,7 @@ from gibson_sim.types import check_seed
 from gibson_sim_learn.path_following.data import DataSettings
 
 DEFAULT_CONFIG = Path(__file__).with_name("path_following.yaml")
-"""The configuration that the network in the package was trained with."""
+"""The configuration of the command where no file is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,17 +22,17 @@ class TrainingSettings:
 
     seed: int = 0
     """Of the data, the network and the order of the examples."""
-    shards: int = 6
+    shards: int = 12
     """Shards of each training scene."""
     validation_shards: int = 2
     """Shards of each validation scene."""
-    iterations: int = 12000
+    iterations: int = 40000
     """Steps of the optimiser on the data that was drawn."""
     dagger_rounds: int = 2
     """Rounds of drives with the network, each followed by more iterations."""
-    dagger_iterations: int = 2000
+    dagger_iterations: int = 10000
     """Steps of the optimiser after each round."""
-    dagger_drives: int = 4
+    dagger_drives: int = 8
     """Drives in each training scene and round."""
     later: int = 24
     """Later images in a step."""
