@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError
-from gibson_path_following.learned import LearnedPolicy, LearnedSettings, PathModel
+from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings, PathModel
 from gibson_path_following.pose_filter import PoseFilter, node_poses, relative
 from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Velocity
 from support.path_models import path_model
@@ -48,6 +48,19 @@ def test_network_gives_poses_of_recorded_images(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.pose, [[0.5, 0.2, -0.3], [1.0, 0.0, 0.0]], atol=1e-6)
     np.testing.assert_allclose(found.match, [1.0, 1.0])
     np.testing.assert_allclose(found.free, FREE)
+
+
+def test_network_of_the_package_sees_an_image_in_itself() -> None:
+    network = PathModel(DEFAULT_MODEL)
+    image = np.kron(np.random.default_rng(0).integers(0, 256, (8, 12, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+    found = network.estimate(image, image[None])
+    assert found.match[0] > 0.5
+    assert np.hypot(*found.pose[0, :2]) < 0.3
+    assert abs(found.pose[0, 2]) < 0.2
+    assert (found.free > 0.0).all()
+    assert (found.free <= network.max_free).all()
+    assert DEFAULT_MODEL.stat().st_size < 10e6
+    assert DEFAULT_MODEL.with_suffix(".md").is_file()
 
 
 def test_directions_are_the_middles_of_equal_strips(tmp_path: Path) -> None:
