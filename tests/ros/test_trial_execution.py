@@ -164,7 +164,8 @@ def test_run_without_rules_is_in_real_time_and_ends_when_it_is_told_to(room: str
 
 
 @pytest.mark.usefixtures("leaves_nothing")
-def test_shell_script_is_a_stack_and_the_true_pose_decides(room: str, tmp_path: Path) -> None:
+def test_shell_script_is_a_stack_and_the_true_pose_decides(room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")  # it calls gibson-sim
     scenario = scenario_of("./script.sh", lockstep=False, limits=Limits(wall_time=PATIENCE_S))
     scenario = replace(scenario, stack=replace(scenario.stack, status=Status()))
     outcome = execute(scenario, run_in(room, 0.8), tmp_path, domains=DOMAINS)

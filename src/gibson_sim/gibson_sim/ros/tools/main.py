@@ -80,6 +80,13 @@ class Tool(Node):
             self._executor.spin_once(timeout_sec=min(left, 0.05))
         return until()
 
+    def discover(self) -> None:
+        """Works until the nodes of the domain are discovered: for ``DISCOVERY_S``, and longer while it knows a simulation in part."""
+        self.work(DISCOVERY_S)
+        if any(name.startswith("physics") for name in self.get_node_names()) and not simulation_runs(self.offered_services()):
+            self.work(PATIENCE_S, lambda: simulation_runs(self.offered_services()))
+            self.work(_MORE_TYPES_S)
+
     def known_topics(self) -> dict[str, list[str]]:
         """Returns topic -> types of the graph."""
         return dict(self.get_topic_names_and_types())
@@ -173,14 +180,14 @@ def _say_aside(text: str) -> None:
 
 def topic_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all topics, one a line."""
-    tool.work(DISCOVERY_S)
+    tool.discover()
     for name, kinds in sorted(tool.known_topics().items()):
         _say(f"{name} [{', '.join(kinds)}]" if types else name)
 
 
 def topic_info(tool: Tool, topic: str, verbose: bool = False) -> None:
     """Prints the type of a topic, and how many publish and subscribe."""
-    tool.work(DISCOVERY_S)
+    tool.discover()
     name = tool.resolve_topic_name(topic)
     if not tool.work(PATIENCE_S, lambda: name in tool.known_topics()):
         tool.type_of(topic)
@@ -322,7 +329,7 @@ def _bytes(number: float) -> str:
 
 def service_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all services, one a line."""
-    tool.work(DISCOVERY_S)
+    tool.discover()
     for name, kinds in sorted(tool.known_services().items()):
         _say(f"{name} [{', '.join(kinds)}]" if types else name)
 
@@ -374,7 +381,7 @@ def _yaml(text: str) -> Any:
 
 def param_list(tool: Tool, node: str = "") -> None:
     """Prints the parameters of a node, or of all nodes."""
-    tool.work(DISCOVERY_S)
+    tool.discover()
     ending = "/list_parameters"
     found = sorted(
         name.removesuffix(ending) for name, kinds in tool.known_services().items() if name.endswith(ending) and _LIST in kinds
@@ -437,7 +444,7 @@ def _node_name(node: str) -> str:
 
 def action_list(tool: Tool, types: bool = False) -> None:
     """Prints the names of all actions, one a line."""
-    tool.work(DISCOVERY_S)
+    tool.discover()
     for name, kinds in sorted(get_action_names_and_types(tool)):
         _say(f"{name} [{', '.join(kinds)}]" if types else name)
 
