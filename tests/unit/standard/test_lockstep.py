@@ -30,6 +30,21 @@ def test_a_tick_ends_when_all_participants_have_done_it() -> None:
     assert lockstep.is_open
 
 
+def test_a_first_command_that_never_arrives_is_given_up_and_a_later_one_is_waited_for() -> None:
+    lockstep = joined("a")
+    lockstep.begin_tick(10, (), 0)
+    lockstep.tick_done("a", 10, ("cmd_vel",), 1)
+    assert (lockstep.lose_first_commands(100, 100), lockstep.is_open) == ((), False)
+    assert (lockstep.lose_first_commands(101, 100), lockstep.is_open) == ((("a", "cmd_vel"),), True)
+    lockstep.begin_tick(20, (), 200)
+    lockstep.tick_done("a", 20, ("cmd_vel",), 201)
+    lockstep.receive("cmd_vel", 202)
+    assert lockstep.is_open
+    lockstep.begin_tick(30, (), 300)
+    lockstep.tick_done("a", 30, ("cmd_vel",), 301)
+    assert (lockstep.lose_first_commands(1000, 100), lockstep.is_open) == ((), False), "it is on its way: others arrived"
+
+
 def test_only_the_present_tick_can_be_done() -> None:
     lockstep = joined("a")
     lockstep.begin_tick(10, (), 0)

@@ -90,6 +90,8 @@ class Participant:
     """Whether the present tick still waits for it."""
     in_flight: dict[str, int] = field(default_factory=dict)
     """Commands that it sent and that have not arrived, by topic."""
+    arrived: set[str] = field(default_factory=set)
+    """Topics on which a command that it sent has arrived."""
     answered: bool = False
     ticks: int = 0
     """Ticks that it has done."""
@@ -168,6 +170,7 @@ class Lockstep:
         old = self._participants.get(name)
         if old is not None and not old.answer:
             old.after, old.in_flight, old.answered = after, {}, False
+            old.arrived.clear()
             return old.pending
         self._participants[name] = Participant(name, after=after)
         return False
@@ -263,6 +266,23 @@ class Lockstep:
         self._update(now_ns)
         return tuple(p.name for p in late)
 
+    def lose_first_commands(self, now_ns: int, after_ns: int) -> tuple[tuple[str, str], ...]:
+        """Gives up commands that were sent before their publisher was discovered, and will never arrive; returns (participant, topic) of each.
+
+        Args:
+            now_ns: now.
+            after_ns: how long the present tick must have waited, ns. Only a topic on which none of the participant's commands has arrived yet
+                counts.
+        """
+        if self.waited_ns(now_ns) <= after_ns:
+            return ()
+        lost = [(p, topic) for p in self._participants.values() if p.pending and p.answered for topic in p.in_flight]
+        lost = [(participant, topic) for participant, topic in lost if topic not in participant.arrived]
+        for participant, topic in lost:
+            del participant.in_flight[topic]
+        self._update(now_ns)
+        return tuple((participant.name, topic) for participant, topic in lost)
+
     def reset(self) -> None:
         """Forgets the present tick: the simulation was reset."""
         self._stamp_ns = self._newest_ns = None
@@ -277,6 +297,7 @@ class Lockstep:
             for topic in list(participant.in_flight):
                 arrived = min(participant.in_flight[topic], self._received.get(topic, 0))
                 if arrived:
+                    participant.arrived.add(topic)
                     participant.in_flight[topic] -= arrived
                     self._received[topic] -= arrived
                 if not participant.in_flight[topic]:

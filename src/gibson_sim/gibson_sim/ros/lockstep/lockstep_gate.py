@@ -155,6 +155,7 @@ class LockstepGate:
                 timeout_s, opened_ns = self._config.participant_timeout, now_ns - core.waited_ns(now_ns)
                 self._republish_tick(now_ns)
                 self._let_rest(now_ns)
+                self._lose_first_commands(now_ns)
             if core.is_open:
                 if self._all_matched(now_ns):
                     return True
@@ -264,6 +265,13 @@ class LockstepGate:
             self._node.get_logger().info(
                 f"lockstep: {quoted(name)} has sent nothing on {rule.answer} in answer to {stamp_ns / NS_PER_S:.3f} s; time goes on without it "
                 f"until there is a message on {topics}"
+            )
+
+    def _lose_first_commands(self, now_ns: int) -> None:
+        for name, topic in self.core.lose_first_commands(now_ns, _FIRST_ANSWER_TIMEOUT_NS):
+            self._node.get_logger().warning(
+                f"lockstep: the first command on {topic} that {quoted(name)} reports has not arrived within "
+                f"{_FIRST_ANSWER_TIMEOUT_NS / NS_PER_S:g} s: its publisher was not discovered yet; time goes on without it"
             )
 
     def _remove_gone_watchers(self, now_ns: int) -> list[str]:
