@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.errors import SettingError
+from gibson_path_following.errors import check_ranges
 from gibson_path_following.types import STOP, Velocity
 
 F64 = NDArray[np.float64]
@@ -55,7 +55,8 @@ class ArcSettings:
     """Cost of another curvature than before, metres per 1/metre."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("max_linear", 0.01, 10.0),
             ("max_angular", 0.01, 10.0),
             ("radius", 0.0, 10.0),
@@ -70,10 +71,7 @@ class ArcSettings:
             ("yaw_weight", 0.0, 10.0),
             ("blocked_weight", 0.0, 100.0),
             ("change_weight", 0.0, 10.0),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class ArcPlanner:

@@ -35,7 +35,7 @@ def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_a
         from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings
 
         settings = LearnedSettings(arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
-        return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings), localiser
+        return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings, nodes), localiser
     if name == "onnx" and file:
         from gibson_path_following.foreign_onnx import ForeignPolicy, ForeignSettings
 

@@ -32,3 +32,16 @@ def quoted(value: object) -> str:
         value = value[: 2 * _LONGEST]
     text = repr(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def check_ranges(settings: object, *ranges: tuple[str, float, float]) -> None:
+    """Raises SettingError for the first field that is outside its range.
+
+    Args:
+        settings: has the fields.
+        ranges: name, least and largest value of each.
+    """
+    for name, least, most in ranges:
+        value = getattr(settings, name)
+        if not least <= value <= most:
+            raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from gibson_path_following.errors import SettingError
+from gibson_path_following.errors import SettingError, check_ranges
 from gibson_path_following.localisation import Localiser
 from gibson_path_following.motions import NS_PER_S, CommandLog
 from gibson_path_following.preprocessing import texture
@@ -43,7 +43,8 @@ class FollowerSettings:
     """Largest yaw rate, rad/s."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("stale_after", 0.01, 60.0),
             ("latency", 0.0, 10.0),
             ("least_texture", 0.0, 128.0),
@@ -52,10 +53,7 @@ class FollowerSettings:
             ("start_deviation", 0.1, 1e6),
             ("max_linear", 0.0, 10.0),
             ("max_angular", 0.0, 10.0),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
         if self.start is not None and not (math.isfinite(self.start) and self.start >= 0.0):
             raise SettingError(f"start is {self.start:g}, must be a node, 0 or more, or None = anywhere")
 

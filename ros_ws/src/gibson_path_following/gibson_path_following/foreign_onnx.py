@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.errors import ModelError, SettingError, ViewError
+from gibson_path_following.errors import ModelError, ViewError, check_ranges
 from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.types import Image, Place, RecordedPath, Velocity, View
 
@@ -66,7 +66,8 @@ class ForeignSettings:
     """Of NoMaD's noise."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("max_linear", 0.01, 10.0),
             ("max_angular", 0.01, 10.0),
             ("rate_hz", 0.1, 100.0),
@@ -75,10 +76,7 @@ class ForeignSettings:
             ("waypoint", 0, 100),
             ("samples", 1, 256),
             ("seed", 0, 2**63 - 1),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class ForeignNetwork(Protocol):

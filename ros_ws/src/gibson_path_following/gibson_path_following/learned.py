@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.arcs import ArcPlanner, ArcSettings
-from gibson_path_following.errors import ModelError, SettingError, ViewError, quoted
+from gibson_path_following.errors import ModelError, SettingError, ViewError, check_ranges, quoted
 from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
 from gibson_path_following.onnx_files import open_session, run
@@ -158,7 +158,8 @@ class LearnedSettings:
     def __post_init__(self) -> None:
         if not self.looked_for or not all(0.0 <= a <= 3.0 for a in self.looked_for):
             raise SettingError(f"looked_for is {quoted(self.looked_for)}, must be distances of 0 to 3 metres")
-        for name, least, most in (
+        check_ranges(
+            self,
             ("ahead", 0.05, 3.0),
             ("least_match", 0.0, 1.0),
             ("camera_ahead", -5.0, 5.0),
@@ -170,10 +171,7 @@ class LearnedSettings:
             ("least_confidence", 0.0, 1.0),
             ("far_off", 0.1, 1000.0),
             ("far_off_views", 1, 1000),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class LearnedPolicy:

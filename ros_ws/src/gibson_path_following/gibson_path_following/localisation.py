@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.errors import SettingError
+from gibson_path_following.errors import check_ranges
 from gibson_path_following.matching import Matcher, MatchingSettings
 from gibson_path_following.motions import Motion, segments
 from gibson_path_following.preprocessing import PreprocessingSettings, Preprocessor
@@ -55,7 +55,8 @@ class LocaliserSettings:
     """Views in a row with enough of both, after which it is found again."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("cells_per_node", 1, 50),
             ("ratio_mean", 0.1, 2.0),
             ("ratio_deviation", 0.0, 1.0),
@@ -70,10 +71,7 @@ class LocaliserSettings:
             ("fit_radius", 0.5, 1000.0),
             ("lost_after", 1, 1000),
             ("found_after", 1, 1000),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class NodeMatcher:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.errors import SettingError, ViewError
+from gibson_path_following.errors import SettingError, ViewError, check_ranges
 from gibson_path_following.types import IMAGES_OF, CameraKind, View
 
 F32 = NDArray[np.float32]
@@ -34,17 +34,15 @@ class PreprocessingSettings:
     """Contrast below which a window counts as flat, grey levels: noise is not amplified beyond it."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("columns_per_radian", 5.0, 1000.0),
             ("rows", 4, 1024),
             ("half_height", 0.05, 5.0),
             ("smoothing", 0.0, 20.0),
             ("window", 1.0, 200.0),
             ("contrast_floor", 0.01, 255.0),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class Preprocessor:

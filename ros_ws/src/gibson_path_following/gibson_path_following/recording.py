@@ -7,7 +7,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from dataclasses import dataclass, replace
 
-from gibson_path_following.errors import SettingError
+from gibson_path_following.errors import check_ranges
 from gibson_path_following.motions import NS_PER_S, motion_between
 from gibson_path_following.types import STOP, CameraKind, PathNode, RecordedPath, Velocity, View
 
@@ -33,15 +33,13 @@ class RecorderSettings:
     """How long a view waits for the odometry of its time, seconds."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("spacing", 0.01, 10.0),
             ("turn", 0.02, 6.3),
             ("interval", 0.0, 3600.0),
             ("odometry_patience", 0.0, 10.0),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class PathRecorder:

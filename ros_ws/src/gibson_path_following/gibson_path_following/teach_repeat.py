@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_path_following.errors import SettingError
+from gibson_path_following.errors import check_ranges
 from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import Motion, segments
 from gibson_path_following.types import Place, RecordedPath, Velocity, View
@@ -38,7 +38,8 @@ class TeachRepeatSettings:
     """Score below which a node tells nothing about the heading."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        check_ranges(
+            self,
             ("max_linear", 0.01, 10.0),
             ("max_angular", 0.01, 10.0),
             ("usual_linear", 0.01, 10.0),
@@ -48,10 +49,7 @@ class TeachRepeatSettings:
             ("slow_error", 0.01, math.pi),
             ("doubtful", 0.0, 1.0),
             ("least_score", -1.0, 1.0),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise SettingError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
 
 
 class TeachRepeatPolicy:

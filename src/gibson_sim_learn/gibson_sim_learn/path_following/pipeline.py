@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gibson_path_following.follower import PathFollower
 from gibson_path_following.learned import LearnedPolicy, PathModel
+from gibson_path_following.localisation import Localiser, NodeMatcher
 from gibson_path_following.types import RecordedPath
 from gibson_sim_learn.path_following.dagger import drive_all
 from gibson_sim_learn.path_following.data import make_data
@@ -76,6 +77,8 @@ def _drive(folder: Path, model: Path, training: Training, number: int, progress:
     network, settings = PathModel(model), training.settings
 
     def driver_of(path: RecordedPath) -> FollowerDriver:
-        return FollowerDriver(PathFollower(path, LearnedPolicy(path, network)))
+        nodes = NodeMatcher(path)
+        policy = LearnedPolicy(path, network, nodes=nodes)
+        return FollowerDriver(PathFollower(path, policy, localiser=Localiser(path, nodes=nodes)))
 
     drive_all(folder, TRAINING, settings.dagger_drives, settings.seed + number + 1, driver_of, progress)
