@@ -64,6 +64,7 @@ class _Named(Protocol):
 
 
 T = TypeVar("T", bound=_Named)
+V = TypeVar("V")
 _DEFAULTS = PhysicsConfig()
 _NEVER_S = 1e9
 """Command timeout when none is given, seconds of simulation time: longer than any run."""
@@ -212,7 +213,7 @@ class Simulation:
             raise ConfigError(f"publish_hz is {publish_hz}, must be 1 Hz or more and divide step_hz")
         usual = _DEFAULTS.publish_hz if step_hz % _DEFAULTS.publish_hz == 0 else step_hz
         self._tick_hz = usual if publish_hz is None else publish_hz
-        self._view_specs = read_views(views, view_size)
+        self._view_specs = read_views(views, _view_size(view_size))
         self._renderer: Renderer | None = None
         self._loaded: DrawnScene | None = None
         """The scene that the renderer has loaded."""
@@ -243,13 +244,16 @@ class Simulation:
 
     @property
     def robots(self) -> Mapping[str, Robot]:
-        """The robots by name, in their order."""
-        return {robot.name: Robot(self.world, robot.name) for robot in self.world.scene.robots}
+        """The robots by name, in their order; a name that is not there raises CommandError."""
+        return _ByName("robot", {robot.name: Robot(self.world, robot.name) for robot in self.world.scene.robots})
 
     @property
     def bodies(self) -> Mapping[str, Body]:
-        """All bodies that are no robots, such as doors and chairs, by name; ``command_joints`` moves their joints."""
-        return {body.name: Body(self.world, body.name) for body in self.world.scene.bodies}
+        """All bodies that are no robots, such as doors and chairs, by name; ``command_joints`` moves their joints.
+
+        A name that is not there raises CommandError.
+        """
+        return _ByName("body", {body.name: Body(self.world, body.name) for body in self.world.scene.bodies})
 
     @property
     def semantic_classes(self) -> tuple[str, ...]:
@@ -723,6 +727,24 @@ def _numbers(what: str, values: Any, meaning: str) -> tuple[float, float, float]
         raise ConfigError(f"{what} is {quoted(values)}, must be three numbers: {meaning}")
     first, second, third = (_number(what, value) for value in values)
     return first, second, third
+
+
+def _view_size(size: Any) -> tuple[int, int]:
+    whole = isinstance(size, (Sequence, np.ndarray)) and not isinstance(size, str) and len(size) == 2
+    if whole and all(isinstance(side, (int, np.integer)) and not isinstance(side, bool) and side > 0 for side in size):
+        return int(size[0]), int(size[1])
+    raise ConfigError(f"view_size is {quoted(size)}, must be width and height in pixels, two whole numbers above 0")
+
+
+class _ByName(dict[str, V]):
+    """A dictionary that says which names there are where one is asked for that is not there."""
+
+    def __init__(self, kind: str, values: Mapping[str, V]) -> None:
+        super().__init__(values)
+        self._kind = kind
+
+    def __missing__(self, name: str) -> V:
+        raise CommandError(f"no {self._kind} {quoted(name)} in this simulation; there are: {', '.join(self) or 'none'}")
 
 
 def _all_but(names: frozenset[str]) -> Callable[[str], bool]:

@@ -83,7 +83,7 @@ class PhysicsWorld:
             RobotError: a robot cannot be used.
             PhysicsError: the engine refuses, or a robot would start inside of something (StartError).
         """
-        if step_hz != int(step_hz) or not 1 <= step_hz <= 100_000:
+        if not 1 <= step_hz <= 100_000 or step_hz != int(step_hz):
             raise ConfigError(f"step_hz is {step_hz}, must be a whole number from 1 to 100000")
         if not (math.isfinite(cmd_vel_timeout) and cmd_vel_timeout > 0):
             raise ConfigError(f"cmd_vel_timeout is {cmd_vel_timeout} s, must be a finite number above 0")
