@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim_learn.path_following.domains import DOMAINS, SEEN_IN_TRAINING, Conditions, Domain, domain_of, draw
+from gibson_sim_learn.path_following.domains import (
+    DOMAINS,
+    FOR_CHOOSING,
+    MEASURED,
+    SEEN_IN_TRAINING,
+    Conditions,
+    Domain,
+    domain_of,
+    draw,
+)
 
 NOTHING = Domain("nothing", start=0.0, start_deg=0.0, slip=(1.0, 1.0), yaw_bias=0.0)
 
@@ -57,6 +66,17 @@ def test_reality_contains_the_range_of_every_other_day() -> None:
             low, high = getattr(domain, key)
             assert getattr(reality, key)[0] <= low <= high <= getattr(reality, key)[1]
     assert "reality" not in SEEN_IN_TRAINING
+
+
+def test_development_is_half_way_between_training_and_reality_and_no_result() -> None:
+    trained, found, reality = (DOMAINS[name] for name in ("trained", "development", "reality"))
+    for key in ("ambient", "light_k", "sun", "unevenness_ev", "exposure_ev", "camera_k", "noise", "vignette", "blur", "slip"):
+        ends = zip(getattr(trained, key), getattr(reality, key), strict=True)
+        assert getattr(found, key) == pytest.approx(tuple((a + b) / 2.0 for a, b in ends)), key
+    for key in ("auto_exposure", "hfov_deg", "height", "pitch_deg", "start", "start_deg", "yaw_bias"):
+        assert getattr(found, key) == pytest.approx((getattr(trained, key) + getattr(reality, key)) / 2.0), key
+    assert (found.latency_ticks, found.moved, found.obstacles) == ((0, 2), (0, 4), (0, 1))  # 1.5 and 4.5 are no counts
+    assert "development" not in MEASURED and frozenset({"trained", "development"}) == FOR_CHOOSING
 
 
 def test_counts_reach_both_ends_of_their_range() -> None:

@@ -13,7 +13,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.settings import nearest
 from gibson_sim_learn.path_following.cases import LENGTHS, PathCase, draw_cases, path_ground
-from gibson_sim_learn.path_following.domains import DOMAINS, domain_of
+from gibson_sim_learn.path_following.domains import MEASURED, domain_of
 from gibson_sim_learn.path_following.split import HELD_OUT
 
 METHODS = {
@@ -40,7 +40,7 @@ class Table2Plan:
     """Runs of each case, domain and method."""
     lengths: tuple[float, ...] = LENGTHS
     """Lengths of the cases, metres."""
-    domains: tuple[str, ...] = tuple(DOMAINS)
+    domains: tuple[str, ...] = MEASURED
     methods: tuple[str, ...] = tuple(METHODS)
     scenes: tuple[str, ...] = HELD_OUT
     paths: int = PATHS

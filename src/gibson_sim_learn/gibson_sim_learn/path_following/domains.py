@@ -168,6 +168,30 @@ _REALITY = replace(
     start=0.15,
     start_deg=8.0,
 )
+_DEVELOPMENT = Domain(
+    "development",
+    "half-way between training and reality; for choosing parameters, not for results",
+    ambient=(0.45, 1.95),
+    light_k=(3750.0, 9250.0),
+    sun=(0.0, 1.0),
+    unevenness_ev=(0.0, 0.85),
+    exposure_ev=(-1.3, 0.95),
+    auto_exposure=0.75,
+    camera_k=(3750.0, 9250.0),
+    noise=(0.0, 7.5),
+    vignette=(0.0, 0.4),
+    blur=(0.0, 0.9),
+    hfov_deg=4.5,
+    height=0.045,
+    pitch_deg=3.0,
+    start=0.125,
+    start_deg=6.5,
+    slip=(0.7, 1.0),
+    yaw_bias=0.115,
+    latency_ticks=(0, 2),
+    moved=(0, 4),
+    obstacles=(0, 1),
+)
 _NIGHT = Domain(
     "night",
     "recorded at noon, followed by night with a lamp on the robot",
@@ -180,11 +204,15 @@ _NIGHT = Domain(
     noise=(1.0, 3.0),
 )
 DOMAINS: dict[str, Domain] = {
-    domain.name: domain for domain in (TRAINED, _LIGHT, _LENS, _SLIP, _MOVED, _OBSTACLES, _REALITY, _NIGHT)
+    domain.name: domain for domain in (TRAINED, _LIGHT, _LENS, _SLIP, _MOVED, _OBSTACLES, _REALITY, _NIGHT, _DEVELOPMENT)
 }
 """By name."""
 SEEN_IN_TRAINING = frozenset({"trained"})
-"""Domains that training draws from; no other one may be used there, or to choose a parameter."""
+"""Domains that training draws from; no other one may be used there."""
+FOR_CHOOSING = SEEN_IN_TRAINING | {"development"}
+"""Domains by which parameters may be chosen."""
+MEASURED = tuple(name for name in DOMAINS if name != "development")
+"""Domains of a table of results, unless others are named."""
 
 
 def domain_of(name: str) -> Domain:
