@@ -56,6 +56,17 @@ def test_the_belief_moves_with_the_commands_and_images_correct_what_slips() -> N
     assert found.index == pytest.approx(0.6 * 11, abs=0.4)
 
 
+def test_motion_carries_no_belief_to_the_ends_of_the_path_but_from_beside_them() -> None:
+    localiser = Localiser(straight_path(), LocaliserSettings(sharpness=0.1))  # images tell nothing
+    localiser.reset(5.0, 0.3)
+    localiser.update(pinhole_view(5.0), NODE)
+    assert localiser.belief[-4:].sum() < 0.01 and localiser.belief[:4].sum() < 0.01
+    localiser.reset(10.8, 0.3)
+    for _ in range(4):
+        localiser.update(pinhole_view(11.0), NODE)
+    assert localiser.belief[-2:].sum() > 0.8
+
+
 def test_a_robot_that_stands_stays_where_it_is_although_an_image_fits_elsewhere() -> None:
     localiser = Localiser(straight_path())
     localiser.reset(2.0)

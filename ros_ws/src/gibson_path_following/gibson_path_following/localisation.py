@@ -183,7 +183,8 @@ class Localiser:
             deviation = np.hypot(settings.ratio_deviation * step, settings.drift)
         offset = self.places[None, :] - (self.places + mean)[:, None]  # (from, to)
         # A robot that drives past an end of the path is at that end.
-        offset[:, -1] = np.minimum(offset[:, -1], 0.0) if len(self.places) > 1 else 0.0
+        offset[:, -1] = np.maximum(offset[:, -1], 0.0)
+        offset[:, 0] = np.minimum(offset[:, 0], 0.0)
         kernel = np.exp(-0.5 * (offset / deviation[:, None]) ** 2) + 1e-12
         kernel /= kernel.sum(axis=1, keepdims=True)
         moved = self._belief @ kernel
