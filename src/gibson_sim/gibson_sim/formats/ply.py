@@ -152,15 +152,7 @@ def read_ply(path: Path, data: bytes) -> Ply:
     Raises:
         MeshError: the file is broken, cut, or a point cloud.
     """
-    binary, elements, texture, at = _header(path, data)
-    tables: dict[str, dict[str, Any]] = {}
-    words = None if binary else data[at:].split()
-    position = 0
-    for element in elements:
-        if words is None:
-            tables[element.name], at = _binary_table(path, element, data, at, binary)
-        else:
-            tables[element.name], position = _text_table(path, element, words, position)
+    tables, texture = _tables(path, data)
     vertex = tables.get("vertex", {})
     if not all(axis in vertex for axis in "xyz"):
         raise MeshError(f"{path}: has no vertices with x, y and z; is it a mesh?")
@@ -179,6 +171,33 @@ def read_ply(path: Path, data: bytes) -> Ply:
         corner_uvs = np.asarray(face["texcoord"][0], dtype=np.float64).reshape(-1, 2)
     plain = {name: values for name, values in face.items() if not isinstance(values, tuple)}
     return Ply(vertex, corners, sizes, plain, corner_uvs, texture)
+
+
+def read_ply_tables(path: Path, data: bytes) -> dict[str, dict[str, Any]]:
+    """Returns the properties of each element of a PLY file: columns by name; a list is a pair of its values and the number of each row.
+
+    Args:
+        path: the file, for messages.
+        data: its bytes.
+
+    Raises:
+        MeshError: the file is broken or cut.
+    """
+    return _tables(path, data)[0]
+
+
+def _tables(path: Path, data: bytes) -> tuple[dict[str, dict[str, Any]], str]:
+    """Returns the properties of each element, and the name of the texture."""
+    binary, elements, texture, at = _header(path, data)
+    tables: dict[str, dict[str, Any]] = {}
+    words = None if binary else data[at:].split()
+    position = 0
+    for element in elements:
+        if words is None:
+            tables[element.name], at = _binary_table(path, element, data, at, binary)
+        else:
+            tables[element.name], position = _text_table(path, element, words, position)
+    return tables, texture
 
 
 def _material(path: Path, ply: Ply, textures: TextureStore, files: list[Path], warn: Warn) -> Material | None:
