@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from gibson_path_following.errors import SettingError
 from gibson_path_following.preprocessing import F32, Preprocessor
 
 F64 = NDArray[np.float64]
+_Number = TypeVar("_Number", np.float32, np.complex64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,25 +76,23 @@ class Matcher:
         """Radians to the left that the robot must turn, for each shift."""
         self._size = columns if preprocessor.is_closed else _fast(columns + reach)
         stack = np.stack([np.asarray(g, dtype=np.float32) for g in patterns])
-        self._spectra = np.fft.rfft(stack, self._size, axis=2).astype(np.complex64).conj()  # (nodes, rows, frequencies)
+        spectra = np.fft.rfft(stack, self._size, axis=2).astype(np.complex64).conj()
+        self._spectra = np.ascontiguousarray(spectra.transpose(2, 0, 1))  # (frequencies, nodes, rows)
         energy = (stack.astype(np.float64) ** 2).sum(axis=1)  # (nodes, columns)
         self._energies = self._overlapping(energy, -self._shifts)
 
     def match(self, pattern: F32, first: int = 0, end: int | None = None) -> Matches:
         """Returns the comparison of a normalised panorama with the nodes from ``first`` to before ``end`` (None = the last)."""
-        spectra = self._spectra[first:end]
+        most = self.settings.max_rows
         energies = self._energies[first:end]
-        best: F64 | None = None
-        rows = self.settings.max_rows
-        for shift in range(-rows, rows + 1):
-            moved = _moved(pattern, shift)
-            spectrum = np.fft.rfft(moved, self._size, axis=1).astype(np.complex64)
-            product = np.einsum("nrf,rf->nf", spectra, spectrum, optimize=True)
-            correlation = np.fft.irfft(product, self._size, axis=1)[:, self._shifts % self._size]
-            energy = self._overlapping((moved.astype(np.float64) ** 2).sum(axis=0)[None], self._shifts)
-            curve = correlation / np.sqrt(np.maximum(energy * energies, 1e-9))
-            best = curve if best is None else np.maximum(best, curve)
-        assert best is not None
+        moved = np.stack([_moved(pattern, rows) for rows in range(-most, most + 1)])  # (vertical shifts, rows, columns)
+        spectrum = np.fft.rfft(pattern, self._size, axis=1).astype(np.complex64)  # (rows, frequencies)
+        spectrum = np.stack([_moved(spectrum, rows) for rows in range(-most, most + 1)])
+        # For each frequency: (nodes, rows) @ (rows, vertical shifts).
+        product = self._spectra[:, first:end] @ spectrum.transpose(2, 1, 0)
+        correlation = np.fft.irfft(product, self._size, axis=0)[self._shifts % self._size].transpose(2, 1, 0)
+        energy = self._overlapping((moved.astype(np.float64) ** 2).sum(axis=1), self._shifts)
+        best: F64 = (correlation / np.sqrt(np.maximum(energy[:, None] * energies[None], 1e-9))).max(axis=0)
         at = best.argmax(axis=1)
         scores, turns = _peaks(best, at, self.angles)
         return Matches(scores, turns, best, self.angles)
@@ -121,7 +121,8 @@ def _peaks(curves: F64, at: NDArray[np.intp], angles: F64) -> tuple[F64, F64]:
     return np.clip(scores, -1.0, 1.0), angles[at] + np.where(at == middle, offset, 0.0) * step
 
 
-def _moved(pattern: F32, rows: int) -> F32:
+def _moved(pattern: NDArray[_Number], rows: int) -> NDArray[_Number]:
+    """Returns the rows moved down, with zeros where there were none."""
     if rows == 0:
         return pattern
     moved = np.zeros_like(pattern)
