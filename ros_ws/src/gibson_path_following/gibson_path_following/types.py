@@ -69,6 +69,16 @@ class RecordedPath:
 
 
 @dataclass(frozen=True, slots=True)
+class Step:
+    """A small motion of the robot, as it is believed to be, not as it was commanded."""
+
+    distance: float = 0.0
+    """Metres forward."""
+    turn: float = 0.0
+    """Radians to the left."""
+
+
+@dataclass(frozen=True, slots=True)
 class Place:
     """Where on the path the robot is, as a localiser believes."""
 
@@ -78,6 +88,10 @@ class Place:
     """Share of the belief within one node of ``index``, 0 to 1; 0 if the images do not fit there."""
     is_lost: bool
     """Whether the images fit nowhere, or to several places alike."""
+    moved: Step = Step()
+    """What the robot made since the view before."""
+    pending: Step = Step()
+    """What it will still make after this view by commands that were sent already; they take a while."""
 
 
 class Policy(Protocol):
