@@ -38,10 +38,42 @@ def noisy_room(edge: float = 0.05, noise: float = 0.005, seed: int = 0) -> tuple
     ]
     for corner, size in _FURNITURE:
         sheets += _box(corner, size, edge)
+    return _joined(sheets, noise, seed)
+
+
+def hall(
+    size: tuple[float, float, float], *, rise: float, depth: float, start: float, noise: float, edge: float = 0.15, seed: int = 0
+) -> tuple[F64, I64]:
+    """Returns a hall without a ceiling, whose floor rises in three platforms along x: vertices (V, 3), metres, and triangles (F, 3).
+
+    Args:
+        size: of the hall, metres; its corner is the origin.
+        rise: height of each platform above the last, metres.
+        depth: of the first two platforms along x, metres; the third reaches to the wall.
+        start: x of the first platform, metres.
+        noise: standard deviation of all corners, metres.
+        edge: of the triangles, metres.
+        seed: of the noise.
+    """
+    x, y, z = size
+    sheets = [
+        _sheet((0, 0, 0), (start, 0, 0), (0, y, 0), edge),
+        _sheet((0, 0, 0), (0, y, 0), (0, 0, z), edge),
+        _sheet((x, 0, 0), (0, 0, z), (0, y, 0), edge),
+        _sheet((0, 0, 0), (0, 0, z), (x, 0, 0), edge),
+        _sheet((0, y, 0), (x, 0, 0), (0, 0, z), edge),
+    ]
+    for k, front in enumerate((start, start + depth, start + 2 * depth), 1):
+        sheets.append(_sheet((front, 0, k * rise), (depth if k < 3 else x - front, 0, 0), (0, y, 0), edge))
+        sheets.append(_sheet((front, 0, (k - 1) * rise), (0, 0, rise), (0, y, 0), edge))
+    return _joined(sheets, noise, seed)
+
+
+def _joined(sheets: list[tuple[F64, I64]], noise: float, seed: int) -> tuple[F64, I64]:
+    """Returns sheets as one mesh with noise; those that meet move together at their common edge."""
     counts = np.cumsum([0, *(len(points) for points, _ in sheets)])
     vertices = np.concatenate([points for points, _ in sheets])
     triangles = np.concatenate([corners + count for (_, corners), count in zip(sheets, counts, strict=False)])
-    # Sheets that meet move together at their common edge.
     same, which = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
     moved = same + np.random.default_rng(seed).normal(0.0, noise, same.shape)
     return moved, which.reshape(-1)[triangles]
