@@ -86,10 +86,37 @@ def test_robot_on_the_path_drives_straight_at_the_recorded_speed(tmp_path: Path)
     assert velocity.angular == pytest.approx(0.0, abs=0.05)
 
 
-def test_wall_ahead_slows_the_robot(tmp_path: Path) -> None:
+def driven(folder: Path, free: tuple[float, ...], views: int) -> tuple[LearnedPolicy, list[Velocity]]:
+    """Returns a policy that stands at the start of a straight path and sees the same again and again, and its velocities."""
     images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
-    velocity = LearnedPolicy(path_of(images), model(tmp_path, (0.3,) * 24)).act(VIEW, 0, at(0.0))
-    assert velocity.linear < 0.25
+    policy = LearnedPolicy(path_of(images), model(folder, free))
+    return policy, [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(views)]
+
+
+def test_robot_stops_before_a_wall(tmp_path: Path) -> None:
+    # The robot is 0.175 m in front of its middle, the camera 0.12 m: 0.245 m are left.
+    _, velocities = driven(tmp_path, (0.3,) * 24, 5)
+    assert velocities[-1] == STOP
+
+
+def test_robot_is_slower_before_a_wall_that_is_farther_away(tmp_path: Path) -> None:
+    _, velocities = driven(tmp_path, (0.7,) * 24, 6)
+    assert 0.0 < velocities[-1].linear < 0.3
+
+
+def test_robot_drives_round_a_thing_on_its_path(tmp_path: Path) -> None:
+    # Something 0.8 m ahead in the left half of the view, and in two directions of the right half.
+    policy, velocities = driven(tmp_path, (0.8,) * 14 + (3.0,) * 10, 6)
+    assert policy.way is not None
+    assert policy.way.is_free
+    assert policy.way.offsets.min() < -0.2
+    assert velocities[-1].angular < 0.0
+    assert velocities[-1].linear > 0.0
+
+
+def test_blocked_robot_backs_off_after_a_while(tmp_path: Path) -> None:
+    _, velocities = driven(tmp_path, (0.3,) * 24, 16)
+    assert any(velocity.linear < 0.0 for velocity in velocities)
 
 
 def test_robot_stops_when_nothing_of_the_path_is_seen_for_some_views(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A local planner over arcs: goes for a place ahead, swerves around what is near, slows down in narrow places, stops where nothing is free.
+"""Follows a way over arcs: goes for a place ahead, turns to it in place where no arc is free, slows down before what is near, and stops.
 
 Pure geometry in the frame of the robot: x ahead, y to the left, metres and radians.
 """
@@ -6,6 +6,7 @@ Pure geometry in the frame of the robot: x ahead, y to the left, metres and radi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,9 @@ _STEP = 0.05
 _SHORTEST = 0.3
 """Length of the shortest arcs, metres."""
 
+_LOOK = 0.2
+"""Bearing of the goal beyond which a robot whose arcs are all blocked turns to it, radians."""
+
 
 @dataclass(frozen=True, slots=True)
 class ArcSettings:
@@ -29,9 +33,9 @@ class ArcSettings:
     """Largest speed, m/s."""
     max_angular: float = 1.0
     """Largest yaw rate, rad/s."""
-    radius: float = 0.2
+    radius: float = 0.175
     """Of the robot, metres."""
-    margin: float = 0.06
+    margin: float = 0.01
     """Free space beyond the radius, metres."""
     horizon: float = 1.0
     """Length of the longest arcs, metres."""
@@ -86,12 +90,12 @@ class ArcPlanner:
         """Forgets the arc before."""
         self._before = 0.0
 
-    def velocity(self, goal: tuple[float, float, float], obstacles: F64) -> Velocity:
+    def velocity(self, goal: tuple[float, float, float], clearance: Callable[[F64], F64]) -> Velocity:
         """Returns the velocity towards a goal.
 
         Args:
             goal: x, y, yaw.
-            obstacles: (M, 2), points that the robot must not touch.
+            clearance: returns distances (...,) from points (..., 2) to the nearest thing that the robot must not touch, metres.
         """
         settings = self.settings
         x, y, yaw = goal
@@ -103,7 +107,7 @@ class ArcPlanner:
         length = min(max(away, _SHORTEST), settings.horizon)
         along: F64 = np.arange(1, math.ceil(length / _STEP) + 1, dtype=np.float64) * _STEP
         points, headings = arc_points(self._curvatures, along)
-        clear = self.clear_lengths(points, along, obstacles)
+        clear = self.clear_lengths(points, along, clearance)
         reached = along[None, :] <= np.maximum(clear, _STEP)[:, None]
         distance = np.where(reached, np.hypot(points[..., 0] - x, points[..., 1] - y), np.inf)
         nearest = distance.argmin(axis=1)
@@ -118,38 +122,29 @@ class ArcPlanner:
         best = int(cost.argmin())
         curvature, free = float(self._curvatures[best]), float(clear[best])
         if free < settings.least_clear:
-            return self._blocked(clear)
+            self._before = 0.0
+            return self._turned(bearing) if abs(bearing) > _LOOK else STOP
         self._before = curvature
         linear = min(settings.max_linear, free / settings.braking, settings.max_angular / max(abs(curvature), 1e-6))
         return Velocity(linear, curvature * linear)
 
-    def clear_lengths(self, points: F64, along: F64, obstacles: F64) -> F64:
+    def clear_lengths(self, points: F64, along: F64, clearance: Callable[[F64], F64]) -> F64:
         """Returns (arcs,): how far the robot can follow each arc, metres, at most its length.
 
         Args:
             points: (arcs, S, 2), the points of the arcs.
             along: (S,), their distances from the start.
-            obstacles: (M, 2).
+            clearance: as ``velocity`` takes it.
         """
-        if not len(obstacles):
-            return np.full(len(points), along[-1])
         room = self.settings.radius + self.settings.margin
-        gaps = np.linalg.norm(points[:, :, None] - obstacles, axis=-1)  # (arcs, S, M)
         # What is too near already stops only arcs that come nearer to it.
-        hits = (gaps < np.minimum(room, np.linalg.norm(obstacles, axis=1) - 0.01)).any(axis=2)
+        least = min(room, float(clearance(np.zeros(2))) - 0.01)
+        hits = clearance(points) < least  # (arcs, S)
         return np.asarray(np.where(hits.any(axis=1), along[hits.argmax(axis=1)] - _STEP, along[-1]), dtype=np.float64)
 
     def _turned(self, angle: float) -> Velocity:
         limit = self.settings.max_angular
         return Velocity(0.0, min(max(self.settings.turn_gain * angle, -limit), limit))
-
-    def _blocked(self, clear: F64) -> Velocity:
-        """Turns in place towards an arc that is free, or stops."""
-        self._before = 0.0
-        if clear.max() < self.settings.least_clear:
-            return STOP
-        side = float(np.sign(self._curvatures[int(clear.argmax())]))
-        return Velocity(0.0, 0.5 * side * self.settings.max_angular)
 
 
 def arc_points(curvatures: F64, along: F64) -> tuple[F64, F64]:

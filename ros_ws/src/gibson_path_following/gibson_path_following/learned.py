@@ -1,6 +1,7 @@
 """Follows a path with a network that was trained in simulation: where the recorded images ahead are from here, and how far the floor is free.
 
-The network perceives; where to drive is geometry (``arcs.py``). It needs onnxruntime, and no PyTorch.
+The network perceives; where to drive is geometry: a map of what stands around (``occupancy.py``), a way along the path round it
+(``lattice.py``), arcs that follow the way (``arcs.py``), and what to do where there is none (``recovery.py``). It needs onnxruntime, and no PyTorch.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from numpy.typing import NDArray
 
 from gibson_path_following.arcs import ArcPlanner, ArcSettings
 from gibson_path_following.errors import ModelError, SettingError, ViewError, check_ranges, quoted
+from gibson_path_following.lattice import Lattice, LatticeSettings, Way
 from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
+from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hits_around
 from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
+from gibson_path_following.recovery import Recovery, RecoverySettings
 from gibson_path_following.types import STOP, Image, Place, RecordedPath, Velocity, View
 
 F64 = NDArray[np.float64]
@@ -33,6 +37,12 @@ _PLACE_DEVIATION = 0.12
 """Standard deviation of the localiser's place along the path, metres."""
 _OVERSHOOT = 0.1
 """Distance beyond the end of the path at which the robot stops by itself, metres."""
+_CHORD = 0.15
+"""Half the length of the chord whose direction is that of the path, metres: recorded turns are sharp."""
+_BEHIND = 0.2
+"""Distance behind the robot that must be free where it backs off, metres."""
+_SLOW_AHEAD = 0.5
+"""Distance along the path ahead whose clearance limits the speed, metres."""
 _INPUTS = ("present", "recorded")
 _OUTPUTS = ("pose", "scale", "match", "free")
 
@@ -152,8 +162,18 @@ class LearnedSettings:
     """Score of such a shift below which it tells nothing."""
     least_confidence: float = 0.6
     """Confidence of the localiser below which its place tells nothing."""
+    slow: float = 0.12
+    """Speed where the way is as narrow as the robot can pass, m/s."""
+    stop_before: float = 0.2
+    """Distance to where the way is blocked at which the robot stops, metres."""
+    occupancy: OccupancySettings = field(default_factory=OccupancySettings)
+    """The map of what stands around."""
+    lattice: LatticeSettings = field(default_factory=LatticeSettings)
+    """The way along the path, round what stands on it."""
     arcs: ArcSettings = field(default_factory=ArcSettings)
-    """The local planner."""
+    """How the way is followed."""
+    recovery: RecoverySettings = field(default_factory=RecoverySettings)
+    """What is done where there is no way."""
 
     def __post_init__(self) -> None:
         if not self.looked_for or not all(0.0 <= a <= 3.0 for a in self.looked_for):
@@ -171,6 +191,8 @@ class LearnedSettings:
             ("least_confidence", 0.0, 1.0),
             ("far_off", 0.1, 1000.0),
             ("far_off_views", 1, 1000),
+            ("slow", 0.01, 10.0),
+            ("stop_before", 0.0, 5.0),
         )
 
 
@@ -209,6 +231,12 @@ class LearnedPolicy:
         self._speeds = np.array([self._speed(part) for part in segments(path)])
         self._nodes = (nodes or NodeMatcher(path)) if self.settings.columns else None
         self._planner = ArcPlanner(self.settings.arcs)
+        self._lattice = Lattice(self.settings.lattice)
+        self._recovery = Recovery(self.settings.recovery)
+        self.map = OccupancyMap(self._poses[:, :2], self.settings.occupancy)
+        """What stands around the robot, in the frame of the path."""
+        self.way: Way | None = None
+        """Where the robot wants to drive; None = it has not looked yet."""
         self.filter = PoseFilter()
         """Where beside the path the robot is."""
         self.sighting: Sighting | None = None
@@ -222,25 +250,32 @@ class LearnedPolicy:
     def reset(self) -> None:
         """Forgets all earlier views."""
         self._planner.reset()
-        self.sighting, self._last = None, None
+        self._lattice.reset()
+        self._recovery.reset()
+        self.map.clear()
+        self.sighting, self.way, self._last = None, None, None
         self._unseen = self._disagreed = 0
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
         """Returns the velocity towards a place of the path ahead, around what stands in the way."""
         settings = self.settings
         believed = float(np.interp(place.index, np.arange(len(self._distances)), self._distances))
+        seconds = 0.0
         if self._last is None:
             self.filter.reset(self._at(believed))
             self._here = believed
         else:
             before_ns, velocity = self._last
-            self.filter.move(velocity, (stamp_ns - before_ns) / NS_PER_S)
+            seconds = (stamp_ns - before_ns) / NS_PER_S
+            self.filter.move(velocity, seconds)
         here = self._along()
         self._disagreed = self._disagreed + 1 if abs(here - believed) > settings.far_off else 0
         if self._disagreed >= settings.far_off_views:
             self.filter.reset(self._at(believed))
             here = self._here = believed
             self._disagreed = 0
+            self.map.clear()
+            self._lattice.reset()
         nodes = np.unique([int(np.abs(self._distances - here - ahead).argmin()) for ahead in settings.looked_for])
         self.sighting = sighting = self.model.estimate(self.model.fitted(view[0], self._hfov), self._images[nodes])
         seen = np.flatnonzero(sighting.match >= settings.least_match)
@@ -251,7 +286,8 @@ class LearnedPolicy:
         if self._nodes is not None:
             fits.append(self._correct_by_columns(self._nodes, view, place, believed))
         self._unseen = 0 if any(fits) else self._unseen + 1
-        velocity = STOP if self._unseen > settings.unseen_views else self._towards(sighting.free)
+        self._look(sighting, seconds)
+        velocity = STOP if self._unseen > settings.unseen_views else self._drive(seconds)
         self._last = stamp_ns, velocity
         return velocity
 
@@ -267,21 +303,87 @@ class LearnedPolicy:
             for k, (score, turn) in enumerate(zip(matches.scores, matches.turns, strict=True))
         )
 
-    def _towards(self, free: F64) -> Velocity:
+    def _look(self, sighting: Sighting, seconds: float) -> None:
+        """Puts into the map what is free and what is not."""
+        x, y, yaw = self.filter.pose
+        ahead = self.settings.camera_ahead
+        camera = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), yaw])
+        self.map.centre(float(x), float(y))
+        self.map.fade(seconds)
+        self.map.see(camera, self.model.bearings, *hits_around(sighting.free, self.model.max_free))
+
+    def _drive(self, seconds: float) -> Velocity:
+        """Returns the velocity along the path, round what stands there."""
+        settings = self.settings
         here = self._along()
-        end = self._poses[-1]
-        beyond, _, _ = relative(end, self.filter.pose)
+        beyond, _, _ = relative(self._poses[-1], self.filter.pose)
         if here >= self._distances[-1] - 1e-6 and beyond > _OVERSHOOT:
             return STOP
-        at = self._at(here + self.settings.ahead)
-        # The path goes on straight behind its end, so that the robot arrives there at its speed; the follower stops it.
-        more = max(0.0, here + self.settings.ahead - self._distances[-1])
-        goal = relative(self.filter.pose, at + more * np.array([math.cos(end[2]), math.sin(end[2]), 0.0]))
-        middles = 0.5 * (self._distances[1:] + self._distances[:-1])
-        limit = max(self.settings.least_linear, self.settings.speed_ratio * float(np.interp(here, middles, self._speeds)))
-        found = self._planner.velocity(goal, self._obstacles(free))
+        self.way = way = self._way(here)
+        found = STOP
+        if not self._recovery.is_backing and (way.is_free or way.free > settings.stop_before):
+            found = self._planner.velocity(self._goal(way), self._clearance)
+        if found == STOP:
+            behind = self._clearance(np.array([[-0.1, 0.0], [-_BEHIND, 0.0]]))
+            return self._recovery.blocked(here, seconds, can_back=bool((behind >= settings.lattice.room).all()))
+        self._recovery.free(here)
+        limit = self._limit(way, here)
         share = min(1.0, limit / max(abs(found.linear), 1e-6))
         return Velocity(share * found.linear, share * found.angular) if found.linear else found
+
+    def _way(self, here: float) -> Way:
+        lattice = self.settings.lattice
+        count = math.ceil(min(lattice.length, self._distances[-1] - here + _OVERSHOOT) / lattice.step)
+        along = here + np.arange(max(2, count + 1)) * lattice.step
+        points, normals = self._beside(along)
+        offset = float((self.filter.pose[:2] - points[0]) @ normals[0])
+        return self._lattice.way(along, points, normals, offset, self.map.clearance)
+
+    def _beside(self, along: F64) -> tuple[F64, F64]:
+        """Returns points (K, 2) of the path, which goes on straight behind its end, and unit vectors (K, 2) to its left."""
+
+        def points_at(at: F64) -> F64:
+            points = np.stack([np.interp(at, self._distances, self._poses[:, k]) for k in range(2)], axis=1)
+            end = self._poses[-1, 2]
+            more = np.maximum(0.0, at - self._distances[-1])
+            return np.asarray(points + more[:, None] * np.array([math.cos(end), math.sin(end)]))
+
+        chord = points_at(along + _CHORD) - points_at(np.maximum(along - _CHORD, 0.0))
+        chord /= np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-6)
+        return points_at(along), np.stack([-chord[:, 1], chord[:, 0]], axis=1)
+
+    def _goal(self, way: Way) -> tuple[float, float, float]:
+        """Returns the place that the robot goes for, in its own frame."""
+        steps = np.linalg.norm(np.diff(way.points, axis=0), axis=1)
+        driven = np.concatenate([[0.0], np.cumsum(steps)])
+        ahead = self.settings.ahead
+        at = np.array([np.interp(ahead, driven, values) for values in (way.points[:, 0], way.points[:, 1], way.along)])
+        k = int(np.searchsorted(driven, ahead).clip(1, len(driven) - 1))
+        slope = math.atan2(way.offsets[k] - way.offsets[k - 1], way.along[k] - way.along[k - 1])
+        yaw = float(self._at(float(at[2]))[2])
+        # The way goes on straight behind its end, so that the robot arrives there at its speed; the follower stops it.
+        more = max(0.0, ahead - float(driven[-1]))
+        goal = np.array([at[0] + more * math.cos(yaw), at[1] + more * math.sin(yaw), yaw + slope])
+        return relative(self.filter.pose, goal)
+
+    def _limit(self, way: Way, here: float) -> float:
+        """Returns the largest speed: the recorded one, or less where the way is narrow, or blocked farther on."""
+        settings, lattice = self.settings, self.settings.lattice
+        middles = 0.5 * (self._distances[1:] + self._distances[:-1])
+        limit = max(settings.least_linear, settings.speed_ratio * float(np.interp(here, middles, self._speeds)))
+        near = way.clearance[way.along <= here + _SLOW_AHEAD].min()
+        share = min(1.0, max(0.0, (float(near) - lattice.room) / lattice.comfort))
+        limit = min(limit, settings.slow + share * max(0.0, settings.arcs.max_linear - settings.slow))
+        if not way.is_free:
+            limit = min(limit, max(settings.slow, (way.free - settings.stop_before) / settings.arcs.braking))
+        return limit
+
+    def _clearance(self, points: F64) -> F64:
+        """Returns (...,): distances from points (..., 2) in the frame of the robot to the nearest thing, metres."""
+        x, y, yaw = self.filter.pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        ahead, left = points[..., 0], points[..., 1]
+        return self.map.clearance(np.stack([x + c * ahead - s * left, y + s * ahead + c * left], axis=-1))
 
     def _along(self) -> float:
         """Returns the distance along the path, metres, of its point that is nearest to the robot, and near where it was looked for."""
@@ -306,12 +408,6 @@ class LearnedPolicy:
         x, y, yaw = (float(value) for value in pose)
         ahead = self.settings.camera_ahead
         return np.array([ahead + x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw])
-
-    def _obstacles(self, free: F64) -> F64:
-        """Returns (M, 2): points in the frame of the robot at which free distances end."""
-        ends = free < 0.95 * self.model.max_free
-        bearings = self.model.bearings[ends]
-        return np.stack([self.settings.camera_ahead + free[ends] * np.cos(bearings), free[ends] * np.sin(bearings)], axis=-1)
 
     def _seen_poses(self) -> F64:
         """Returns the poses of the nodes (N, 3) as the network sees one from the other, for a path without recorded velocities."""

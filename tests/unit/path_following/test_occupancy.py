@@ -1,0 +1,127 @@
+"""The map of what stands around: things stay in it, free floor clears it, the recorded path is trusted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gibson_path_following.errors import SettingError
+from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hits_around
+
+F64 = NDArray[np.float64]
+BEARINGS = np.arctan((1.0 - (np.arange(24) + 0.5) / 12.0) * math.tan(math.radians(50.0)))
+EDGES = np.arange(61, dtype=np.float64) * 0.05
+FAR = np.array([[100.0, 100.0], [101.0, 100.0]])
+"""A path that is elsewhere."""
+ORIGIN = np.zeros(3)
+BEHIND = np.array([0.0, 0.0, math.pi])
+
+
+def hits(distance: float | None) -> F64:
+    """Returns things at one distance in all directions, for sure; None = nothing anywhere."""
+    out = np.zeros((24, 61))
+    out[:, 60 if distance is None else round(distance / 0.05)] = 1.0
+    return out
+
+
+def map_of(views: list[tuple[F64, float | None]], path: F64 = FAR, settings: OccupancySettings | None = None) -> OccupancyMap:
+    found = OccupancyMap(path, settings)
+    for camera, distance in views:
+        found.see(camera, BEARINGS, EDGES, hits(distance))
+    return found
+
+
+def at(x: float, y: float = 0.0) -> F64:
+    return np.array([x, y])
+
+
+def test_thing_is_occupied_the_floor_before_it_free_and_what_is_behind_unknown() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 2)
+    assert found.is_occupied(at(1.02))
+    assert not found.is_occupied(at(0.7))
+    rows = [60 + round((x - 0.025) / 0.05) for x in (0.525, 1.525)]  # the map of 120 cells begins at -3 m
+    before, behind = found.log_odds[rows, 60]
+    assert before < -0.5
+    assert behind == 0.0
+
+
+def test_thing_stays_when_it_leaves_the_view() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 3 + [(BEHIND, None)] * 20)
+    assert found.is_occupied(at(1.02))
+    assert not found.is_occupied(at(-1.02))
+
+
+def test_cells_that_are_seen_free_are_cleared() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 3 + [(ORIGIN, None)] * 8)
+    assert not found.is_occupied(at(1.02))
+
+
+def test_recorded_path_is_free_until_a_thing_is_seen_there_for_a_while() -> None:
+    # A view that is sure adds 0.4 * 2.5 = 1.0; occupied is 0.8 and more; the path begins at -2.
+    path = np.array([[-2.0, 0.0], [2.0, 0.0]])
+    once, thrice = map_of([(ORIGIN, 1.0)], path), map_of([(ORIGIN, 1.0)] * 3, path)
+    assert not once.is_occupied(at(1.02))
+    assert once.is_occupied(at(0.72, 0.72))
+    assert thrice.is_occupied(at(1.02))
+
+
+def test_clearance_is_the_distance_to_the_nearest_occupied_cell() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 2)
+    # The first occupied cell is that from 0.95 or 1.0 m on.
+    assert found.clearance(at(0.325)) == pytest.approx(0.65, abs=0.05)
+    assert found.clearance(np.array([[1.02, 0.0], [0.525, 0.0]])) == pytest.approx([0.0, 0.45], abs=0.05)
+    assert map_of([]).clearance(at(0.0)) == OccupancySettings().size
+
+
+def test_map_goes_with_the_robot_and_forgets_what_it_leaves_behind() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 2)
+    found.centre(2.0, 0.5)
+    assert found.is_occupied(at(1.02))
+    assert found.clearance(at(0.325)) == pytest.approx(0.65, abs=0.05)
+    found.centre(9.0, 0.5)
+    found.centre(0.0, 0.0)
+    assert not found.is_occupied(at(1.02))
+
+
+def test_evidence_fades_with_time() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 2)  # 2.0
+    found.fade(40.0 * math.log(2.0))  # half of it
+    assert found.is_occupied(at(1.02))
+    found.fade(40.0 * math.log(2.0))
+    assert not found.is_occupied(at(1.02))
+
+
+def test_map_is_of_the_frame_of_the_path() -> None:
+    # The camera at (1, 2) looks to the left: 1 m ahead of it is (1, 3).
+    found = map_of([(np.array([1.0, 2.0, math.pi / 2.0]), 1.0)] * 2)
+    assert found.is_occupied(at(1.0, 3.02))
+    assert not found.is_occupied(at(2.02, 2.0))
+
+
+def test_cleared_map_knows_nothing() -> None:
+    found = map_of([(ORIGIN, 1.0)] * 3)
+    found.clear()
+    assert not found.is_occupied(at(1.02))
+
+
+def test_distances_that_are_unsure_put_a_thing_where_it_most_likely_is() -> None:
+    found = OccupancyMap(FAR)
+    for free in (0.9, 1.1, 1.0, 0.95, 1.05):
+        found.see(ORIGIN, BEARINGS, *hits_around(np.full(24, free), 3.0))
+    assert found.is_occupied(at(1.0))
+    assert not found.is_occupied(at(0.6))
+
+
+def test_hits_around_distances_are_probabilities_with_their_median_there() -> None:
+    edges, hit = hits_around(np.array([1.0, 3.0]), 3.0)
+    np.testing.assert_allclose(hit.sum(axis=1), 1.0)
+    assert np.interp(1.0, edges[1:], np.cumsum(hit[0, :-1])) == pytest.approx(0.5, abs=0.01)
+    assert hit[1, -1] == 1.0
+
+
+def test_settings_out_of_range_are_one_line() -> None:
+    with pytest.raises(SettingError, match=r"memory is 0, must be 0.1 to 1e\+06"):
+        OccupancySettings(memory=0.0)
