@@ -211,6 +211,19 @@ def test_kept_stack_serves_run_after_run(room: str, tmp_path: Path) -> None:
     assert read_run(tmp_path / "1" / "bag", digests=True).digests
 
 
+@pytest.mark.usefixtures("leaves_nothing")
+def test_stack_that_was_started_before_its_run_makes_the_same_run(room: str, tmp_path: Path) -> None:
+    scenario, waiting = scenario_of(*drive(), limits=Limits(time=30.0, silence=30.0)), []
+    for number in range(2):
+        outcome = execute(scenario, run_in(room, 0.4), tmp_path / str(number), domains=DOMAINS, followed=number == 0)
+        assert (outcome.end, outcome.goal_ns) == ("reached", 0)
+        assert (tmp_path / str(number) / "stack.log").read_text().count("the stack starts") == 1
+        waiting.append([prepared.has_stack for prepared in session.SESSIONS.prepared])
+    assert waiting == [[True], []]
+    digests = [read_run(tmp_path / str(number) / "bag", digests=True).digests for number in range(2)]
+    assert digests[0] and digests[0] == digests[1]
+
+
 @pytest.mark.parametrize(
     ("accepted", "status", "end"), [(False, 0, "gave up"), (True, 4, "reached"), (True, 6, "gave up"), (True, 5, "gave up")]
 )

@@ -72,7 +72,13 @@ def scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scenario:
     made = Scenario("rooms", file, ("linden_flat",), StackSpec(("true",), folder=tmp_path / "trial"))
 
     def execute(
-        given: Scenario, run: RunSpec, folder: Path, *, on_progress: Callable[[str], None], stop: Callable[[], bool]
+        given: Scenario,
+        run: RunSpec,
+        folder: Path,
+        *,
+        followed: bool,
+        on_progress: Callable[[str], None],
+        stop: Callable[[], bool],
     ) -> Outcome:
         if run.number == 4:
             raise GibsonSimError("no free ROS domain")
@@ -221,7 +227,13 @@ def test_files_are_taken_from_where_they_are_on_the_machine_of_a_worker(
 
     monkeypatch.setattr(execution, "execute", execute)
     run = spec(0, scene="/data/my_flat", robot="gibson_bot")
-    arguments = {"scenario": "/home/me/t.yaml", "folder": "/home/me", "changes": {}, "run": json.loads(json.dumps(run.to_json()))}
+    arguments = {
+        "scenario": "/home/me/t.yaml",
+        "folder": "/home/me",
+        "changes": {},
+        "run": json.loads(json.dumps(run.to_json())),
+        "followed": False,
+    }
     make_run(arguments, tmp_path, Context(root="/elsewhere"))
     assert seen == [(Path("/elsewhere/home/me"), "/elsewhere/data/my_flat", "gibson_bot")]
     assert finished_run(tmp_path) == run

@@ -32,7 +32,7 @@ def main(args: list[str] | None = None) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and node.exit_code is None:
-            executor.spin_once(timeout_sec=0.5)
+            executor.spin_once(timeout_sec=0.1)  # Ctrl-C is seen after it
         code = node.exit_code or 0
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -179,7 +179,11 @@ def make_runs(
     by_id = {f"{run.number:04d}": run for run in runs}
     files = _files(scenario)
     arguments = {"scenario": str(scenario.path), "folder": str(scenario.stack.folder), "changes": asdict(changes)}
-    units = [Unit(name, _FUNCTION, {**arguments, "run": run.to_json()}, files) for name, run in by_id.items()]
+    units = [
+        # The last one is followed by none; with several workers that holds for the last runs of the others, too, which nobody knows before.
+        Unit(name, _FUNCTION, {**arguments, "run": run.to_json(), "followed": number < len(runs)}, files)
+        for number, (name, run) in enumerate(by_id.items(), 1)
+    ]
     for name in by_id:
         _remove(folder / RUNS / name)
 
@@ -205,7 +209,7 @@ def make_run(arguments: dict[str, Any], folder: Path, context: Context) -> dict[
     """Executes and judges one run, in a worker process; returns its result as values of JSON, None if it was told to stop.
 
     Args:
-        arguments: the scenario file, what is changed in it, and the run.
+        arguments: the scenario file, what is changed in it, the run, and whether other runs follow it.
         folder: of the run.
         context: of the unit.
     """
@@ -218,7 +222,7 @@ def make_run(arguments: dict[str, Any], folder: Path, context: Context) -> dict[
     scenario = replace(scenario, stack=replace(scenario.stack, folder=context.path(arguments["folder"])))
     planned = RunSpec.from_json(arguments["run"])
     run = replace(planned, scene=_here(planned.scene, context), robot=_here(planned.robot, context))
-    outcome = execute(scenario, run, folder, on_progress=context.progress, stop=context.stop)
+    outcome = execute(scenario, run, folder, followed=arguments["followed"], on_progress=context.progress, stop=context.stop)
     write_file(folder / RUN, json_text(planned.to_json()), durable=False)
     if outcome.end == "interrupted" or context.stop():
         return None

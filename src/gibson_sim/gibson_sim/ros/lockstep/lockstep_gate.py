@@ -145,6 +145,12 @@ class LockstepGate:
         """Forgets the present tick: the simulation was reset."""
         self.core.reset()
 
+    def discover(self) -> None:
+        """Looks for the participants known by a rule, which settle while the node waits for something else before time starts."""
+        now_ns = time.monotonic_ns()
+        self._answers.find(now_ns)
+        self._look_at_rules(now_ns)
+
     def may_step(self) -> bool:
         """Returns whether the next tick may begin; logs which participants are late, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
@@ -322,10 +328,14 @@ class LockstepGate:
             for name, since in self._unmatched.items()
             if now_ns - since < _DISCOVERY_TIMEOUT_NS and not self._is_matched_both_ways(name)
         }
+        self._look_at_rules(now_ns)
+        return not self._unmatched and not self._unmatched_rules
+
+    def _look_at_rules(self, now_ns: int) -> None:
+        """Finds out since when the participants known by a rule are matched; costs nothing once they are settled."""
         rules = {p.name: p for p in self.core.participants}
         matched = {n: since or now_ns if self._rule_is_matched(rules[n]) else 0 for n, since in self._unmatched_rules.items()}
         self._unmatched_rules = {n: since for n, since in matched.items() if not since or now_ns - since < _SETTLED_NS}
-        return not self._unmatched and not self._unmatched_rules
 
     def _is_matched_both_ways(self, name: str) -> bool:
         """Returns whether a participant's messages arrive here, and ours there."""

@@ -395,7 +395,7 @@ class PhysicsNode(Node):
         }
         if page:
             others["the live page"] = lambda: note_of_job(PAGE) is not None
-        wait_for_peers(self, executor, subscribers, others)
+        wait_for_peers(self, executor, subscribers, others, *(() if self._gate is None else (self._gate.discover,)))
 
     def _report(self) -> None:
         self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())

@@ -26,7 +26,11 @@ def is_fully_matched(node: Node, publisher: Publisher) -> bool:
 
 
 def wait_for_peers(
-    node: Node, executor: Executor, subscribers: Mapping[str, int], others: Mapping[str, Callable[[], bool]]
+    node: Node,
+    executor: Executor,
+    subscribers: Mapping[str, int],
+    others: Mapping[str, Callable[[], bool]],
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
     """Spins until all peers of a run are there; logs after ten seconds which are missing, and goes on without them after two minutes.
 
@@ -35,11 +39,13 @@ def wait_for_peers(
         executor: of the node.
         subscribers: topic -> number of subscribers that it must have; where the node publishes the topic, they must be matched.
         others: name of another condition -> whether it holds.
+        meanwhile: called again and again.
     """
     began = time.monotonic()
     logged = False
     own = {publisher.topic_name: publisher for publisher in node.publishers}
     while is_running():
+        meanwhile()
         missing = [
             f"subscribers of {topic} ({count})" for topic, count in subscribers.items() if not _has(node, own, topic, count)
         ]

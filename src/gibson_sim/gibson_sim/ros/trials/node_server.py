@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import inspect
 import json
 import logging
 import os
@@ -238,6 +239,7 @@ def _load() -> None:
     for name in PRELOADED:
         import_module(f"gibson_sim.ros.{name}")
     import_module("rosidl_generator_py")
+    inspect.getmodule(inspect.currentframe())  # lists the files of all modules, as rclpy does for its first line of log
     definitions = MessageDefinitions()
     for kind in _TYPES:
         try:

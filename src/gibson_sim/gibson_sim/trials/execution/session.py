@@ -1,4 +1,7 @@
-"""What outlives a run whose stack is kept: the ROS domain, the node server, and the stack's processes and output."""
+"""The ROS domain of a run, with the node server, and the stack's processes and output: what outlives a run whose stack is kept.
+
+A stack that starts anew for each run can be started before its run begins, while the run before is judged (``SessionPool.prepare``).
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.processes.descendants import end_marked
 from gibson_sim.processes.environment import node_environment
 from gibson_sim.processes.shared_memory import remove_dead_segments
@@ -44,6 +48,8 @@ class Session:
         """Value of the variable ``MARKER`` of the stack's processes."""
         self.killed = False
         """Whether a process had to be killed, whose shared memory stays."""
+        self._has_processes = False
+        """Whether the stack was started, and what it left was not ended yet."""
         self._output = -1
         base = node_environment(reach="local")
         base.pop("ROS_DOMAIN_ID", None)
@@ -74,6 +80,7 @@ class Session:
         self._output, write_end = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
         os.set_blocking(write_end, True)
         environment = stack_environment(self.stack, self.domain, self.marker, os.environ)
+        self._has_processes = True
         try:
             self.server.start_program(STACK, self.stack.command, self.stack.folder.absolute(), environment, MARKER, write_end)
         finally:
@@ -115,14 +122,16 @@ class Session:
         self.server.end_rest()  # what has no marker
         while REST in self.server.running:
             self._look()
+        self._has_processes = False
 
     def close(self) -> None:
         """Ends the stack, and frees the domain."""
         try:
-            self.end_processes([STACK], self._look)
-            self.end_leftovers()
+            if self._has_processes:
+                self.end_processes([STACK], self._look)
+                self.end_leftovers()
+                remove_dead_segments(wait=self.killed)
             SERVERS.release(self._base, self.server)
-            remove_dead_segments(wait=self.killed)
         finally:
             self._close_output()
             self._lock.close()
@@ -139,23 +148,66 @@ class Session:
 
 
 class SessionPool:
-    """The sessions of this process whose stacks are kept; each serves one run at a time."""
+    """The sessions of this process whose stacks are kept, or were started before their run; each serves one run at a time."""
 
     def __init__(self) -> None:
         self._idle: list[Session] = []
+        self._prepared: list[Session] = []
+        """Sessions whose stacks have served no run."""
         self._mutex, self._owner = threading.Lock(), os.getpid()
 
     def acquire(self, stack: StackSpec, domains: Sequence[int]) -> Session:
         """Returns a session for a stack."""
         with self._mutex:
-            if self._owner != os.getpid():  # the sessions are those of the process that this one was forked from
-                self._owner = os.getpid()
-                self._idle.clear()
+            self._forget_if_forked()
             for number, session in enumerate(self._idle):
                 session.server.poll()
                 if session.fits(stack, domains):
                     return self._idle.pop(number)
         return Session(stack, domains)
+
+    def prepare(self, stack: StackSpec, domains: Sequence[int]) -> None:
+        """Starts a stack for the next run that ``acquire_fresh`` is called for, while this process does something else."""
+        try:
+            session = Session(stack, domains)
+        except GibsonSimError:  # such as no free domain: the next run tells if that is still so
+            return
+        try:
+            session.start_stack()
+        except GibsonSimError:
+            session.close()
+            return
+        with self._mutex:
+            self._forget_if_forked()
+            self._prepared.append(session)
+
+    def acquire_fresh(self, stack: StackSpec, domains: Sequence[int]) -> Session:
+        """Returns a session whose stack has served no run: one that was prepared and whose stack still runs, or a new one without stack."""
+        with self._mutex:
+            self._forget_if_forked()
+            prepared, self._prepared = self._prepared, []
+        found = None
+        for session in prepared:
+            session.server.poll()
+            if found is None and session.has_stack and session.fits(stack, domains):
+                found = session
+            else:
+                session.close()
+        return found or Session(stack, domains)
+
+    @property
+    def prepared(self) -> tuple[Session, ...]:
+        """Sessions whose stacks wait for their run."""
+        with self._mutex:
+            self._forget_if_forked()
+            return tuple(self._prepared)
+
+    def _forget_if_forked(self) -> None:
+        """Leaves the sessions of the process that this one was forked from to that process."""
+        if self._owner != os.getpid():
+            self._owner = os.getpid()
+            self._idle.clear()
+            self._prepared.clear()
 
     def release(self, session: Session) -> None:
         """Keeps a session for the next run; others of before are ended."""
@@ -170,7 +222,9 @@ class SessionPool:
     def close(self) -> None:
         """Ends all sessions that serve no run."""
         with self._mutex:
-            found, self._idle = self._idle if self._owner == os.getpid() else [], []
+            self._forget_if_forked()
+            found = [*self._idle, *self._prepared]
+            self._idle, self._prepared = [], []
         for session in found:
             session.close()
 

@@ -52,6 +52,7 @@ def execute(
     folder: Path,
     *,
     domains: Sequence[int] = DOMAINS,
+    followed: bool = False,
     on_progress: Callable[[str], None] = lambda text: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Outcome:
@@ -62,6 +63,8 @@ def execute(
         run: one of its runs.
         folder: of the run; it is made, and files of an earlier run in it are removed.
         domains: ROS domains of which a free one is taken.
+        followed: whether this process is about to execute another run: a stack that starts anew for each run is then started for it at the end
+            of this one, so that it loads while this run is judged.
         on_progress: is called with a short text now and then.
         stop: is asked often whether to interrupt the run.
 
@@ -72,15 +75,18 @@ def execute(
     settings = node_settings(scenario, run, folder, folder / JOB)
     prepare_folder(run, folder)
     kept = scenario.stack.restart == "never"
-    session = SESSIONS.acquire(scenario.stack, domains) if kept else Session(scenario.stack, domains)
+    session = (SESSIONS.acquire if kept else SESSIONS.acquire_fresh)(scenario.stack, domains)
     try:
-        outcome = _Run(scenario, run, folder, settings, session, on_progress, stop).execute()
+        outcome = _Run(scenario, run, folder, settings, session, on_progress, stop, kept=kept and session.has_stack).execute()
     finally:
         if kept:
             SESSIONS.release(session)
         else:
             session.close()
         shutil.rmtree(folder / JOB, ignore_errors=True)
+    # Not before the old one has ended: two at once could want the same port or file.
+    if followed and not kept and not stop():
+        SESSIONS.prepare(scenario.stack, domains)
     write_file(folder / "outcome.json", json.dumps(outcome.to_json(), indent=1) + "\n", durable=False)
     return outcome
 
@@ -102,11 +108,12 @@ class _Run:
 
     def __init__(
         self, scenario: Scenario, run: RunSpec, folder: Path, settings: NodeSettings, session: Session,
-        on_progress: Callable[[str], None], stop: Callable[[], bool],
+        on_progress: Callable[[str], None], stop: Callable[[], bool], *, kept: bool,
     ) -> None:  # fmt: skip
+        """``kept``: whether the stack has served a run before."""
         self._scenario, self._folder, self._job, self._settings = scenario, folder, folder / JOB, settings
         self._session, self._server, self._on_progress, self._stop = session, session.server, on_progress, stop
-        self._plan = TrialPlan.of(scenario, run, session.marker, kept=session.has_stack)
+        self._plan = TrialPlan.of(scenario, run, session.marker, kept=kept)
         self._began_s = self._progress_s = time.monotonic()
         self._log = StackLog(folder / "stack.log")
         self._keeps_stack = False
