@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.config import DETAIL_PX
-from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
+from gibson_sim.errors import ConfigError, RenderError, SceneError, SceneMismatchError
+from gibson_sim.formats.file_roots import is_inside
 from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
+from gibson_sim.formats.splats import load_splats
 from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.render.batching.building import build_geometry
@@ -29,12 +31,13 @@ from gibson_sim.render.draw.effects import EffectsPass, changes_colors
 from gibson_sim.render.draw.gl_scene import GlScene
 from gibson_sim.render.draw.grouping import IdentityCache
 from gibson_sim.render.draw.shutter import Shutter
+from gibson_sim.render.draw.splats import SplatPass
 from gibson_sim.render.draw.target import RenderTarget
 from gibson_sim.render.readback.frames import Readback, TargetImage, needed
 from gibson_sim.render.readback.pixel_buffers import PendingFrames, PixelBuffers
 from gibson_sim.render.readback.tensors import TensorFrame, Tensors
 from gibson_sim.scenes.scene_meshes import scene_roots
-from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
+from gibson_sim.scenes.spec import DrawnScene, SceneSpec, SplatsSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 
 
@@ -80,6 +83,8 @@ class Renderer:
     ) -> None:
         self._context: GlContext | None = None
         self._scene: GlScene | None = None
+        self._splats: SplatPass | None = None
+        self._splats_spec: SplatsSpec | None = None
         self._effects: EffectsPass | None = None
         self._shutter: Shutter | None = None
         self._pixel_buffers: PixelBuffers | None = None
@@ -111,12 +116,30 @@ class Renderer:
         made = GlScene(
             self.context, geometry, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
         )  # fmt: skip
-        for old in (self._camera_images, self._scene):
+        try:
+            splats = self._splats_of(scene)
+        except BaseException:
+            made.close()
+            raise
+        for old in (self._camera_images, self._scene, self._splats if splats is not self._splats else None):
             if old is not None:
                 old.close()
-        self._scene, self._camera_images = made, CameraImages(self.context, made)
+        self._splats, self._splats_spec = splats, scene.splats
+        self._scene, self._camera_images = made, CameraImages(self.context, made, splats)
         self._composition = Composition(scene, geometry, self._loader_of, coarser=self._detail_px > 0.0)
         self._describe(scene, geometry, (*geometry.warnings, *made.warnings))
+
+    def _splats_of(self, scene: DrawnScene) -> SplatPass | None:
+        """Returns the splats of a scene: those of the current one, if they are the same."""
+        spec = scene.splats
+        if spec is None or spec == self._splats_spec:
+            return None if spec is None else self._splats
+        path = Path(spec.file)
+        if self._allowed_roots is not None and not is_inside(path, self._allowed_roots):
+            raise SceneError(f"{path}: lies outside the folders that are allowed: {', '.join(map(str, self._allowed_roots))}")
+        T_world_file = matrix_from_pose(spec.pose)
+        T_world_file[:3, :3] *= spec.scale
+        return SplatPass(self.context, load_splats(path), T_world_file, cull=self._cull)
 
     def update(self, scene: DrawnScene, progress: Progress | None = None) -> bool:
         """Replaces the scene by another revision. A change of bodies costs little; any other change loads it anew, and returns True.
@@ -134,7 +157,7 @@ class Renderer:
         self._check_usable()
         assert self._scene is not None
         self.context.make_current()
-        change = self._composition.change(scene)
+        change = self._composition.change(scene) if scene.splats == self._splats_spec else None
         if change is None:
             self._load(scene, progress)
             return True
@@ -215,6 +238,11 @@ class Renderer:
     def drawn_triangles(self) -> int:
         """Number of triangles drawn in the last picture, or in the last pictures that were drawn side by side."""
         return 0 if self._scene is None else self._scene.drawn_triangles
+
+    @property
+    def drawn_splats(self) -> int:
+        """Number of splats drawn in the last picture, or in the last pictures that were drawn side by side."""
+        return 0 if self._splats is None else self._splats.drawn
 
     @property
     def tensors_on(self) -> str:
@@ -333,10 +361,12 @@ class Renderer:
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
         context = self._context
-        handles = (self._camera_images, self._effects, self._shutter, self._pixel_buffers, self._tensors, self._scene)
+        handles = (
+            self._camera_images, self._effects, self._shutter, self._pixel_buffers, self._tensors, self._splats, self._scene
+        )  # fmt: skip
         self._context = self._scene = self._camera_images = self._effects = self._shutter = self._pixel_buffers = (
             self._tensors
-        ) = None
+        ) = self._splats = None
         if context is None:
             return
         try:

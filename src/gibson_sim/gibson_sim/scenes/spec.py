@@ -125,6 +125,21 @@ class LightSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class SplatsSpec:
+    """Gaussian splats that are drawn over the visuals of the scene. Only colours change: all other outputs are those of the visuals."""
+
+    file: str
+    """Absolute path of a PLY or SPZ file."""
+    pose: Pose = field(default_factory=Pose)
+    """T_world_file, without the scale."""
+    scale: float = 1.0
+    """Metres per unit of the file."""
+
+    def __post_init__(self) -> None:
+        _check_number("splats", "scale", self.scale, 1e-6, 1e6)
+
+
+@dataclass(frozen=True, slots=True)
 class SceneSpec:
     """A scene with its robots. The world frame has z up (REP 103), metres."""
 
@@ -157,6 +172,8 @@ class SceneSpec:
     """Rooms that the scene names."""
     floor_estimated: bool = False
     """Whether ``floor_z`` is an estimate: the height with the most up-facing area in the lowest metre."""
+    splats: SplatsSpec | None = None
+    """What is drawn over the visuals; None = nothing."""
 
     @property
     def floors(self) -> tuple[float, ...]:
@@ -181,6 +198,8 @@ class DrawnScene:
     cameras: tuple[CameraSpec, ...]
     """In the order of ``due_cameras``."""
     light: LightSpec
+    splats: SplatsSpec | None = None
+    """What is drawn over the static visuals; None = nothing."""
 
     @property
     def semantic_classes(self) -> tuple[str, ...]:
@@ -218,6 +237,7 @@ def drawn_scene(scene: SceneSpec, links: tuple[str, ...]) -> DrawnScene:
         ),
         cameras=tuple(c for robot in scene.robots for c in robot.cameras),
         light=scene.light,
+        splats=scene.splats,
     )
 
 

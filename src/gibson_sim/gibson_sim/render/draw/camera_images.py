@@ -15,6 +15,7 @@ from gibson_sim.render.draw.gl_scene import GlScene
 from gibson_sim.render.draw.grouping import CameraGroup, CameraGrouping, IdentityCache, arrange
 from gibson_sim.render.draw.pinhole_views import PinholeView, is_plain, views_of
 from gibson_sim.render.draw.resample import Resampler
+from gibson_sim.render.draw.splats import SplatPass
 from gibson_sim.render.draw.target import Feature, RenderTarget
 from gibson_sim.render.readback.frames import TargetImage
 from gibson_sim.types import CameraSpec, Pose
@@ -26,10 +27,16 @@ _MAX_RESAMPLERS = 32
 
 
 class CameraImages:
-    """Draws camera images into targets of one context; it must be current in every call."""
+    """Draws camera images into targets of one context; it must be current in every call.
 
-    def __init__(self, context: GlContext, scene: GlScene) -> None:
-        self._context, self._scene, self._gl = context, scene, GL.Gl(context)
+    Args:
+        context: of the scene.
+        scene: what to draw.
+        splats: what to draw over it; None = nothing.
+    """
+
+    def __init__(self, context: GlContext, scene: GlScene, splats: SplatPass | None = None) -> None:
+        self._context, self._scene, self._splats, self._gl = context, scene, splats, GL.Gl(context)
         self._targets: dict[tuple[int, int, tuple[Feature, ...], int, str], RenderTarget] = {}
         self._resamplers: dict[tuple[CameraSpec, tuple[tuple[int, int], ...]], Resampler] = {}
         self._largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
@@ -67,6 +74,9 @@ class CameraImages:
             self._resolve(smooth, target)
         else:
             self._scene.draw(target, plain, color=color)
+        if color and self._splats is not None:
+            # With one sample a pixel: splats have soft edges.
+            self._splats.draw(self._scene, target, plain)
         if non_pinhole:
             self._draw_non_pinhole(target, non_pinhole, color)
 
@@ -93,6 +103,8 @@ class CameraImages:
             pictures += [_view_picture(image, view, before, place[first + k]) for k, view in enumerate(group)]
             first += len(group)
         self._scene.draw(source, pictures, color=color)
+        if color and self._splats is not None:
+            self._splats.draw(self._scene, source, pictures)
         first = 0
         for (image, _), group in zip(images, views, strict=True):
             places = tuple(place[first + k] for k in range(len(group)))

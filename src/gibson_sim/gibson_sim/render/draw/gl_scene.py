@@ -80,6 +80,7 @@ class GlScene:
         self.warnings: tuple[str, ...] = ()
         """Lights that were left out, one line each."""
         self._drawn: list[U32] = []
+        self._plans: list[DrawPlan] = []
         try:
             self._load(geometry, 0, 0)
         except BaseException:
@@ -169,6 +170,7 @@ class GlScene:
             # The depth at a pixel's centre says nothing about its other samples, and multisampled depths cannot be read.
             self._fill_occluders(target, plans)
             self._gl.glDisable(GL.POLYGON_OFFSET_FILL)
+        self._plans = plans
         target.use(color=color)
         self._clear(target.features, color=color, depth=not occlusion)
         if plans:
@@ -350,6 +352,25 @@ class GlScene:
     def bounds(self, T_world_links: F64) -> F64:
         """Returns the bounding box of the scene, (2, 3), world frame, metres."""
         return self._visibility.bounds(T_world_links)
+
+    def draw_moving_depth(self, pictures: Sequence[PinholePicture]) -> None:
+        """Draws the depth of what belongs to links into the framebuffer that is bound; ``draw`` has drawn these pictures last."""
+        plans = [plan.subset(self._moving[plan.batch] & (np.arange(len(plan.batch)) < plan.opaque)) for plan in self._plans]
+        if not any(len(plan.draws) for plan in plans):
+            return
+        assert len(plans) == len(pictures)
+        self._prepare_state()
+        self._bind()
+        self._upload_draws([plan.draws for plan in plans])
+        first = 0
+        for number, (plan, picture) in enumerate(zip(plans, pictures, strict=True)):
+            self._bind_picture(picture, number)
+            for multi_draw in plan.multi_draws():
+                self._bind_batch(multi_draw, (), color=False)
+                self._draw_both_sides(not (plan.cull_back_faces and self._closed[multi_draw.batch]))
+                self._multi_draw(first, multi_draw.draws)
+                first += multi_draw.draws
+        self._draw_both_sides(True)
 
     def draw_depth(self, clip_from_world: Mat4, T_world_links: F64, texel: float, *, static: bool, moving: bool) -> None:
         """Draws the opaque pass into the depth buffer that is bound; ``set_links`` must have been called with these poses.

@@ -1,0 +1,276 @@
+"""Draws Gaussian splats over pictures of the mesh.
+
+After a picture of the mesh is drawn: its depth, moved back a little, is what hides splats; the depth of moving bodies is taken as it is. What
+may be seen is sorted on the CPU, projected on the GPU, and blended from far to near into a picture of its own in single floats, which is then
+put over that of the mesh. All blending is done in sRGB, as splats are trained. Only colours change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.formats.splats import Splats
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.culling.draw_plan import PinholePicture
+from gibson_sim.render.culling.splat_chunks import SplatChunks, projected_limits
+from gibson_sim.render.draw.gl_scene import GlScene
+from gibson_sim.render.draw.screen_pass import FULL_SCREEN, shader_text
+from gibson_sim.render.draw.target import RenderTarget
+
+TOLERANCE_M = 0.06
+"""Distance behind the mesh, along its normal, at which splats are hidden."""
+_FARTHEST_M = 0.5
+"""Largest distance along the ray of that."""
+_SPLAT_VIEW = np.dtype(
+    [
+        ("optical", "<f4", (4, 4)), ("eye", "<f4", 4), ("lens", "<f4", 4), ("limits", "<f4", 4), ("place", "<f4", 4),
+        ("file", "<f4", (3, 4)), ("first", "<u4"), ("count", "<u4"), ("skew", "<f4"), ("pad", "<f4", 17),
+    ]
+)  # fmt: skip
+"""Uniform block ``SplatView``, matrices by columns, padded to the alignment of uniform buffers."""
+_VIEW_BINDING = 1
+_PROJECTED_BYTES = 64
+_GROUP = 64
+_MAX_LAYERS = 4
+_NOTHING = np.zeros(4, dtype=np.float32)
+
+
+class SplatPass:
+    """The splats of a scene on the GPU.
+
+    Args:
+        context: it must be current in every call.
+        splats: in the frame of their file.
+        T_world_file: (4, 4), a rigid transform times a scale.
+        cull: leave out what is outside the picture or hidden; off only to check that nothing else changes.
+    """
+
+    def __init__(self, context: GlContext, splats: Splats, T_world_file: Mat4, *, cull: bool = True) -> None:
+        self._context, self._gl, self._cull = context, GL.Gl(context), cull
+        self._chunks = SplatChunks(splats, T_world_file)
+        self._occlusion = cull and context.device.software
+        self._layers: dict[tuple[int, int], _Layer] = {}
+        self._programs: list[Any] = []
+        self._buffers: list[int] = []
+        self._arrays: list[int] = []
+        self.drawn = 0
+        """Number of splats that were drawn last."""
+        try:
+            self._make(splats.degree)
+        except BaseException:
+            self.close()
+            raise
+
+    def _make(self, degree: int) -> None:
+        gl, ctx = self._gl, self._context.gl
+        self._buffers = [gl.create("glCreateBuffers") for _ in range(5)]
+        self._bodies, self._harmonics, self._order, self._projected, self._views = self._buffers
+        chunks = self._chunks
+        bodies = np.zeros((max(len(chunks), 1), 12), dtype=np.float32)
+        bodies[: len(chunks), :3], bodies[: len(chunks), 3] = chunks.positions, chunks.opacities
+        bodies[: len(chunks), 4:10] = chunks.covariances
+        harmonics = np.ascontiguousarray(chunks.sh) if len(chunks) else np.zeros(48, dtype=np.float32)
+        for buffer, data in ((self._bodies, bodies), (self._harmonics, harmonics)):
+            gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STATIC_DRAW)
+        self._room = 0
+        self._compute = ctx.compute_shader(shader_text("splats.comp", (f"SH_DEGREE {degree}",), ("splat_view.glsl",)))
+        self._programs.append(self._compute)
+        self._depth = self._screen("splat_depth.frag", ("splat_view.glsl",), "u_depth")
+        self._blend = self._screen("splat_blend.frag", (), "u_splats")
+        self._splat = ctx.program(vertex_shader=shader_text("splats.vert"), fragment_shader=shader_text("splats.frag"))
+        self._programs.append(self._splat)
+        self._arrays = [gl.create("glCreateVertexArrays") for _ in range(2)]
+        self._array, self._empty_array = self._arrays
+        for location in range(4):
+            gl.glVertexArrayAttribFormat(self._array, location, 4, GL.FLOAT, 0, 16 * location)
+            gl.glVertexArrayAttribBinding(self._array, location, 0)
+            gl.glEnableVertexArrayAttrib(self._array, location)
+        gl.glVertexArrayBindingDivisor(self._array, 0, 1)
+
+    def _screen(self, fragment: str, before: tuple[str, ...], sampler: str) -> moderngl.Program:
+        defines = (f"TOLERANCE {TOLERANCE_M:.6f}", f"FARTHEST {_FARTHEST_M:.6f}")
+        program = self._context.gl.program(vertex_shader=FULL_SCREEN, fragment_shader=shader_text(fragment, defines, before))
+        program[sampler] = 0
+        self._programs.append(program)
+        return program
+
+    def draw(self, scene: GlScene, target: RenderTarget, pictures: Sequence[PinholePicture]) -> None:
+        """Draws the splats over pictures; ``scene`` has drawn them into ``target`` last, which has one sample a pixel."""
+        self.drawn = 0
+        if not pictures or not len(self._chunks):
+            return
+        gl, layer = self._gl, self._layer(target.width, target.height)
+        views = np.concatenate([_view(picture, self._chunks.R_world_file) for picture in pictures])
+        self._upload(self._views, views)
+        self._fill_depth(scene, target, layer, pictures)
+        depth = layer.read_depth() if self._occlusion else None
+        orders = [self._chunks.select(p, None if depth is None else _crop(depth, p), cull=self._cull) for p in pictures]
+        counts = [len(order) for order in orders]
+        views["count"], views["first"] = counts, np.cumsum([0, *counts[:-1]])
+        self.drawn = sum(counts)
+        if not self.drawn:
+            return
+        self._upload(self._views, views)
+        self._upload(self._order, np.concatenate(orders))
+        self._project(counts)
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, layer.framebuffer)
+        gl.glClearBufferfv(GL.COLOR, 0, _NOTHING.ctypes.data)
+        self._blend_splats(pictures, counts)
+        self._put_over(target, layer, pictures)
+
+    def _layer(self, width: int, height: int) -> _Layer:
+        layer = self._layers.pop((width, height), None)
+        if layer is None:
+            if len(self._layers) >= _MAX_LAYERS:
+                self._layers.pop(next(iter(self._layers))).close()  # the least recently used
+            layer = _Layer(self._gl, width, height)
+        self._layers[width, height] = layer
+        return layer
+
+    def _fill_depth(self, scene: GlScene, target: RenderTarget, layer: _Layer, pictures: Sequence[PinholePicture]) -> None:
+        """Fills the depth that hides splats: of the mesh, moved back, and of what moves."""
+        gl = self._gl
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, layer.depth_framebuffer)
+        for state in (GL.BLEND, GL.CULL_FACE, GL.SCISSOR_TEST):
+            gl.glDisable(state)
+        gl.glClipControl(GL.LOWER_LEFT, GL.ZERO_TO_ONE)
+        gl.glEnable(GL.DEPTH_TEST)
+        gl.glDepthFunc(GL.ALWAYS)
+        gl.glDepthMask(1)
+        gl.glBindSampler(0, 0)
+        gl.glBindTextureUnit(0, target.textures["depth"])
+        gl.glUseProgram(self._depth.glo)
+        gl.glBindVertexArray(self._empty_array)
+        for number, picture in enumerate(pictures):
+            self._bind_picture(picture, number)
+            gl.glDrawArrays(GL.TRIANGLES, 0, 3)
+        scene.draw_moving_depth(pictures)
+
+    def _bind_picture(self, picture: PinholePicture, number: int) -> None:
+        self._gl.glViewport(picture.x, picture.y, picture.width, picture.height)
+        self._bind_view(number)
+
+    def _bind_view(self, number: int) -> None:
+        size = _SPLAT_VIEW.itemsize
+        self._gl.glBindBufferRange(GL.UNIFORM_BUFFER, _VIEW_BINDING, self._views, number * size, size)
+
+    def _project(self, counts: Sequence[int]) -> None:
+        """Projects the splats of all pictures."""
+        gl = self._gl
+        needed = sum(counts) * _PROJECTED_BYTES
+        if needed > self._room:
+            self._room = needed * 3 // 2
+            gl.glNamedBufferData(self._projected, self._room, None, GL.STREAM_DRAW)
+        for binding, buffer in enumerate((self._bodies, self._harmonics, self._order, self._projected)):
+            gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, buffer)
+        for number, count in enumerate(counts):
+            if count:
+                self._bind_view(number)
+                self._compute.run(-(-count // _GROUP))
+        gl.glMemoryBarrier(GL.ALL_BARRIERS)
+
+    def _blend_splats(self, pictures: Sequence[PinholePicture], counts: Sequence[int]) -> None:
+        """Blends the projected splats into the layer that is bound."""
+        gl = self._gl
+        gl.glDepthFunc(GL.GREATER)
+        gl.glDepthMask(0)
+        gl.glEnable(GL.DEPTH_TEST)
+        gl.glEnable(GL.BLEND)
+        gl.glBlendFunc(GL.ONE, GL.ONE_MINUS_SRC_ALPHA)
+        gl.glUseProgram(self._splat.glo)
+        gl.glBindVertexArray(self._array)
+        first = 0
+        for number, (picture, count) in enumerate(zip(pictures, counts, strict=True)):
+            self._bind_picture(picture, number)
+            gl.glVertexArrayVertexBuffer(self._array, 0, self._projected, first * _PROJECTED_BYTES, _PROJECTED_BYTES)
+            gl.glDrawArraysInstanced(GL.TRIANGLE_STRIP, 0, 4, count)
+            first += count
+
+    def _put_over(self, target: RenderTarget, layer: _Layer, pictures: Sequence[PinholePicture]) -> None:
+        """Puts the layer over the colours of the target."""
+        gl = self._gl
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, target.color_framebuffer)
+        gl.glDisable(GL.DEPTH_TEST)
+        gl.glDisable(GL.FRAMEBUFFER_SRGB)  # the bytes of the target are sRGB, and so are the splats
+        gl.glBindTextureUnit(0, layer.color)
+        gl.glUseProgram(self._blend.glo)
+        gl.glBindVertexArray(self._empty_array)
+        for number, picture in enumerate(pictures):
+            self._bind_picture(picture, number)
+            gl.glDrawArrays(GL.TRIANGLES, 0, 3)
+        gl.glEnable(GL.FRAMEBUFFER_SRGB)
+        gl.glEnable(GL.DEPTH_TEST)
+        gl.glDisable(GL.BLEND)
+        gl.glDepthMask(1)
+
+    def _upload(self, buffer: int, data: NDArray[Any]) -> None:
+        self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
+
+    def close(self) -> None:
+        """Frees everything; a second call does nothing. The context must be current."""
+        layers, self._layers = self._layers, {}
+        for layer in layers.values():
+            layer.close()
+        while self._programs:
+            self._programs.pop().release()
+        while self._buffers:
+            self._gl.delete("glDeleteBuffers", self._buffers.pop())
+        arrays, self._arrays = self._arrays, []
+        for array in arrays:
+            self._gl.delete("glDeleteVertexArrays", array)
+
+
+class _Layer:
+    """A picture of splats in single floats, and the depth that hides them."""
+
+    def __init__(self, gl: GL.Gl, width: int, height: int) -> None:
+        self._gl, self._width, self._height = gl, width, height
+        self.color, self._depth = (self._texture(form) for form in (GL.RGBA32F, GL.DEPTH_COMPONENT32F))
+        self.framebuffer, self.depth_framebuffer = (gl.create("glCreateFramebuffers") for _ in range(2))
+        gl.glNamedFramebufferTexture(self.framebuffer, GL.COLOR_ATTACHMENT0, self.color, 0)
+        for framebuffer in (self.framebuffer, self.depth_framebuffer):
+            gl.glNamedFramebufferTexture(framebuffer, GL.DEPTH_ATTACHMENT, self._depth, 0)
+
+    def _texture(self, form: int) -> int:
+        texture = self._gl.create("glCreateTextures", GL.TEXTURE_2D)
+        self._gl.glTextureStorage2D(texture, 1, form, self._width, self._height)
+        for name in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
+            self._gl.glTextureParameteri(texture, name, GL.NEAREST)
+        return texture
+
+    def read_depth(self) -> NDArray[np.float32]:
+        """Returns the depth, ``near / depth``, (H, W); it must be bound."""
+        out = np.empty((self._height, self._width), dtype=np.float32)
+        self._gl.glReadPixels(0, 0, self._width, self._height, GL.DEPTH_COMPONENT, GL.FLOAT, out.ctypes.data)
+        return out
+
+    def close(self) -> None:
+        """Frees it."""
+        for framebuffer in (self.framebuffer, self.depth_framebuffer):
+            self._gl.delete("glDeleteFramebuffers", framebuffer)
+        for texture in (self.color, self._depth):
+            self._gl.delete("glDeleteTextures", texture)
+
+
+def _view(picture: PinholePicture, R_world_file: NDArray[np.float64]) -> NDArray[np.void]:
+    """Returns the uniforms of a picture, (1,) of ``_SPLAT_VIEW``, without the numbers of its splats."""
+    view, k = np.zeros(1, dtype=_SPLAT_VIEW), picture.intrinsics
+    view["optical"][0] = np.linalg.inv(picture.T_world_camera).T
+    view["eye"][0] = (*picture.T_world_camera[:3, 3], picture.near)
+    view["lens"][0] = (k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+    low, high = projected_limits(k, picture.width, picture.height)
+    view["limits"][0] = (*low, *high)
+    view["place"][0] = (picture.width, picture.height, picture.x, picture.y)
+    view["file"][0, :, :3] = R_world_file  # transposed once as the inverse, and once to be by columns
+    view["skew"] = k[0, 1]
+    return view
+
+
+def _crop(image: NDArray[np.float32], picture: PinholePicture) -> NDArray[np.float32]:
+    return image[picture.y : picture.y + picture.height, picture.x : picture.x + picture.width]
