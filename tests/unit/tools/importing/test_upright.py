@@ -19,7 +19,7 @@ from gibson_sim_tools.importing.document import rpy_deg
 from gibson_sim_tools.importing.run import ImportOptions, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
 from support.plys import ply
-from support.scans import noisy_room
+from support.scans import hall, noisy_room
 from support.turning import random_rotation, verdict
 
 NOISY = noisy_room(edge=0.1)
@@ -286,6 +286,45 @@ def test_islands_that_a_sloping_floor_hid_do_not_keep_it_from_being_levelled() -
     assert made_worse(before, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == [blocked.text]
     steep = SceneReport(before.findings, check_facts(tilt_deg=12.0))
     assert made_worse(steep, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse"),
+    [
+        ({"inverted": 6.0}, {"inverted": 7.0}, ["inverted triangles: 7, 6 before"]),
+        ({"holes": 10.0}, {"holes": 10.3}, []),
+        ({"holes": 10.0}, {"holes": 10.5}, ["open rims: 10.5 m, 10.0 m before"]),
+        ({}, {"view-holes": 0.02}, ["holes in the views of a robot: 2.0 %, 0.0 % before"]),
+        ({"view-holes": 0.1}, {"view-holes": 0.05}, []),
+    ],
+)
+def test_every_amount_of_a_check_counts_beyond_its_noise(
+    before: dict[str, float], after: dict[str, float], worse: list[str]
+) -> None:
+    def report(amounts: dict[str, float]) -> SceneReport:
+        return SceneReport(tuple(SceneFinding(k, "note", k, amount=v) for k, v in amounts.items()), check_facts(tilt_deg=0.1))
+
+    assert made_worse(report(before), report(after)) == worse
+
+
+def test_less_free_floor_and_a_larger_tilt_are_worse_even_where_neither_is_a_fault() -> None:
+    def report(tilt_deg: float, free: float) -> SceneReport:
+        return SceneReport((), check_facts(tilt_deg), free_floor=free)
+
+    assert made_worse(report(0.1, 20.0), report(0.15, 18.8)) == []
+    assert made_worse(report(0.1, 20.0), report(0.1, 18.0)) == ["floor that is free for a robot: 18.0 m^2, 20.0 m^2 before"]
+    assert made_worse(report(0.1, 20.0), report(0.4, 20.0)) == ["the floor is 0.40 degrees out of level, 0.10 before"]
+    assert made_worse(report(12.0, 20.0), report(0.1, 10.0)) == []  # the map of a steep floor says nothing
+
+
+def test_a_level_hall_with_raised_seating_is_not_turned_by_a_repair(tmp_path: Path) -> None:
+    vertices, faces = hall((8.0, 6.0, 3.0), rise=0.05, depth=1.5, start=1.0, noise=0.005, edge=0.25)
+    (tmp_path / "hall.ply").write_bytes(ply(vertices, faces.tolist(), None))
+    report = check_path(tmp_path / "hall.ply")
+    assert report.facts is not None and report.facts.tilt_deg < 0.02 and "not-level" not in report.amounts
+    _, mended = fix_scene(report, tmp_path / "b", FixOptions())
+    assert mended.geometry is not None
+    np.testing.assert_allclose(mended.geometry.vertices.min(axis=0), vertices.min(axis=0), atol=1e-5)
 
 
 def check_facts(tilt_deg: float) -> SceneFacts:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.formats.image_header import MAX_PIXELS
 from gibson_sim.geometry.triangles import areas_of, unit_normals
-from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, scene_floor_map
+from gibson_sim.maps.floor_map import FLOOR_TOLERANCE, FloorMap, scene_floor_map
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
@@ -25,6 +26,7 @@ from gibson_sim_tools.importing.checks.islands import islands
 from gibson_sim_tools.importing.document import ASSETS
 from gibson_sim_tools.importing.left_out import read_left_out
 from gibson_sim_tools.importing.scans import SCAN_FROM, SCAN_SHARE
+from gibson_sim_tools.view_holes import ViewHoles, view_holes
 
 Level = Literal["error", "warning", "note"]
 MAX_SIDE = 8192
@@ -35,7 +37,9 @@ HOLE_FROM = 0.3
 """Least boundary length of a reported hole, metres."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
 """Size of the robot that must fit at start poses, metres."""
-NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date"}
+VIEW_HOLES_FROM, VIEW_HOLES_WARNED = 0.001, 0.02
+"""Share of a robot's views that is hole from which it is reported, and from which it is a warning in a scan."""
+NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date", "view-holes"}
 """Findings that are meaningful only in a scene that is upright and in metres."""
 _FLOOR_AREA = 1.0
 _INVERTED = 0.001
@@ -54,6 +58,8 @@ class SceneFinding:
     remedy: str = ""
     fixable: bool = False
     """``--fix`` repairs it."""
+    amount: float = 1.0
+    """How much of it there is, in the measure of its kind: faces, edges, metres, pieces, degrees, share of the views."""
 
     def line(self) -> str:
         """Returns the finding as text."""
@@ -69,6 +75,16 @@ class SceneReport:
     """None if the scene cannot be read."""
     scene: SceneSpec | None = None
     geometry: DrawnGeometry | None = None
+    free_floor: float | None = None
+    """Area on which a robot of ``ROBOT_RADIUS`` can stand, all floors together, square metres; None = the scene cannot be mapped."""
+
+    @property
+    def amounts(self) -> dict[str, float]:
+        """How much there is of each kind of finding."""
+        out: dict[str, float] = {}
+        for finding in self.findings:
+            out[finding.what] = out.get(finding.what, 0.0) + finding.amount
+        return out
 
     @property
     def clean(self) -> bool:
@@ -78,9 +94,11 @@ class SceneReport:
     def json(self) -> dict[str, Any]:
         """Returns the report as plain values for JSON."""
         found = [
-            {"what": f.what, "level": f.level, "text": f.text, "remedy": f.remedy, "fixable": f.fixable} for f in self.findings
+            {"what": f.what, "level": f.level, "text": f.text, "remedy": f.remedy, "fixable": f.fixable, "amount": f.amount}
+            for f in self.findings
         ]
-        return {"clean": self.clean, "findings": found, "scene": None if self.facts is None else self.facts.json()}
+        facts = None if self.facts is None else self.facts.json()
+        return {"clean": self.clean, "findings": found, "free_floor_m2": self.free_floor, "scene": facts}
 
 
 def check_path(path: str | Path) -> SceneReport:
@@ -100,12 +118,15 @@ def check_scene(scene: SceneSpec) -> SceneReport:
     geometry = scene_geometry(scene)
     guess = guess_up(geometry.vertices, geometry.triangles, former_up(scene), is_told(scene))
     facts = scene_facts(scene, geometry, guess)
+    faults, maps = _faults(geometry), _maps(scene, facts)
     findings = [
-        *_orientation(facts, guess), *_unit(facts), *_meshes(geometry), *_textures(facts), *_floor(scene, geometry, facts), *_starts(scene, facts),
-        *_omissions(scene, geometry, guess), *_carried(scene),
+        *_orientation(facts, guess), *_unit(facts), *_meshes(geometry, faults), *_textures(facts), *_floor(scene, geometry, facts),
+        *_starts(scene, maps), *_views(scene, geometry, faults, maps), *_omissions(scene, geometry, guess), *_carried(scene),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
-    return SceneReport(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry)
+    drawn = [m for m in maps.values() if isinstance(m, FloorMap)]
+    free = sum(float(m.inflate(ROBOT_RADIUS).sum()) * m.resolution**2 for m in drawn)
+    return SceneReport(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry, free if maps else None)
 
 
 def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[SceneFinding]:
@@ -116,10 +137,12 @@ def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[SceneFinding]:
         yield SceneFinding("up-unclear", "warning", text, remedy)
     elif facts.tilt_deg > ON_ITS_SIDE_DEG:
         text = f"up is {direction_text(guess.up)}, {facts.tilt_deg:.1f} degrees off z: the scene lies on its side or is turned"
-        yield SceneFinding("not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True)
+        yield SceneFinding(
+            "not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True, facts.tilt_deg
+        )
     elif facts.tilt_deg > ALIGNED_DEG:
         text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: things roll, and maps have ghosts"
-        yield SceneFinding("not-level", "warning", text, "--fix turns it", True)
+        yield SceneFinding("not-level", "warning", text, "--fix turns it", True, facts.tilt_deg)
 
 
 def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
@@ -135,15 +158,25 @@ def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
     )  # fmt: skip
 
 
-def _meshes(geometry: DrawnGeometry) -> Iterator[SceneFinding]:
-    """Checks every mesh once, however many instances it has."""
+def _faults(geometry: DrawnGeometry) -> dict[int, MeshFaults]:
+    """Returns the faults of every mesh by its identity, once however many instances it has."""
+    out: dict[int, MeshFaults] = {}
+    for visual, mesh in geometry.meshes:
+        if id(mesh) not in out and visual.shape.kind == "mesh":
+            out[id(mesh)] = find_faults(*mesh.merged())
+    return out
+
+
+def _is_scan(faults: MeshFaults) -> bool:
+    return len(faults.degenerate) >= SCAN_FROM and faults.largest_piece > SCAN_SHARE
+
+
+def _meshes(geometry: DrawnGeometry, faults: Mapping[int, MeshFaults]) -> Iterator[SceneFinding]:
     done: set[int] = set()
     for visual, mesh in geometry.meshes:
-        if id(mesh) in done or visual.shape.kind != "mesh":
-            continue
-        done.add(id(mesh))
-        vertices, triangles = mesh.merged()
-        yield from _mesh(visual.name, find_faults(vertices, triangles), len(triangles))
+        if id(mesh) in faults and id(mesh) not in done:
+            done.add(id(mesh))
+            yield from _mesh(visual.name, faults[id(mesh)], len(faults[id(mesh)].degenerate))
 
 
 def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
@@ -151,25 +184,26 @@ def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
     if flat:
         level: Level = "warning" if flat > _DEGENERATE * count and flat >= _MANY else "note"
         yield SceneFinding(
-            "degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix leaves them out", True
+            "degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix leaves them out", True, flat
         )
     if inverted:
         level = "warning" if inverted > _INVERTED * count else "note"
         text = f"{name}: {inverted} of {count} triangles are turned the other way round than their neighbours, or inside out"
-        yield SceneFinding("inverted", level, text, "--fix turns them", True)
+        yield SceneFinding("inverted", level, text, "--fix turns them", True, inverted)
     # Holes in a scan are holes in walls.
-    scan = count >= SCAN_FROM and faults.largest_piece > SCAN_SHARE
+    scan = _is_scan(faults)
     if faults.crowded_edges:
         level = "warning" if scan and faults.crowded_edges > 0.01 * count else "note"
         text = f"{name}: {faults.crowded_edges} edges belong to more than two triangles (non-manifold)"
-        yield SceneFinding("non-manifold", level, text, "harmless for driving; mend it before making convex parts of it")
+        remedy = "harmless for driving; mend it before making convex parts of it"
+        yield SceneFinding("non-manifold", level, text, remedy, amount=faults.crowded_edges)
     holes = [rim for rim in faults.holes if rim >= HOLE_FROM]
     if holes:
         text = (
             f"{name}: {len(holes)} open rims of {HOLE_FROM} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
         )
         remedy = "lidars and cameras see through holes in walls; close them in a mesh editor, or scan again" if scan else ""
-        yield SceneFinding("holes", "warning" if scan else "note", text, remedy)
+        yield SceneFinding("holes", "warning" if scan else "note", text, remedy, amount=sum(holes))
 
 
 def _textures(facts: SceneFacts) -> Iterator[SceneFinding]:
@@ -180,7 +214,7 @@ def _textures(facts: SceneFacts) -> Iterator[SceneFinding]:
     total = sum(t.memory_mb for t in facts.textures)
     if total > MAX_MEMORY_MB:
         text = f"all textures take {total:.0f} MB in memory, more than {MAX_MEMORY_MB:.0f}"
-        yield SceneFinding("textures-memory", "warning", text, "--fix --max-texture 2048 makes them smaller", True)
+        yield SceneFinding("textures-memory", "warning", text, "--fix --max-texture 2048 makes them smaller", True, total)
 
 
 def _floor(scene: SceneSpec, geometry: DrawnGeometry, facts: SceneFacts) -> Iterator[SceneFinding]:
@@ -208,15 +242,22 @@ def _floor(scene: SceneSpec, geometry: DrawnGeometry, facts: SceneFacts) -> Iter
             )
 
 
-def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[SceneFinding]:
-    if not facts.upright or facts.unit != "m":
-        return  # a map of it would be meaningless
-    for floor_z in scene.floors:
-        starts = [s for s in scene.starts if abs(s.pose.position[2] - floor_z) < 0.5]
+def _maps(scene: SceneSpec, facts: SceneFacts) -> dict[float, FloorMap | SceneError]:
+    """Returns the map of each floor by its height, or why it cannot be made; none if a map would be meaningless."""
+    out: dict[float, FloorMap | SceneError] = {}
+    for floor_z in scene.floors if facts.upright and facts.unit == "m" else ():
         try:
-            floor = scene_floor_map(replace(scene, floor_z=floor_z), robot_height=ROBOT_HEIGHT)
+            out[floor_z] = scene_floor_map(replace(scene, floor_z=floor_z), robot_height=ROBOT_HEIGHT)
         except SceneError as e:
-            yield SceneFinding("no-floor", "warning", str(e), "give floor_z in scene.yaml")
+            out[floor_z] = e
+    return out
+
+
+def _starts(scene: SceneSpec, maps: Mapping[float, FloorMap | SceneError]) -> Iterator[SceneFinding]:
+    for floor_z, floor in maps.items():
+        starts = [s for s in scene.starts if abs(s.pose.position[2] - floor_z) < 0.5]
+        if isinstance(floor, SceneError):
+            yield SceneFinding("no-floor", "warning", str(floor), "give floor_z in scene.yaml")
             continue
         if not floor.inflate(ROBOT_RADIUS).any():
             yield SceneFinding("no-room", "warning", f"on the floor at z = {floor_z:.2f} m no place is free for a robot of radius {ROBOT_RADIUS} m",
@@ -232,6 +273,7 @@ def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[SceneFinding]:
                 "warning",
                 text,
                 "robots stay on the piece they start on; scan what is between, or close it with ground_z",
+                amount=len(pieces),
             )
         for start in starts:
             x, y, _ = start.pose.position
@@ -240,6 +282,34 @@ def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[SceneFinding]:
                 there = f"; the nearest free place is {free[0]:.2f}, {free[1]:.2f}" if free else ""
                 yield SceneFinding("start-blocked", "warning", f"start {quoted(start.name)} at {x:.2f}, {y:.2f} is not free for a robot of radius "
                               f"{ROBOT_RADIUS} m{there}", "move it in scene.yaml")  # fmt: skip
+
+
+def _views(
+    scene: SceneSpec, geometry: DrawnGeometry, faults: Mapping[int, MeshFaults], maps: Mapping[float, FloorMap | SceneError]
+) -> Iterator[SceneFinding]:
+    # The surface of a scan has one side; modelled sheets, such as curtains, are drawn from both.
+    scans = [id(mesh) in faults and _is_scan(faults[id(mesh)]) for _, mesh in geometry.meshes]
+    found = robot_view_holes(scene, geometry, np.repeat(scans, [mesh.triangle_count for _, mesh in geometry.meshes]), maps)
+    if found is None or found.share < VIEW_HOLES_FROM:
+        return
+    remedy = "scan again what is missing, or close it in a mesh editor" if any(scans) else ""
+    level: Level = "warning" if any(scans) and found.share > VIEW_HOLES_WARNED else "note"
+    yield SceneFinding("view-holes", level, found.text(), remedy, amount=found.share)
+
+
+def robot_view_holes(
+    scene: SceneSpec, geometry: DrawnGeometry, one_sided: NDArray[np.bool_], maps: Mapping[float, FloorMap | SceneError]
+) -> ViewHoles | None:
+    """Returns how much of what a robot sees in a scene is hole; None if it fits nowhere.
+
+    Args:
+        scene: the scene.
+        geometry: its geometry.
+        one_sided: (F,), whether the back of each triangle is a hole.
+        maps: of its floors.
+    """
+    floors = [m for m in maps.values() if isinstance(m, FloorMap)]
+    return view_holes(geometry.vertices[geometry.triangles], one_sided, floors, ROBOT_RADIUS, ground_z=scene.ground_z)
 
 
 def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Iterator[SceneFinding]:

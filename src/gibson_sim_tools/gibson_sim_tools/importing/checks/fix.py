@@ -27,7 +27,7 @@ from gibson_sim.types import Pose, Vec3
 from gibson_sim_tools.importing.checks.check import MAX_SIDE, NEED_UPRIGHT, SceneReport, check_path, left_out
 from gibson_sim_tools.importing.checks.facts import former_up, is_told
 from gibson_sim_tools.importing.checks.faults import find_faults
-from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
+from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
 from gibson_sim_tools.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.importers import UNSEEN, assigned, light_document
 from gibson_sim_tools.importing.labels import some_triangles
@@ -41,6 +41,46 @@ _SNAP = 0.3
 """Search range around the rotated height of a floor, metres."""
 MOST_PIXELS = 16384 * 16384
 """Size limit of an image that can be scaled down."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Amount:
+    """What the amount of a kind of finding measures."""
+
+    name: str
+    unit: str = ""
+    noise: float = 0.0
+    """Part by which two measurements of the same scene may differ."""
+    slack: float = 0.0
+    """The same in its unit."""
+
+
+_AMOUNTS = {
+    "no-floor": _Amount("floors that are missing"),
+    "floor-faces-down": _Amount("floors that face down"),
+    "no-room": _Amount("floors without room for a robot"),
+    "start-blocked": _Amount("start poses that are not free"),
+    "islands": _Amount("pieces of the free floor"),
+    "out-of-date": _Amount("free poses and files that no longer fit"),
+    "degenerate": _Amount("triangles without area"),
+    "inverted": _Amount("inverted triangles"),
+    "non-manifold": _Amount("non-manifold edges"),
+    "holes": _Amount("open rims", "m", 0.01, 0.3),
+    "view-holes": _Amount("holes in the views of a robot", "%", 0.05, 0.01),
+    "missing": _Amount("missing files"),
+    "missing-texture": _Amount("missing textures"),
+    "huge-texture": _Amount("textures that are too large"),
+    "textures-memory": _Amount("memory of all textures", "MB", 0.0, 1.0),
+}
+"""What the amount of each kind of finding means."""
+_METRIC = {"holes"}
+"""Findings whose amount is meaningless unless the scene is in metres."""
+_COUNTED, _FEW = {"degenerate", "inverted", "non-manifold"}, 0.001
+"""Findings that rounding of coordinates may cause, and the share of all triangles that it may."""
+_FLOOR_NOISE, _FLOOR_SLACK = 0.05, 0.3
+"""Noise of the area of the free floor: relative, and square metres. A turned map has its cells elsewhere."""
+_TILT_NOISE_DEG = 0.1
+"""Noise of the tilt, degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +157,10 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
 
 
 def made_worse(before: SceneReport, after: SceneReport) -> list[str]:
-    """Returns the problems of a repaired copy that the scene did not have; findings that the scene could not have do not count."""
+    """Returns what got worse in a repaired copy, one line each: new problems, and every measure of ``check`` that grew beyond its noise.
+
+    What the scene could not show does not count: a map of a scene on its side or in inches is meaningless.
+    """
     known = {f.what for f in before.findings if f.level != "note"}
     told = before.facts is not None and before.facts.upright and before.facts.unit == "m" and before.facts.tilt_deg <= TOLD_DEG
     # A map of a sloping floor shows no islands.
@@ -126,15 +169,25 @@ def made_worse(before: SceneReport, after: SceneReport) -> list[str]:
         f for f in after.findings if f.level != "note" and f.what not in known | hidden and (told or f.what not in NEED_UPRIGHT)
     ]
     out = [f.text for f in fresh]
-    for what in known & NEED_UPRIGHT if told else ():
-        counts = [sum(f.what == what and f.level != "note" for f in r.findings) for r in (before, after)]
-        if counts[1] > counts[0]:
-            out.append(f"{what}: {counts[1]} times, {counts[0]} before")
-    if after.facts is not None and before.facts is not None and "not-level" in known:
+    skipped = hidden | {f.what for f in fresh} | (set() if told else NEED_UPRIGHT | _METRIC)
+    count = 0 if after.facts is None else after.facts.triangles
+    amounts = before.amounts, after.amounts
+    for what, a in _AMOUNTS.items():
+        old, new = (amount.get(what, 0.0) for amount in amounts)
+        if what not in skipped and new > old * (1.0 + a.noise) + a.slack + (count * _FEW if what in _COUNTED else 0.0):
+            out.append(f"{a.name}: {_number(new, a.unit)}, {_number(old, a.unit)} before")
+    areas = (before.free_floor, after.free_floor) if told else (None, None)
+    if areas[0] is not None and areas[1] is not None and areas[1] < areas[0] * (1.0 - _FLOOR_NOISE) - _FLOOR_SLACK:
+        out.append(f"floor that is free for a robot: {areas[1]:.1f} m^2, {areas[0]:.1f} m^2 before")
+    if after.facts is not None and before.facts is not None and before.facts.up_axis and after.facts.up_axis:
         tilts = before.facts.tilt_deg, after.facts.tilt_deg
-        if tilts[1] > tilts[0] + ALIGNED_DEG:
+        if tilts[1] > tilts[0] + _TILT_NOISE_DEG and "not-level" not in {f.what for f in fresh}:
             out.append(f"the floor is {tilts[1]:.2f} degrees out of level, {tilts[0]:.2f} before")
     return out
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{100.0 * value:.1f} %" if unit == "%" else f"{value:.1f} {unit}" if unit else f"{value:.0f}"
 
 
 def _turned_floors(report: SceneReport, matrix: F64) -> tuple[tuple[float, ...], float | None, tuple[RoomSpec, ...]]:
