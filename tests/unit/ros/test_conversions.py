@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from hypothesis import given, strategies as st  # noqa: E402
 from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec  # noqa: E402
 from gibson_sim.errors import CommandError, SceneError  # noqa: E402
 from gibson_sim.ros import conversions as c  # noqa: E402
-from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight  # noqa: E402
+from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight, SplatsSpec  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec, DepthNoise, Frame, ImageEffects, Odometry, Pose, SceneState  # noqa: E402
 from support.messages import odometry_to_msg  # noqa: E402
 
@@ -60,6 +60,13 @@ def _scene() -> DrawnScene:
 
 def test_scene_round_trip_keeps_everything() -> None:
     assert c.scene_from_msg(c.scene_to_msg(_scene(), 5)) == _scene()
+
+
+def test_splats_of_a_scene_are_kept() -> None:
+    scene = replace(_scene(), splats=SplatsSpec("/a/room.spz", Pose((1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8)), 0.25))
+    msg = c.scene_to_msg(scene, 5)
+    assert c.scene_from_msg(msg) == scene
+    assert list(msg.instances) == list(scene.instances)  # they are none
 
 
 def test_scene_with_an_index_out_of_range_is_refused() -> None:

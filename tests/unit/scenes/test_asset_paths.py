@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec
 from gibson_sim.errors import SceneNotFoundError
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.spec import DrawnScene, LightSpec
+from gibson_sim.scenes.spec import DrawnScene, LightSpec, SplatsSpec
 from support.scenes import write_square_obj
 
 
@@ -44,6 +45,13 @@ def test_a_mapped_folder_stands_for_the_one_there(tmp_path: Path) -> None:
     )
     assert moved.visuals[0].shape.mesh == moved.light.environment == str(mesh)
     assert moved.visuals[0].appearance.pattern.image == str(mesh.with_suffix(".mtl"))
+
+
+def test_splats_are_found_as_meshes_are(tmp_path: Path) -> None:
+    (tmp_path / "room.ply").write_bytes(b"ply")
+    scene = replace(_scene(), splats=SplatsSpec("/there/room.ply", scale=2.0))
+    moved, _ = with_local_files(scene, [("/there", str(tmp_path))])
+    assert moved.splats == SplatsSpec(str(tmp_path / "room.ply"), scale=2.0)
 
 
 def test_a_scene_is_found_by_its_name(share: Path) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.mesh import UpAxis
 from gibson_sim.formats.ply import read_ply_tables
-from gibson_sim.reading import read_file
+from gibson_sim.reading import read_file, read_head
 
 F32 = NDArray[np.float32]
 Table = Mapping[str, NDArray[Any]]
@@ -38,6 +38,7 @@ _CHUNK = 256
 _SH_COUNTS = (0, 9, 24, 45)
 """Numbers of the coefficients above degree 0, of three colours, by degree."""
 _SPZ_MAGIC = b"NGSP"
+_GZIP_MAGIC = b"\x1f\x8b"
 _SPZ_SH_COUNTS = (0, 9, 24, 45, 72)
 _SPZ_COLOR = 0.15
 
@@ -82,6 +83,23 @@ def load_splats(path: Path) -> Splats:
     return read_splats(path, data)
 
 
+def up_axis_of(path: Path) -> UpAxis:
+    """Returns the up axis of the format of a file of splats, of which the beginning is read alone.
+
+    Raises:
+        MeshError: the file cannot be read, or is of another kind.
+    """
+    try:
+        head = read_head(path, 4)
+    except OSError as e:
+        raise MeshError(f"{path}: cannot be read: {e.strerror or e}") from e
+    if head.startswith(b"ply"):
+        return "z"
+    if head.startswith((_GZIP_MAGIC, _SPZ_MAGIC)):
+        return "y"
+    raise MeshError(f"{path}: is no file of splats; {ADVICE}")
+
+
 def read_splats(path: Path, data: bytes) -> Splats:
     """Returns the splats in the bytes of a file.
 
@@ -94,7 +112,7 @@ def read_splats(path: Path, data: bytes) -> Splats:
     """
     if data.startswith(b"ply"):
         return _checked(path, _from_ply(path, data))
-    if data.startswith((b"\x1f\x8b", _SPZ_MAGIC)):
+    if data.startswith((_GZIP_MAGIC, _SPZ_MAGIC)):
         return _checked(path, _from_spz(path, data))
     raise MeshError(f"{path}: is no file of splats; {ADVICE}")
 

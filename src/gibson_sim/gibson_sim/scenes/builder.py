@@ -18,6 +18,7 @@ from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.formats.file_roots import description_roots, is_inside, package_roots
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.formats.mesh import TO_Z_UP, UpAxis, merge
+from gibson_sim.formats.splats import up_axis_of
 from gibson_sim.formats.textures import IMAGE_SUFFIXES
 from gibson_sim.formats.uris import environment_folders, is_registered
 from gibson_sim.geometry.transforms import pose_from_matrix, transform_points
@@ -26,7 +27,7 @@ from gibson_sim.reading import is_file, read_file, real_path
 from gibson_sim.scenes.collision.simplified import scan_shapes
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import shape_triangles
-from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
+from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, SplatsSpec, StartPose
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
@@ -81,6 +82,7 @@ class SceneBuilder:
         self.floor_z: float | None = None
         self.floors: tuple[float, ...] = ()
         self.light = LightSpec()
+        self.splats: SplatsSpec | None = None
         self.sdf_lamps = False
         self.starts: list[StartPose] = []
         self.visuals: list[VisualSpec] = []
@@ -217,6 +219,26 @@ class SceneBuilder:
         self._files[real] = None
         return str(real)
 
+    def set_splats(self, path: Path, matrix: F64, scale: float, up_axis: UpAxis | None = None) -> None:
+        """Sets the splats that are drawn over the visuals; their file becomes part of the digest.
+
+        Args:
+            path: the file.
+            matrix: T_world_file, (4, 4), rigid, of the file with z up.
+            scale: metres per unit of the file.
+            up_axis: up axis of the file; None = that of its format.
+
+        Raises:
+            SceneError: the file is missing, of another kind, or lies outside the scene's folders.
+        """
+        if not self.admits(path):
+            raise SceneError(f"{path}: lies outside the scene's folder; put it inside")
+        real = real_path(path)
+        turned = matrix.copy()
+        turned[:3, :3] = matrix[:3, :3] @ TO_Z_UP[up_axis_of(real) if up_axis is None else up_axis]
+        self.splats = SplatsSpec(str(real), pose_from_matrix(turned), scale)
+        self._files[real] = None
+
     def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
         """Adds a collision shape at T_world_shape, ``matrix`` (4, 4)."""
         self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
@@ -253,7 +275,7 @@ class SceneBuilder:
         return SceneSpec(
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
             self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), bodies=tuple(self.bodies),
-            other_floors=self.floors, rooms=tuple(self.rooms), floor_estimated=self.floor_z is None,
+            other_floors=self.floors, rooms=tuple(self.rooms), floor_estimated=self.floor_z is None, splats=self.splats,
         )  # fmt: skip
 
     def digest(self) -> str:

@@ -26,16 +26,30 @@ from gibson_sim.reading import parse_yaml
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spawning import load_spawnable
-from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
+from gibson_sim.scenes.spec import SPLAT_SCALES, LightSpec, PointLight, StartPose
 from gibson_sim.types import Pose, Rgba, Vec3
 
 F64 = NDArray[np.float64]
 
-_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "rooms", "light", "starts", "objects", "bodies")
+_SCENE_KEYS = (
+    "name",
+    "description",
+    "gravity",
+    "ground_z",
+    "floor_z",
+    "floors",
+    "rooms",
+    "light",
+    "visual",
+    "starts",
+    "objects",
+    "bodies",
+)
 _LIGHT_KEYS = (
     "sun_direction", "sun", "sun_color", "shadows", "ambient", "background", "points",
     "environment", "environment_strength", "environment_yaw_deg", "environment_visible", "backdrop",
 )  # fmt: skip
+_VISUAL_KEYS = ("splats", "pose", "scale", "up_axis")
 _POINT_KEYS = ("position", "color", "strength", "range", "attenuation", "direction", "inner_deg", "outer_deg")
 _SHAPES = ("mesh", "box", "sphere", "cylinder")
 _OBJECT_KEYS = (
@@ -74,6 +88,8 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
         builder.floor_z = min(builder.floors)
     _rooms(builder, top)
     builder.light = _light(builder, path, top.within(top.value("light") or {}, "light", _LIGHT_KEYS))
+    if top.has("visual"):
+        _splats(builder, path, top.within(top.value("visual"), "visual", _VISUAL_KEYS))
     for index, item in enumerate(top.items("objects")):
         _object(builder, path, top.within(item, f"objects[{index}]", _OBJECT_KEYS))
     _bodies(builder, path, top)
@@ -156,16 +172,33 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
         builder.add_collision(name, *_mesh(builder, path, item, collision, matrix))
 
 
+def _splats(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
+    name = item.text("splats", "").strip()
+    if not name:
+        raise SceneError(f"{item.where}: has no splats; give the name of a PLY or SPZ file in the scene's folder")
+    pose, scale, up_axis = _pose(item), item.number("scale", 1.0, *SPLAT_SCALES), _up_axis(item)
+    try:
+        builder.set_splats(path.parent / name, matrix_from_pose(pose), scale, up_axis)
+    except SceneError as e:
+        raise SceneError(f"{item.where}: {e}") from e
+
+
+def _up_axis(item: YamlMap) -> UpAxis | None:
+    """Returns the value of ``up_axis``; None = not given."""
+    if not item.has("up_axis"):
+        return None
+    up_axis = _UP_AXES.get(item.text("up_axis", ""))
+    if up_axis is None:
+        raise SceneError(f"{item.where}: up_axis is {quoted(item.value('up_axis'))}, must be x, y or z")
+    return up_axis
+
+
 def _mesh(builder: SceneBuilder, path: Path, item: YamlMap, name: str, matrix: F64) -> tuple[Shape, F64]:
     scale = item.value("scale", 1.0)
     factors: Vec3 = (float(scale),) * 3 if isinstance(scale, int | float) else item.vec3("scale")
     if not (np.isfinite(factors).all() and all(factors)):
         raise SceneError(f"{item.where}: scale is {quoted(scale)}, must be a number or three numbers, none of them 0")
-    up_axis = None
-    if item.has("up_axis"):
-        up_axis = _UP_AXES.get(item.text("up_axis", ""))
-        if up_axis is None:
-            raise SceneError(f"{item.where}: up_axis is {quoted(item.value('up_axis'))}, must be x, y or z")
+    up_axis = _up_axis(item)
     unit_m = item.number("unit_m", low=1e-9) if item.has("unit_m") else None
     try:
         return builder.mesh_shape(path.parent / name, matrix, factors, up_axis, unit_m)

@@ -17,6 +17,8 @@ from gibson_sim.types import CameraSpec, Pose, Vec3
 
 UNLABELLED = "unlabelled"
 """Name of semantic class 0."""
+SPLAT_SCALES = (1e-4, 1e4)
+"""Least and greatest scale of splats, metres per unit of their file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +138,7 @@ class SplatsSpec:
     """Metres per unit of the file."""
 
     def __post_init__(self) -> None:
-        _check_number("splats", "scale", self.scale, 1e-6, 1e6)
+        _check_number("splats", "scale", self.scale, *SPLAT_SCALES)
 
 
 @dataclass(frozen=True, slots=True)

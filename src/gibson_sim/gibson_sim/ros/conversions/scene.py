@@ -35,7 +35,7 @@ from gibson_sim.ros.conversions.basics import (
     vector_from_msg,
     vector_to_msg,
 )
-from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec, PointLight
+from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec, PointLight, SplatsSpec
 from gibson_sim.types import OUTPUTS, WORLD_FRAME, CameraSpec, DepthNoise, ImageEffects, SceneState, Vec3
 
 if TYPE_CHECKING:  # it imports SciPy: 0.4 s at each start of a render node, which has no map
@@ -63,11 +63,26 @@ def scene_to_msg(scene: DrawnScene, stamp_ns: int) -> RosScene:
         revision=scene.revision,
         content_hash=scene.content_hash,
         links=list(scene.links),
-        visuals=[_visual_to_msg(v, link_index[v.link], class_index[v.semantic_class]) for v in scene.visuals],
+        visuals=[
+            *(_visual_to_msg(v, link_index[v.link], class_index[v.semantic_class]) for v in scene.visuals),
+            *([] if scene.splats is None else [_splats_to_msg(scene.splats)]),
+        ],
         cameras=[_camera_to_msg(c, link_index[c.link]) for c in scene.cameras],
         semantic_classes=list(scene.semantic_classes),
         instances=list(scene.instances),
         light=_light_to_msg(scene.light),
+    )
+
+
+def _splats_to_msg(splats: SplatsSpec) -> RosVisual:
+    size = (splats.scale,) * 3
+    return RosVisual(
+        name="splats",
+        link=-1,
+        shape=RosVisual.SHAPE_SPLATS,
+        mesh=splats.file,
+        size=vector_to_msg(size),
+        pose=pose_to_msg(splats.pose),
     )
 
 
@@ -88,8 +103,11 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
         return "" if index == -1 else pick(links, index, "link")
 
     classes = tuple(msg.semantic_classes)
-    visuals = []
+    visuals, splats = [], None
     for v in msg.visuals:
+        if v.shape == RosVisual.SHAPE_SPLATS:
+            splats = SplatsSpec(v.mesh, pose_from_msg(v.pose), v.size.x)
+            continue
         if v.shape not in _SHAPE_KINDS:
             raise SceneError(
                 f"scene {quoted(msg.name)}: visual {quoted(v.name)} has shape {v.shape}, known: {sorted(_SHAPE_KINDS)}"
@@ -109,7 +127,7 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
         )
     cameras = tuple(_camera_from_msg(c, link_name(c.link)) for c in msg.cameras)
     light = _light_from_msg(msg.light)
-    return DrawnScene(msg.name, msg.revision, msg.content_hash, links, tuple(visuals), cameras, light)
+    return DrawnScene(msg.name, msg.revision, msg.content_hash, links, tuple(visuals), cameras, light, splats)
 
 
 def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...], epoch: int = 0, epoch_step: int = 0) -> RosSceneState:
