@@ -25,6 +25,7 @@ _WIDTH = 0.7
 """Standard deviation of a disc, mean distances between splats."""
 _DRAWN = 5
 """Random points for each splat, of which those are kept that are not beside another: so there are few gaps."""
+_SHIFT = 0.3719
 _FLATNESS = 0.1
 """Standard deviation across the surface by that along it."""
 _OPACITY = 0.95
@@ -85,7 +86,8 @@ def _on_part(
 
 def _spaced(points: F64, which: NDArray[np.int64], spacing: float) -> tuple[F64, NDArray[np.int64]]:
     """Returns the first of the points (N, 3), and of ``which`` (N,), in each cell of a grid."""
-    cells = np.floor(points / spacing).astype(np.int64)
+    # Floors and walls often lie on round numbers: not on the borders of cells.
+    cells = np.floor(points / spacing + _SHIFT).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     kept = np.sort(first)
     return points[kept], which[kept]

@@ -23,10 +23,11 @@ from gibson_sim_tools.importing.checks.facts import DrawnGeometry, SceneFacts, f
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
 from gibson_sim_tools.importing.checks.islands import islands
+from gibson_sim_tools.importing.checks.splats import splat_distance
 from gibson_sim_tools.importing.document import ASSETS
 from gibson_sim_tools.importing.left_out import read_left_out
 from gibson_sim_tools.importing.scans import SCAN_FROM, SCAN_SHARE
-from gibson_sim_tools.view_holes import ViewHoles, view_holes
+from gibson_sim_tools.view_holes import ROBOT_HEIGHT, ROBOT_RADIUS, ViewHoles, view_holes
 
 Level = Literal["error", "warning", "note"]
 MAX_SIDE = 8192
@@ -35,8 +36,8 @@ MAX_MEMORY_MB = 2048.0
 """Memory limit of all textures, MB."""
 HOLE_FROM = 0.3
 """Least boundary length of a reported hole, metres."""
-ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
-"""Size of the robot that must fit at start poses, metres."""
+SPLATS_APART = 0.03
+"""Median distance of splats from the mesh, metres, above which pictures and depth show two different rooms."""
 VIEW_HOLES_FROM, VIEW_HOLES_WARNED = 0.001, 0.02
 """Share of a robot's views that is hole from which it is reported, and from which it is a warning in a scan."""
 NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date", "view-holes"}
@@ -122,6 +123,7 @@ def check_scene(scene: SceneSpec) -> SceneReport:
     findings = [
         *_orientation(facts, guess), *_unit(facts), *_meshes(geometry, faults), *_textures(facts), *_floor(scene, geometry, facts),
         *_starts(scene, maps), *_views(scene, geometry, faults, maps), *_omissions(scene, geometry, guess), *_carried(scene),
+        *_splats(scene, geometry),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
     drawn = [m for m in maps.values() if isinstance(m, FloorMap)]
@@ -310,6 +312,23 @@ def robot_view_holes(
     """
     floors = [m for m in maps.values() if isinstance(m, FloorMap)]
     return view_holes(geometry.vertices[geometry.triangles], one_sided, floors, ROBOT_RADIUS, ground_z=scene.ground_z)
+
+
+def _splats(scene: SceneSpec, geometry: DrawnGeometry) -> Iterator[SceneFinding]:
+    if scene.splats is None:
+        return
+    found = splat_distance(scene.splats, geometry.vertices[geometry.triangles], np.random.default_rng(0))
+    if found.median > SPLATS_APART:
+        remedy = "give the pose, scale and up_axis of the splats under visual in scene.yaml, or splats of this room"
+        yield SceneFinding(
+            "splats-apart",
+            "error",
+            f"{found.text()}; at most {100.0 * SPLATS_APART:g} cm are allowed",
+            remedy,
+            amount=found.median,
+        )
+    else:
+        yield SceneFinding("splats", "note", found.text(), amount=found.median)
 
 
 def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Iterator[SceneFinding]:

@@ -115,6 +115,10 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
         raise SceneError(f"the scene cannot be read, so nothing can be mended: {report.findings[0].text}")
     if report.scene.bodies:
         raise SceneError(f"scene {quoted(report.scene.name)} has bodies that move; mend the meshes that it is made of one by one")
+    if report.scene.splats is not None:
+        raise SceneError(
+            f"scene {quoted(report.scene.name)} has splats, which a mended copy would lose: mend it without `visual`, then add that again"
+        )
     scene = report.scene
     matrix = np.eye(4)
     if fix.level:

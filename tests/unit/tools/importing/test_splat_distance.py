@@ -1,0 +1,77 @@
+"""Splats made from the surfaces of a scene lie on them, and the check measures by how much others are off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import SceneError
+from gibson_sim.formats.splats import SH_DC, Splats, splats_ply
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.scene_meshes import collision_triangles
+from gibson_sim.scenes.spec import SplatsSpec
+from gibson_sim_tools.importing.checks.check import check_path
+from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene
+from gibson_sim_tools.importing.checks.splats import splat_distance
+from gibson_sim_tools.making.splats import splats_of_scene
+
+FLOOR = "objects: [{name: floor, box: [4, 4, 0.2], pose: {xyz: [0, 0, -0.1]}, color: [0.2, 0.4, 0.6]}]\n"
+
+
+def _splats(folder: Path, text: str = FLOOR) -> Splats:
+    (folder / "scene.yaml").write_text(text)
+    return splats_of_scene(load_scene(folder), 3000, np.random.default_rng(1))
+
+
+def test_splats_lie_flat_on_the_surfaces_with_their_colours(tmp_path: Path) -> None:
+    splats = _splats(tmp_path)
+    assert 0.6 * 3000 < len(splats) < 1.5 * 3000
+    np.testing.assert_allclose(splats.sh[:, 0] * SH_DC + 0.5, np.tile([0.2, 0.4, 0.6], (len(splats), 1)), atol=1e-6)
+    top = (np.abs(splats.positions[:, 2]) < 1e-6) & (np.abs(splats.positions[:, :2]) < 1.9).all(axis=1)
+    assert top.sum() > 1000
+    # The third axis of a splat, along which it is thin, is the normal of the floor.
+    x, y = splats.quats_xyzw[top, :2].T
+    np.testing.assert_allclose(np.abs(1 - 2 * (x * x + y * y)), 1.0, atol=1e-6)
+    assert (splats.scales[:, 2] < 0.2 * splats.scales[:, 0]).all()
+
+
+def test_a_scene_without_an_opaque_surface_gives_no_splats(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="no opaque surface"):
+        _splats(tmp_path, "objects: [{box: [1, 1, 1], color: [1, 1, 1, 0.5]}]\n")
+
+
+@pytest.mark.parametrize("off", [0.0, 0.01, 0.2])
+def test_the_distance_is_that_by_which_splats_are_off(tmp_path: Path, off: float) -> None:
+    splats = _splats(tmp_path)
+    top = np.abs(splats.positions[:, 2]) < 1e-6
+    parts = {name: getattr(splats, name)[top] for name in ("positions", "scales", "quats_xyzw", "opacities", "sh")}
+    parts["positions"] = parts["positions"] + np.array([0.0, 0.0, off], dtype=np.float32)
+    (tmp_path / "s.ply").write_bytes(splats_ply(Splats(**parts)))
+    vertices, triangles = collision_triangles(load_scene(tmp_path))
+    found = splat_distance(SplatsSpec(str(tmp_path / "s.ply")), vertices[triangles], np.random.default_rng(0))
+    assert found.median == pytest.approx(off, abs=1e-3) and found.most >= found.median - 1e-6
+    lifted = SplatsSpec(str(tmp_path / "s.ply"), scale=2.0)
+    twice = splat_distance(lifted, vertices[triangles], np.random.default_rng(0))
+    assert twice.median >= 2.0 * off - 1e-3
+
+
+def test_faint_splats_do_not_count_and_without_solid_ones_nothing_is_near(tmp_path: Path) -> None:
+    splats = _splats(tmp_path)
+    haze = replace(splats, opacities=np.full(len(splats), 0.3, dtype=np.float32))
+    (tmp_path / "s.ply").write_bytes(splats_ply(haze))
+    found = splat_distance(SplatsSpec(str(tmp_path / "s.ply")), np.zeros((0, 3, 3)), np.random.default_rng(0))
+    assert found.median == np.inf
+
+
+def test_check_reports_an_error_above_three_centimetres_and_nothing_is_mended(tmp_path: Path) -> None:
+    (tmp_path / "s.ply").write_bytes(splats_ply(_splats(tmp_path)))
+    (tmp_path / "scene.yaml").write_text(f"{FLOOR}visual: {{splats: s.ply, pose: {{xyz: [0, 0, 0.3]}}}}\n")
+    report = check_path(tmp_path)
+    (finding,) = [f for f in report.findings if f.what.startswith("splats")]
+    assert (finding.what, finding.level) == ("splats-apart", "error")
+    assert "splats of degree 0: half of the solid ones are within" in finding.text and "at most 3 cm are allowed" in finding.text
+    with pytest.raises(SceneError, match="has splats, which a mended copy would lose"):
+        fix_scene(report, tmp_path / "mended", FixOptions())
