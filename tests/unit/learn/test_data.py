@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.tasks.episode import item_body
+from gibson_sim_learn.path_following.clutter import KINDS, random_thing
 from gibson_sim_learn.path_following.data import (
+    FREE_EDGES,
     HFOV,
     Shard,
     column_bearings,
+    distance_labels,
     free_distances,
     is_match,
     load_shard,
@@ -23,6 +29,7 @@ from gibson_sim_learn.path_following.data import (
     save_shard,
     smooth_path,
 )
+from gibson_sim_learn.path_following.layout import THINGS
 
 CELL = 0.05
 
@@ -93,6 +100,32 @@ def test_smooth_path_rounds_its_corner_and_looks_along_it() -> None:
     assert path[-1, 2] == pytest.approx(math.pi / 2.0, abs=0.02)
     assert np.linalg.norm(path[:, :2] - [2.0, 0.5], axis=1).min() > 0.05
     assert np.abs(np.diff(path[:, 2])).max() < 0.4
+
+
+def test_labels_of_a_distance_are_around_it_and_sum_to_one() -> None:
+    labels = distance_labels(np.array([[0.55, 1.0], [2.999, 3.0]], np.float32))
+    assert labels.shape == (2, 2, len(FREE_EDGES))
+    np.testing.assert_allclose(labels.sum(axis=2), 1.0, atol=1e-6)
+    np.testing.assert_allclose(
+        labels[0, 0, 4:7], [0.0205, 0.959, 0.0205], atol=0.001
+    )  # logistic: 1 / (1 + exp(1.702 * 0.05 / 0.022)) to either side
+    np.testing.assert_allclose(labels[0, 1, 9:11], 0.486, atol=0.001)
+    assert labels[1, :, -1].tolist() == [1.0, 1.0], "as far as is looked: nothing is there"
+
+
+def test_random_things_stand_on_the_floor_and_are_none_of_table_2() -> None:
+    kinds = set()
+    for seed in range(40):
+        item = random_thing(np.random.default_rng(seed), f"thing_{seed}")
+        assert item.text == random_thing(np.random.default_rng(seed), f"thing_{seed}").text
+        body = item_body(item)
+        corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
+        assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-4)
+        assert 0.2 <= corners[:, 2].max() <= 2.0
+        assert np.abs(corners[:, :2]).max() < 0.75
+        kinds.add(item.model)
+    assert kinds == set(KINDS)
+    assert kinds.isdisjoint(THINGS)
 
 
 def test_shards_come_back_as_they_were_saved(tmp_path: Path) -> None:

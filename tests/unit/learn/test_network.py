@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_path_following.learned import PathModel
-from gibson_sim_learn.path_following.data import DIRECTIONS, PAIR, Shard
+from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, PAIR, Shard
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings
 
@@ -56,6 +56,9 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
     with torch.no_grad():
         here, there = network.encode(torch.from_numpy(present)), network.encode(torch.from_numpy(recorded))
         expected = network.compare(here.expand(3, -1, -1, -1), there)
+        hit = torch.softmax(network.free(here)[0], dim=1)
     np.testing.assert_allclose(found.pose, expected.pose.numpy(), atol=1e-4)
     np.testing.assert_allclose(found.match, torch.sigmoid(expected.match).numpy(), atol=1e-4)
-    assert found.free.shape == (DIRECTIONS,)
+    np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
+    assert found.hit.shape == (DIRECTIONS, len(FREE_EDGES))
+    np.testing.assert_allclose(model.edges, FREE_EDGES)

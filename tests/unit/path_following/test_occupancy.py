@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hits_around
+from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hits_around, median_distances
 
 F64 = NDArray[np.float64]
 BEARINGS = np.arctan((1.0 - (np.arange(24) + 0.5) / 12.0) * math.tan(math.radians(50.0)))
@@ -125,3 +125,9 @@ def test_hits_around_distances_are_probabilities_with_their_median_there() -> No
 def test_settings_out_of_range_are_one_line() -> None:
     with pytest.raises(SettingError, match=r"memory is 0, must be 0.1 to 1e\+06"):
         OccupancySettings(memory=0.0)
+
+
+def test_median_distance_lies_in_the_bin_that_reaches_one_half() -> None:
+    edges = np.array([0.0, 1.0, 2.0, 4.0])
+    hit = np.array([[0.0, 0.25, 0.5, 0.25], [1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.8]])
+    np.testing.assert_allclose(median_distances(edges, hit), [3.0, 0.5, 4.0])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from gibson_path_following.types import RecordedPath
 from gibson_sim.errors import SceneError
 from gibson_sim_learn.path_following.cases import draw_cases
+from gibson_sim_learn.path_following.clutter import random_thing
 from gibson_sim_learn.path_following.data import (
     HFOV,
     Shard,
@@ -35,6 +37,9 @@ LENGTHS = (5.0, 7.0, 9.0, 11.0)
 """Lengths of the paths, metres; one after another."""
 _MOVED, _TURNED = 0.03, math.radians(3.0)
 """A view is kept if the robot moved or turned so far since the one before, metres and radians."""
+
+_DOMAIN = replace(TRAINED, obstacles=(0, 2))
+"""That of training, and random things on the path."""
 
 DriverOf = Callable[[RecordedPath], Driver]
 """Makes the driver of a path."""
@@ -69,7 +74,7 @@ def drive_all(
                     continue
                 length = LENGTHS[number % len(LENGTHS)]
                 case = draw_cases(site.ground, scene, length, number // len(LENGTHS) + 1, seed)[-1]
-                conditions = draw(TRAINED, np.random.default_rng([seed, number]))
+                conditions = draw(_DOMAIN, np.random.default_rng([seed, number]))
                 try:
                     recording = record(site, case)
                     trace = _driven(site, recording, driver_of(recording.path), conditions, number)
@@ -81,7 +86,7 @@ def drive_all(
 
 
 def _driven(site: PathSite, recording: Recording, driver: Driver, conditions: Conditions, seed: int) -> Trace:
-    return follow(site, recording, lambda _: driver, conditions, seed, keep_views=True)
+    return follow(site, recording, lambda _: driver, conditions, seed, make_obstacle=random_thing, keep_views=True)
 
 
 def drive_shard(world: World, site: PathSite, recording: Recording, trace: Trace, conditions: Conditions, seed: int) -> Shard:

@@ -1,9 +1,9 @@
 """Data to learn path following from: images of drives in scenes, with what is true about them.
 
 A *shard* is one folder of memory-mapped arrays: images along some paths in one scene, drawn twice: as the path was recorded, and as a follower
-meets it later, off the path, in conditions of the domain ``trained``: another light, another camera, things moved. Pairs of a later and a
-recorded image carry the pose of the one relative to the other. Everything is drawn from the seed, the scene and the number of the shard, so
-that an interrupted run goes on with the shards that are missing, and equal seeds give equal data.
+meets it later, off the path, in conditions of the domain ``trained``: another light, another camera; with other things around, and on the
+path. Pairs of a later and a recorded image carry the pose of the one relative to the other. Everything is drawn from the seed, the scene and
+the number of the shard, so that an interrupted run goes on with the shards that are missing, and equal seeds give equal data.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomise
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
-from gibson_sim.tasks.episode import Item, item_body
+from gibson_sim.tasks.episode import item_body
 from gibson_sim.types import CameraSpec, Output, Pose, SceneState
+from gibson_sim_learn.path_following.clutter import random_thing
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
 from gibson_sim_learn.path_following.photometry import Photometry, photographed, relit_linear
 
@@ -44,6 +45,8 @@ DIRECTIONS = 24
 """Number of directions in which the free distance is known: the middles of equal strips of the image, from left to right."""
 MAX_FREE = 3.0
 """Largest free distance, metres; farther is this."""
+FREE_EDGES: tuple[float, ...] = (*(0.1 * k for k in range(13)), *(1.2 + 0.15 * k for k in range(1, 13)))
+"""Edges of the bins of free distances, metres, from 0 to ``MAX_FREE``."""
 HFOV = math.radians(100.0)
 """Horizontal field of view of the default camera, radians."""
 CAMERA_X, CAMERA_HEIGHT = 0.15, 0.46
@@ -64,8 +67,15 @@ _STEP = 0.0125
 """Step of the rays, metres."""
 _MATCH_AHEAD, _MATCH_BESIDE, _MATCH_YAW = (-0.7, 2.2), 1.2, math.radians(65.0)
 """Largest relative pose of two images of one place: metres and radians."""
-_THINGS = ("chair_wooden", "stool", "box_cardboard", "bin_waste", "basket", "table_side", "box_small", "ball")
 _TEXTURES = TextureRules(chance=0.15)
+_LABEL, _LEAST_LABEL = 0.04, 0.02
+"""Standard deviation that true distances are given, as a share of them, and its least, metres: bins beside the right one are nearly right."""
+_IN_THE_WAY = 2
+"""Most things that stand on or close to a path where it is met later."""
+_ACROSS = 0.4
+"""Largest distance of their middles from it, metres."""
+_CLOSE = 0.4
+"""Probability that a later view, on a path with such things, is one from which one of them is near."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +134,16 @@ def free_distances(floor: FloorMap, poses: F64, bearings: F64, *, longest: float
         hits = floor.look_up(blocked, rays, outside=True)
         out[k] = np.where(hits.any(axis=1), steps[hits.argmax(axis=1)], longest)
     return np.minimum(out, longest)
+
+
+def distance_labels(free: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Returns (..., bins + 1): shares of the bins of ``FREE_EDGES``, and of beyond them, for free distances (...,), metres."""
+    edges = np.array(FREE_EDGES, np.float32)
+    scale = np.maximum(_LABEL * free, _LEAST_LABEL)[..., None]
+    below = 1.0 / (1.0 + np.exp(np.clip(1.702 * (free[..., None] - edges) / scale, -60.0, 60.0)))
+    below[..., 0] = 0.0
+    below[free >= 0.99 * MAX_FREE] = 0.0
+    return np.concatenate([np.diff(below, axis=-1), 1.0 - below[..., -1:]], axis=-1).astype(np.float32)
 
 
 def relative_pose(frm: F64, to: F64) -> F64:
@@ -244,6 +264,8 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     drives = np.concatenate(paths)
     count = int(rng.integers(TRAINED.moved[0], TRAINED.moved[1] + 1)) + 1
     things = [_things(world.coarse, rng, count, name, keep_off=drives) for name in ("recorded", "later")]
+    in_the_way = [_things_on(path, world.floor.floor_z, rng, f"on_path_{k}") for k, path in enumerate(paths)]
+    things[1] += [body for bodies, _ in in_the_way for body in bodies]
     floors = [with_bodies(world.scene, world.floor, some) for some in things]
 
     recorded, later, of_recorded, of_later = [], [], [], []
@@ -252,12 +274,14 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
         nodes = path[::every] + rng.normal(0.0, (0.03, 0.03, 0.05), (len(path[::every]), 3))
         recorded.append(nodes)
         of_recorded += [(k, row * every) for row in range(len(nodes))]
-        poses, rows = _off_path(path, floors[1], rng, settings.views_per_path)
+        poses, rows = _off_path(path, in_the_way[k][1], floors[1], rng, settings.views_per_path)
         later.append(poses)
         of_later += [(k, int(row)) for row in rows]
-    anywhere = random_free_poses(world.coarse, settings.free_views, rng, clearance=ROBOT_RADIUS)
-    yaws = rng.uniform(-math.pi, math.pi, len(anywhere))
-    later.append(np.array([(*pose.position[:2], yaw) for pose, yaw in zip(anywhere, yaws, strict=True)]))
+    free_poses = random_free_poses(world.coarse, settings.free_views, rng, clearance=ROBOT_RADIUS)
+    yaws = rng.uniform(-math.pi, math.pi, len(free_poses))
+    anywhere = np.array([(*pose.position[:2], yaw) for pose, yaw in zip(free_poses, yaws, strict=True)])
+    anywhere = anywhere[floors[1].clearance(anywhere[:, :2]) >= ROBOT_RADIUS]
+    later.append(anywhere)
     of_later += [(-1, 0)] * len(anywhere)
 
     before, after = (camera_poses(np.concatenate(poses), CAMERA_X) for poses in (recorded, later))
@@ -318,9 +342,22 @@ def smooth_path(corners: F64, places: NDArray[np.bool_], floor: FloorMap) -> F64
     return np.column_stack([rounded, np.arctan2(ahead[:, 1], ahead[:, 0])])
 
 
-def _off_path(path: F64, floor: FloorMap, rng: np.random.Generator, count: int) -> tuple[F64, NDArray[np.int64]]:
-    """Returns poses (M, 3) of a follower near a path that touch nothing, and the rows (M,) of the path that they are near."""
+def _off_path(
+    path: F64, in_the_way: NDArray[np.int64], floor: FloorMap, rng: np.random.Generator, count: int
+) -> tuple[F64, NDArray[np.int64]]:
+    """Returns poses (M, 3) of a follower near a path that touch nothing, and the rows (M,) of the path that they are near.
+
+    Args:
+        path: (K, 3).
+        in_the_way: rows at which something stands.
+        floor: map with all that stands on it.
+        rng: random generator.
+        count: of the poses, at most.
+    """
     rows = rng.integers(0, len(path), count * 3)
+    if len(in_the_way):
+        before = in_the_way[rng.integers(0, len(in_the_way), len(rows))] - rng.integers(4, round(2.0 / _PATH_STEP), len(rows))
+        rows = np.where((rng.random(len(rows)) < _CLOSE) & (before >= 0), before, rows)
     far, turned = rng.random(len(rows)) < 0.25, rng.random(len(rows)) < 0.25
     beside = np.where(far, rng.uniform(-0.5, 0.5, len(rows)), rng.normal(0.0, 0.12, len(rows)))
     turn = np.where(turned, rng.uniform(-1.1, 1.1, len(rows)), rng.normal(0.0, 0.2, len(rows)))
@@ -399,16 +436,25 @@ def with_bodies(scene: SceneSpec, floor: FloorMap, things: Sequence[BodySpec]) -
     return floor.furnished(vertices, triangles, BODY_HEIGHT)
 
 
-def _thing(rng: np.random.Generator, name: str, x: float, y: float, z: float) -> BodySpec:
-    model = _THINGS[int(rng.integers(len(_THINGS)))]
-    return item_body(Item(name, model, pose_from_xyz_rpy((x, y, z), (0.0, 0.0, float(rng.uniform(-math.pi, math.pi))))))
-
-
 def _things(floor: FloorMap, rng: np.random.Generator, count: int, name: str, keep_off: F64) -> list[BodySpec]:
     """Returns things at random free places that leave room for drives (K, 3)."""
     places = random_free_poses(floor, 3 * count, rng, clearance=0.25) if count else ()
     points = [pose.position for pose in places if np.hypot(*(keep_off[:, :2] - pose.position[:2]).T).min() > 0.5]
-    return [_thing(rng, f"{name}_{k}", *point) for k, point in enumerate(points[:count])]
+    return [item_body(random_thing(rng, f"{name}_{k}", *point)) for k, point in enumerate(points[:count])]
+
+
+def _things_on(path: F64, floor_z: float, rng: np.random.Generator, name: str) -> tuple[list[BodySpec], NDArray[np.int64]]:
+    """Returns things that stand on or close to a path (K, 3), and the rows of the path where they stand."""
+    count = int(rng.integers(_IN_THE_WAY + 1))
+    rows = rng.integers(min(10, len(path) - 1), len(path), count)
+    bodies = []
+    for k, row in enumerate(rows):
+        x, y, yaw = path[row]
+        across = rng.uniform(-_ACROSS, _ACROSS)
+        bodies.append(
+            item_body(random_thing(rng, f"{name}_{k}", x - math.sin(yaw) * across, y + math.cos(yaw) * across, floor_z))
+        )
+    return bodies, rows
 
 
 class _Drawing:
@@ -439,6 +485,7 @@ class _Drawing:
             self._load(self._base)
         bodies = (*self._scene.bodies, *things)
         added = drawn_scene(replace(self._scene, visuals=(), bodies=tuple(things)), ())
+        added = randomise(added, int(self._rng.integers(2**31)), _TEXTURED)
         self._load(replace(self._base, visuals=(*self._base.visuals, *added.visuals), links=_links(bodies)))
         state = _standing(bodies, self._revision)
         specs = [
@@ -498,4 +545,5 @@ def _standing(bodies: Sequence[BodySpec], revision: int) -> SceneState:
 
 _TOGETHER = 16
 """Images that are drawn side by side."""
+_TEXTURED = Rules({"*": ClassRules(texture=TextureRules(chance=0.4))})
 _RECOLOURED = Rules({"*": ClassRules(hue=(-0.15, 0.15), saturation=(0.5, 1.5), value=(0.6, 1.3), texture=_TEXTURES)})

@@ -25,7 +25,7 @@ from gibson_sim.types import Output, VelocityCommand
 from gibson_sim_learn.path_following.cameras import Rig
 from gibson_sim_learn.path_following.cases import ROBOT, PathCase, path_ground
 from gibson_sim_learn.path_following.domains import Conditions
-from gibson_sim_learn.path_following.layout import Layout, draw_layout
+from gibson_sim_learn.path_following.layout import Layout, ThingMaker, draw_layout
 from gibson_sim_learn.path_following.oracle import OracleSettings, PurePursuit, around
 from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit_linear
 
@@ -433,6 +433,7 @@ def follow(
     conditions: Conditions,
     seed: int,
     *,
+    make_obstacle: ThingMaker | None = None,
     keep_views: bool = False,
     watch: Callable[[Sight, Velocity], None] | None = None,
 ) -> Trace:
@@ -444,6 +445,7 @@ def follow(
         driver_of: makes the driver from what stands where.
         conditions: in what the drive differs from the recording.
         seed: of places of things and of the noise of images.
+        make_obstacle: makes what stands on the path, see ``draw_layout``.
         keep_views: whether the trace has the images.
         watch: called at each tick with what was to be seen, images included, and with the command.
 
@@ -451,7 +453,7 @@ def follow(
         SceneError: the robot cannot stand at the start.
     """
     layout_rng, noise = (np.random.default_rng([seed, k]) for k in range(2))
-    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng)
+    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng, make_obstacle)
     site.begin(layout, _start(recording.case.start, conditions))
     driver = driver_of(layout)
     pending: deque[Velocity] = deque([STOP] * conditions.latency_ticks)

@@ -1,7 +1,7 @@
 """Writes a trained network as ONNX, and its card. Needs PyTorch and onnx.
 
 Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB. Outputs: ``pose`` (K, 3), ``scale`` (K, 3), ``match`` (K,),
-``free`` (24,), as ``gibson_path_following.learned.Sighting`` describes them.
+``hit`` (24, bins + 1), as ``gibson_path_following.learned.Sighting`` describes them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from gibson_sim.writing import write_file
-from gibson_sim_learn.path_following.data import HEIGHT, HFOV, MAX_FREE, WIDTH
+from gibson_sim_learn.path_following.data import FREE_EDGES, HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
@@ -39,14 +39,15 @@ def export_network(network: PathNetwork, file: Path) -> int:
             arguments,
             buffer,
             input_names=["present", "recorded"],
-            output_names=["pose", "scale", "match", "free"],
+            output_names=["pose", "scale", "match", "hit"],
             dynamic_axes={name: {0: "recorded_images"} for name in ("recorded", "pose", "scale", "match")},
             opset_version=_OPSET,
             dynamo=False,
         )
     network.train(was_training)
     model = onnx.load_from_string(buffer.getvalue())
-    for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("max_free", f"{MAX_FREE:g}"), ("license", "Apache-2.0")):
+    edges = ",".join(f"{edge:.4g}" for edge in FREE_EDGES)
+    for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("free_edges", edges), ("license", "Apache-2.0")):
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
     onnx.checker.check_model(model)
@@ -77,7 +78,7 @@ def write_card(
         "# Card of the path-following network",
         "",
         "- **What for**: following a path that was recorded as images, with a pinhole camera about 0.46 m above the floor, indoors. "
-        "Perception alone; `gibson_path_following/arcs.py` drives.",
+        "Perception alone; geometry drives.",
         "- **Not for**: people's safety. Free distances are estimates of a small network: a robot needs a bumper or a scanner of its own.",
         f"- **Size**: {parameter_count(network)} weights, float32.",
         f"- **Trained in**: {', '.join(TRAINING)}, domain `trained`. **Validated in**: {', '.join(VALIDATION)}. "
@@ -95,7 +96,8 @@ def write_card(
         f"| heading, median | {point.yaw_deg:.1f} degrees |",
         f"| one place or not, right | {100.0 * point.match:.1f} % |",
         f"| free distance, median | {point.free:.3f} m |",
-        f"| within 1 m, told as twice as far or more | {100.0 * point.too_far:.1f} % of the directions |",
+        f"| within 1 m, told as 1.3 times as far or more | {100.0 * point.too_far:.1f} % of the directions |",
+        f"| free for 1 m, told as blocked within {1.0 / 1.3:.2f} m | {100.0 * point.too_near:.1f} % of the directions |",
         "",
         *results,
     ]
@@ -112,5 +114,5 @@ class _Exported(nn.Module):
     def forward(self, present: Tensor, recorded: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         here, there = self.network.encode(present), self.network.encode(recorded)
         estimate = self.network.compare(here.expand(there.shape[0], -1, -1, -1), there)
-        free = self.network.free(here)[0].exp().clamp(max=MAX_FREE)
-        return estimate.pose, estimate.scale, torch.sigmoid(estimate.match), free
+        hit = torch.softmax(self.network.free(here)[0], dim=1)
+        return estimate.pose, estimate.scale, torch.sigmoid(estimate.match), hit

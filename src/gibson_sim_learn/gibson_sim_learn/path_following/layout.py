@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +66,18 @@ class Layout:
     """Names of bodies on the path."""
 
 
-def draw_layout(ground: Ground, line: ArrayLike, moved: int, obstacles: int, rng: np.random.Generator) -> Layout:
+ThingMaker = Callable[[np.random.Generator, str], Item]
+"""Makes a thing at the origin, whose name begins with the text."""
+
+
+def draw_layout(
+    ground: Ground,
+    line: ArrayLike,
+    moved: int,
+    obstacles: int,
+    rng: np.random.Generator,
+    make_obstacle: ThingMaker | None = None,
+) -> Layout:
     """Returns the bodies of a drive; fewer are moved, and stand on the path, where there is no room for more.
 
     Args:
@@ -75,6 +86,7 @@ def draw_layout(ground: Ground, line: ArrayLike, moved: int, obstacles: int, rng
         moved: number of things that stand elsewhere or are new.
         obstacles: number of things or people on the path, with a way round.
         rng: of the draws; another number of things changes nothing else that is drawn from it.
+        make_obstacle: makes what stands on the path; None = one of ``THINGS`` or a person.
     """
     first, second = (np.random.default_rng(rng.integers(2**63)) for _ in range(2))
     layout = Layout(ground.scene.bodies, ground.floor)
@@ -82,7 +94,7 @@ def draw_layout(ground: Ground, line: ArrayLike, moved: int, obstacles: int, rng
     for k in range(moved):
         layout = mover.move(layout, k, first)
     for k in range(obstacles):
-        layout = _obstructed(ground, line, layout, k, second)
+        layout = _obstructed(ground, line, layout, k, second, make_obstacle or usual_obstacle)
     return layout
 
 
@@ -129,12 +141,16 @@ class _Mover:
         return bool((after.clearance(self._line) >= least).all())
 
 
-def _obstructed(ground: Ground, line: ArrayLike, layout: Layout, number: int, rng: np.random.Generator) -> Layout:
+def _obstructed(
+    ground: Ground, line: ArrayLike, layout: Layout, number: int, rng: np.random.Generator, make: ThingMaker
+) -> Layout:
     """Returns the layout with one more thing or person on the path."""
     points, arc = dense(line)
     floor = layout.floor
-    is_person = rng.random() < _PERSON_SHARE
-    model = PERSON if is_person else THINGS[int(rng.integers(len(THINGS)))]
+    item = make(rng, "on_path")
+    item = replace(item, name=f"{item.name}_{number + 1}")
+    made = item_body(item)
+    outline = _outline(made)
     for _ in range(_TRIES):
         k = int(np.searchsorted(arc, rng.uniform(_FROM_ENDS, max(_FROM_ENDS, arc[-1] - _FROM_ENDS))))
         k = min(max(k, 1), len(points) - 1)
@@ -142,8 +158,9 @@ def _obstructed(ground: Ground, line: ArrayLike, layout: Layout, number: int, rn
         across = float(rng.uniform(-_ACROSS, _ACROSS))
         x, y = float(points[k, 0] - across * along[1]), float(points[k, 1] + across * along[0])
         yaw = float(rng.uniform(-math.pi, math.pi))
-        item = _item(f"on_path_{model}_{number + 1}", model, x, y, yaw, floor.floor_z)
-        corners = footprint(model, item.pose) if not is_person else _placed(_square(_PERSON_RADIUS), x, y, 0.0)
+        low = 0.0 if item.text else extent(item.model)[0][2]
+        pose = pose_from_xyz_rpy((x, y, floor.floor_z - low), (0.0, 0.0, yaw))
+        corners = footprint(item.model, pose) if not item.text else _placed(outline, x, y, yaw * (item.model != PERSON))
         covered = Grid(floor.resolution, floor.origin, floor.shape).cover(corners[None])
         if (covered & ~floor.free).any() or not covered.any():
             continue
@@ -153,20 +170,18 @@ def _obstructed(ground: Ground, line: ArrayLike, layout: Layout, number: int, rn
             continue
         if not is_passable(filled, line, ground.robot.radius + _WAY_ROUND):
             continue
-        body = item_body(item)
+        body = replace(made, start=pose)
         return replace(layout, bodies=(*layout.bodies, body), floor=filled, obstacles=(*layout.obstacles, body.name))
     return layout
 
 
-def _item(name: str, model: str, x: float, y: float, yaw: float, floor_z: float) -> Item:
-    if model == PERSON:
-        return Item(
-            name,
-            model,
-            pose_from_xyz_rpy((x, y, floor_z), (0.0, 0.0, yaw)),
-            person_urdf(Person(name, (), 0.0, _PERSON_RADIUS, _PERSON_HEIGHT)),
-        )
-    return Item(name, model, pose_from_xyz_rpy((x, y, floor_z - extent(model)[0][2]), (0.0, 0.0, yaw)))
+def usual_obstacle(rng: np.random.Generator, name: str) -> Item:
+    """Returns a person, or one of ``THINGS``."""
+    origin = pose_from_xyz_rpy((0.0, 0.0, 0.0))
+    is_person = rng.random() < _PERSON_SHARE
+    model = PERSON if is_person else THINGS[int(rng.integers(len(THINGS)))]
+    text = person_urdf(Person(PERSON, (), 0.0, _PERSON_RADIUS, _PERSON_HEIGHT)) if is_person else ""
+    return Item(f"{name}_{model}", model, origin, text)
 
 
 def _is_movable(body: BodySpec, ground: Ground) -> bool:
@@ -200,10 +215,6 @@ def _outline(body: BodySpec) -> F64:
 def _lowest(body: BodySpec) -> float:
     """Returns the height of a body's lowest point above its root, metres."""
     return float(_own_triangles(body)[:, 2].min())
-
-
-def _square(half: float) -> F64:
-    return np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
 
 
 def _placed(outline: ArrayLike | Sequence[Sequence[float]], x: float, y: float, yaw: float) -> F64:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gibson_sim_learn.path_following.data import DIRECTIONS, HEIGHT, WIDTH
+from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, HEIGHT, WIDTH
 
 _ROWS, _COLUMNS = HEIGHT // 4, WIDTH // 4
 """Size of the features."""
@@ -28,6 +28,8 @@ class NetworkSettings:
     """Channels in which features are compared."""
     joint: int = 64
     """Channels of the layers that see both images."""
+    free: int = 96
+    """Channels of the layers that tell free distances."""
     hidden: int = 128
     """Neurons of the last hidden layer."""
 
@@ -69,12 +71,15 @@ class PathNetwork(nn.Module):
             nn.ReLU(),
             nn.Linear(settings.hidden, 7),
         )
+        wide = settings.free
         self.columns = nn.Sequential(
-            nn.Conv2d(c, joint, (_ROWS, 3), padding=(0, 1)),
+            nn.Conv2d(c, wide, (_ROWS, 3), padding=(0, 1)),
             nn.ReLU(),
-            nn.Conv2d(joint, joint, (1, 5), padding=(0, 2)),
+            nn.Conv2d(wide, wide, (1, 5), padding=(0, 2)),
             nn.ReLU(),
-            nn.Conv2d(joint, 1, (1, 5), padding=(0, 2)),
+            nn.Conv2d(wide, wide, (1, 5), padding=(0, 4), dilation=(1, 2)),
+            nn.ReLU(),
+            nn.Conv2d(wide, len(FREE_EDGES), 1),
         )
         self.grid: Tensor
         self.goal_grid: Tensor
@@ -106,9 +111,9 @@ class PathNetwork(nn.Module):
         return Estimate(out[:, :3], functional.softplus(out[:, 3:6]) + 0.005, out[:, 6])
 
     def free(self, present: Tensor) -> Tensor:
-        """Returns (B, 24): logarithms of free distances, metres, from the left to the right of the image."""
+        """Returns (B, 24, bins + 1): log-odds of where the first thing stands, by bins of ``FREE_EDGES`` and beyond them, left to right."""
         columns: Tensor = self.columns(present)
-        return columns[:, 0, 0]
+        return columns[:, :, 0].transpose(1, 2)
 
 
 def parameter_count(network: nn.Module) -> int:

@@ -22,15 +22,15 @@ class TrainingSettings:
 
     seed: int = 0
     """Of the data, the network and the order of the examples."""
-    shards: int = 12
+    shards: int = 10
     """Shards of each training scene."""
     validation_shards: int = 2
     """Shards of each validation scene."""
-    iterations: int = 40000
+    iterations: int = 16000
     """Steps of the optimiser on the data that was drawn."""
     dagger_rounds: int = 2
     """Rounds of drives with the network, each followed by more iterations."""
-    dagger_iterations: int = 10000
+    dagger_iterations: int = 4000
     """Steps of the optimiser after each round."""
     dagger_drives: int = 8
     """Drives in each training scene and round."""

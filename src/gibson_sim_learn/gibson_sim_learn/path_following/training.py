@@ -19,9 +19,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from gibson_path_following.occupancy import median_distances
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import replacing, write_file
-from gibson_sim_learn.path_following.data import MAX_FREE
+from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
@@ -31,9 +32,11 @@ _WARM_UP = 100
 """Iterations in which the step size rises."""
 _EVALUATION = (320, 3)
 """Later images, and recorded ones for each, that a point of the curve is made of."""
-_FREE_WEIGHT, _MATCH_WEIGHT = 2.0, 1.0
+_FREE_WEIGHT, _MATCH_WEIGHT = 0.6, 1.0
 _NEAR = 1.0
 """Free distance below which something counts as near, metres."""
+_RATIO = 1.3
+"""Ratio of distances from which a near thing counts as missed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,9 @@ class CurvePoint:
     free: float
     """Median absolute error of free distances, metres."""
     too_far: float
-    """Share of the directions with something within 1 m, of which it says that twice as much or more is free."""
+    """Share of the directions with something within 1 m, of which it says that 1.3 times as much or more is free."""
+    too_near: float
+    """Share of the directions that are free for 1 m, of which it says that something stands within 1 / 1.3 of that."""
     processor_s: float
     """Processor time of the training so far, seconds."""
 
@@ -151,10 +156,10 @@ class Training:
                 count = len(pose)
                 errors.append((estimate.pose[:count].float() - pose).abs()[match].numpy())
                 rights.append(((estimate.match[:count] > 0.0) == match)[known].numpy())
-                free.append(np.exp(distances.float().numpy()))
+                free.append(median_distances(np.array(FREE_EDGES), torch.softmax(distances.float(), dim=2).double().numpy()))
         self.network.train()
         error, told, found = np.concatenate(errors), np.concatenate(rights), np.minimum(np.concatenate(free), MAX_FREE)
-        near = batch.free < _NEAR
+        near, open_ = batch.free < _NEAR, batch.free >= _NEAR
         ahead, beside, yaw = np.median(error, axis=0).tolist()
         return CurvePoint(
             self.iteration,
@@ -164,7 +169,8 @@ class Training:
             math.degrees(yaw),
             float(told.mean()),
             float(np.median(np.abs(found - batch.free))),
-            float((found[near] > 2.0 * batch.free[near]).mean()) if near.any() else 0.0,
+            float((found[near] > _RATIO * batch.free[near]).mean()) if near.any() else 0.0,
+            float((found[open_] < _NEAR / _RATIO).mean()) if open_.any() else 0.0,
             round(self._processor_s, 1),
         )
 
@@ -260,7 +266,7 @@ def write_curve(folder: Path, curve: list[CurvePoint]) -> None:
         ("error of the heading, degrees", ["yaw_deg"]),
         ("one place or not: share right", ["match"]),
         ("error of free distances, m", ["free"]),
-        ("something near, not seen: share", ["too_far"]),
+        ("near, told as far; far, told as near: shares", ["too_far", "too_near"]),
     ]
     for axis, (title, names) in zip(figure.subplots(2, 3).flat, panels, strict=True):
         for name in names:
@@ -289,7 +295,8 @@ def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
     of_match = (functional.binary_cross_entropy_with_logits(odds, truth, reduction="none") * counts).sum() / counts.sum().clamp(
         min=1
     )
-    of_free = (distances.float() - torch.from_numpy(batch.free).clamp(min=0.02).log()).abs().mean()
+    told = torch.log_softmax(distances.float(), dim=2)
+    of_free = -(torch.from_numpy(distance_labels(batch.free)) * told).sum(dim=2).mean()
     return of_pose + _MATCH_WEIGHT * of_match + _FREE_WEIGHT * of_free
 
 
@@ -300,5 +307,5 @@ def _part(batch: Batch, rows: slice) -> Batch:
 def _line(point: CurvePoint) -> str:
     return (
         f"iteration {point.iteration}: ahead {point.ahead:.3f} m, beside {point.beside:.3f} m, yaw {point.yaw_deg:.1f} degrees, "
-        f"match {point.match:.3f}, free {point.free:.3f} m, too far {point.too_far:.3f}"
+        f"match {point.match:.3f}, free {point.free:.3f} m, too far {point.too_far:.3f}, too near {point.too_near:.3f}"
     )
