@@ -20,6 +20,8 @@ I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Progress = Callable[[float], None]
 
+ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
+"""Size of the robot whose views are drawn, and for which places are free, metres."""
 CAMERA_HEIGHT = 0.5
 """Height of the camera above the floor, metres."""
 PLACES = 12

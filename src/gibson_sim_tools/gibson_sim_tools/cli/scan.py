@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.bags.progress import progress_bar
 from gibson_sim.cli.options import add_settings, given, settings_from_args
@@ -15,6 +19,8 @@ from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError
 from gibson_sim_tools.scanning.settings import PRESETS, Defects, FuseSettings, ScanCamera, TourSettings
 
+_LEVEL_DEG = 0.5
+"""Tilt below which a floor counts as level, degrees."""
 _PARTS: dict[str, type[Any]] = {"way": TourSettings, "camera": ScanCamera, "defects": Defects}
 
 
@@ -90,8 +96,9 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.scenes.load import load_scene
     from gibson_sim_tools.scanning.coloured_mesh import write_ply
     from gibson_sim_tools.scanning.comparison import compare
-    from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse, open3d
+    from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse_scan, open3d
     from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+    from gibson_sim_tools.scanning.robot_views import robot_view_holes
 
     output = Path(args.output)
     if output.suffix.lower() != ".ply":
@@ -105,14 +112,29 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     frames = chosen_frames(rgbd, settings)
     named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
     with progress_bar(f"fusing {named} ({rgbd.layout})") as progress:
-        mesh = fuse(rgbd, settings, progress)
-    write_ply(output, mesh)
+        fusion = fuse_scan(rgbd, settings, progress)
+    mesh, T = fusion.mesh, fusion.T_level_scan
+    write_ply(
+        output, mesh, [f"T_level_scan {' '.join(f'{c:.9g}' for c in T.ravel())}"] if settings.level and T is not None else []
+    )
     print(
         f"{output}: {len(mesh.triangles)} triangles, {len(mesh.vertices)} vertices, {mesh.area:.1f} m2, from {named} ({rgbd.layout})"
     )
     report: dict[str, Any] = {
-        "frames": len(frames), "triangles": len(mesh.triangles), "vertices": len(mesh.vertices), "area_m2": mesh.area,
+        "frames": len(frames), "triangles": len(mesh.triangles), "vertices": len(mesh.vertices), "area_m2": mesh.area, "voxel_m": fusion.voxel,
+        "T_level_scan": None if T is None else T.tolist(),
     }  # fmt: skip
+    if fusion.selected is not None:
+        print(fusion.selected.text(settings.memory))
+    if fusion.snap is not None:
+        print(fusion.snap.text())
+        report["snap"] = asdict(fusion.snap)
+    print(_level_text(T, settings.level))
+    if T is not None:
+        with progress_bar("looking for holes") as progress:
+            holes = robot_view_holes(mesh, np.eye(4) if settings.level else T, progress)
+        print(holes.text() if holes else "no place of the floor is free for a robot, so the holes in its views are not measured")
+        report["view_holes"] = None if holes is None else {**asdict(holes), "share": holes.share}
     if scene is not None:
         with progress_bar("comparing") as progress:
             found = compare(mesh, rgbd, scene, distances, progress, frames=frames)
@@ -125,6 +147,19 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     print(f"next: gibson-sim scene check {output} tells holes, islands of floor that gaps cut off, and what is out of level")
     write_json(Path(args.report) if args.report else None, report)
     return ExitCode.OK
+
+
+def _level_text(T_level_scan: NDArray[np.float64] | None, turned: bool) -> str:
+    """Returns what is said of the floor of a scan."""
+    if T_level_scan is None:
+        return "no level surface faces up, so there is no floor, and holes are not measured"
+    tilt = math.degrees(math.acos(min(1.0, float(T_level_scan[2, 2]))))
+    # The floor is the plane z = 0 of the level frame; below the origin of the scan it is at -T[2, 3].
+    if turned:
+        return f"turned by {tilt:.2f} degrees: z is up and the floor is at z = 0"
+    if tilt < _LEVEL_DEG:
+        return f"the floor is level to {tilt:.2f} degrees, at z = {-float(T_level_scan[2, 3]) + 0.0:.3f} m"
+    return f"the floor is {tilt:.2f} degrees out of level: --level turns the mesh and puts the floor at z = 0"
 
 
 def _focal(text: str | None) -> tuple[float, float, float, float] | None:

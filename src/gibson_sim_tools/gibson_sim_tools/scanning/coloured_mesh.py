@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -147,8 +148,13 @@ def moved(mesh: ColouredMesh, T: Mat4) -> ColouredMesh:
     return ColouredMesh(transform_points(T, mesh.vertices).astype(np.float32), mesh.triangles, mesh.colors)
 
 
-def write_ply(path: Path, mesh: ColouredMesh) -> None:
+def write_ply(path: Path, mesh: ColouredMesh, comments: Sequence[str] = ()) -> None:
     """Writes a binary PLY with vertex colours.
+
+    Args:
+        path: the file.
+        mesh: the mesh.
+        comments: lines for its header.
 
     Raises:
         WriteError: it cannot be written.
@@ -158,7 +164,8 @@ def write_ply(path: Path, mesh: ColouredMesh) -> None:
     face = np.empty(len(mesh.triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
     face["count"], face["index"] = 3, mesh.triangles
     header = [
-        "ply", "format binary_little_endian 1.0", f"element vertex {len(vertex)}", *(f"property float {axis}" for axis in "xyz"),
+        "ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments),
+        f"element vertex {len(vertex)}", *(f"property float {axis}" for axis in "xyz"),
         *(f"property uchar {color}" for color in ("red", "green", "blue")), f"element face {len(face)}",
         "property list uchar int vertex_indices", "end_header\n",
     ]  # fmt: skip

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import EnvironmentProblemError
-from gibson_sim.geometry.transforms import invert
+from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform, moved, thinned, welded, without_small_parts
+from gibson_sim_tools.scanning.planes import SnapReport, snapped
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError, depth_units
 from gibson_sim_tools.scanning.settings import FuseSettings
+from gibson_sim_tools.scanning.voxel_size import BLOCK_VOXELS, VoxelSize, select_voxel_size
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 Progress = Callable[[float], None]
 
-_BLOCK_VOXELS = 16
 _FIRST_BLOCKS = 20_000
-"""Initial capacity of the voxel grid, blocks; it grows."""
+"""Initial capacity of the voxel grid without an estimate, blocks; it grows, and holds both the old and the new grid meanwhile."""
+_SPARE = 1.2
+"""Initial capacity relative to the estimate."""
 _WELD = 0.1
 """Merging distance of vertices, voxels."""
 _ROUGHLY = 2
@@ -49,7 +53,28 @@ def chosen_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
     return range(0, len(rgbd), settings.stride)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Fusion:
+    """A fused mesh, and how it came about."""
+
+    mesh: ColouredMesh
+    """In the frame of the scan, or level."""
+    voxel: float
+    """Edge of the voxels, metres."""
+    selected: VoxelSize | None
+    """Why the voxels have that size; None = it was given."""
+    snap: SnapReport | None
+    """What was made plane; None = nothing was to be."""
+    T_level_scan: Mat4 | None
+    """Takes the frame of the scan to the level one, (4, 4); None = there is no level surface."""
+
+
 def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> ColouredMesh:
+    """Returns the mesh of ``fuse_scan``."""
+    return fuse_scan(rgbd, settings, progress).mesh
+
+
+def fuse_scan(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> Fusion:
     """Returns the surface in posed RGB-D, in its world frame (or levelled): the triangles of a truncated signed distance field.
 
     Args:
@@ -61,11 +86,36 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
         EnvironmentProblemError: Open3D is not installed.
         ScanError: an image is broken, or nothing is in range.
     """
+    open3d()
+    selected = None if settings.voxel else select_voxel_size(rgbd, settings, chosen_frames(rgbd, settings))
+    settings = settings if selected is None else replace(settings, voxel=selected.voxel)
+    mesh = _surface(rgbd, settings, _FIRST_BLOCKS if selected is None else round(_SPARE * selected.blocks), progress)
+    mesh, snap = snapped(mesh, settings.voxel, settings.snap) if settings.snap else (mesh, None)
+    progress(0.98)
+    if settings.triangles and len(mesh.triangles) > settings.triangles:
+        mesh = simplified(mesh, settings.triangles)
+    T = _level(mesh, rgbd, settings.level)
+    progress(1.0)
+    return Fusion(moved(mesh, T) if settings.level and T is not None else mesh, settings.voxel, selected, snap, T)
+
+
+def _level(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
+    """Returns T_level_scan; None if there is no level surface and none is needed."""
+    try:
+        return level_transform(mesh, rgbd.poses)
+    except ScanError:
+        if needed:
+            raise
+        return None
+
+
+def _surface(rgbd: PosedRgbd, settings: FuseSettings, blocks: int, progress: Progress) -> ColouredMesh:
+    """Returns the triangles of the distance field of all frames, without small parts; ``blocks`` are allocated at first."""
     o3d = open3d()
     core = o3d.core
     grid = o3d.t.geometry.VoxelBlockGrid(
         ("tsdf", "weight", "color"), (core.float32, core.uint16, core.uint16), ((1), (1), (3)),
-        settings.voxel, _BLOCK_VOXELS, _FIRST_BLOCKS,
+        settings.voxel, BLOCK_VOXELS, blocks,
     )  # fmt: skip
     # Open3D truncates projected points to pixels, so its pixel centres are at halves; ours are at whole numbers.
     K = core.Tensor(rgbd.intrinsics.matrix + np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]))
@@ -85,12 +135,9 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
     mesh = welded(_extracted(grid, settings), _WELD * settings.voxel)
     if settings.min_part:
         mesh = without_small_parts(mesh, settings.min_part)
-    if settings.triangles and len(mesh.triangles) > settings.triangles:
-        mesh = simplified(mesh, settings.triangles)
     if not len(mesh.triangles):
         raise ScanError(f"{rgbd.folder}: nothing is left of the mesh; give a smaller --min-weight or --min-part")
-    progress(1.0)
-    return moved(mesh, level_transform(mesh, rgbd.poses)) if settings.level else mesh
+    return mesh
 
 
 def _extracted(grid: Any, settings: FuseSettings) -> ColouredMesh:

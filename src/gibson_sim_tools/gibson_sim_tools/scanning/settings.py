@@ -141,11 +141,24 @@ class Defects:
             raise ConfigError(f"setting 'range_max' is {self.range_max:g} m, must be above range_min, {self.range_min:g} m")
 
 
+_FINEST_VOXEL = 0.001
+"""Smallest voxel, metres."""
+
+
 @dataclass(frozen=True, slots=True)
 class FuseSettings:
     """Settings of the fusion of posed RGB-D into a mesh."""
 
-    voxel: float = setting(0.01, "Edge of a voxel: the size of the smallest triangles", unit="m", minimum=0.001, maximum=0.5)
+    voxel: float = setting(
+        0.0,
+        "Edge of a voxel: the size of the smallest triangles; 0 = as fine as the cameras resolve and memory allows, from 0.01 on",
+        unit="m",
+        minimum=0.0,
+        maximum=0.5,
+    )
+    memory: float = setting(
+        4.0, "Limit of the memory of the voxels, by which their size is selected", unit="GB", minimum=0.1, maximum=1000.0
+    )
     truncation: float = setting(4.0, "Voxels before and behind a surface that an image counts for", minimum=1.0, maximum=32.0)
     depth_max: float = setting(4.0, "Farther depths are left out: far ones are noisy", unit="m", minimum=0.1, maximum=1000.0)
     stride: int = setting(1, "Take every so many frames", minimum=1, maximum=10_000)
@@ -154,10 +167,19 @@ class FuseSettings:
         0.02, "Connected parts with a smaller area are left out; 0 = none", unit="m^2", minimum=0.0, maximum=1000.0
     )
     triangles: int = setting(0, "Simplify to so many triangles; 0 = keep all", minimum=0, maximum=100_000_000)
+    snap: float = setting(
+        0.02,
+        "Largest displacement of vertices of walls, floors and ceilings onto their plane; 0 = all stay",
+        unit="m",
+        minimum=0.0,
+        maximum=0.1,
+    )
     level: bool = setting(False, "Turn the mesh so that z is up and the floor is at z = 0, for scans that begin at a camera")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if 0.0 < self.voxel < _FINEST_VOXEL:
+            raise ConfigError(f"setting 'voxel' is {self.voxel:g} m, must be 0 (automatic) or at least {_FINEST_VOXEL:g} m")
 
 
 PRESETS: dict[str, dict[str, Any]] = {

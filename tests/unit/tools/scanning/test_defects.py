@@ -161,7 +161,7 @@ def test_every_preset_is_made_of_settings():
         lambda: TourSettings(coverage=1.5),
         lambda: Defects(range_min=3.0, range_max=2.0),
         lambda: Defects(shutter_s=2.0),
-        lambda: FuseSettings(voxel=0.0),
+        lambda: FuseSettings(voxel=0.0005),
     ],
 )
 def test_an_impossible_setting_is_refused(make):
