@@ -192,7 +192,7 @@ def test_it_stops_at_a_covered_lens_and_goes_on_after() -> None:
 
 
 def test_it_stops_while_it_is_lost() -> None:
-    follower, _ = _follower()
+    follower, _ = _follower(search=False)
     last = _found(follower, 4)
     for i in range(8):
         velocity = follower.observe(last + (i + 1) * STEP_NS, pinhole_view(2000 + i))

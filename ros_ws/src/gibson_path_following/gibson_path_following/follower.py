@@ -6,17 +6,32 @@ The one class that nodes and benchmarks drive a robot by; all times are given.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError, check_ranges
 from gibson_path_following.localisation import Localiser
-from gibson_path_following.motions import NS_PER_S, CommandLog
+from gibson_path_following.motion_model import MotionModel
+from gibson_path_following.motions import NS_PER_S, CommandLog, Motion
 from gibson_path_following.preprocessing import texture
-from gibson_path_following.types import STOP, Place, Policy, RecordedPath, Velocity, View
+from gibson_path_following.types import STOP, Place, Policy, RecordedPath, Step, Velocity, View
 
-State = Literal["following", "lost", "stale", "finished"]
-"""following; lost: the images fit nowhere on the path, or the lens is covered; stale: no new images; finished: at the end of the path."""
+State = Literal["following", "lost", "searching", "stale", "finished"]
+"""following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and turning in place to look around; stale: no
+new images; finished: at the end of the path."""
+_SEARCH_TURN = math.radians(60.0)
+"""How far a search looks to either side of where the robot was lost, radians."""
+_SEARCH_RATE = 0.4
+"""Yaw rate of a search, rad/s."""
+_SEARCH_NS = 20 * NS_PER_S
+"""Time after which a search ends, however far the robot turned, ns."""
+_LONG_AGO_NS = NS_PER_S
+"""Time between two views after which the second is not compared with the first, ns."""
+_LEAST_ALIKE = 0.5
+"""Score of two successive views below which their shift tells nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +41,7 @@ class FollowerSettings:
     stale_after: float = 0.5
     """Age of the newest images at which the robot stops, seconds."""
     latency: float = 0.0
-    """Usual time from a command to its motion, seconds, for the motion that the localiser expects."""
+    """Usual time from a command to its motion, seconds; what it truly is, is learned from how images shift after commands."""
     least_texture: float = 2.0
     """Contrast of a view below which the lens counts as covered, grey levels of 255; 0 = never."""
     end_tolerance: float = 0.5
@@ -35,8 +50,12 @@ class FollowerSettings:
     """Views in a row that must fit there, so that one image that looks like the end does not end a drive."""
     start: float | None = 0.0
     """Node where the robot most likely is at the start; None = anywhere."""
-    start_deviation: float = 3.0
+    start_deviation: float = 1.0
     """Standard deviation of ``start``, nodes."""
+    search: bool = True
+    """Whether a robot that is lost turns in place to either side, once and slowly, to find the path again. It never drives on."""
+    search_after: float = 1.5
+    """Time that it first stands, seconds."""
     max_linear: float = 0.5
     """Largest speed, m/s, whatever a policy returns."""
     max_angular: float = 1.0
@@ -51,6 +70,7 @@ class FollowerSettings:
             ("end_tolerance", 0.0, 1000.0),
             ("end_views", 1, 1000),
             ("start_deviation", 0.1, 1e6),
+            ("search_after", 0.0, 3600.0),
             ("max_linear", 0.0, 10.0),
             ("max_angular", 0.0, 10.0),
         )
@@ -88,8 +108,12 @@ class PathFollower:
         """Of the newest view, ns."""
         self._placed_ns: int | None = None
         """Of the newest view that was localised, ns."""
+        self._model = MotionModel(self.settings.latency)
+        self._pattern: NDArray[np.float32] | None = None
+        """Normalised panorama of the view before."""
         self._at_end = 0
         """Views in a row at the end of the path."""
+        self._search = _Search(self.settings.search_after)
         self.state: State = "stale"
         """What the follower does; all but ``following`` command a stop."""
         self.place: Place | None = None
@@ -100,7 +124,9 @@ class PathFollower:
         """Begins again at the start of the path."""
         self._log.clear()
         self._stamp_ns, self._placed_ns, self.place, self.state = None, None, None, "stale"
-        self._at_end = 0
+        self._at_end, self._pattern = 0, None
+        self._model.reset()
+        self._search.reset()
         self.localiser.reset(self.settings.start, self.settings.start_deviation)
         self._policy.reset()
 
@@ -120,17 +146,16 @@ class PathFollower:
         if self.state == "finished":
             return self._send(stamp_ns, STOP)
         if texture(view) < self.settings.least_texture:
-            self.state = "lost"
+            self.state, self._pattern = "lost", None
             return self._send(stamp_ns, STOP)
-        motion = None
-        if self._placed_ns is not None:
-            shift_ns = round(self.settings.latency * NS_PER_S)
-            motion = self._log.motion(self._placed_ns - shift_ns, stamp_ns - shift_ns)
-        self.place = self.localiser.update(view, motion)
-        self._placed_ns = stamp_ns
+        self.place = self._located(stamp_ns, view)
         if self.place.is_lost:
             self.state = "lost"
-            return self._send(stamp_ns, STOP)
+            turn = self._search.velocity(stamp_ns, self.place.moved.turn) if self.settings.search else STOP
+            if turn != STOP:
+                self.state = "searching"
+            return self._send(stamp_ns, self._limited(turn))
+        self._search.reset()
         at_end = self.place.confidence > 0.0 and self.place.index >= self._last - self.settings.end_tolerance
         self._at_end = self._at_end + 1 if at_end else 0
         if self._at_end >= self.settings.end_views:
@@ -138,6 +163,26 @@ class PathFollower:
             return self._send(stamp_ns, STOP)
         self.state = "following"
         return self._send(stamp_ns, self._limited(self._policy.act(view, stamp_ns, self.place)))
+
+    def _located(self, stamp_ns: int, view: View) -> Place:
+        """Returns where a view is, and how the robot came there."""
+        before_ns, self._placed_ns = self._placed_ns, stamp_ns
+        before, self._pattern = self._pattern, self.localiser.nodes.pattern(view)
+        if before_ns is None:
+            return self.localiser.update(view, None)
+        moved = self._model.made(self._log, before_ns, stamp_ns, 1.0)
+        if before is not None and stamp_ns - before_ns <= _LONG_AGO_NS:
+            turn, score = self.localiser.nodes.turn_between(before, self._pattern)
+            if score >= _LEAST_ALIKE:
+                self._model.learn(self._log, before_ns, stamp_ns, turn)
+                moved = replace(self._model.made(self._log, before_ns, stamp_ns, 1.0), turn=turn)
+        ratio = self.localiser.ratio
+        found = self.localiser.update(view, Motion(moved.distance, moved.turn / ratio, (stamp_ns - before_ns) / NS_PER_S))
+        return replace(
+            found,
+            moved=Step(ratio * moved.distance, moved.turn),
+            pending=self._model.pending(self._log, stamp_ns, ratio),
+        )
 
     def tick(self, now_ns: int) -> Velocity:
         """Returns the velocity to command now: the one of the newest view, or a stop if that is too old.
@@ -171,3 +216,36 @@ class PathFollower:
             min(max(velocity.linear, -settings.max_linear), settings.max_linear),
             min(max(velocity.angular, -settings.max_angular), settings.max_angular),
         )
+
+
+class _Search:
+    """Looks for the path from where the robot stands: to the left, to the right, and back; once."""
+
+    def __init__(self, wait: float) -> None:
+        self._wait_ns = round(wait * NS_PER_S)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins anew when the robot is lost the next time."""
+        self._since_ns: int | None = None
+        self._turned = 0.0
+        """Radians to the left of where the search began."""
+        self._goals = [(_SEARCH_TURN, 1.0), (-_SEARCH_TURN, -1.0), (0.0, 1.0)]
+        """Where it looks next, radians to the left of that, and the side on which it lies."""
+
+    def velocity(self, stamp_ns: int, turned: float) -> Velocity:
+        """Returns the velocity of a robot that is lost.
+
+        Args:
+            stamp_ns: stamp of the view.
+            turned: turn since the view before, radians to the left.
+        """
+        if self._since_ns is None:
+            self._since_ns = stamp_ns
+        waited_ns = stamp_ns - self._since_ns - self._wait_ns
+        if not 0 <= waited_ns <= _SEARCH_NS:
+            return STOP
+        self._turned += turned
+        while self._goals and (self._goals[0][0] - self._turned) * self._goals[0][1] <= 0.0:
+            self._goals.pop(0)
+        return Velocity(0.0, self._goals[0][1] * _SEARCH_RATE) if self._goals else STOP

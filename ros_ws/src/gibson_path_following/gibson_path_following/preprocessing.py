@@ -85,8 +85,12 @@ class Preprocessor:
         else:
             self._tables = [_pinhole(azimuth, up, hfov, size)]
 
-    def panorama(self, view: View) -> F32:
+    def panorama(self, view: View, zoom: float = 1.0) -> F32:
         """Returns the grey panorama of a view, (rows, columns), 0 to 255; left of the robot is left, and its middle is ahead.
+
+        Args:
+            view: the images.
+            zoom: focal length of the lens that took them, as a multiple of the one that this object is for.
 
         Raises:
             ViewError: number or size of the images are not those of the camera.
@@ -106,6 +110,9 @@ class Preprocessor:
             shrink = max(1.0, self.size[0] * len(view) / self.columns)
             if shrink > 1.5:
                 luma = _blur(luma, 0.4 * shrink)
+            if zoom != 1.0:
+                middle = self.size[0] / 2.0 - 0.5, self.size[1] / 2.0 - 0.5
+                x, y = (np.float32(zoom) * at + np.float32((1.0 - zoom) * m) for at, m in zip((x, y), middle, strict=True))
             grey += weight * cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return grey
 
