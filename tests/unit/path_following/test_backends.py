@@ -6,6 +6,7 @@ import pytest
 
 from gibson_path_following.backends import BACKENDS, make_policy
 from gibson_path_following.errors import ModelError, SettingError
+from gibson_path_following.learned import LearnedPolicy
 from gibson_path_following.teach_repeat import TeachRepeatPolicy
 from support.path_views import straight_path
 
@@ -28,3 +29,9 @@ def test_other_names_are_refused_with_those_that_there_are(name: str) -> None:
     with pytest.raises(SettingError, match="must be teach_repeat, learned, learned:FILE or onnx:FILE"):
         make_policy(name, straight_path())
     assert name not in BACKENDS
+
+
+def test_the_learned_policy_knows_where_its_camera_is() -> None:
+    policy, _ = make_policy("learned", straight_path(), camera_ahead=0.3)
+    assert isinstance(policy, LearnedPolicy)
+    assert policy.settings.camera_ahead == 0.3

@@ -18,12 +18,12 @@ from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 
-from gibson_path_following.errors import SettingError  # noqa: E402
+from gibson_path_following.errors import ModelError, SettingError  # noqa: E402
 from gibson_path_following.nodes import conversions  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.path_folder import save_path  # noqa: E402
-from gibson_path_following.types import PathNode, RecordedPath, Velocity  # noqa: E402
+from gibson_path_following.types import PathNode, RecordedPath, Velocity, View  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NS = 1_000_000_000
@@ -92,6 +92,26 @@ def test_it_drives_once_it_has_found_its_place_and_stops_without_images(context:
     driven.now_ns += 1
     driven.node._on_timer()
     assert driven.sent[-1] == 0.0 and driven.node._state == "stale"
+    driven.node.destroy_node()
+
+
+def test_it_stands_while_the_policy_fails_and_goes_on_afterwards(context: Any, folder: Path) -> None:
+    driven = Driven(context, folder)
+    now = driven.begin()
+    observe = driven.node._follower.observe
+
+    def fails(stamp_ns: int, view: View) -> Velocity:
+        raise ModelError("net.onnx: its output holds a NaN or an infinity; export it anew")
+
+    driven.node._follower.observe = fails
+    driven.see(0, now + TICK)
+    assert driven.sent[-1] == 0.0 and driven.node._state == "failed"
+    driven.node._on_timer()
+    assert driven.sent[-1] == 0.0 and driven.node._state == "failed", "what was commanded before does not go on"
+    driven.node._follower.observe = observe
+    driven.see(0, now + 2 * TICK)
+    driven.see(0, now + 3 * TICK)
+    assert driven.sent[-1] > 0.2 and driven.node._state == "following"
     driven.node.destroy_node()
 
 

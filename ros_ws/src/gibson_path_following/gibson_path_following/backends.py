@@ -13,7 +13,9 @@ BACKENDS = ("teach_repeat", "learned", "learned:FILE", "onnx:FILE")
 """Names of the policies: without learning; our network, that of the package or one in a file; one of the GNM family in a file or folder."""
 
 
-def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_angular: float = 1.0) -> tuple[Policy, Localiser]:
+def make_policy(
+    backend: str, path: RecordedPath, max_linear: float = 0.5, max_angular: float = 1.0, camera_ahead: float = 0.12
+) -> tuple[Policy, Localiser]:
     """Returns a policy for a path, and its localiser.
 
     Args:
@@ -21,6 +23,7 @@ def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_a
         path: the path.
         max_linear: largest speed, m/s.
         max_angular: largest yaw rate, rad/s.
+        camera_ahead: distance of the camera in front of the robot's middle, metres; for ``learned``.
 
     Raises:
         PathFollowingError: there is no such policy, or its network cannot be used.
@@ -34,7 +37,7 @@ def make_policy(backend: str, path: RecordedPath, max_linear: float = 0.5, max_a
         from gibson_path_following.arcs import ArcSettings
         from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings
 
-        settings = LearnedSettings(arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
+        settings = LearnedSettings(camera_ahead=camera_ahead, arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
         return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings, nodes), localiser
     if name == "onnx" and file:
         from gibson_path_following.foreign_onnx import ForeignPolicy, ForeignSettings

@@ -132,7 +132,7 @@ class GoalNetwork:
                 )
             distances.append(steps[0].reshape(-1)[:count])
             waypoints.append(ways[0][:count, :, :2])
-        return _finite(self._file, np.concatenate(distances)), _finite(self._file, np.concatenate(waypoints))
+        return _float32(np.concatenate(distances)), _float32(np.concatenate(waypoints))
 
     def waypoints(self, seen: F32, settings: ForeignSettings, rng: np.random.Generator) -> F32:
         """See ``ForeignNetwork``."""
@@ -179,13 +179,13 @@ class DiffusionNetwork:
             if found.ndim != 2 or len(found) != len(part):
                 raise ModelError(f"{file}: its output has shape {found.shape}, must be features ({len(part)}, size)")
             features.append(found[:count])
-        seen = _finite(file, np.concatenate(features))
+        seen = _float32(np.concatenate(features))
         for part, count in _parts(seen, _fixed(self._features.shape[0])):
             found = np.asarray(run(self._distance, self._files[1], {self._features.name: part})[0])
             if found.size != len(part):
                 raise ModelError(f"{self._files[1]}: its output has shape {found.shape}, must be distances ({len(part)}, 1)")
             distances.append(found.reshape(-1)[:count])
-        return _finite(self._files[1], np.concatenate(distances)), seen
+        return _float32(np.concatenate(distances)), seen
 
     def waypoints(self, seen: F32, settings: ForeignSettings, rng: np.random.Generator) -> F32:
         """See ``ForeignNetwork``."""
@@ -204,7 +204,7 @@ class DiffusionNetwork:
             noise = np.asarray(run(self._action, file, feeds)[0])
             if noise.shape != actions.shape:
                 raise ModelError(f"{file}: its output has shape {noise.shape}, must be noise {actions.shape}")
-            actions = scheduler.before(actions, _finite(file, noise), step, rng)
+            actions = scheduler.before(actions, _float32(noise), step, rng)
         ways = np.cumsum(_LEAST_ACTION + (actions + 1.0) / 2.0 * (_LARGEST_ACTION - _LEAST_ACTION), axis=1)
         away = np.abs(ways - ways.mean(axis=0)).sum(axis=(1, 2))
         return np.asarray(ways[int(away.argmin())], dtype=np.float32)
@@ -416,9 +416,7 @@ def _none(count: int, size: tuple[int, int]) -> F32:
     return np.zeros((count, 3, size[1], size[0]), dtype=np.float32)
 
 
-def _finite(file: Path, values: Any) -> F32:
-    if not np.isfinite(values).all():
-        raise ModelError(f"{file}: its output holds a NaN or an infinity; export it anew")
+def _float32(values: Any) -> F32:
     return np.asarray(values, dtype=np.float32)
 
 

@@ -7,6 +7,8 @@ import stat
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gibson_path_following.errors import ModelError, quoted
 
 MAX_BYTES = 1 << 30
@@ -56,12 +58,15 @@ def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
     """Returns all outputs.
 
     Raises:
-        ModelError: the network cannot be run with these inputs.
+        ModelError: the network cannot be run with these inputs, or returns a NaN or an infinity.
     """
     try:
-        return list(session.run(None, feeds))
+        found = list(session.run(None, feeds))
     except Exception as error:  # of types that onnxruntime does not export
         raise ModelError(f"{file} cannot be run: {_reason(error)}") from error
+    if not all(np.isfinite(value).all() for value in found if np.issubdtype(np.asarray(value).dtype, np.number)):
+        raise ModelError(f"{file}: its output holds a NaN or an infinity; export it anew")
+    return found
 
 
 def _content(file: Path) -> bytes:

@@ -101,6 +101,9 @@ class PolicyOptions(CameraOptions):
     max_linear: float = option(0.5, "largest speed, m/s", 0.01, 10.0)
     max_angular: float = option(1.0, "largest yaw rate, rad/s", 0.01, 10.0)
     stale_after: float = option(0.5, "age of the newest images at which the robot stops, seconds", 0.05, 60.0)
+    camera_ahead: float = option(
+        0.12, "distance of the camera in front of the middle of the wheels, metres; for learned", -5.0, 5.0
+    )
     latency: float = option(0.0, "usual time from a command to its motion, seconds", 0.0, 10.0)
     watchdog_hz: float = option(
         10.0, "how often commands are sent and the age of the images is checked, in the robot's time", 1.0, 100.0

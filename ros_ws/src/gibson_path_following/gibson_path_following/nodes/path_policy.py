@@ -42,7 +42,8 @@ class PathPolicyNode(LifecycleNode):
     Publishes:
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of the
             robot's time.
-        path/state (std_msgs/String, latched): following, lost, stale, finished, held (the dead man's switch) or inactive.
+        path/state (std_msgs/String, latched): following, lost, stale, finished, held (the dead man's switch), failed (the policy
+            could not use the newest view; the log says why) or inactive.
         path/index, path/confidence (std_msgs/Float32), path/lost (std_msgs/Bool): with each view; /diagnostics once a second.
     """
 
@@ -63,6 +64,8 @@ class PathPolicyNode(LifecycleNode):
         self._joy_ns: int | None = None
         """When the dead man's switch was last held, ns; None = it is released."""
         self._ended_ns: int | None = None
+        self._failed = False
+        """Whether the policy could not use the newest view."""
         self._state = ""
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state_pub = self.create_publisher(String, "path/state", latched)
@@ -83,7 +86,7 @@ class PathPolicyNode(LifecycleNode):
         o = self._options
         path = load_path(o.path)
         check_topics(path.camera, o.image_topics)
-        policy, localiser = make_policy(o.backend, path, o.max_linear, o.max_angular)
+        policy, localiser = make_policy(o.backend, path, o.max_linear, o.max_angular, o.camera_ahead)
         settings = FollowerSettings(
             stale_after=o.stale_after, latency=o.latency, max_linear=o.max_linear, max_angular=o.max_angular,
             start=o.start if o.start >= 0.0 else None,
@@ -107,6 +110,7 @@ class PathPolicyNode(LifecycleNode):
         assert path is not None and follower is not None
         follower.reset()
         self._joy_ns = self._ended_ns = None
+        self._failed = False
         height, width = path.nodes[0].view[0].shape[:2]
         self._input = CameraInput(self, o, path.camera, (width, height), path.hfov, self._on_view, self._on_jump)
         if o.deadman_button >= 0:
@@ -161,8 +165,12 @@ class PathPolicyNode(LifecycleNode):
         try:
             velocity = follower.observe(stamp_ns, view)
         except PathFollowingError as error:
+            # What was commanded before must not go on while the policy cannot say anything.
+            self._failed = True
+            self._command(STOP, stamp_ns)
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
+        self._failed = False
         places.publish(stamp_ns, follower.place, follower.state)
         self._command(velocity, stamp_ns)
 
@@ -177,11 +185,15 @@ class PathPolicyNode(LifecycleNode):
         self._command(self._follower.tick(now_ns), now_ns)
 
     def _command(self, velocity: Velocity, now_ns: int) -> None:
-        """Publishes a velocity, or a stop if the dead man's switch is released."""
+        """Publishes a velocity, or a stop if the policy failed or the dead man's switch is released."""
         follower = self._follower
         assert follower is not None
         if follower.state == "finished":
             self._finish(now_ns)
+            return
+        if self._failed:
+            self._report("failed")
+            self._send(follower.hold(now_ns))
             return
         if not self._may_drive():
             self._report("held")
