@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from support.onnx_bytes import message, model, node, value
 
 _FLOAT = 1
-OUTPUTS = ("pose", "scale", "match", "free")
-METADATA = {"hfov_deg": "100", "max_free": "3"}
+OUTPUTS = ("pose", "scale", "match", "hit")
+EDGES = np.linspace(0.0, 3.0, 31)
+METADATA = {"hfov_deg": "100", "free_edges": ",".join(f"{edge:.1f}" for edge in EDGES)}
 
 
 def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA, outputs: Sequence[str] = OUTPUTS) -> bytes:
@@ -20,7 +22,7 @@ def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA,
     errors are 0.05.
 
     Args:
-        free: free distances that it always sees, metres.
+        free: free distances that it always sees, metres; bins are 0.1 m wide, 3 and more is nothing.
         metadata: that of the file.
         outputs: their names.
     """
@@ -34,11 +36,20 @@ def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA,
         node("Mul", ["mean", "only_red"], "red"),
         node("ReduceMax", ["red"], "reddest", axes=[1], keepdims=0),
         node("Sign", ["reddest"], outputs[2]),
-        node("Identity", ["seen"], outputs[3]),
+        node("Identity", ["first_thing"], outputs[3]),
     ]
-    constants = {"zero_at": [0, 100, 100], "hundredth": [0.01], "none": [0], "error": [0.05], "only_red": [1, 0, 0], "seen": free}
+    hit = np.zeros((len(free), len(EDGES)))
+    hit[np.arange(len(free)), np.digitize(free, EDGES) - 1] = 1.0
+    constants: dict[str, Any] = {
+        "first_thing": hit,
+        "zero_at": [0, 100, 100],
+        "hundredth": [0.01],
+        "none": [0],
+        "error": [0.05],
+        "only_red": [1, 0, 0],
+    }
     inputs = [value("present", "uint8", [1, 64, 96, 3]), value("recorded", "uint8", ["k", 64, 96, 3])]
-    shapes: list[list[int | str]] = [["k", 3], ["k", 3], ["k"], [len(free)]]
+    shapes: list[list[int | str]] = [["k", 3], ["k", 3], ["k"], list(hit.shape)]
     ports = [value(name, "float32", shape) for name, shape in zip(outputs, shapes, strict=True)]
     content = model(nodes, inputs, ports, {name: np.array(some, np.float32) for name, some in constants.items()})
     return content + b"".join(message(14, message(1, key) + message(2, text)) for key, text in metadata.items())

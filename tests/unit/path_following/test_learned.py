@@ -10,8 +10,9 @@ import pytest
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError
 from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings, PathModel
+from gibson_path_following.occupancy import median_distances
 from gibson_path_following.pose_filter import PoseFilter, node_poses, relative
-from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Velocity
+from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity
 from support.path_models import path_model
 
 HFOV = math.radians(100.0)
@@ -47,7 +48,11 @@ def test_network_gives_poses_of_recorded_images(tmp_path: Path) -> None:
     found = model(tmp_path).estimate(VIEW[0], np.stack([colour(0.5, 0.2, -0.3), colour(1.0, 0.0, 0.0)]))
     np.testing.assert_allclose(found.pose, [[0.5, 0.2, -0.3], [1.0, 0.0, 0.0]], atol=1e-6)
     np.testing.assert_allclose(found.match, [1.0, 1.0])
-    np.testing.assert_allclose(found.free, FREE)
+    network = model(tmp_path)
+    # In the middles of bins of 0.1 m.
+    np.testing.assert_allclose(
+        median_distances(network.edges, found.hit), np.minimum(np.floor(np.array(FREE) * 10.0) / 10.0 + 0.05, 3.0)
+    )
 
 
 def test_network_of_the_package_sees_an_image_in_itself() -> None:
@@ -57,8 +62,8 @@ def test_network_of_the_package_sees_an_image_in_itself() -> None:
     assert found.match[0] > 0.5
     assert np.hypot(*found.pose[0, :2]) < 0.3
     assert abs(found.pose[0, 2]) < 0.2
-    assert (found.free > 0.0).all()
-    assert (found.free <= network.max_free).all()
+    np.testing.assert_allclose(found.hit.sum(axis=1), 1.0, atol=1e-4)
+    assert found.hit.shape == (len(network.bearings), len(network.edges))
     assert DEFAULT_MODEL.stat().st_size < 10e6
     assert DEFAULT_MODEL.with_suffix(".md").is_file()
 
@@ -144,10 +149,10 @@ def test_paths_of_fisheyes_are_refused(tmp_path: Path) -> None:
 def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "other.onnx"
     file.write_bytes(path_model(FREE, outputs=("a", "b", "c", "d")))
-    with pytest.raises(ModelError, match=r"its outputs a, b, c, d; must be present, recorded and pose, scale, match, free"):
+    with pytest.raises(ModelError, match=r"its outputs a, b, c, d; must be present, recorded and pose, scale, match, hit"):
         PathModel(file)
     file.write_bytes(path_model(FREE, metadata={}))
-    with pytest.raises(ModelError, match="its metadata lack hfov_deg or max_free"):
+    with pytest.raises(ModelError, match="its metadata lack hfov_deg or free_edges"):
         PathModel(file)
     with pytest.raises(ModelError, match=r"nowhere\.onnx"):
         PathModel(tmp_path / "nowhere.onnx")
@@ -213,10 +218,10 @@ def test_robot_stops_by_itself_behind_the_end_of_the_path(tmp_path: Path) -> Non
     assert policy.act(VIEW, 1, at(5.0)) == STOP
 
 
-def test_filter_moves_by_commands_and_becomes_less_sure() -> None:
+def test_filter_moves_by_what_the_robot_made_and_becomes_less_sure() -> None:
     found = PoseFilter()
     found.reset(np.array([0.0, 0.0, math.pi / 2.0]))
     before = np.trace(found.covariance)
-    found.move(Velocity(0.5, 0.0), 1.0)
+    found.move(Step(0.45, 0.0))
     np.testing.assert_allclose(found.pose, [0.0, 0.45, math.pi / 2.0], atol=1e-9)
     assert np.trace(found.covariance) > before

@@ -24,7 +24,7 @@ from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hit
 from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
 from gibson_path_following.recovery import Recovery, RecoverySettings
-from gibson_path_following.types import STOP, Image, Place, RecordedPath, Velocity, View
+from gibson_path_following.types import STOP, Image, Place, RecordedPath, Step, Velocity, View
 
 F64 = NDArray[np.float64]
 DEFAULT_MODEL = Path(__file__).with_name("models") / "path_following.onnx"
@@ -37,6 +37,8 @@ _PLACE_DEVIATION = 0.12
 """Standard deviation of the localiser's place along the path, metres."""
 _OVERSHOOT = 0.1
 """Distance beyond the end of the path at which the robot stops by itself, metres."""
+_LONG_AGO = 1.0
+"""Time between two views after which the filter begins anew where the localiser says, seconds: the robot was lost meanwhile."""
 _CHORD = 0.15
 """Half the length of the chord whose direction is that of the path, metres: recorded turns are sharp."""
 _BEHIND = 0.2
@@ -44,7 +46,9 @@ _BEHIND = 0.2
 _SLOW_AHEAD = 0.5
 """Distance along the path ahead whose clearance limits the speed, metres."""
 _INPUTS = ("present", "recorded")
-_OUTPUTS = ("pose", "scale", "match", "free")
+_OUTPUTS = ("pose", "scale", "match", "hit")
+_FIRST_OUTPUTS = ("pose", "scale", "match", "free")
+"""Of the first networks, which told distances without their uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +61,9 @@ class Sighting:
     """(K, 3): mean absolute errors that it expects."""
     match: F64
     """(K,): probability that a recorded image shows this place, so that its pose means something."""
-    free: F64
-    """(D,): free distances from the camera, metres, in the directions of ``PathModel.bearings``."""
+    hit: F64
+    """(D, B + 1): probability that the first thing in each of the directions ``PathModel.bearings`` stands in each bin of
+    ``PathModel.edges``; the last: farther than all."""
 
 
 class PathModel:
@@ -77,10 +82,13 @@ class PathModel:
         try:
             self.hfov = math.radians(float(metadata["hfov_deg"]))
             """Horizontal field of view that it was trained for, radians."""
-            self.max_free = float(metadata["max_free"])
-            """Free distance at which it saw nothing, metres."""
+            if self._is_first:
+                self.edges, _ = hits_around(np.zeros(1), float(metadata["max_free"]))
+            else:
+                self.edges = np.array([float(edge) for edge in metadata["free_edges"].split(",")])
+            """(B + 1,), edges of the bins of free distances, metres, from 0."""
         except (KeyError, ValueError) as error:
-            raise ModelError(f"{file}: its metadata lack hfov_deg or max_free as numbers; export it anew") from error
+            raise ModelError(f"{file}: its metadata lack hfov_deg or free_edges as numbers; export it anew") from error
         count = int(self._session.get_outputs()[3].shape[0])
         across = 1.0 - (np.arange(count) + 0.5) * 2.0 / count
         self.bearings: F64 = np.arctan(across * math.tan(self.hfov / 2.0))
@@ -96,8 +104,9 @@ class PathModel:
         Raises:
             ModelError: the network cannot be run.
         """
-        pose, scale, match, free = run(self._session, self._file, {"present": present[None], "recorded": recorded})
-        return Sighting(*(np.asarray(value, dtype=np.float64) for value in (pose, scale, match, free)))
+        values = run(self._session, self._file, {"present": present[None], "recorded": recorded})
+        pose, scale, match, hit = (np.asarray(value, dtype=np.float64) for value in values)
+        return Sighting(pose, scale, match, hits_around(hit, float(self.edges[-1]))[1] if self._is_first else hit)
 
     def fitted(self, image: Image, hfov: float) -> Image:
         """Returns an image as the camera that the network was trained for would see it.
@@ -122,7 +131,8 @@ class PathModel:
     def _check(self, file: Path) -> None:
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         names = tuple(i.name for i in inputs), tuple(o.name for o in outputs)
-        if names != (_INPUTS, _OUTPUTS):
+        self._is_first = names == (_INPUTS, _FIRST_OUTPUTS)
+        if names != (_INPUTS, _OUTPUTS) and not self._is_first:
             raise ModelError(
                 f"{file}: its inputs are {', '.join(names[0])} and its outputs {', '.join(names[1])}; must be "
                 f"{', '.join(_INPUTS)} and {', '.join(_OUTPUTS)}: use a file that gibson-sim learn path-following wrote"
@@ -149,8 +159,8 @@ class LearnedSettings:
     """Recorded speed where the path has none, m/s."""
     least_linear: float = 0.15
     """Speed below which the recorded one does not limit, m/s."""
-    unseen_views: int = 8
-    """Views in a row in which no recorded image is seen, after which the robot stops; until then it goes by its commands."""
+    unseen_views: int = 25
+    """Views in a row in which no recorded image is seen, after which the robot stops; until then it goes by what it drove."""
     far_off: float = 1.5
     """Distance along the path between the localiser's place and the network's at which they disagree, metres."""
     far_off_views: int = 5
@@ -241,8 +251,11 @@ class LearnedPolicy:
         """Where beside the path the robot is."""
         self.sighting: Sighting | None = None
         """What the network told about the last view."""
-        self._last: tuple[int, Velocity] | None = None
+        self._last_ns: int | None = None
+        """Stamp of the last view, ns."""
         self._unseen = self._disagreed = 0
+        self._pose: F64 = np.zeros(3)
+        """x, y, yaw where the robot will be when it obeys, in the frame of the path."""
         self._here = 0.0
         """Distance along the path of the last view, metres."""
         self.reset()
@@ -253,21 +266,20 @@ class LearnedPolicy:
         self._lattice.reset()
         self._recovery.reset()
         self.map.clear()
-        self.sighting, self.way, self._last = None, None, None
+        self.sighting, self.way, self._last_ns = None, None, None
         self._unseen = self._disagreed = 0
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
         """Returns the velocity towards a place of the path ahead, around what stands in the way."""
         settings = self.settings
         believed = float(np.interp(place.index, np.arange(len(self._distances)), self._distances))
-        seconds = 0.0
-        if self._last is None:
+        seconds = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) / NS_PER_S
+        if self._last_ns is None or seconds > _LONG_AGO:
             self.filter.reset(self._at(believed))
             self._here = believed
         else:
-            before_ns, velocity = self._last
-            seconds = (stamp_ns - before_ns) / NS_PER_S
-            self.filter.move(velocity, seconds)
+            self.filter.move(place.moved)
+        self._last_ns = stamp_ns
         here = self._along()
         self._disagreed = self._disagreed + 1 if abs(here - believed) > settings.far_off else 0
         if self._disagreed >= settings.far_off_views:
@@ -287,9 +299,7 @@ class LearnedPolicy:
             fits.append(self._correct_by_columns(self._nodes, view, place, believed))
         self._unseen = 0 if any(fits) else self._unseen + 1
         self._look(sighting, seconds)
-        velocity = STOP if self._unseen > settings.unseen_views else self._drive(seconds)
-        self._last = stamp_ns, velocity
-        return velocity
+        return STOP if self._unseen > settings.unseen_views else self._drive(seconds, place.pending)
 
     def _correct_by_columns(self, nodes: NodeMatcher, view: View, place: Place, believed: float) -> bool:
         """Corrects the pose by the nodes next to the robot and by the localiser; returns whether one of the nodes was plausible."""
@@ -310,15 +320,23 @@ class LearnedPolicy:
         camera = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), yaw])
         self.map.centre(float(x), float(y))
         self.map.fade(seconds)
-        self.map.see(camera, self.model.bearings, *hits_around(sighting.free, self.model.max_free))
+        self.map.see(camera, self.model.bearings, self.model.edges, sighting.hit)
 
-    def _drive(self, seconds: float) -> Velocity:
-        """Returns the velocity along the path, round what stands there."""
+    def _drive(self, seconds: float, pending: Step) -> Velocity:
+        """Returns the velocity along the path, round what stands there.
+
+        Args:
+            seconds: time since the last view.
+            pending: what the robot makes before it obeys.
+        """
         settings = self.settings
         here = self._along()
         beyond, _, _ = relative(self._poses[-1], self.filter.pose)
         if here >= self._distances[-1] - 1e-6 and beyond > _OVERSHOOT:
             return STOP
+        x, y, yaw = (float(value) for value in self.filter.pose)
+        self._pose = np.array(moved((x, y, yaw), pending.distance, pending.turn))
+        here = min(here + max(0.0, pending.distance), float(self._distances[-1]))
         self.way = way = self._way(here)
         found = STOP
         if not self._recovery.is_backing and (way.is_free or way.free > settings.stop_before):
@@ -336,7 +354,7 @@ class LearnedPolicy:
         count = math.ceil(min(lattice.length, self._distances[-1] - here + _OVERSHOOT) / lattice.step)
         along = here + np.arange(max(2, count + 1)) * lattice.step
         points, normals = self._beside(along)
-        offset = float((self.filter.pose[:2] - points[0]) @ normals[0])
+        offset = float((self._pose[:2] - points[0]) @ normals[0])
         return self._lattice.way(along, points, normals, offset, self.map.clearance)
 
     def _beside(self, along: F64) -> tuple[F64, F64]:
@@ -364,7 +382,7 @@ class LearnedPolicy:
         # The way goes on straight behind its end, so that the robot arrives there at its speed; the follower stops it.
         more = max(0.0, ahead - float(driven[-1]))
         goal = np.array([at[0] + more * math.cos(yaw), at[1] + more * math.sin(yaw), yaw + slope])
-        return relative(self.filter.pose, goal)
+        return relative(self._pose, goal)
 
     def _limit(self, way: Way, here: float) -> float:
         """Returns the largest speed: the recorded one, or less where the way is narrow, or blocked farther on."""
@@ -380,7 +398,7 @@ class LearnedPolicy:
 
     def _clearance(self, points: F64) -> F64:
         """Returns (...,): distances from points (..., 2) in the frame of the robot to the nearest thing, metres."""
-        x, y, yaw = self.filter.pose
+        x, y, yaw = self._pose
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = points[..., 0], points[..., 1]
         return self.map.clearance(np.stack([x + c * ahead - s * left, y + s * ahead + c * left], axis=-1))

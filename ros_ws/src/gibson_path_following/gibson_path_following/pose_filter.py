@@ -1,5 +1,5 @@
-"""Where a robot is beside its path: an extended Kalman filter in the frame of the path, moved by commands, corrected by recorded images that
-were seen from here.
+"""Where a robot is beside its path: an extended Kalman filter in the frame of the path, moved by what the robot is believed to have made,
+corrected by recorded images that were seen from here.
 
 The frame of a path is that of its first node; its nodes lie where the recorded velocities lead. Over a few metres that is true enough.
 """
@@ -12,21 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_path_following.motions import NS_PER_S
-from gibson_path_following.types import RecordedPath, Velocity
+from gibson_path_following.types import RecordedPath, Step
 
 F64 = NDArray[np.float64]
 _START = (0.3, 0.2, 0.2)
 """Standard deviation at the start along the path, across it, and of the heading: metres and radians."""
-_RATIO, _RATIO_DEVIATION = 0.9, 0.15
-"""Share of the commanded motion that a robot makes: mean and standard deviation."""
-_DRIFT = (0.01, 0.005, 0.01)
-"""Standard deviation of the motion between two views that no command explains: ahead, beside, heading."""
-_TURN_PER_METRE = 0.08
+_RATIO_DEVIATION = 0.12
+"""Standard deviation of a motion that is believed, as a share of it."""
+_DRIFT = (0.01, 0.005, 0.015)
+"""Standard deviation of a motion between two views, however small: ahead, beside, heading."""
+_TURN_PER_METRE = 0.05
 """Standard deviation of the turn that driving a metre adds, radians."""
 _FLOOR = (0.03, 0.03, 0.02)
 """Least standard deviation of a sighting, metres and radians."""
 _TRUST = np.array([2.6, 1.3, 1.3])
 """Standard deviation of a sighting by the mean absolute error that the network expects: it takes what is ahead for nearer than it is."""
+_NEW = 0.25
+"""Share of a sighting that counts: those of views that follow each other are alike wrong."""
 _PARALLAX = 0.5
 """Radians by which columns shift for each metre that the robot is beside a node: that of things 2 m away."""
 _COLUMNS_DEVIATION = 0.08
@@ -80,12 +82,12 @@ class PoseFilter:
         turn = _rotation(self.pose[2])
         self.covariance = turn @ np.diag(np.square(_START)) @ turn.T
 
-    def move(self, velocity: Velocity, seconds: float) -> None:
-        """Moves by a command that held for a time, seconds."""
-        distance, turn = velocity.linear * seconds, velocity.angular * seconds
+    def move(self, step: Step) -> None:
+        """Moves by what the robot made since the view before."""
+        distance, turn = step.distance, step.turn
         before = self.pose
         x, y, yaw = (float(value) for value in before)
-        self.pose = np.array(moved((x, y, yaw), _RATIO * distance, _RATIO * turn))
+        self.pose = np.array(moved((x, y, yaw), distance, turn))
         jacobian = np.eye(3)
         jacobian[:2, 2] = -(self.pose[1] - before[1]), self.pose[0] - before[0]
         noise = (
@@ -112,7 +114,7 @@ class PoseFilter:
         innovation = seen - expected
         innovation[2] = math.remainder(innovation[2], 2.0 * math.pi)
         jacobian = np.array([[-c, -s, expected[1]], [s, -c, -expected[0]], [0.0, 0.0, -1.0]])
-        noise = np.diag((np.square(_TRUST * error) + np.square(_FLOOR)) / weight)
+        noise = np.diag((np.square(_TRUST * error) + np.square(_FLOOR)) / (_NEW * weight))
         spread = jacobian @ self.covariance @ jacobian.T + noise
         if float(innovation @ np.linalg.solve(spread, innovation)) > _GATE:
             return False
