@@ -171,6 +171,8 @@ class PhysicsNode(Node):
                 self._robots[robot.name].reset(world.step_count)
         self._world_topics.publish_scene(world)
         self._objects.publish(world)
+        if self._gate is not None:
+            self._gate.discover()  # before the map, which takes a while: nodes that are there settle meanwhile
         if new:
             self._world_topics.publish_map(world)
 
