@@ -13,6 +13,7 @@ import pytest
 from gibson_path_following.types import Place, Velocity
 from gibson_sim.errors import SceneError
 from gibson_sim_learn.path_following.cases import PathCase, draw_cases, greatest_turn
+from gibson_sim_learn.path_following.clutter import random_thing
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
 from gibson_sim_learn.path_following.drives import (
     BlindDriver,
@@ -25,7 +26,7 @@ from gibson_sim_learn.path_following.drives import (
     oracle_for,
     record,
 )
-from gibson_sim_learn.path_following.layout import Layout, draw_layout
+from gibson_sim_learn.path_following.layout import THINGS, Layout, draw_layout
 from gibson_sim_learn.path_following.oracle import dense
 from support.scenes import write_room
 
@@ -162,6 +163,15 @@ def test_moved_things_leave_the_path_free(site: PathSite, recording: Recording) 
     points, _ = dense(recording.line)
     assert (layout.floor.clearance(points) >= site.ground.robot.radius + 0.1).all()
     assert len(layout.bodies) == len(site.ground.scene.bodies) + len(layout.moved)
+
+
+def test_new_things_are_of_the_maker_that_is_given(site: PathSite, recording: Recording) -> None:
+    layout = draw_layout(site.ground, recording.line, 3, 1, np.random.default_rng(0), random_thing)
+    new = [body for body in layout.bodies if body.name in {*layout.moved, *layout.obstacles}]
+    assert {body.name.rsplit("_", 1)[0] for body in new} == {"new", "on_path"}
+    assert not any(thing in str(body.model) for body in new for thing in THINGS)
+    for body in new:
+        assert body.start.position[2] == pytest.approx(site.ground.floor.floor_z, abs=1e-4)
 
 
 def test_a_start_in_a_wall_is_refused(site: PathSite, recording: Recording) -> None:

@@ -37,9 +37,8 @@ LENGTHS = (5.0, 7.0, 9.0, 11.0)
 """Lengths of the paths, metres; one after another."""
 _MOVED, _TURNED = 0.03, math.radians(3.0)
 """A view is kept if the robot moved or turned so far since the one before, metres and radians."""
-
 _DOMAIN = replace(TRAINED, obstacles=(0, 2))
-"""That of training, and random things on the path."""
+"""That of training, with things on the path."""
 
 DriverOf = Callable[[RecordedPath], Driver]
 """Makes the driver of a path."""
@@ -86,7 +85,8 @@ def drive_all(
 
 
 def _driven(site: PathSite, recording: Recording, driver: Driver, conditions: Conditions, seed: int) -> Trace:
-    return follow(site, recording, lambda _: driver, conditions, seed, make_obstacle=random_thing, keep_views=True)
+    # What is new is random, not what table 2 puts on paths.
+    return follow(site, recording, lambda _: driver, conditions, seed, make_thing=random_thing, keep_views=True)
 
 
 def drive_shard(world: World, site: PathSite, recording: Recording, trace: Trace, conditions: Conditions, seed: int) -> Shard:

@@ -433,7 +433,7 @@ def follow(
     conditions: Conditions,
     seed: int,
     *,
-    make_obstacle: ThingMaker | None = None,
+    make_thing: ThingMaker | None = None,
     keep_views: bool = False,
     watch: Callable[[Sight, Velocity], None] | None = None,
 ) -> Trace:
@@ -445,7 +445,7 @@ def follow(
         driver_of: makes the driver from what stands where.
         conditions: in what the drive differs from the recording.
         seed: of places of things and of the noise of images.
-        make_obstacle: makes what stands on the path, see ``draw_layout``.
+        make_thing: makes what is new, see ``draw_layout``.
         keep_views: whether the trace has the images.
         watch: called at each tick with what was to be seen, images included, and with the command.
 
@@ -453,7 +453,7 @@ def follow(
         SceneError: the robot cannot stand at the start.
     """
     layout_rng, noise = (np.random.default_rng([seed, k]) for k in range(2))
-    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng, make_obstacle)
+    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng, make_thing)
     site.begin(layout, _start(recording.case.start, conditions))
     driver = driver_of(layout)
     pending: deque[Velocity] = deque([STOP] * conditions.latency_ticks)

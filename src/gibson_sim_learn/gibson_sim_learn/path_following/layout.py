@@ -76,7 +76,7 @@ def draw_layout(
     moved: int,
     obstacles: int,
     rng: np.random.Generator,
-    make_obstacle: ThingMaker | None = None,
+    make_thing: ThingMaker | None = None,
 ) -> Layout:
     """Returns the bodies of a drive; fewer are moved, and stand on the path, where there is no room for more.
 
@@ -86,23 +86,23 @@ def draw_layout(
         moved: number of things that stand elsewhere or are new.
         obstacles: number of things or people on the path, with a way round.
         rng: of the draws; another number of things changes nothing else that is drawn from it.
-        make_obstacle: makes what stands on the path; None = one of ``THINGS`` or a person.
+        make_thing: makes what is new; None = one of ``THINGS``, and on the path also a person.
     """
     first, second = (np.random.default_rng(rng.integers(2**63)) for _ in range(2))
     layout = Layout(ground.scene.bodies, ground.floor)
-    mover = _Mover(ground, line)
+    mover = _Mover(ground, line, make_thing or usual_thing)
     for k in range(moved):
         layout = mover.move(layout, k, first)
     for k in range(obstacles):
-        layout = _obstructed(ground, line, layout, k, second, make_obstacle or usual_obstacle)
+        layout = _obstructed(ground, line, layout, k, second, make_thing or usual_obstacle)
     return layout
 
 
 class _Mover:
     """Puts things elsewhere."""
 
-    def __init__(self, ground: Ground, line: ArrayLike) -> None:
-        self._ground, self._line = ground, dense(line)[0]
+    def __init__(self, ground: Ground, line: ArrayLike, make: ThingMaker) -> None:
+        self._ground, self._line, self._make = ground, dense(line)[0], make
         self._movable = [body for body in ground.scene.bodies if _is_movable(body, ground)]
         self._near = beside_line(ground.floor, line, _BESIDE)
 
@@ -110,8 +110,8 @@ class _Mover:
         left = [body for body in self._movable if body.name not in layout.moved]
         is_new = not left or rng.random() < _NEW_SHARE
         if is_new:
-            model = THINGS[int(rng.integers(len(THINGS)))]
-            body = item_body(Item(f"new_{model}_{number + 1}", model, pose_from_xyz_rpy((0.0, 0.0, 0.0))))
+            item = self._make(rng, "new")
+            body = item_body(replace(item, name=f"{item.name}_{number + 1}"))
             others, floor = layout.bodies, layout.floor
         else:
             body = left[int(rng.integers(len(left)))]
@@ -175,13 +175,18 @@ def _obstructed(
     return layout
 
 
+def usual_thing(rng: np.random.Generator, name: str) -> Item:
+    """Returns one of ``THINGS``."""
+    model = THINGS[int(rng.integers(len(THINGS)))]
+    return Item(f"{name}_{model}", model, pose_from_xyz_rpy((0.0, 0.0, 0.0)))
+
+
 def usual_obstacle(rng: np.random.Generator, name: str) -> Item:
     """Returns a person, or one of ``THINGS``."""
-    origin = pose_from_xyz_rpy((0.0, 0.0, 0.0))
-    is_person = rng.random() < _PERSON_SHARE
-    model = PERSON if is_person else THINGS[int(rng.integers(len(THINGS)))]
-    text = person_urdf(Person(PERSON, (), 0.0, _PERSON_RADIUS, _PERSON_HEIGHT)) if is_person else ""
-    return Item(f"{name}_{model}", model, origin, text)
+    if rng.random() >= _PERSON_SHARE:
+        return usual_thing(rng, name)
+    text = person_urdf(Person(PERSON, (), 0.0, _PERSON_RADIUS, _PERSON_HEIGHT))
+    return Item(f"{name}_{PERSON}", PERSON, pose_from_xyz_rpy((0.0, 0.0, 0.0)), text)
 
 
 def _is_movable(body: BodySpec, ground: Ground) -> bool:
