@@ -52,6 +52,7 @@ setup(
             "objects = gibson_sim_tools.cli.objects",
             "robot = gibson_sim_tools.cli.robot",
             "scan = gibson_sim_tools.cli.scan",
+            "texture = gibson_sim_tools.cli.texture",
             "view = gibson_sim_tools.cli.view",
         ]
     },

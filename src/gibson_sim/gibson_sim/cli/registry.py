@@ -21,7 +21,20 @@ COMMANDS = {
 SCENE_COMMANDS = {"map": "scene_map"}
 """Sub-command of ``gibson-sim scene`` -> module of this package."""
 _COMMAND_GROUP, _SCENE_GROUP = "gibson_sim.commands", "gibson_sim.scene_commands"
-_OF_TOOLS = ("check", "collision", "fetch", "fuse", "generate", "import", "inspect", "objects", "robot", "scan", "view")
+_OF_TOOLS = (
+    "check",
+    "collision",
+    "fetch",
+    "fuse",
+    "generate",
+    "import",
+    "inspect",
+    "objects",
+    "robot",
+    "scan",
+    "texture",
+    "view",
+)
 BROUGHT_BY = {("bench",): "gibson_sim_bench", ("learn",): "gibson_sim_learn"} | {
     ("scene", name): "gibson_sim_tools" for name in _OF_TOOLS
 }

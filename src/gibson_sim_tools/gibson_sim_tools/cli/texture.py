@@ -1,0 +1,57 @@
+"""``gibson-sim scene texture``: a textured scene from a mesh and posed photographs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.bags.progress import progress_bar
+from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.cli.report_file import write_json
+from gibson_sim.errors import ConfigError
+from gibson_sim_tools.texturing.settings import TextureSettings
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "texture",
+        help="texture a mesh from posed photographs (our scans; Open3D, 7-Scenes, TUM, COLMAP and nerfstudio folders)",
+        description="Writes a scene whose textures are parts of the photographs. docs/texturing.md says how.",
+    )
+    parser.add_argument("photographs", type=Path, metavar="PHOTOS", help="folder of posed photographs; the layout is detected")
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="mesh file, z up, metres, in the frame of the poses")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="new folder of the scene")
+    parser.add_argument("--name", default="", help="of the scene (default: that of the folder)")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write what was found as JSON")
+    add_settings(parser, TextureSettings, [f.name for f in fields(TextureSettings)])
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> ExitCode:
+    # Loaded here: the other sub-commands need none of it.
+    from gibson_sim.formats.load_mesh import load_mesh
+    from gibson_sim_tools.texturing.photographs import open_photographs
+    from gibson_sim_tools.texturing.surface import surface_of
+    from gibson_sim_tools.texturing.texture import texture
+    from gibson_sim_tools.texturing.textured_scene import write_textured_scene
+
+    settings = settings_from_args(TextureSettings, args)
+    if args.output.exists() and (not args.output.is_dir() or any(args.output.iterdir())):
+        raise ConfigError(f"--output {args.output}: is there already and not empty; give another folder, or delete it first")
+    photographs = open_photographs(args.photographs, settings.longest_side)
+    for warning in photographs.warnings:
+        print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
+    surface = surface_of(load_mesh(args.mesh, [args.mesh.resolve().parent]))
+    with progress_bar(f"texturing from {len(photographs)} photographs ({photographs.layout})") as progress:
+        textured = texture(surface, photographs, settings, progress)
+    file = write_textured_scene(textured, args.output, args.name)
+    for line in textured.report.lines():
+        print(line)
+    print(f"next: gibson-sim scene check {file.parent}; gibson-sim run --scene {file.parent}")
+    write_json(args.report, textured.report.as_dict())
+    return ExitCode.OK

@@ -1,0 +1,172 @@
+"""Makes seams invisible: a smooth correction over whole patches, then the rest within a strip along each seam.
+
+Global: one unknown colour for each vertex of each patch; across a seam the difference of the corrected colours is to vanish, within a patch the
+correction is to be even: sparse least squares (Lempitsky and Ivanov, "Seamless Mosaicing of Image-Based Texture Maps", CVPR 2007).
+Local: Poisson editing (Perez et al., 2003) within 20 pixels of the seam, as in Waechter et al., "Let There Be Color!", ECCV 2014: pixels at
+the seam get the mean of both sides, and the change fades into the patch as a membrane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from gibson_sim_tools.texturing.atlas import Atlas
+from gibson_sim_tools.texturing.quality import sampled
+from gibson_sim_tools.texturing.solving import solve
+from gibson_sim_tools.texturing.surface import Adjacency
+
+F16 = NDArray[np.float16]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+
+STRIP_PX = 20
+"""Width of the strip of the local levelling, pixels."""
+_ALONG = 7
+"""Points on a seam edge at which both sides are compared."""
+_EVEN = 0.3
+"""Weight of the evenness of a correction within a patch, relative to a seam."""
+_ZERO = 1e-3
+"""Weight of the correction itself, which decides for patches without seams."""
+_LOCAL_TOLERANCE, _LOCAL_STEPS = 1e-2, 100
+"""Accuracy and most iterations of the local system, whose solution is exact at the seams in any case."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seams:
+    """Edges between triangles of different patches, both textured."""
+
+    rows: I64
+    """(S, 2): rows of ``Atlas.faces`` of the two triangles."""
+    ends: I64
+    """(S, 2): the vertices of the edge."""
+    points: F64
+    """(S, 2, 2, 2): side, end, column and row: the ends in the pages, pixels."""
+
+
+def find_seams(atlas: Atlas, triangles: I64, adjacency: Adjacency) -> Seams:
+    """Returns the seams of an atlas of triangles (F, 3)."""
+    row = np.full(len(triangles), -1, dtype=np.int64)
+    row[atlas.faces] = np.arange(len(atlas.faces))
+    rows = row[adjacency.faces]
+    both = np.asarray((rows >= 0).all(axis=1))
+    both[both] = atlas.patch[rows[both, 0]] != atlas.patch[rows[both, 1]]
+    rows, ends = rows[both], adjacency.edges[both]
+    corner = (triangles[atlas.faces[rows]][:, :, None, :] == ends[:, None, :, None]).argmax(axis=3)
+    points = np.take_along_axis(atlas.corners[rows], corner[..., None], axis=2)
+    return Seams(rows, ends, points)
+
+
+def colors_along(seams: Seams, atlas: Atlas, pages: list[F16], steps: int = _ALONG) -> F32:
+    """Returns the colours (S, 2, T, 3) of both sides at points along the seams, sRGB, 0 to 1."""
+    t = np.linspace(0.0, 1.0, steps)[:, None]
+    points = seams.points[:, :, None, 0] * (1.0 - t) + seams.points[:, :, None, 1] * t
+    page = atlas.page[atlas.patch[seams.rows]]
+    out = np.zeros((*points.shape[:3], 3), dtype=np.float32)
+    for number, picture in enumerate(pages):
+        on = page == number
+        out[on] = sampled(picture.astype(np.float32), points[on].astype(np.float32))
+    return out
+
+
+def mean_step(colors: F32) -> float:
+    """Returns the mean difference of both sides of the seams, (S, 2, T, 3), over points and channels, in steps of 8 bits."""
+    return float(np.abs(np.clip(colors[:, 0], 0, 1) - np.clip(colors[:, 1], 0, 1)).mean() * 255.0) if len(colors) else 0.0
+
+
+def global_levelling(atlas: Atlas, triangles: I64, seams: Seams, colors: F32) -> F32:
+    """Returns the colours (N, 3, 3) to add at the corners of the textured triangles.
+
+    Args:
+        atlas: the atlas.
+        triangles: (F, 3) of the surface.
+        seams: its seams.
+        colors: (S, 2, T, 3), of both sides along the seams.
+    """
+    vertices = triangles[atlas.faces]
+    span = int(triangles.max()) + 1
+    keys, node = np.unique(atlas.patch[:, None] * span + vertices, return_inverse=True)
+    node = node.reshape(-1, 3)
+    # Across seams: at both ends, the difference of the colours near that end.
+    near = np.linspace(1.0, 0.0, colors.shape[2])[:, None]
+    step = colors[:, 0] - colors[:, 1]
+    across = np.searchsorted(keys, atlas.patch[seams.rows][:, :, None] * span + seams.ends[:, None, :])
+    sides = np.concatenate([across[:, :, 0], across[:, :, 1]])
+    wanted = np.concatenate([(step * near).sum(axis=1) / near.sum(), (step * near[::-1]).sum(axis=1) / near.sum()])
+    within = np.unique(np.sort(np.concatenate([node[:, [0, 1]], node[:, [1, 2]], node[:, [2, 0]]]), axis=1), axis=0)
+    A = _differences(sides, len(keys))
+    B = _differences(within, len(keys))
+    matrix = (A.T @ A + _EVEN**2 * (B.T @ B) + _ZERO**2 * sparse.identity(len(keys))).tocsr()
+    right = -(A.T @ wanted.astype(np.float64))
+    return solve(matrix, right)[node].astype(np.float32)
+
+
+def local_levelling(seams: Seams, atlas: Atlas, pages: list[F16], covers: list[I32]) -> None:
+    """Changes the pages within ``STRIP_PX`` of the seams so that both sides agree there."""
+    if not len(seams.rows):
+        return
+    length = np.linalg.norm(seams.points[:, :, 1] - seams.points[:, :, 0], axis=2).max()
+    steps = int(np.clip(np.ceil(length) + 2, 3, 33))
+    colors = colors_along(seams, atlas, pages, steps)
+    change = (colors[:, ::-1] - colors) / 2.0
+    t = np.linspace(0.0, 1.0, steps)[:, None]
+    points = np.rint(seams.points[:, :, None, 0] * (1.0 - t) + seams.points[:, :, None, 1] * t).astype(np.int64)
+    page = np.broadcast_to(atlas.page[atlas.patch[seams.rows]][..., None], points.shape[:3])
+    patch = np.broadcast_to(atlas.patch[seams.rows][..., None], points.shape[:3])
+    for number, picture in enumerate(pages):
+        on = page == number
+        _fade(picture, covers[number], atlas, patch[on], points[on], change[on])
+
+
+def _fade(picture: F16, cover: I32, atlas: Atlas, patch: I64, points: I64, change: F32) -> None:
+    """Adds to a page the changes (M, 3) at pixels (M, 2) of patches (M,), fading to zero within the strip."""
+    height, width = cover.shape
+    index = points[:, 1] * width + points[:, 0]
+    pixels, number = np.unique(index, return_inverse=True)
+    count = np.bincount(number)
+    border = np.stack([np.bincount(number, change[:, k]) / count for k in range(3)], axis=1)
+    # The patch of each pixel: of the triangle that covers it, or of the seam that runs through it.
+    owner = np.full(height * width, -1, dtype=np.int32)
+    covered = np.flatnonzero(cover.ravel() >= 0)
+    owner[covered] = atlas.patch[cover.ravel()[covered]]
+    owner[index] = patch
+    at_seam = np.zeros(height * width, dtype=bool)
+    at_seam[pixels] = True
+    near = cv2.distanceTransform((~at_seam).astype(np.uint8).reshape(height, width), cv2.DIST_L2, 5).ravel() <= STRIP_PX
+    strip = np.flatnonzero((owner >= 0) & near & ~at_seam)
+    unknown = np.full(height * width, -1, dtype=np.int32)
+    unknown[strip] = np.arange(len(strip))
+    value = np.zeros((height * width, 3), dtype=np.float32)
+    value[pixels] = border
+    rows, columns, degree, right = [], [], np.zeros(len(strip)), np.zeros((len(strip), 3))
+    x, y = strip % width, strip // width
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        inside = (x + dx >= 0) & (x + dx < width) & (y + dy >= 0) & (y + dy < height)
+        other = np.where(inside, strip + dy * width + dx, strip)
+        inside &= owner[other] == owner[strip]
+        degree += inside
+        free = inside & (unknown[other] >= 0)
+        rows.append(np.flatnonzero(free))
+        columns.append(unknown[other[free]])
+        right += np.where(inside[:, None], value[other], 0.0)
+    if len(strip):
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        # The small addition makes islands that touch no seam solvable; their change is 0.
+        matrix = sparse.csr_matrix((-np.ones(len(row)), (row, column)), shape=(len(strip),) * 2) + sparse.diags(degree + 1e-6)
+        value[strip] = solve(matrix.tocsr(), right, tolerance=_LOCAL_TOLERANCE, most=_LOCAL_STEPS)
+    changed = np.concatenate([strip, pixels])
+    flat = picture.reshape(-1, 3)
+    flat[changed] += value[changed].astype(np.float16)
+
+
+def _differences(pairs: I64, count: int) -> sparse.csr_matrix:
+    """Returns the matrix (M, count) that takes values to the differences of pairs (M, 2) of them."""
+    rows = np.arange(len(pairs))
+    values = np.concatenate([np.ones(len(pairs)), -np.ones(len(pairs))])
+    return sparse.csr_matrix((values, (np.tile(rows, 2), pairs.T.ravel())), shape=(len(pairs), count))

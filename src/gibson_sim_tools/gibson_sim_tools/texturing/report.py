@@ -1,0 +1,45 @@
+"""What texturing found."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(slots=True)
+class TextureReport:
+    """What texturing found."""
+
+    triangles: int = 0
+    photographs: int = 0
+    views: int = 0
+    outliers: int = 0
+    """Views that show something else."""
+    unseen: int = 0
+    """Triangles that no photograph shows."""
+    patches: int = 0
+    best_patches: int = 0
+    """Patches if each triangle had its best photograph."""
+    quality_loss: float = 0.0
+    """Share of quality given up for fewer patches."""
+    seam_edges: int = 0
+    seam_steps: dict[str, float] = field(default_factory=dict)
+    """Mean step over the seams, 8-bit steps: ``before``, ``global``, ``local``."""
+    page_sizes: tuple[tuple[int, int], ...] = ()
+
+    def lines(self) -> list[str]:
+        """Returns the report for people."""
+        share = 100.0 * self.unseen / max(self.triangles, 1)
+        steps = ", ".join(f"{value:.2f} {name}" for name, value in self.seam_steps.items())
+        pages = ", ".join(f"{w}x{h}" for w, h in self.page_sizes)
+        return [
+            f"{self.triangles} triangles in {self.photographs} photographs: {self.views} views, {self.outliers} of them outliers; "
+            f"no photograph shows {share:.1f} % of the triangles",
+            f"{self.patches} patches ({self.best_patches} if each triangle had its best photograph) for {100.0 * self.quality_loss:.1f} % of "
+            f"the quality; textures {pages}",
+            f"{self.seam_edges} seam edges; mean step over them, of 255: {steps}",
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the report as plain values for JSON."""
+        return asdict(self)

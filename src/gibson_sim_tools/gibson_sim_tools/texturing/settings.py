@@ -1,0 +1,31 @@
+"""Settings of texturing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gibson_sim.settings import check_settings, setting
+
+LARGEST_PAGE = 8192
+"""Longest side of a texture, pixels: what every graphics card can load."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextureSettings:
+    """Settings of texturing."""
+
+    smoothness: float = setting(
+        0.1, "Cost of a seam edge, where a triangle without its best photograph costs at most 1; 0 = each triangle has its best",
+        minimum=0.0, maximum=10.0,
+    )  # fmt: skip
+    exposures: bool = setting(True, "Estimate exposure, white balance and vignette")
+    outliers: bool = setting(True, "Leave out views that show something else than most views of a triangle")
+    longest_side: int = setting(2000, "Longer photographs are reduced to this", unit="px", minimum=64, maximum=16384)
+    levelling: str = setting("both", "Seams: none, global, both (global, then local)", choices=("none", "global", "both"))
+    largest_page: int = setting(4096, "Longest side of a texture", unit="px", minimum=64, maximum=LARGEST_PAGE)
+    longest_edge: float = setting(
+        0.25, "Longer edges are split, since one photograph textures a triangle", unit="m", minimum=0.01, maximum=100.0
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)

@@ -1,0 +1,110 @@
+"""Surfaces, what cameras see of them, and what they hide."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.texturing.drawing import barycentric, draw, draw_flat, true_weights
+from gibson_sim_tools.texturing.surface import Surface, adjacency, project, scaled, split_long_edges
+from gibson_sim_tools.texturing.visibility import seen_faces
+
+CAMERA = Intrinsics(101, 81, 100.0, 100.0, 50.0, 40.0)
+"""Looks along z; a metre at a distance of 2 m has 50 pixels."""
+EYE = np.eye(4)
+
+
+def square(z: float, half: float, x: float = 0.0) -> tuple[list[list[float]], list[list[int]]]:
+    """A square across the axis of the camera that faces it."""
+    return (
+        [[x - half, -half, z], [x + half, -half, z], [x + half, half, z], [x - half, half, z]],
+        [[0, 2, 1], [0, 3, 2]],
+    )
+
+
+def surface(*squares: tuple[list[list[float]], list[list[int]]]) -> Surface:
+    vertices = np.concatenate([np.array(v) for v, _ in squares])
+    triangles = np.concatenate([np.array(t) + 4 * k for k, (_, t) in enumerate(squares)])
+    return Surface(vertices, triangles)
+
+
+def test_a_point_is_where_the_pinhole_projects_it():
+    uv, z = project(np.array([[0.5, -0.25, 2.0], [0.0, 0.0, -1.0]]), CAMERA, EYE)
+    np.testing.assert_allclose(uv[0], (75.0, 27.5))
+    assert z.tolist() == [2.0, -1.0] and np.isnan(uv[1]).all()
+
+
+def test_half_the_size_keeps_the_corners_of_the_image():
+    half = scaled(Intrinsics(100, 80, 50.0, 50.0, 49.5, 39.5), 50, 40)
+    assert (half.fx, half.cx, half.cy) == (25.0, 24.5, 19.5)
+
+
+def test_the_nearer_of_two_squares_is_drawn_with_its_depth():
+    image = draw(surface(square(2.0, 0.5), square(1.0, 0.1)), CAMERA, EYE)
+    assert image.face[40, 50] >= 2 and image.depth[40, 50] == 1.0
+    assert image.face[40, 70] in (0, 1) and image.depth[40, 70] == 2.0
+    assert image.face[0, 0] == -1 and np.isinf(image.depth[0, 0])
+    # 0.5 m at 2 m: 25 pixels to either side; 0.1 m at 1 m: 10.
+    assert (image.face >= 0).sum() == 51 * 51 and (image.face >= 2).sum() == 21 * 21
+
+
+def test_depth_of_a_slanted_triangle_is_exact_between_its_corners():
+    slanted = Surface(np.array([[-1.0, -1.0, 1.0], [3.0, -1.0, 3.0], [-1.0, 3.0, 1.0]]), np.array([[0, 2, 1]]))
+    # On the axis z = 1.5 + x / 2 gives z = 1.5.
+    assert abs(draw(slanted, CAMERA, EYE).depth[40, 50] - 1.5) < 1e-6
+
+
+def test_weights_in_space_differ_from_those_in_the_image():
+    weights = true_weights(np.array([[0.5, 0.5, 0.0]]), np.array([[1.0, 3.0, 2.0]]))
+    np.testing.assert_allclose(weights, [[0.75, 0.25, 0.0]])
+
+
+def test_a_triangle_without_area_covers_nothing_and_divides_by_nothing():
+    line = np.array([[[1.0, 1.0], [3.0, 3.0], [5.0, 5.0]]])
+    np.testing.assert_allclose(barycentric(line, np.array([[2.0, 2.0]])), [[1 / 3] * 3])
+    assert draw_flat(np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]]), 4, 4).tolist() == [
+        [0, 0, 0, -1], [0, 0, -1, -1], [0, -1, -1, -1], [-1, -1, -1, -1],
+    ]  # fmt: skip
+
+
+def test_a_camera_sees_fronts_that_nothing_hides_and_that_are_whole_in_its_image():
+    behind, before, outside = square(2.0, 0.1), square(1.0, 0.1), square(2.0, 0.2, 0.95)
+    assert seen_faces(surface(behind, before), CAMERA, EYE).faces.tolist() == [2, 3]
+    assert seen_faces(surface(behind, square(1.0, 0.1, 0.3)), CAMERA, EYE).faces.tolist() == [0, 1, 2, 3]
+    assert seen_faces(surface(outside), CAMERA, EYE).faces.tolist() == []
+    back = surface(behind)
+    turned = Surface(back.vertices, back.triangles[:, ::-1])
+    assert seen_faces(turned, CAMERA, EYE).faces.tolist() == []
+
+
+def test_corners_of_seen_triangles_are_pixels():
+    seen = seen_faces(surface(square(2.0, 0.1)), CAMERA, EYE)
+    np.testing.assert_allclose(seen.corners[0], [[45, 35], [55, 45], [55, 35]])
+
+
+def test_triangles_with_a_common_edge_are_adjacent():
+    beside = adjacency(np.array([[0, 1, 2], [2, 1, 3], [3, 4, 5]]))
+    assert beside.faces.tolist() == [[0, 1]] and beside.edges.tolist() == [[1, 2]]
+
+
+def test_long_edges_are_split_without_a_gap():
+    whole = surface(square(2.0, 0.5))
+    parts = split_long_edges(whole, 0.3)
+    corners = parts.corners
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert sides.max() <= 0.3 and abs(area.sum() - 1.0) < 1e-9
+    # A closed sheet: 3 F = 2 inner edges + edges of the rim, and the rim is whole.
+    inner = len(adjacency(parts.triangles).faces)
+    rim = 3 * len(parts.triangles) - 2 * inner
+    assert rim == 16
+
+
+def test_colours_of_split_edges_are_means():
+    coloured = Surface(
+        *(lambda s: (s.vertices, s.triangles))(surface(square(2.0, 0.5))),
+        np.array([[0] * 3, [100] * 3, [200] * 3, [100] * 3], np.uint8),
+    )
+    parts = split_long_edges(coloured, 1.0)
+    middle = np.flatnonzero((parts.vertices == (0.0, 0.0, 2.0)).all(axis=1))
+    assert parts.colors is not None and parts.colors[middle].tolist() == [[100] * 3]
