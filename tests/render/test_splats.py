@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.splats import SH_DC, Splats, load_splats, splats_ply
+from gibson_sim.geometry.compiling import CAN_COMPILE
 from gibson_sim.geometry.projections import project
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.render.draw import splats as splats_module
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, SplatsSpec
 from gibson_sim.types import CameraSpec, Frame, Output, Pose, Vec3
@@ -85,6 +87,18 @@ def test_what_is_left_out_changes_no_bit_and_neither_does_a_second_run(tmp_path:
     for a, b, c in zip(first, again, all_of_them, strict=True):
         np.testing.assert_array_equal(a.rgb, b.rgb)
         np.testing.assert_array_equal(a.rgb, c.rgb)
+
+
+def test_compiled_loops_and_opengl_blend_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = replace(
+        scene(box((1.0, 0.0, 0.0)), light=LightSpec(background=BACKGROUND)), splats=_file(tmp_path, random_splats(2000, size=3.0))
+    )
+    camera = eye_at((-2.0, 0.0, 0.0), (0.0, 0.1, 0.0), width=71, height=53)  # no whole tiles
+    pictures = []
+    for loops in (True, False):
+        monkeypatch.setattr(splats_module, "CAN_COMPILE", loops and CAN_COMPILE)
+        pictures.append(_rgb(_draw(drawn, camera)[0]))
+    assert np.abs(pictures[0] - pictures[1]).max() < 1.5 / 255
 
 
 def test_cameras_side_by_side_see_what_each_sees_alone(tmp_path: Path) -> None:

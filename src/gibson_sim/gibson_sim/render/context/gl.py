@@ -68,6 +68,7 @@ _PROTOTYPES: dict[str, tuple[Any, ...]] = {
     "glScissor": (None, _I, _I, _I, _I),
     "glTexImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _P),
     "glBindTexture": (None, _U, _U),
+    "glGetNamedBufferSubData": (None, _U, _N, _N, _P),
     "glGetTextureLevelParameteriv": (None, _U, _I, _U, _P),
     "glTextureParameteri": (None, _U, _U, _I),
     "glTextureStorage2D": (None, _U, _I, _U, _I, _I),
