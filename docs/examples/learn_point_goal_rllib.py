@@ -70,9 +70,10 @@ def main() -> None:
         result = learner.train()
         runners = result["env_runners"]
         steps = int(runners["num_env_steps_sampled_lifetime"])
-        # Before the first episode ends there is neither.
-        success, reward = runners.get("success", float("nan")), runners.get("episode_return_mean", float("nan"))
-        print(f"{steps} steps, {result['time_total_s']:.0f} s: {success:.0%} succeeded, return {reward:.1f}", flush=True)
+        told = "no episode has ended yet"
+        if "success" in runners:
+            told = f"{runners['success']:.0%} succeeded, return {runners['episode_return_mean']:.1f}"
+        print(f"{steps} steps, {result['time_total_s']:.0f} s: {told}", flush=True)
         learner.save_to_path(str(args.folder.resolve()))
     learner.stop()
     ray.shutdown()

@@ -19,7 +19,7 @@ import numpy as np
 from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError, TextError
 from gibson_sim.formats.dae import load_dae
-from gibson_sim.formats.file_roots import bounded, is_inside, package_roots
+from gibson_sim.formats.file_roots import bounded, package_roots
 from gibson_sim.formats.gltf import load_gltf
 from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis
 from gibson_sim.formats.obj import load_obj
@@ -67,6 +67,11 @@ class MeshLoader:
         self.max_parts = max_parts
         self._textures = TextureStore((), textures)
         self._meshes: dict[Path, Mesh] = {}
+        # Both are looked up once: many meshes lie in few folders, and to follow links takes longer than to read a small mesh.
+        self._packages: dict[tuple[Path, Path], tuple[Path, ...]] = {}
+        """Folder of a mesh, as given and resolved -> its packages."""
+        self._real_roots: dict[Path, str] = {}
+        """One of the roots -> what it resolves to."""
 
     def mesh(self, path: Path) -> Mesh:
         """Returns the mesh in a file, in its own frame, z up, metres.
@@ -99,7 +104,7 @@ class MeshLoader:
         return mesh.transformed(np.diag([*shape.size, 1.0]))
 
     def _read(self, path: Path, real: Path) -> Mesh:
-        if self.roots is not None and not is_inside(real, self.roots):
+        if self.roots is not None and not self._is_allowed(real):
             raise MeshError(f"{path}: lies outside {', '.join(map(str, self.roots))}; move it into the scene's folder")
         try:
             data = read_file(real, self.max_bytes or sys.maxsize - 1)
@@ -123,11 +128,26 @@ class MeshLoader:
             raise MeshError(f"{path}: has no triangles")
         return mesh
 
+    def _is_allowed(self, real: Path) -> bool:
+        """Returns whether a file, whose path is resolved, lies below one of the roots."""
+        for root in self.roots or ():
+            if root not in self._real_roots:
+                self._real_roots[root] = os.path.realpath(root)
+            if real.is_relative_to(self._real_roots[root]):
+                return True
+        return False
+
+    def _packages_of(self, path: Path, real: Path) -> tuple[Path, ...]:
+        folders = (path.parent, real.parent)
+        if folders not in self._packages:
+            self._packages[folders] = package_roots(path)
+        return self._packages[folders]
+
     def _parse(self, path: Path, real: Path, data: bytes) -> Mesh:
         suffix = path.suffix.lower()
         warnings: list[str] = []
         files = [real]
-        textures = self._textures.within(bounded((*package_roots(path), *(self.roots or ()))))
+        textures = self._textures.within(bounded((*self._packages_of(path, real), *(self.roots or ()))))
 
         def warn(text: str) -> None:
             if text not in warnings:

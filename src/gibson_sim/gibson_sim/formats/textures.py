@@ -50,6 +50,8 @@ class TextureStore:
         self.roots = tuple(roots)
         self.decode = decode
         self._by_file: dict[Path, TextureSource | None] = {}
+        self._inside: dict[tuple[Path, tuple[Path, ...]], bool] = {}
+        """Image and roots -> whether it lies in them: many meshes name one image."""
         self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
 
     def within(self, roots: Sequence[Path]) -> TextureStore:
@@ -73,7 +75,10 @@ class TextureStore:
         """
         named = local_path(uri, mesh.parent)
         path = named if is_file(named) else (self._nearby(named, mesh) if search else None)
-        if not is_inside(path or named, self.roots):
+        place = (path or named, self.roots)
+        if place not in self._inside:
+            self._inside[place] = is_inside(*place)
+        if not self._inside[place]:
             text = (
                 f"{mesh}: texture {quoted(uri)} lies outside the folder of the mesh and of its model; it is not read, "
                 "put it beside the mesh"
