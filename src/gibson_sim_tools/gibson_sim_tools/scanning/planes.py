@@ -21,10 +21,12 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-_CELL_VOXELS, _LEAST_CELL = 6.0, 0.08
+_CELL_VOXELS, _LEAST_CELL = 5.0, 0.12
 """Edge of a cell, voxels and metres, whichever is more."""
-_COHERENT = 0.95
-"""Least length of the mean of the unit normals in a flat cell."""
+_FLAT, _LEAST_POINTS = 0.1, 8
+"""Largest variance across a flat cell relative to the smaller one along it, and least number of its vertices."""
+_SMOOTHED, _MOST_SMOOTHED = 6.0, 8
+"""Rounds in which normals are averaged with those beside them, for each voxel of noise, and at most: noise turns them anywhere."""
 _ALIKE = math.cos(math.radians(10.0))
 """Least cosine between the normals of neighbouring cells of a region, and between those of a plane and its cells."""
 _LEAST_AREA = 0.5
@@ -36,16 +38,18 @@ _NOISE = 3.0
 """Distance within which a vertex belongs to a plane, standard deviations of the noise of the plane."""
 _MEDIAN = 1.4826
 """Standard deviation of a normal distribution divided by the median absolute deviation."""
-_LEAST_VOXELS = 0.5
+_LEAST_VOXELS = 0.25
 """Least distance within which a vertex belongs to a plane, voxels."""
 _FULL = 0.7
 """Part of that distance up to which vertices move all the way; beyond, ever less, so that no step remains."""
 _BOWED = 1.0
 """Largest height of the arc of a plane, limits of the displacement; a higher one is a curved wall."""
-_FACES, _EDGE = math.cos(math.radians(40.0)), math.cos(math.radians(65.0))
+_FACES, _EDGE = math.cos(math.radians(45.0)), math.cos(math.radians(65.0))
 """Least cosine between a plane and the normal of a vertex on it, and of one at an edge of it."""
 _PARALLEL = 0.1
 """Least determinant of the products of the normals of planes that have an edge or a corner."""
+_HALF = 0.9
+"""Least share of the sum of the areas of a flat cell that points along its normal."""
 _ROUNDS = 8
 
 
@@ -99,7 +103,9 @@ class _Cells:
     normals: F64
     """(C, 3), unit length."""
     areas: F64
-    """(C,), square metres; 0 = not flat."""
+    """(C,), square metres, without what noise adds; 0 = not flat."""
+    noise: float
+    """Median standard deviation of the vertices across the flat cells, metres."""
     pairs: I64
     """(P, 2), neighbouring cells."""
 
@@ -114,8 +120,9 @@ def snapped(mesh: ColouredMesh, voxel: float, limit: float) -> tuple[ColouredMes
     """
     vertices = mesh.vertices.astype(np.float64)
     crosses = mesh.crosses()
-    normals, areas = _vertex_normals(mesh, crosses)
-    cells = _cells(vertices, normals, areas, max(_CELL_VOXELS * voxel, _LEAST_CELL))
+    sums = _vertex_sums(mesh, crosses)
+    cells = _cells(vertices, sums, max(_CELL_VOXELS * voxel, _LEAST_CELL), limit)
+    normals = _smoothed(sums, mesh.triangles, min(_MOST_SMOOTHED, math.ceil(_SMOOTHED * cells.noise / voxel)))
     order = np.argsort(cells.of_vertex, kind="stable")
     first = np.searchsorted(cells.of_vertex[order], np.arange(len(cells.centres) + 1))
     planes = [_measured(p, vertices, normals, order, first, voxel, limit) for p in _planes(cells, limit)]
@@ -138,39 +145,57 @@ def snapped(mesh: ColouredMesh, voxel: float, limit: float) -> tuple[ColouredMes
     return replace(mesh, vertices=out.astype(np.float32)), report
 
 
-def _vertex_normals(mesh: ColouredMesh, crosses: F64) -> tuple[F64, F64]:
-    """Returns unit normals (V, 3) and the area around each vertex (V,), square metres."""
+def _vertex_sums(mesh: ColouredMesh, crosses: F64) -> F64:
+    """Returns (V, 3): a third of the areas of the triangles around each vertex, along their normals, square metres."""
     count = len(mesh.vertices)
-    sums, areas = np.zeros((count, 3)), np.zeros(count)
-    sizes = np.linalg.norm(crosses, axis=1) / 6.0
+    sums = np.zeros((count, 3))
     for k in range(3):
-        corner = mesh.triangles[:, k]
-        areas += np.bincount(corner, sizes, minlength=count)
         for axis in range(3):
-            sums[:, axis] += np.bincount(corner, crosses[:, axis], minlength=count)
-    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30), areas
+            sums[:, axis] += np.bincount(mesh.triangles[:, k], crosses[:, axis] / 6.0, minlength=count)
+    return sums
 
 
-def _cells(vertices: F64, normals: F64, areas: F64, edge: float) -> _Cells:
+def _smoothed(sums: F64, triangles: NDArray[np.int32], rounds: int) -> F64:
+    """Returns unit normals (V, 3), averaged with those beside them as many rounds as given."""
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    beside = sparse.coo_matrix((np.ones(len(ends), dtype=np.float32), tuple(ends.T)), shape=(len(sums),) * 2).tocsr()
+    normals = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30)
+    for _ in range(rounds):
+        normals = normals + beside @ normals
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return np.asarray(normals)
+
+
+def _cells(vertices: F64, sums: F64, edge: float, limit: float) -> _Cells:
+    """Returns the cubes of vertices (V, 3) around which the surface sums to ``sums`` (V, 3)."""
     grid = np.floor(vertices / edge).astype(np.int64)
     grid -= grid.min(axis=0, initial=0)
     sides = grid.max(axis=0, initial=0) + 1
     codes, of_vertex = np.unique((grid[:, 0] * sides[1] + grid[:, 1]) * sides[2] + grid[:, 2], return_inverse=True)
-    of_vertex = of_vertex.reshape(-1)
+    of_vertex, number = of_vertex.reshape(-1), len(codes)
+    counts = np.bincount(of_vertex, minlength=number)
 
-    def sums(values: F64) -> F64:
-        return np.stack([np.bincount(of_vertex, areas * values[:, k], minlength=len(codes)) for k in range(3)], axis=1)
+    def totals(values: F64) -> F64:
+        return np.stack([np.bincount(of_vertex, values[:, k], minlength=number) for k in range(3)], axis=1)
 
-    total = np.maximum(np.bincount(of_vertex, areas, minlength=len(codes)), 1e-30)
-    mean = sums(normals) / total[:, None]
-    length = np.linalg.norm(mean, axis=1)
+    centres = totals(vertices) / np.maximum(counts, 1)[:, None]
+    off = vertices - centres[of_vertex]
+    spread = np.empty((number, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            spread[:, i, j] = spread[:, j, i] = np.bincount(of_vertex, off[:, i] * off[:, j], minlength=number)
+    values, vectors = np.linalg.eigh(spread / np.maximum(counts, 1)[:, None, None])
+    # What noise adds to the area points anywhere, so that it is not in the sum of the areas along their normals.
+    facing = totals(sums)
+    areas = np.abs((facing * vectors[:, :, 0]).sum(axis=1))
+    normals = vectors[:, :, 0] * np.where((facing * vectors[:, :, 0]).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    flat = (counts >= _LEAST_POINTS) & (values[:, 0] <= min(limit, edge / 4.0) ** 2) & (values[:, 0] < _FLAT * values[:, 1])
+    flat &= areas > _HALF * np.linalg.norm(facing, axis=1)
+    noise = float(np.median(np.sqrt(np.maximum(values[flat, 0], 0.0)))) if flat.any() else 0.0
     places = np.stack([codes // (sides[1] * sides[2]), codes // sides[2] % sides[1], codes % sides[2]], axis=1)
     # Cells that share a face, an edge or a corner.
     pairs = cKDTree(places).query_pairs(1.8, output_type="ndarray")
-    return _Cells(
-        of_vertex, sums(vertices) / total[:, None], mean / np.maximum(length, 1e-30)[:, None],
-        np.where(length >= _COHERENT, total, 0.0), pairs.astype(np.int64),
-    )  # fmt: skip
+    return _Cells(of_vertex, centres, normals, np.where(flat, areas, 0.0), noise, pairs.astype(np.int64))
 
 
 def _planes(cells: _Cells, limit: float) -> list[_Plane]:

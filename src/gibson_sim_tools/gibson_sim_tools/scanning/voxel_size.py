@@ -1,4 +1,4 @@
-"""Selects the voxel size of a fusion: as fine as the cameras resolve, no finer than 1 cm, and within a limit of memory. Knows no Open3D."""
+"""Selects the voxel size of a fusion: as fine as the depth is sharp, no finer than 1 cm, and within a limit of memory. Knows no Open3D."""
 
 from __future__ import annotations
 
@@ -26,6 +26,12 @@ _STEP = 6
 """Every so many pixels, in both directions, are looked at."""
 _FARTHER = 0.75
 """Share of the depths that are at most as far as the one that decides."""
+_BAND = 2.5
+"""Least half width of the truncation band, standard deviations of the noise: where depths scatter beyond it, surfaces become double."""
+_PATCH = 12
+"""Edge of the blocks of pixels in which the noise is measured, pixels."""
+_MEDIAN = 1.4826
+"""Standard deviation of a normal distribution divided by the median absolute deviation."""
 _ALONG = 5
 """Samples across the truncation band."""
 _GB = 1e9
@@ -41,6 +47,8 @@ class VoxelSize:
     """Distance of neighbouring pixels on a surface at ``depth``, metres."""
     depth: float
     """Depth that three quarters of the pixels do not exceed, metres."""
+    noise: float
+    """Noise of the depth, standard deviation, that three quarters of the pixels do not exceed, metres."""
     blocks: int
     """Estimated number of blocks."""
     finer_gb: float | None
@@ -56,14 +64,14 @@ class VoxelSize:
         seen = (
             f"pixels are {1000.0 * self.pixel:.1f} mm apart at {self.depth:.1f} m, where three quarters of the depths are nearer"
         )
-        out = f"voxels of {100.0 * self.voxel:g} cm: {seen}; about {self.memory_gb:.1f} GB"
+        out = f"voxels of {100.0 * self.voxel:g} cm: {seen}; noise {1000.0 * self.noise:.1f} mm; about {self.memory_gb:.1f} GB"
         if self.finer_gb is not None:
             out += f", finer ones would need {self.finer_gb:.1f} GB (--memory {limit_gb:g})"
         return out
 
 
 def select_voxel_size(rgbd: PosedRgbd, settings: FuseSettings, frames: range) -> VoxelSize:
-    """Returns the finest size of ``SIZES`` that the pixels resolve and that fits into ``settings.memory``.
+    """Returns the finest size of ``SIZES`` that the pixels resolve, whose truncation band holds their noise, and that fits into ``settings.memory``.
 
     Args:
         rgbd: the frames.
@@ -74,21 +82,22 @@ def select_voxel_size(rgbd: PosedRgbd, settings: FuseSettings, frames: range) ->
         ScanError: an image is broken, nothing is in range, or no size fits.
     """
     rows = sorted({frames[int(k)] for k in np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES))})
-    clouds = [_points(rgbd, number, settings.depth_max) for number in rows]
-    depths = np.concatenate([depth for _, depth, _ in clouds])
+    clouds = [_cloud(rgbd, number, settings.depth_max) for number in rows]
+    depths = np.concatenate([cloud.depth for cloud in clouds])
     if not len(depths):
         raise ScanError(
             f"{rgbd.folder}: no depth is within {settings.depth_max:g} m; give a larger --depth-max, and check the depth scale"
         )
     depth = float(np.quantile(depths, _FARTHER))
     pixel = depth / max(rgbd.intrinsics.fx, rgbd.intrinsics.fy)
+    noise = float(np.quantile(np.concatenate([cloud.noise for cloud in clouds]), _FARTHER))
     finer = None
     for size in SIZES:
-        if size < pixel and size != SIZES[-1]:
+        if size < max(pixel, _BAND * noise / settings.truncation) and size != SIZES[-1]:
             continue
         blocks = _blocks(clouds, size, settings.truncation * size, len(frames) / len(rows))
         if blocks * BLOCK_BYTES <= settings.memory * _GB:
-            return VoxelSize(size, pixel, depth, blocks, finer)
+            return VoxelSize(size, pixel, depth, noise, blocks, finer)
         finer = blocks * BLOCK_BYTES / _GB
     raise ScanError(
         f"{rgbd.folder}: voxels of {100.0 * SIZES[-1]:g} cm would need {finer:.1f} GB; give more --memory than {settings.memory:g} GB, "
@@ -96,8 +105,21 @@ def select_voxel_size(rgbd: PosedRgbd, settings: FuseSettings, frames: range) ->
     )
 
 
-def _points(rgbd: PosedRgbd, number: int, depth_max: float) -> tuple[F64, F64, F64]:
-    """Returns rays (N, 3), camera frame with z = 1, depths (N,), and T_world_camera (4, 4) of a frame."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cloud:
+    """What is looked at of a frame."""
+
+    rays: F64
+    """(N, 3), camera frame with z = 1."""
+    depth: F64
+    """(N,), metres."""
+    noise: F64
+    """(B,), noise of the depth in each block of pixels, metres."""
+    T_world_camera: F64
+    """(4, 4)."""
+
+
+def _cloud(rgbd: PosedRgbd, number: int, depth_max: float) -> _Cloud:
     frame = rgbd[number]
     depth = frame.depth[::_STEP, ::_STEP].astype(np.float64)
     v, u = np.nonzero(np.isfinite(depth) & (depth <= depth_max))
@@ -105,15 +127,28 @@ def _points(rgbd: PosedRgbd, number: int, depth_max: float) -> tuple[F64, F64, F
     rays = np.stack(
         [(u * _STEP - camera.cx) / camera.fx, (v * _STEP - camera.cy) / camera.fy, np.ones(len(u))], axis=1
     )  # fmt: skip
-    return rays, depth[v, u], frame.T_world_camera
+    return _Cloud(rays, depth[v, u], _noise(frame.depth, depth_max), frame.T_world_camera)
 
 
-def _blocks(clouds: list[tuple[F64, F64, F64]], size: float, band: float, more: float) -> int:
+def _noise(depth: NDArray[np.float32], depth_max: float) -> F64:
+    """Returns the noise of a depth image (H, W), metres, in each block of pixels that shows enough of one surface."""
+    near = np.where(depth <= depth_max, depth, np.nan).astype(np.float64)
+    # What is left of a slanted plane by a second difference is noise, with six times the variance; edges are outliers of the median.
+    bend = np.abs(near[:, :-2] - 2.0 * near[:, 1:-1] + near[:, 2:])
+    rows, columns = (size // _PATCH for size in bend.shape)
+    blocks = (
+        bend[: rows * _PATCH, : columns * _PATCH].reshape(rows, _PATCH, columns, _PATCH).swapaxes(1, 2).reshape(-1, _PATCH**2)
+    )
+    blocks = blocks[np.isfinite(blocks).mean(axis=1) > 0.5]
+    return np.asarray(_MEDIAN / math.sqrt(6.0) * np.nanmedian(blocks, axis=1)) if len(blocks) else np.zeros(1)
+
+
+def _blocks(clouds: list[_Cloud], size: float, band: float, more: float) -> int:
     """Returns the estimated number of blocks that all frames touch, ``more`` times as many as these."""
     keys = []
-    for rays, depth, T in clouds:
-        at = (depth[:, None] + np.linspace(-band, band, _ALONG)).reshape(-1, 1)
-        points = transform_points(T, np.repeat(rays, _ALONG, axis=0) * at)
+    for cloud in clouds:
+        at = (cloud.depth[:, None] + np.linspace(-band, band, _ALONG)).reshape(-1, 1)
+        points = transform_points(cloud.T_world_camera, np.repeat(cloud.rays, _ALONG, axis=0) * at)
         keys.append(_distinct(np.floor(points / (BLOCK_VOXELS * size)).astype(np.int64)))
     every = len(_distinct(np.concatenate(keys)))
     half = len(_distinct(np.concatenate(keys[::2])))

@@ -9,7 +9,7 @@ from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
 from gibson_sim_tools.scanning.planes import SnapReport, snapped
 from support.scans import ROOM, THRESHOLD, noisy_room
 
-EDGE = 0.1
+EDGE = 0.05
 """Edge of the triangles, metres."""
 
 
@@ -18,7 +18,7 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> ColouredMesh:
     return ColouredMesh(vertices.astype(np.float32), triangles.astype(np.int32), colors)
 
 
-def _sheet(shape: tuple[int, int], height: np.ndarray, edge: float = 0.05) -> ColouredMesh:
+def _sheet(shape: tuple[int, int], height: np.ndarray, edge: float = EDGE) -> ColouredMesh:
     """Returns a height field over a grid (rows, columns), facing up."""
     rows, columns = shape
     v, u = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
@@ -33,7 +33,7 @@ def room() -> tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]:
     """A noisy room, the same without noise, and the noisy one snapped."""
     noisy = _mesh(*noisy_room(edge=EDGE, noise=0.004))
     clean = noisy_room(edge=EDGE, noise=0.0)[0]
-    return noisy, clean, *snapped(noisy, 0.02, 0.02)
+    return noisy, clean, *snapped(noisy, EDGE, 0.02)
 
 
 def test_noise_of_walls_floor_and_ceiling_is_gone(room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]) -> None:
@@ -81,7 +81,7 @@ def test_a_curved_wall_stays_curved() -> None:
     u = np.arange(60) * 0.05
     arc = np.broadcast_to(np.sqrt(2.0**2 - (u - 1.475) ** 2), (40, 60))
     mesh = _sheet((40, 60), arc)
-    out, _ = snapped(mesh, 0.02, 0.02)
+    out, _ = snapped(mesh, EDGE, 0.02)
     away = np.abs(out.vertices - mesh.vertices)
     # The top of the arc is flat to 2 cm over 0.56 m; most of the wall belongs to no plane.
     assert away.max() < 0.02 and away.mean() < 0.002
@@ -90,7 +90,7 @@ def test_a_curved_wall_stays_curved() -> None:
 def test_small_flat_things_stay_as_they_are() -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.003, (13, 13))
     mesh = _sheet((13, 13), noise)  # 0.36 m^2
-    out, report = snapped(mesh, 0.02, 0.02)
+    out, report = snapped(mesh, EDGE, 0.02)
     assert report.planes == 0
     np.testing.assert_array_equal(out.vertices, mesh.vertices)
 
@@ -98,7 +98,7 @@ def test_small_flat_things_stay_as_they_are() -> None:
 def test_bumps_of_a_floor_go_only_within_its_noise() -> None:
     height = np.random.default_rng(0).normal(0.0, 0.002, (60, 60))
     height[20:30, 20:30] += 0.015  # a tile that lies on it
-    out, _ = snapped(_sheet((60, 60), height), 0.01, 0.02)
+    out, _ = snapped(_sheet((60, 60), height), EDGE, 0.02)
     z = out.vertices[:, 2].reshape(60, 60)
     assert np.abs(z[40:55, 5:55]).mean() < 0.0004
     assert z[22:28, 22:28].mean() == pytest.approx(0.015, abs=0.001)

@@ -16,16 +16,17 @@ from gibson_sim_tools.scanning.voxel_size import BLOCK_BYTES, SIZES, select_voxe
 class Wall(PosedRgbd):
     """Cameras that look straight at a wall, each 0.1 m beside the last."""
 
-    def __init__(self, focal: float, depth: float, frames: int = 4) -> None:
+    def __init__(self, focal: float, depth: float, frames: int = 4, noise: float = 0.0) -> None:
         files = tuple(FrameFiles(Path("c"), Path("d"), np.eye(4)) for _ in range(frames))
         super().__init__(Path("scan"), "test", Intrinsics(96, 72, focal, focal, 47.5, 35.5), 1000.0, files)
         object.__setattr__(self, "_depth", depth)
+        object.__setattr__(self, "_noise", noise)
 
     def __getitem__(self, number: int) -> RgbdFrame:
         pose = np.eye(4)
         pose[0, 3] = 0.1 * number
-        depth = np.full((72, 96), self._depth, dtype=np.float32)  # type: ignore[attr-defined]
-        return RgbdFrame(number, np.zeros((72, 96, 3), np.uint8), depth, pose)
+        depth = np.random.default_rng(number).normal(self._depth, self._noise, (72, 96))  # type: ignore[attr-defined]
+        return RgbdFrame(number, np.zeros((72, 96, 3), np.uint8), depth.astype(np.float32), pose)
 
 
 def test_voxels_are_as_fine_as_the_pixels_and_not_below_a_centimetre() -> None:
@@ -35,6 +36,14 @@ def test_voxels_are_as_fine_as_the_pixels_and_not_below_a_centimetre() -> None:
         assert (found.voxel, found.finer_gb) == (voxel, None)
         assert found.pixel == pytest.approx(depth / focal, rel=1e-5) and found.depth == pytest.approx(depth)
     assert SIZES[0] == 0.01
+
+
+def test_the_truncation_band_holds_the_noise_of_the_depth() -> None:
+    # Three quarters of the blocks of pixels measure the noise with at most some per cent more.
+    found = select_voxel_size(Wall(400.0, 2.0, noise=0.018), FuseSettings(), range(4))
+    assert found.noise == pytest.approx(0.018, rel=0.12) and found.voxel == 0.015  # 2.5 x 0.018 / 4 = 0.011
+    assert select_voxel_size(Wall(400.0, 2.0, noise=0.008), FuseSettings(), range(4)).voxel == 0.01
+    assert "noise 1" in found.text(4.0)
 
 
 def test_the_blocks_of_a_wall_are_counted() -> None:
