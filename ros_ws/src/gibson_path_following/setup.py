@@ -40,7 +40,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            f"{name} = {NAME}.nodes.{name}:main" for name in ("path_recorder", "path_localiser", "path_policy", "path_evaluator")
+            f"{name} = {NAME}.nodes.{name}:main"
+            for name in ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults")
         ]
     },
 )

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 
-from gibson_path_following.errors import ModelError, SettingError  # noqa: E402
+from gibson_path_following.errors import ModelError, SettingError, ViewError  # noqa: E402
 from gibson_path_following.nodes import conversions  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
@@ -184,6 +184,7 @@ def test_images_wait_for_their_camera_info(context: Any, folder: Path) -> None:
         ({"backend": "magic"}, "backend is 'magic'"),
         ({"max_linear": "fast"}, "max_linear is 'fast'"),
         ({"image_topics": ["a", "b"]}, "image_topics has 2 names"),
+        ({"start": 12.0}, "start is 12, must be -1 = anywhere, or a node of the path, 0 to 11"),
     ],
 )
 def test_parameters_that_cannot_be_used_are_one_line(context: Any, folder: Path, values: dict[str, Any], part: str) -> None:
@@ -242,3 +243,45 @@ def test_a_collision_type_that_tells_nothing_is_refused(context: Any, folder: Pa
     overrides = [Parameter("path", value=str(folder)), Parameter("collision_type", value=name)]
     with pytest.raises(SettingError, match="collision_type is"):
         PathEvaluatorNode(context=context, parameter_overrides=overrides)
+
+
+RED_AT = {"bayer_rggb8": (0, 0), "bayer_bggr8": (1, 1), "bayer_gbrg8": (1, 0), "bayer_grbg8": (0, 1)}
+"""Row and column of red in each pattern."""
+
+
+@pytest.mark.parametrize("encoding", RED_AT)
+def test_a_bayer_pattern_becomes_its_colour(encoding: str) -> None:
+    pixels = np.zeros((8, 8), np.uint8)
+    row, column = RED_AT[encoding]
+    pixels[row::2, column::2] = 200
+    rgb = conversions.rgb_of_image(Image(height=8, width=8, encoding=encoding, step=8, data=pixels.tobytes()))
+    assert (rgb[2:6, 2:6] == (200, 0, 0)).all()
+
+
+@pytest.mark.parametrize(("encoding", "pair"), [("uyvy", (128, 126)), ("yuyv", (126, 128)), ("yuv422_yuy2", (126, 128))])
+def test_yuv_without_colour_becomes_grey(encoding: str, pair: tuple[int, int]) -> None:
+    data = bytes(pair) * 32
+    rgb = conversions.rgb_of_image(Image(height=4, width=8, encoding=encoding, step=16, data=data))
+    assert (rgb == rgb[0, 0, 0]).all() and 120 <= rgb[0, 0, 0] <= 136
+
+
+def test_yuv_of_an_odd_width_is_refused() -> None:
+    with pytest.raises(ViewError, match="an image of 3x1 pixels cannot have the encoding uyvy"):
+        conversions.rgb_of_image(Image(height=1, width=3, encoding="uyvy", step=6, data=bytes(6)))
+
+
+def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_is_used(
+    context: Any, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven = Driven(context, folder)
+    lines: list[str] = []
+    monkeypatch.setattr(driven.node.get_logger(), "error", lambda text, **_: lines.append(text))
+    for msg in (Image(encoding="rgb8"), Image(height=2, width=2, encoding="jpeg2000", step=2, data=bytes(4))):
+        driven.node._input._on_image("front", "camera/image_raw", False, msg)
+    assert [line.partition(",")[0] for line in lines] == [
+        "camera/image_raw: an image of 0x0 rgb8 pixels has 0 bytes in rows of 0",
+        "camera/image_raw: an image has the encoding 'jpeg2000'",
+    ]
+    driven.begin()
+    assert driven.node._state == "following"
+    driven.node.destroy_node()

@@ -105,6 +105,7 @@ class PolicyOptions(CameraOptions):
         0.12, "distance of the camera in front of the middle of the wheels, metres; for learned", -5.0, 5.0
     )
     latency: float = option(0.0, "usual time from a command to its motion, seconds", 0.0, 10.0)
+    search: bool = option(True, "a robot that is lost turns in place to either side, once and slowly, to find the path again")
     watchdog_hz: float = option(
         10.0, "how often commands are sent and the age of the images is checked, in the robot's time", 1.0, 100.0
     )
@@ -140,6 +141,17 @@ class EvaluatorOptions(Options):
             raise SettingError(f"parameter file is {quoted(self.file)}, must be a name that ends in .json")
 
 
+@dataclass(frozen=True)
+class FaultOptions(Options):
+    """Parameters of ``camera_faults``."""
+
+    cover_after: float = option(2.0, "time from the robot's first motion to when the lens is covered, seconds", 0.0, 3600.0)
+    cover: float = option(0.0, "how long the lens is covered, seconds; 0 = never", 0.0, 3600.0)
+    drop: float = option(0.0, "part of the images that is missing, evenly spread: 0.5 is every other one", 0.0, 1.0)
+    delay: float = option(0.0, "how late images come, seconds, in steps of the time from one image to the next", 0.0, 60.0)
+    stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
+
+
 def _check(name: str, value: Any, default: object, least: Any, most: Any) -> None:
     """``least`` and ``most``: limits of a number; None = it has none."""
     if isinstance(default, tuple):
@@ -171,6 +183,16 @@ def check_topics(camera: str, topics: Sequence[str]) -> None:
         raise SettingError(
             f"parameter image_topics has {len(topics)} names, a {camera} camera needs {len(names)}: {', '.join(names)}"
         )
+
+
+def check_start(start: float, nodes: int) -> None:
+    """Checks that a path has the node where the robot is at the start.
+
+    Raises:
+        SettingError: it has not.
+    """
+    if start > nodes - 1:
+        raise SettingError(f"parameter start is {start:g}, must be -1 = anywhere, or a node of the path, 0 to {nodes - 1}")
 
 
 def _check_path(path: str) -> None:

@@ -54,6 +54,8 @@ class CameraInput:
         self._infos: dict[str, Calibration | None] = {}
         self._used_ns: dict[str, int] = {}
         """Stamp of the newest image that was used, by camera, ns."""
+        self._has_image = False
+        """Whether any image has come, of use or not."""
         self._waiting_ns: int | None = None
         """Stamp of the first image that had no camera_info, ns."""
         self._period_ns = 0 if options.rate_hz == 0.0 else round(conversions.NS_PER_S / options.rate_hz)
@@ -72,6 +74,14 @@ class CameraInput:
                     )
                 )
 
+    def warn_of_none(self) -> None:
+        """Warns every 5 s while no image has come at all: the name of a topic may be wrong."""
+        if not self._has_image:
+            self._node.get_logger().warning(
+                f"no image has come from {', '.join(self._options.image_topics)}; does the camera run, and is parameter image_topics right?",
+                throttle_duration_sec=5.0, skip_first=True,
+            )  # fmt: skip
+
     def close(self) -> None:
         """Ends the subscriptions; a second call does nothing."""
         while self._subscriptions:
@@ -84,6 +94,7 @@ class CameraInput:
             self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
 
     def _on_image(self, name: str, topic: str, compressed: bool, msg: Any) -> None:
+        self._has_image = True
         stamp = conversions.stamp_ns(msg.header.stamp)
         used = self._used_ns.get(name)
         if used is not None and stamp < used - _BACK_NS:
@@ -101,7 +112,7 @@ class CameraInput:
             rgb = conversions.rgb_of_compressed(msg) if compressed else conversions.rgb_of_image(msg)
             view = self._assembler.add(name, stamp, camera.image(rgb, self._infos.get(name), self._camera_hfov()))
         except PathFollowingError as error:
-            self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
+            self._node.get_logger().error(f"{topic}: {error}", throttle_duration_sec=5.0)
             return
         self._used_ns[name] = stamp
         if view is not None:

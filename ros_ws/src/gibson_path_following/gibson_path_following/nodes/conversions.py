@@ -20,6 +20,11 @@ MAX_PIXELS = 2**25
 _TO_RGB = {
     "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB), "bgra8": (4, cv2.COLOR_BGRA2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB), "8UC1": (1, cv2.COLOR_GRAY2RGB), "8UC3": (3, cv2.COLOR_BGR2RGB),
+    # OpenCV names a Bayer pattern by its second row, ROS by its first.
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB), "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB), "bayer_grbg8": (1, cv2.COLOR_BayerGB2RGB),
+    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY), "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuyv": (2, cv2.COLOR_YUV2RGB_YUYV), "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUYV),
 }  # fmt: skip
 """Encoding -> bytes of a pixel, and how OpenCV makes RGB of it."""
 
@@ -38,17 +43,24 @@ def rgb_of_image(msg: Any) -> Image:
     """Returns the pixels of a ``sensor_msgs/Image``, (H, W, 3) RGB.
 
     Raises:
-        ViewError: the encoding is another one, or the data do not fit the size.
+        ViewError: the encoding is another one, the data do not fit the size, or such a size cannot have that encoding.
     """
     if msg.encoding not in _TO_RGB:
-        raise ViewError(f"an image has the encoding {quoted(msg.encoding)}, must be one of {', '.join(_TO_RGB)}")
+        raise ViewError(
+            f"an image has the encoding {quoted(msg.encoding)}, must be one of {', '.join(_TO_RGB)}; set it in the camera's driver"
+        )
     size, code = _TO_RGB[msg.encoding]
     height, width, step = int(msg.height), int(msg.width), int(msg.step)
     if not (0 < height * width <= MAX_PIXELS and step >= width * size and len(msg.data) >= step * height):
         raise ViewError(f"an image of {width}x{height} {msg.encoding} pixels has {len(msg.data)} bytes in rows of {step}")
     rows = np.frombuffer(msg.data, dtype=np.uint8, count=step * height).reshape(height, step)
     pixels = rows[:, : width * size].reshape(height, width, size)
-    return np.ascontiguousarray(pixels) if code is None else np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+    if code is None:
+        return np.ascontiguousarray(pixels)
+    try:
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+    except cv2.error as error:
+        raise ViewError(f"an image of {width}x{height} pixels cannot have the encoding {msg.encoding}: {error.err}") from error
 
 
 def rgb_of_compressed(msg: Any) -> Image:

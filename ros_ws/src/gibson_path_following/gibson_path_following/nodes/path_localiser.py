@@ -16,7 +16,7 @@ from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
-from gibson_path_following.options import LocaliserOptions
+from gibson_path_following.options import LocaliserOptions, check_start
 from gibson_path_following.path_folder import load_path
 from gibson_path_following.types import Place, View
 
@@ -77,6 +77,7 @@ class PathLocaliserNode(Node):
         self._options = o = declared(self, LocaliserOptions)
         self.exit_code: int | None = None
         path = load_path(o.path)
+        check_start(o.start, len(path.nodes))
         self._localiser = Localiser(path)
         self._log = CommandLog()
         self._placed_ns: int | None = None

@@ -18,7 +18,7 @@ from gibson_path_following.nodes.camera_input import CameraInput
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.path_localiser import PlacePublisher
 from gibson_path_following.nodes.running import run_node
-from gibson_path_following.options import PolicyOptions, check_topics
+from gibson_path_following.options import PolicyOptions, check_start, check_topics
 from gibson_path_following.path_folder import load_path
 from gibson_path_following.types import STOP, RecordedPath, Velocity, View
 
@@ -42,8 +42,8 @@ class PathPolicyNode(LifecycleNode):
     Publishes:
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of the
             robot's time.
-        path/state (std_msgs/String, latched): following, lost, stale, finished, held (the dead man's switch), failed (the policy
-            could not use the newest view; the log says why) or inactive.
+        path/state (std_msgs/String, latched): following, lost, searching (lost, and turning to look around), stale, finished, held (the
+            dead man's switch), failed (the policy could not use the newest view; the log says why) or inactive.
         path/index, path/confidence (std_msgs/Float32), path/lost (std_msgs/Bool): with each view; /diagnostics once a second.
     """
 
@@ -85,11 +85,12 @@ class PathPolicyNode(LifecycleNode):
         """
         o = self._options
         path = load_path(o.path)
+        check_start(o.start, len(path.nodes))
         check_topics(path.camera, o.image_topics)
         policy, localiser = make_policy(o.backend, path, o.max_linear, o.max_angular, o.camera_ahead)
         settings = FollowerSettings(
             stale_after=o.stale_after, latency=o.latency, max_linear=o.max_linear, max_angular=o.max_angular,
-            start=o.start if o.start >= 0.0 else None,
+            start=o.start if o.start >= 0.0 else None, search=o.search,
         )  # fmt: skip
         self._path, self._follower = path, PathFollower(path, policy, settings, localiser)
         self._places = PlacePublisher(self, len(path.nodes))
@@ -181,6 +182,8 @@ class PathPolicyNode(LifecycleNode):
 
     def _on_timer(self) -> None:
         assert self._follower is not None
+        if self._input is not None:
+            self._input.warn_of_none()
         now_ns = self._now_ns()
         self._command(self._follower.tick(now_ns), now_ns)
 
