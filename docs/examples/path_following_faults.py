@@ -68,21 +68,24 @@ class Simulation:
     def __init__(self, log: Path, robots: str, scene: str, starts: str = "") -> None:
         more = ("--start", starts) if starts else ()
         cameras = ("--camera-rate", "10", "--camera-outputs", "rgb")
-        self.process = start(
-            "gibson_sim.cli.main", "run", "--scene", scene, "--robot", robots, *more, *cameras, "--lockstep", log=log
-        )
+        names = [part.partition("=")[0] for part in robots.split(",")] if "=" in robots else [""]
+        topics = [f"{name}/cmd_vel".lstrip("/") for name in names]
+        # From its first command on, time waits for each policy, and 5 s without one are a pause.
+        rules = ";".join(f"policy{k}={topic} every 0.1 from {topic}" for k, topic in enumerate(topics))
+        options = ("--scene", scene, "--robot", robots, *more, *cameras, "--lockstep", "--participants", rules)
+        self.process = start("gibson_sim.cli.main", "run", *options, log=log)
         self.node = rclpy.create_node("path_following_faults")
         self.log = log
         self.trace: dict[str, list[tuple[float, float, float, float]]] = {}
         """Of each robot: seconds, x, y and speed."""
         self.publishers = {}
-        for name in [part.partition("=")[0] for part in robots.split(",")] if "=" in robots else [""]:
+        for name, command in zip(names, topics, strict=True):
             self.trace[name] = []
             topic = f"{name}/ground_truth/odom".lstrip("/")
             self.node.create_subscription(
                 Odometry, topic, lambda msg, name=name: self._on_truth(name, msg), qos_profile_sensor_data
             )
-            self.publishers[name] = self.node.create_publisher(Twist, f"{name}/cmd_vel".lstrip("/"), 10)
+            self.publishers[name] = self.node.create_publisher(Twist, command, 10)
         self.spin_until(lambda: all(self.trace.values()), "a pose of each robot")
 
     def _on_truth(self, name: str, msg: Odometry) -> None:
@@ -270,7 +273,7 @@ def main() -> int:
     if alone := [name for name in names if name != "robots"]:
         simulation = Simulation(out / "simulation.log", given.robot, given.scene)
         try:
-            record(simulation, out / "paths" / "one", "", [(0.5, 0.0, 6.0)])
+            record(simulation, out / "paths" / "one", "", [(0.5, -0.05, 6.6)])
             for name in alone:
                 follow(simulation, out, name, {"": out / "paths" / "one"}, given.backend)
         finally:
@@ -279,8 +282,8 @@ def main() -> int:
         both = f"left={given.robot},right={given.robot}"
         simulation = Simulation(out / "simulation_robots.log", both, given.scene, "hall;kitchen")
         try:
-            for name in ("left", "right"):
-                record(simulation, out / "paths" / name, name, [(0.4, 0.0, 5.0)])
+            for name, turn in (("left", -0.05), ("right", 0.125)):
+                record(simulation, out / "paths" / name, name, [(0.5, turn, 4.0)])
             follow(simulation, out, "robots", {name: out / "paths" / name for name in ("left", "right")}, given.backend)
         finally:
             simulation.close()

@@ -1,11 +1,16 @@
-"""A camera with faults: which images go out, when, and which of them are covered."""
+"""A camera with faults: which images go out, when, and which of them are covered; and what a robot does that drives by them."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from gibson_path_following.errors import SettingError
 from gibson_path_following.faults import CameraFaults, FaultSettings
+from gibson_path_following.follower import PathFollower
+from gibson_path_following.teach_repeat import TeachRepeatPolicy
+from gibson_path_following.types import View
+from support.path_views import pinhole_view, straight_path
 
 TICK = 100_000_000
 
@@ -50,3 +55,44 @@ def test_what_was_late_is_forgotten_when_time_goes_back() -> None:
 def test_faults_that_cannot_be_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(SettingError, match="must be 0 to"):
         FaultSettings(**values)
+
+
+def _drive(settings: FaultSettings, ticks: int = 200) -> list[tuple[float, str]]:
+    """Drives a path of 2.2 m with a camera of 10 Hz that fails; returns place, metres, and state every 0.1 s until its end."""
+    path = straight_path()
+    follower = PathFollower(path, TeachRepeatPolicy(path))
+    faults: CameraFaults[tuple[int, View]] = CameraFaults(settings)
+    x, driven = 0.0, []
+    for k in range(ticks):
+        now_ns = k * TICK
+        for (stamp_ns, view), is_covered in faults.add(now_ns, (now_ns, pinhole_view(x / 0.2))):
+            follower.observe(stamp_ns, (np.zeros_like(view[0]),) if is_covered else view)
+        velocity = follower.tick(now_ns)
+        if velocity.linear > 0.0:
+            faults.move(now_ns)
+        driven.append((x, follower.state))
+        if follower.state == "finished":
+            break
+        x += 0.1 * velocity.linear
+    return driven
+
+
+def test_a_robot_whose_lens_is_covered_for_three_seconds_stops_at_once_and_arrives_afterwards() -> None:
+    driven = _drive(FaultSettings(cover_after=2.0, cover=3.0))
+    begin = next(k for k, (x, _) in enumerate(driven) if x > 0.0) - 1
+    lost = [k for k, (_, state) in enumerate(driven) if k > begin and state in ("lost", "searching")]
+    assert lost[0] == begin + 20, "it stops with the first covered image, 2 s after it moved"
+    assert driven[lost[0]][0] == driven[begin + 50][0], "and stands until the lens is free"
+    assert driven[-1][1] == "finished" and driven[-1][0] == pytest.approx(2.2, abs=0.15)
+
+
+@pytest.mark.parametrize("settings", [FaultSettings(drop=0.5), FaultSettings(drop=0.5, delay=0.2)])
+def test_a_robot_with_half_of_its_images_or_late_ones_never_stands_and_arrives(settings: FaultSettings) -> None:
+    driven = _drive(settings)
+    states = [state for _, state in driven]
+    assert set(states[states.index("following") : -1]) == {"following"}
+    assert states[-1] == "finished" and driven[-1][0] == pytest.approx(2.2, abs=0.25)
+
+
+def test_a_robot_whose_images_are_later_than_is_allowed_stands() -> None:
+    assert {state for _, state in _drive(FaultSettings(delay=0.6), 12)} == {"stale"}

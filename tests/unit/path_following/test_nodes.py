@@ -14,12 +14,14 @@ from support.simulation import require
 require("rclpy", "sensor_msgs", "lifecycle_msgs")
 
 import rclpy  # noqa: E402
+from geometry_msgs.msg import Twist  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Joy  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError  # noqa: E402
 from gibson_path_following.nodes import conversions  # noqa: E402
+from gibson_path_following.nodes.camera_faults import CameraFaultsNode  # noqa: E402
 from gibson_path_following.nodes.path_evaluator import PathEvaluatorNode  # noqa: E402
 from gibson_path_following.nodes.path_policy import PathPolicyNode  # noqa: E402
 from gibson_path_following.path_folder import save_path  # noqa: E402
@@ -285,3 +287,21 @@ def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_is_used(
     driven.begin()
     assert driven.node._state == "following"
     driven.node.destroy_node()
+
+
+def test_covered_images_are_black_with_their_stamps_and_late_ones_wait(context: Any) -> None:
+    overrides = [Parameter(name, value=value) for name, value in {"cover_after": 0.0, "cover": 0.1, "delay": 0.1}.items()]
+    node = CameraFaultsNode(context=context, parameter_overrides=overrides)
+    sent: list[Any] = []
+    node._images.publish = sent.append
+    node._on_command(Twist())  # a stop begins nothing
+    node._faults.move(2 * NS)
+    for k, value in enumerate((10, 20, 30, 40)):
+        msg = Image(height=1, width=1, encoding="rgb8", step=3, data=bytes([value] * 3))
+        msg.header.stamp = conversions.time_msg(2 * NS + (k - 1) * NS // 10)
+        node._on_image(msg)
+    # Each goes out with the next one: the second, stamped 2.0 s, is covered; the last still waits.
+    assert [(conversions.stamp_ns(msg.header.stamp) / NS, bytes(msg.data)) for msg in sent] == [
+        (1.9, bytes([10] * 3)), (2.0, bytes(3)), (2.1, bytes([30] * 3)),
+    ]  # fmt: skip
+    node.destroy_node()
