@@ -69,10 +69,14 @@ void main() {
     vec2 slope = vec2(with_depth.x / a, 0.0);
     slope.y = (with_depth.y - b * slope.x) / c;
 
+    // Never beyond infinity, nor before the eye, at a corner of the parallelogram.
+    float reach = sqrt(2.0 * log(255.0 * body.w));
+    slope *= min(1.0, 0.7 * depth / max(reach * length(slope), 1e-20));
+
     Projected result;
     vec2 pixel = plane * lens.xy + vec2(skew * plane.y, 0.0) + lens.zw + 0.5;
     vec2 to_clip = 2.0 / place.xy;
-    result.centre = vec4(pixel * to_clip - 1.0, depth, sqrt(2.0 * log(255.0 * body.w)));
+    result.centre = vec4(pixel * to_clip - 1.0, depth, reach);
     result.factor = vec4(a * to_clip.x, b * to_clip.y, c * to_clip.y, 0.0);
     result.slope = vec4(slope, 0.0, 0.0);
     result.color = vec4(color_towards(splat, normalize(file_from_world * offset)), body.w);
