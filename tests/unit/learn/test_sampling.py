@@ -39,6 +39,17 @@ def test_mirrored_images_have_mirrored_truth() -> None:
     np.testing.assert_allclose(batch.pose[match, 0, 2], np.where(mirrored[match], -0.25, 0.25))
 
 
+def test_an_image_and_its_recorded_ones_change_colours_alike() -> None:
+    red = shard()
+    red.images[..., 1:] = 0
+    batch = Sampler([red]).batch(np.random.default_rng(2), 60, 1)
+    later = batch.later.astype(int).sum(axis=(1, 2)).argmax(axis=1)
+    recorded = batch.recorded[:, 0].astype(int).sum(axis=(1, 2)).argmax(axis=1)
+    assert set(later.tolist()) == {0, 1, 2}
+    assert (later == 0).mean() > 0.5, "most keep their colours: half of them, and a third of the others"
+    np.testing.assert_array_equal(later[batch.has_pairs], recorded[batch.has_pairs])
+
+
 def test_equal_generators_give_equal_batches() -> None:
     first, second = (Sampler([shard()]).batch(np.random.default_rng(3), 8, 2) for _ in range(2))
     np.testing.assert_array_equal(first.later, second.later)

@@ -16,6 +16,8 @@ from gibson_sim_learn.path_following.data import HEIGHT, WIDTH, Shard, load_shar
 F32 = NDArray[np.float32]
 _GAMMA = 1.35
 """Largest exponent of the contrast of an image, and the inverse of the smallest."""
+_OTHER_COLOURS = 0.5
+"""Probability that the colour channels of an image and of its recorded ones are in a drawn order: six scenes have few colours."""
 _NOISE = 4.0
 """Largest standard deviation of added noise, grey levels."""
 
@@ -86,7 +88,7 @@ class Sampler:
             rng: random generator.
             later: number of later images.
             recorded: recorded images for each.
-            augment: mirror half of the images, and change contrast and noise.
+            augment: mirror half of the images, and change colours, contrast and noise.
         """
         chosen = self._images[rng.integers(0, len(self._images), later)]
         images = np.empty((later, HEIGHT, WIDTH, 3), np.uint8)
@@ -111,6 +113,10 @@ class Sampler:
             others[mirrored] = others[mirrored, :, :, ::-1]
             pose[mirrored, :, 1:] *= -1.0
             free[mirrored] = free[mirrored, ::-1]
+            order = rng.permuted(np.tile(np.arange(3), (later, 1)), axis=1)
+            order[rng.random(later) >= _OTHER_COLOURS] = np.arange(3)
+            images = np.take_along_axis(images, order[:, None, None], axis=3)
+            others = np.take_along_axis(others, order[:, None, None, None], axis=4)
             images = _other_contrast(images, rng)
             others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng).reshape(others.shape)
         return Batch(images, others, pose, match, free, has)
