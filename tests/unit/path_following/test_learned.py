@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError
+from gibson_path_following.follower import PathFollower
 from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings, PathModel
 from gibson_path_following.occupancy import median_distances
 from gibson_path_following.pose_filter import PoseFilter, node_poses, relative
-from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity
+from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity, View
 from support.path_models import path_model
 
 HFOV = math.radians(100.0)
@@ -225,3 +226,41 @@ def test_filter_moves_by_what_the_robot_made_and_becomes_less_sure() -> None:
     found.move(Step(0.45, 0.0))
     np.testing.assert_allclose(found.pose, [0.0, 0.45, math.pi / 2.0], atol=1e-9)
     assert np.trace(found.covariance) > before
+
+
+def test_policy_is_sure_while_the_network_sees_the_path(tmp_path: Path) -> None:
+    seen = LearnedPolicy(path_of([colour(0.2 * k, 0.0, 0.0) for k in range(12)]), model(tmp_path), LearnedSettings(lost_views=3))
+    assert not seen.is_sure
+    seen.act(VIEW, 0, at(0.0))
+    assert seen.is_sure
+    lost = Place(9.0, 0.0, is_lost=True)
+    sure = []
+    for k in range(1, 5):
+        seen.act(VIEW, k * 200_000_000, lost)
+        sure.append(seen.is_sure)
+    assert sure == [True, True, False, False]
+    assert seen.filter.pose[0] < 0.3  # it does not go where the localiser believes
+    assert seen.act(VIEW, 9_000_000_000, lost) == STOP  # the camera was covered meanwhile
+    assert not seen.is_sure
+    unseen = LearnedPolicy(path_of([np.zeros((64, 96, 3), np.uint8)] * 12), model(tmp_path))
+    unseen.act(VIEW, 0, at(0.0))
+    assert not unseen.is_sure
+
+
+@pytest.mark.parametrize("sure", [True, False])
+def test_follower_drives_on_where_its_localiser_is_lost_if_the_policy_is_sure(sure: bool) -> None:
+    class Driving:
+        is_sure = sure
+
+        def reset(self) -> None: ...
+
+        def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
+            return AHEAD
+
+    images = np.random.default_rng(0).integers(0, 256, (16, 64, 96, 3), dtype=np.uint8)  # no two are alike
+    follower = PathFollower(path_of(list(images[:10])), Driving())
+    velocities = [follower.observe(k * 200_000_000, (images[10],)) for k in range(8)]
+    assert follower.place is not None
+    assert follower.place.is_lost
+    assert (velocities[-1] == AHEAD) == sure
+    assert (follower.state == "following") == sure

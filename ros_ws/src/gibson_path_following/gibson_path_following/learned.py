@@ -161,6 +161,10 @@ class LearnedSettings:
     """Speed below which the recorded one does not limit, m/s."""
     unseen_views: int = 25
     """Views in a row in which no recorded image is seen, after which the robot stops; until then it goes by what it drove."""
+    sure_views: int = 5
+    """Views since one in which a recorded image was seen, up to which the policy is sure where it is."""
+    lost_views: int = 40
+    """Views in a row in which it drives on where the localiser is lost, as long as it is sure."""
     far_off: float = 1.5
     """Distance along the path between the localiser's place and the network's at which they disagree, metres."""
     far_off_views: int = 5
@@ -197,6 +201,8 @@ class LearnedSettings:
             ("usual_linear", 0.01, 10.0),
             ("least_linear", 0.0, 10.0),
             ("unseen_views", 0, 1000),
+            ("sure_views", 0, 1000),
+            ("lost_views", 0, 10000),
             ("least_score", -1.0, 1.0),
             ("least_confidence", 0.0, 1.0),
             ("far_off", 0.1, 1000.0),
@@ -254,6 +260,10 @@ class LearnedPolicy:
         self._last_ns: int | None = None
         """Stamp of the last view, ns."""
         self._unseen = self._disagreed = 0
+        self._since_match: int | None = None
+        """Views since the network saw a recorded image; None = it saw none yet."""
+        self._alone = 0
+        """Views in a row in which the localiser was lost."""
         self._pose: F64 = np.zeros(3)
         """x, y, yaw where the robot will be when it obeys, in the frame of the path."""
         self._here = 0.0
@@ -267,21 +277,32 @@ class LearnedPolicy:
         self._recovery.reset()
         self.map.clear()
         self.sighting, self.way, self._last_ns = None, None, None
-        self._unseen = self._disagreed = 0
+        self._unseen = self._disagreed = self._alone = 0
+        self._since_match = None
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the network saw lately where on the path the robot is."""
+        since = self._since_match
+        return since is not None and since <= self.settings.sure_views and self._alone < self.settings.lost_views
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
         """Returns the velocity towards a place of the path ahead, around what stands in the way."""
         settings = self.settings
         believed = float(np.interp(place.index, np.arange(len(self._distances)), self._distances))
         seconds = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) / NS_PER_S
+        self._alone = self._alone + 1 if place.is_lost else 0
         if self._last_ns is None or seconds > _LONG_AGO:
+            self._since_match = None
+            if place.is_lost:
+                return STOP  # nobody knows where the robot is
             self.filter.reset(self._at(believed))
             self._here = believed
         else:
             self.filter.move(place.moved)
         self._last_ns = stamp_ns
         here = self._along()
-        self._disagreed = self._disagreed + 1 if abs(here - believed) > settings.far_off else 0
+        self._disagreed = self._disagreed + 1 if not place.is_lost and abs(here - believed) > settings.far_off else 0
         if self._disagreed >= settings.far_off_views:
             self.filter.reset(self._at(believed))
             here = self._here = believed
@@ -295,6 +316,10 @@ class LearnedPolicy:
             self.filter.correct(self._poses[nodes[k]], self._in_base(sighting.pose[k]), sighting.scale[k], 1.0 / len(seen))
             for k in seen
         ]
+        if any(fits):
+            self._since_match = 0
+        elif self._since_match is not None:
+            self._since_match += 1
         if self._nodes is not None:
             fits.append(self._correct_by_columns(self._nodes, view, place, believed))
         self._unseen = 0 if any(fits) else self._unseen + 1

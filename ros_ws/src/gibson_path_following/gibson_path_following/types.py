@@ -7,7 +7,7 @@ benchmarks that run without ROS, use the same classes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,3 +108,12 @@ class Policy(Protocol):
             stamp_ns: stamp of the images, ns; it grows from call to call.
             place: where on the path that is.
         """
+
+
+@runtime_checkable
+class PlacingPolicy(Policy, Protocol):
+    """A policy that itself sees where on the path the robot is."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it saw that lately, so that it may drive on where the localiser is lost: beside what stands on the path, for instance."""
