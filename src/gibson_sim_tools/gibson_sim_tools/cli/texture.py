@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need none of it.
     from gibson_sim.formats.load_mesh import load_mesh
-    from gibson_sim_tools.texturing.photographs import open_photographs
+    from gibson_sim_tools.texturing.photograph_layouts import open_photographs
     from gibson_sim_tools.texturing.surface import surface_of
     from gibson_sim_tools.texturing.texture import texture
     from gibson_sim_tools.texturing.textured_scene import write_textured_scene

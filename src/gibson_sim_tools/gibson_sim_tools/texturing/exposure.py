@@ -28,8 +28,8 @@ _DARKEST, _BRIGHTEST = 0.004, 0.93
 _SCALE = 0.08
 """Residual at which a view counts half, natural logarithm."""
 _ROUNDS = 12
-_PULL = 1e-3
-"""Weight of the gains themselves, so that photographs with nothing in common keep theirs."""
+_PULL = 3.0
+"""Weight of the gains themselves, views: photographs with little in common with others stay as they are."""
 _TERMS = 2
 """Terms of the vignette."""
 _MOST = 3.0

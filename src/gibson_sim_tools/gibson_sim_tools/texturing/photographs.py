@@ -1,4 +1,4 @@
-"""Posed photographs from folders of known layouts, as pictures of pinhole cameras without distortion, read one at a time."""
+"""Posed photographs as pictures of pinhole cameras without distortion, read one at a time. ``photograph_layouts`` finds them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.scanning.layouts import open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, check_pose, read_image
 from gibson_sim_tools.texturing.surface import scaled
 
@@ -103,19 +102,3 @@ class Photographs:
     def only(self, numbers: Sequence[int]) -> Photographs:
         """Returns some of the photographs."""
         return replace(self, items=tuple(self.items[k] for k in numbers))
-
-
-def open_photographs(folder: Path, longest: int = 0) -> Photographs:
-    """Returns the posed photographs in a folder.
-
-    Args:
-        folder: our scan, or posed RGB-D of others.
-        longest: longest side that pictures are reduced to, pixels; 0 = not at all.
-
-    Raises:
-        ScanError: the folder does not exist, has no known layout, or is incomplete; the message says what is missing.
-    """
-    rgbd = open_posed_rgbd(folder)
-    lens = Lens(rgbd.intrinsics)
-    items = tuple(Photograph(files.color, lens, files.T_world_camera) for files in rgbd.files)
-    return Photographs(folder, rgbd.layout, items, longest, rgbd.warnings)

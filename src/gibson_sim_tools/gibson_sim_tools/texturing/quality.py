@@ -102,6 +102,8 @@ def areas_px(corners: F64) -> F64:
 
 def sampled(image: F32, points: F32) -> F32:
     """Returns the values of an image (H, W) or (H, W, C) at points (..., 2), pixels, between four pixels; those of the edge beyond it."""
+    if not points.size:
+        return np.zeros((*points.shape[:-1], *image.shape[2:]), dtype=np.float32)
     flat = np.ascontiguousarray(points.reshape(-1, 2), dtype=np.float32)
     # OpenCV's remap takes maps of fewer than 32768 rows and columns.
     width = 1024

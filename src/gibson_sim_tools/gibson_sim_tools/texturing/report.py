@@ -13,6 +13,12 @@ class TextureReport:
     triangles: int = 0
     photographs: int = 0
     views: int = 0
+    moved_mm: float = 0.0
+    """Median correction of the positions."""
+    turned_deg: float = 0.0
+    """Median correction of the orientations."""
+    kept_poses: int = 0
+    """Photographs whose correction was beyond the limits."""
     outliers: int = 0
     """Views that show something else."""
     unseen: int = 0
@@ -32,7 +38,11 @@ class TextureReport:
         share = 100.0 * self.unseen / max(self.triangles, 1)
         steps = ", ".join(f"{value:.2f} {name}" for name, value in self.seam_steps.items())
         pages = ", ".join(f"{w}x{h}" for w, h in self.page_sizes)
+        poses = (
+            f"poses: median correction {self.moved_mm:.1f} mm, {self.turned_deg:.2f} degrees; {self.kept_poses} beyond the limits"
+        )
         return [
+            poses,
             f"{self.triangles} triangles in {self.photographs} photographs: {self.views} views, {self.outliers} of them outliers; "
             f"no photograph shows {share:.1f} % of the triangles",
             f"{self.patches} patches ({self.best_patches} if each triangle had its best photograph) for {100.0 * self.quality_loss:.1f} % of "

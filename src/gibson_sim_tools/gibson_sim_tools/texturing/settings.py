@@ -18,6 +18,11 @@ class TextureSettings:
         0.1, "Cost of a seam edge, where a triangle without its best photograph costs at most 1; 0 = each triangle has its best",
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
+    poses: bool = setting(True, "Correct poses that are a little off")
+    most_shift: float = setting(0.03, "Larger corrections of a position are rejected", unit="m", minimum=0.0, maximum=1.0)
+    most_turn_deg: float = setting(
+        2.0, "Larger corrections of an orientation are rejected", unit="deg", minimum=0.0, maximum=45.0
+    )
     exposures: bool = setting(True, "Estimate exposure, white balance and vignette")
     outliers: bool = setting(True, "Leave out views that show something else than most views of a triangle")
     longest_side: int = setting(2000, "Longer photographs are reduced to this", unit="px", minimum=64, maximum=16384)

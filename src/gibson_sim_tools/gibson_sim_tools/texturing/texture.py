@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from gibson_sim_tools.texturing.labelling import Candidates, best_labels, candid
 from gibson_sim_tools.texturing.levelling import colors_along, find_seams, global_levelling, local_levelling, mean_step
 from gibson_sim_tools.texturing.outliers import inliers
 from gibson_sim_tools.texturing.photographs import Photographs
+from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import Views, intrinsics_radius, joined, sampled, views_of
 from gibson_sim_tools.texturing.report import TextureReport
 from gibson_sim_tools.texturing.settings import TextureSettings
@@ -42,12 +43,19 @@ class Textured:
     """(H, W, 3), sRGB."""
     vertex_colors: NDArray[np.uint8]
     """(V, 3), sRGB: for triangles that no photograph shows."""
+    photographs: Photographs
+    """At the poses that were found."""
     exposures: Exposures
     report: TextureReport
 
 
 def texture(
-    surface: Surface, photographs: Photographs, settings: TextureSettings, progress: Progress = lambda _: None
+    surface: Surface,
+    photographs: Photographs,
+    settings: TextureSettings,
+    progress: Progress = lambda _: None,
+    *,
+    held_out: Sequence[int] = (),
 ) -> Textured:
     """Returns a surface with a texture.
 
@@ -56,33 +64,57 @@ def texture(
         photographs: posed.
         settings: settings.
         progress: called with the fraction that is done, 0 to 1.
+        held_out: photographs whose poses are corrected with the others, and that are not used otherwise.
 
     Raises:
         ScanError: a photograph cannot be read, or none shows the surface.
     """
     surface = split_long_edges(surface, settings.longest_edge)
     report = TextureReport(triangles=len(surface.triangles), photographs=len(photographs))
-    views = collect_views(surface, photographs, lambda part: progress(0.5 * part))
+    views = collect_views(surface, photographs, lambda part: progress(0.2 * part))
     if not len(views):
         raise ScanError(
             f"{photographs.folder}: no photograph shows a triangle of the mesh; are the poses and the mesh of the same frame, in metres?"
         )
-    report.views = len(views)
-    exposures = no_exposures(len(photographs))
-    if settings.exposures:
-        exposures = estimate_exposures(views, len(photographs), np.random.default_rng(0))
+    exposures = _exposures(views, photographs, settings)
+    if settings.poses:
+        photographs = _refined(surface, photographs, views, exposures, settings, report, lambda part: progress(0.2 + 0.2 * part))
+        views = collect_views(surface, photographs, lambda part: progress(0.4 + 0.2 * part))
+        exposures = _exposures(views, photographs, settings)
+    views = views.subset(~np.isin(views.photograph, list(held_out)))
     views = corrected_views(views, exposures)
+    report.views = len(views)
     if settings.outliers:
         kept = inliers(views, views.srgb)
         report.outliers = int((~kept).sum())
         views = views.subset(kept)
-    progress(0.55)
+    progress(0.65)
     beside = adjacency(surface.triangles)
     candidates = candidates_of(views, len(surface.triangles))
     labels = choose_labels(candidates, beside, settings.smoothness) if settings.smoothness else best_labels(candidates)
     _report_labels(report, labels, candidates, beside)
     progress(0.7)
     return finish(surface, photographs, labels, exposures, beside, settings, report, lambda part: progress(0.7 + 0.3 * part))
+
+
+def _exposures(views: Views, photographs: Photographs, settings: TextureSettings) -> Exposures:
+    if not settings.exposures:
+        return no_exposures(len(photographs))
+    return estimate_exposures(views, len(photographs), np.random.default_rng(0))
+
+
+def _refined(
+    surface: Surface, photographs: Photographs, views: Views, exposures: Exposures, settings: TextureSettings, report: TextureReport,
+    progress: Progress,
+) -> Photographs:  # fmt: skip
+    """Returns the photographs at corrected poses."""
+    refined = refine_poses(
+        surface, photographs, views, exposures, most_m=settings.most_shift, most_deg=settings.most_turn_deg, progress=progress
+    )
+    report.moved_mm = 1000.0 * float(np.median(refined.moved_m))
+    report.turned_deg = float(np.median(refined.turned_deg))
+    report.kept_poses = refined.kept
+    return photographs.at(refined.poses)
 
 
 def collect_views(surface: Surface, photographs: Photographs, progress: Progress = lambda _: None) -> Views:
@@ -136,7 +168,7 @@ def finish(
     vertex_colors = _vertex_colors(surface, plan, pages)
     eight = tuple(np.rint(np.clip(page.astype(np.float32), 0.0, 1.0) * 255.0).astype(np.uint8) for page in pages)
     progress(1.0)
-    return Textured(surface, labels, plan, eight, vertex_colors, exposures, report)
+    return Textured(surface, labels, plan, eight, vertex_colors, photographs, exposures, report)
 
 
 def _vertex_colors(surface: Surface, plan: atlases.Atlas, pages: list[F16]) -> NDArray[np.uint8]:

@@ -1,0 +1,167 @@
+"""Corrects poses that are a little off: photographs are moved until they agree with the mean colours of the surface.
+
+After Zhou and Koltun, "Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras", SIGGRAPH 2014, with rigid corrections:
+the colour of each point is the mean over the photographs that show it, then every pose takes a Gauss-Newton step towards the mean of the
+others, again and again. A prior holds poses of photographs with little texture, and none moves farther than a limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gibson_sim.geometry.transforms import invert
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.texturing.exposure import Exposures
+from gibson_sim_tools.texturing.photographs import Photographs
+from gibson_sim_tools.texturing.quality import SAMPLES, Views, intrinsics_radius, sampled
+from gibson_sim_tools.texturing.surface import Surface, project, scaled
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+_ROUNDS = 20
+_LARGEST = 1000
+"""Longest side of the images that are aligned, pixels."""
+_BLUR_PX = (2.5, 1.0)
+"""Standard deviation of their filter, pixels: in the first half of the rounds and in the second."""
+_POINTS = 4
+"""Points of each triangle."""
+_NOISE = 0.04
+"""Residual at which a point counts half, and the scale of residuals beside the prior; luma, 0 to 1."""
+_PRIOR_M, _PRIOR_DEG = 0.01, 0.5
+"""Standard deviation of corrections that are expected."""
+_POINTS_PER_FACT = 10.0
+"""Points that count as one observation, since neighbours err alike."""
+_LEAST_POINTS = 50
+"""Photographs with fewer points in common with others keep their poses."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedPoses:
+    """Poses, and how they changed."""
+
+    poses: F64
+    """T_world_camera, (P, 4, 4)."""
+    moved_m: F64
+    """(P,): distance from the given position."""
+    turned_deg: F64
+    """(P,): angle from the given orientation."""
+    kept: int
+    """Photographs whose correction was beyond the limits, and which keep their poses."""
+
+
+def refine_poses(
+    surface: Surface, photographs: Photographs, views: Views, exposures: Exposures, *, most_m: float, most_deg: float,
+    progress: Callable[[float], None] = lambda _: None,
+) -> RefinedPoses:  # fmt: skip
+    """Returns corrected poses.
+
+    Args:
+        surface: what the photographs show.
+        photographs: at the poses to correct.
+        views: triangles in photographs.
+        exposures: of the photographs.
+        most_m: largest correction of a position, metres.
+        most_deg: largest correction of an orientation, degrees.
+        progress: called with the fraction that is done, 0 to 1.
+    """
+    points = np.einsum("sk,fkc->fsc", SAMPLES[:_POINTS], surface.corners).reshape(-1, 3)
+    order = np.argsort(views.photograph, kind="stable")
+    ends = np.searchsorted(views.photograph[order], np.arange(len(photographs) + 1))
+    rows = [(views.face[order[a:b]].astype(np.int64)[:, None] * _POINTS + np.arange(_POINTS)).ravel() for a, b in pairwise(ends)]
+    cameras, images = [], []
+    for number in range(len(photographs)):
+        camera, image = _luma(photographs, number, exposures)
+        cameras.append(camera)
+        images.append(image)
+        progress(0.3 * (number + 1) / len(photographs))
+    given = photographs.poses
+    poses = given.copy()
+    soft = images
+    for turn in range(_ROUNDS):
+        blur = _BLUR_PX[turn >= _ROUNDS // 2]
+        if turn in (0, _ROUNDS // 2):
+            soft = [np.asarray(cv2.GaussianBlur(image, (0, 0), blur), dtype=np.float32) for image in images]
+        values = [_values(soft[k], points[rows[k]], cameras[k], poses[k]) for k in range(len(poses))]
+        total, count = np.zeros(len(points)), np.zeros(len(points))
+        for row, value in zip(rows, values, strict=True):
+            good = np.isfinite(value)
+            total[row[good]] += value[good]
+            count[row[good]] += 1.0
+        for k in range(len(poses)):
+            row, value = rows[k], values[k]
+            good = np.isfinite(value) & (count[row] >= 2.0)
+            if good.sum() < _LEAST_POINTS:
+                continue
+            others = (total[row[good]] - value[good]) / (count[row[good]] - 1.0)
+            rest = value[good] - others
+            poses[k] = _step(soft[k], points[row[good]], rest, cameras[k], poses[k], given[k])
+        progress(0.3 + 0.7 * (turn + 1) / _ROUNDS)
+    moved = np.linalg.norm(poses[:, :3, 3] - given[:, :3, 3], axis=1)
+    turned = np.degrees(Rotation.from_matrix(given[:, :3, :3].transpose(0, 2, 1) @ poses[:, :3, :3]).magnitude())
+    far = (moved > most_m) | (turned > most_deg)
+    poses[far], moved[far], turned[far] = given[far], 0.0, 0.0
+    return RefinedPoses(poses, moved, turned, int(far.sum()))
+
+
+def _luma(photographs: Photographs, number: int, exposures: Exposures) -> tuple[Intrinsics, F32]:
+    """Returns a photograph as luma, 0 to 1, not larger than necessary, with its intrinsics."""
+    full = photographs.intrinsics(number)
+    corrected = exposures.corrected(number, photographs.picture(number), intrinsics_radius(full))
+    luma = cv2.cvtColor(corrected, cv2.COLOR_RGB2GRAY)
+    share = _LARGEST / max(full.width, full.height)
+    if share < 1.0:
+        full = scaled(full, round(full.width * share), round(full.height * share))
+        luma = cv2.resize(luma, (full.width, full.height), interpolation=cv2.INTER_AREA)
+    return full, np.asarray(luma, dtype=np.float32)
+
+
+def _values(image: F32, points: F64, camera: Intrinsics, T_world_camera: F64) -> F64:
+    """Returns the values of an image at points (N, 3) of the world; NaN outside of it."""
+    uv, _ = project(points, camera, T_world_camera)
+    with np.errstate(invalid="ignore"):
+        inside = ((uv >= 1.0) & (uv <= (camera.width - 2.0, camera.height - 2.0))).all(axis=1)
+    out = np.full(len(points), np.nan)
+    out[inside] = sampled(image, uv[inside].astype(np.float32))
+    return out
+
+
+def _step(image: F32, points: F64, rest: F64, camera: Intrinsics, T_world_camera: F64, given: F64) -> F64:
+    """Returns a pose after one Gauss-Newton step that lowers the residuals (N,) at points (N, 3)."""
+    T = invert(T_world_camera)
+    p = points @ T[:3, :3].T + T[:3, 3]
+    uv, _ = project(points, camera, T_world_camera)
+    at = uv.astype(np.float32)
+    across, down = np.array([0.5, 0.0], dtype=np.float32), np.array([0.0, 0.5], dtype=np.float32)
+    slope_x = (sampled(image, at + across) - sampled(image, at - across)).astype(np.float64)
+    slope_y = (sampled(image, at + down) - sampled(image, at - down)).astype(np.float64)
+    x, y, z = p.T
+    # Of the value by the point in the frame of the camera, then by shift and turn of that frame.
+    by_point = np.stack(
+        [slope_x * camera.fx / z, slope_y * camera.fy / z, -(slope_x * camera.fx * x + slope_y * camera.fy * y) / z**2], axis=1
+    )
+    J = np.concatenate([by_point, np.cross(p, by_point)], axis=1)
+    weights = 1.0 / (1.0 + (rest / _NOISE) ** 2) / (_NOISE**2 * _POINTS_PER_FACT)
+    prior = np.array([_PRIOR_M] * 3 + [math.radians(_PRIOR_DEG)] * 3) ** -2.0
+    offset = _difference(T_world_camera, given)
+    normal = (J * weights[:, None]).T @ J + np.diag(prior)
+    change = np.linalg.solve(normal, -(J.T @ (weights * rest)) - prior * offset)
+    moved = np.eye(4)
+    moved[:3, :3] = Rotation.from_rotvec(change[3:]).as_matrix()
+    moved[:3, 3] = change[:3]
+    return np.asarray(T_world_camera @ invert(moved))
+
+
+def _difference(T_world_camera: F64, given: F64) -> F64:
+    """Returns shift and turn (6,) that took the frame of a camera from its given pose to its present one."""
+    D = invert(T_world_camera) @ given
+    return np.concatenate([D[:3, 3], Rotation.from_matrix(D[:3, :3]).as_rotvec()])

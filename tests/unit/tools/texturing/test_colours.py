@@ -1,0 +1,157 @@
+"""Exposures, outliers, filling, and corrected poses, against known answers."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.spatial.transform import Rotation
+
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.texturing.exposure import estimate_exposures, no_exposures
+from gibson_sim_tools.texturing.filling import fill_vertices
+from gibson_sim_tools.texturing.outliers import inliers
+from gibson_sim_tools.texturing.photographs import Lens, Photograph, Photographs
+from gibson_sim_tools.texturing.pose_refinement import refine_poses
+from gibson_sim_tools.texturing.quality import LINEAR, Views, joined, sampled, views_of
+from gibson_sim_tools.texturing.solving import solve
+from gibson_sim_tools.texturing.surface import Surface, project
+from gibson_sim_tools.texturing.visibility import SeenFaces, seen_faces
+
+
+def views(face, photograph, light, radius=None) -> Views:
+    count = len(face)
+    radius = np.zeros(count) if radius is None else radius
+    return Views(
+        np.asarray(face, np.int32), np.asarray(photograph, np.int32), np.ones(count, np.float32),
+        np.asarray(light, np.float32), np.asarray(radius, np.float32),
+    )  # fmt: skip
+
+
+def test_values_between_pixels_are_linear_and_those_beyond_the_edge_are_of_the_edge():
+    image = np.array([[0.0, 1.0], [2.0, 3.0]], np.float32)
+    np.testing.assert_allclose(sampled(image, np.array([[0.5, 0.5], [1.0, 0.0], [9.0, 9.0]], np.float32)), [1.5, 1.0, 3.0])
+    assert sampled(image, np.zeros((0, 2), np.float32)).shape == (0,)
+
+
+def test_quality_is_area_times_gradient_and_colour_is_mean_light():
+    ramp = np.tile(np.arange(0, 200, 4, dtype=np.uint8), (50, 1))
+    rgb = np.repeat(ramp[:, :, None], 3, axis=2)
+    seen = SeenFaces(np.array([3]), np.array([[[10.0, 10.0], [30.0, 10.0], [10.0, 30.0]]]))
+    found = views_of(7, seen, rgb)
+    # 200 square pixels, 4 steps a pixel, and the 2 of surfaces without any gradient.
+    assert abs(found.quality[0] - 200 * (4 + 2)) < 1.0
+    assert (found.face[0], found.photograph[0]) == (3, 7)
+    assert abs(found.light[0, 0] - LINEAR[int(4 * 50 / 3)]) < 0.01
+
+
+def test_gains_and_vignette_are_found_although_some_views_show_something_else():
+    rng = np.random.default_rng(3)
+    gains = rng.normal(0.0, 0.3, (12, 3))
+    gains -= gains.mean(axis=0)
+    face, photograph = (a.ravel() for a in np.meshgrid(np.arange(400), np.arange(12), indexing="ij"))
+    radius = rng.random(len(face))
+    surface = np.exp(rng.normal(-1.8, 0.3, (400, 3)))
+    light = surface[face] * np.exp(gains[photograph] - 0.4 * radius[:, None] ** 2)
+    elsewhere = rng.random(len(face)) < 0.1
+    light[elsewhere] = 0.05
+    found = estimate_exposures(views(face, photograph, light, radius), 12, rng)
+    assert np.abs(found.gains - gains).max() < 0.02
+    assert np.abs(found.vignette.sum(axis=0) + 0.4).max() < 0.03
+    rows = np.flatnonzero(~elsewhere)
+    np.testing.assert_allclose(
+        light[rows] * found.factors(photograph[rows], radius[rows].astype(np.float32)), surface[face[rows]], rtol=0.05
+    )
+
+
+def test_a_photograph_that_shares_nothing_keeps_its_exposure():
+    found = estimate_exposures(views([0, 0, 1], [0, 1, 2], [[0.2] * 3, [0.4] * 3, [0.3] * 3]), 3, np.random.default_rng(0))
+    assert found.gains[2].tolist() == [0.0] * 3 and found.gains[0, 0] < found.gains[1, 0]
+
+
+def test_a_person_in_a_tenth_of_the_photographs_disappears_and_nothing_else_does():
+    rng = np.random.default_rng(0)
+    face, photograph = (a.ravel() for a in np.meshgrid(np.arange(300), np.arange(10), indexing="ij"))
+    colors = rng.random((300, 1, 3)) * 0.5 + 0.2 + rng.normal(0.0, 0.015, (300, 10, 3))
+    colors = colors.reshape(-1, 3)
+    ghost = photograph == 4
+    colors[ghost] += 0.25
+    kept = inliers(views(face, photograph, colors), colors.astype(np.float32))
+    assert not kept[ghost].any() and kept[~ghost].mean() > 0.99
+
+
+def test_two_views_that_differ_are_both_kept():
+    colors = np.array([[0.1] * 3, [0.9] * 3], np.float32)
+    assert inliers(views([0, 0], [0, 1], colors), colors).all()
+
+
+def test_conjugate_gradients_solve_all_columns():
+    matrix = sparse.csr_matrix(np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 1.0], [0.0, 1.0, 5.0]]))
+    wanted = np.array([[1.0, -2.0], [0.5, 4.0], [3.0, 0.0]])
+    np.testing.assert_allclose(solve(matrix, matrix @ wanted, tolerance=1e-10), wanted, atol=1e-8)
+
+
+def test_unknown_colours_are_smooth_between_known_ones():
+    # Three triangles side by side: the vertices 2 and 3 lie between 0, 1 and 4.
+    triangles = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4]])
+    known = np.array([True, True, False, False, True])
+    colors = np.array([[0.2] * 3, [0.2] * 3, [0] * 3, [0] * 3, [0.8] * 3], np.float32)
+    # x2 = (0.2 + 0.2 + x3 + 0.8) / 4 and x3 = (0.2 + x2 + 0.8) / 3.
+    found = fill_vertices(triangles, known, colors, None)
+    np.testing.assert_allclose(found[[2, 3], 0], [4.6 / 11, 5.2 / 11], atol=1e-3)
+    # With colours of the mesh their shape is kept: all known ones are 0.1 brighter than the mesh.
+    own = np.array([[0.1] * 3, [0.1] * 3, [0.3] * 3, [0.5] * 3, [0.7] * 3], np.float32)
+    np.testing.assert_allclose(fill_vertices(triangles, known, colors, own)[[2, 3], 0], [0.4, 0.6], atol=1e-3)
+
+
+@pytest.fixture
+def wall():
+    """A painted wall of 4 x 3 m at z = 0 that six cameras photograph from 2 m."""
+    x, y = np.meshgrid(np.linspace(-2.0, 2.0, 41), np.linspace(-1.5, 1.5, 31))
+    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    first = (np.arange(30)[:, None] * 41 + np.arange(40)).ravel()
+    triangles = np.concatenate([np.stack([first, first + 42, first + 1], 1), np.stack([first, first + 41, first + 42], 1)])
+    rng = np.random.default_rng(5)
+    paint = cv2.GaussianBlur(rng.random((600, 800)).astype(np.float32), (0, 0), 6)
+    return Surface(vertices, triangles), ((paint - paint.min()) / np.ptp(paint)).astype(np.float32)
+
+
+def test_poses_that_are_off_by_a_pixel_or_two_are_corrected(wall, tmp_path):
+    surface, paint = wall
+    camera = Intrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
+    v, u = np.mgrid[:120, :160].astype(np.float64)
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+    rng = np.random.default_rng(1)
+    true, given, items = [], [], []
+    for k in range(6):
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", rng.normal(0.0, 0.08, 3)).as_matrix()
+        T[:3, 3] = (-0.5 + 0.2 * k, 0.1 * (-1) ** k, -2.0)
+        d = rays @ T[:3, :3].T
+        hit = T[:3, 3] + d * (2.0 / d[..., 2:])
+        at = np.stack([(hit[..., 0] + 2.0) / 4.0 * 799, (hit[..., 1] + 1.5) / 3.0 * 599], axis=-1)
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.rint(50 + 150 * sampled(paint, at.astype(np.float32))).astype(np.uint8))
+        off = np.eye(4)
+        off[:3, :3] = Rotation.from_rotvec(np.radians(rng.normal(0.0, 0.4, 3))).as_matrix()
+        true.append(T)
+        given.append(T @ off)
+        items.append(Photograph(tmp_path / f"{k}.png", Lens(camera), T @ off))
+    photographs = Photographs(tmp_path, "test", tuple(items))
+    table = joined([views_of(k, seen_faces(surface, camera, items[k].T_world_camera), photographs.picture(k)) for k in range(6)])
+    found = refine_poses(surface, photographs, table, no_exposures(6), most_m=0.1, most_deg=2.0)
+
+    def error_px(poses) -> float:
+        # All poses together may drift along the wall: their common motion is no error.
+        middle = np.array([[0.0, 0.0, 0.0]])
+        off = np.array(
+            [project(middle, camera, a)[0][0] - project(middle, camera, b)[0][0] for a, b in zip(poses, true, strict=True)]
+        )
+        return float(np.linalg.norm(off - off.mean(axis=0), axis=1).mean())
+
+    assert error_px(given) > 0.8 and error_px(found.poses) < 0.15
+    assert found.kept == 0
+    # A limit that is too narrow for the corrections keeps the poses.
+    held = refine_poses(surface, photographs, table, no_exposures(6), most_m=0.0, most_deg=0.0)
+    assert held.kept == 6
+    np.testing.assert_array_equal(held.poses, np.array(given))
