@@ -26,10 +26,12 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 
-STRIP_PX = 20
-"""Width of the strip of the local levelling, pixels."""
+STRIPS_PX = (20, 6, 3)
+"""Widths of the strips of the local levelling, pixels, one round each: what is left of a step after one changes fast along the seam."""
 _ALONG = 7
 """Points on a seam edge at which both sides are compared."""
+_MOST_ALONG = 65
+"""Most points on a seam edge at which the local levelling compares."""
 _EVEN = 0.3
 """Weight of the evenness of a correction within a patch, relative to a seam."""
 _ZERO = 1e-3
@@ -108,11 +110,15 @@ def global_levelling(atlas: Atlas, triangles: I64, seams: Seams, colors: F32) ->
 
 
 def local_levelling(seams: Seams, atlas: Atlas, pages: list[F16], covers: list[I32]) -> None:
-    """Changes the pages within ``STRIP_PX`` of the seams so that both sides agree there."""
-    if not len(seams.rows):
-        return
+    """Changes the pages within the strips along the seams so that both sides agree there."""
+    if len(seams.rows):
+        for strip_px in STRIPS_PX:
+            _level_strip(seams, atlas, pages, covers, strip_px)
+
+
+def _level_strip(seams: Seams, atlas: Atlas, pages: list[F16], covers: list[I32], strip_px: int) -> None:
     length = np.linalg.norm(seams.points[:, :, 1] - seams.points[:, :, 0], axis=2).max()
-    steps = int(np.clip(np.ceil(length) + 2, 3, 33))
+    steps = int(np.clip(np.ceil(length) + 2, 3, _MOST_ALONG))
     colors = colors_along(seams, atlas, pages, steps)
     change = (colors[:, ::-1] - colors) / 2.0
     t = np.linspace(0.0, 1.0, steps)[:, None]
@@ -121,10 +127,10 @@ def local_levelling(seams: Seams, atlas: Atlas, pages: list[F16], covers: list[I
     patch = np.broadcast_to(atlas.patch[seams.rows][..., None], points.shape[:3])
     for number, picture in enumerate(pages):
         on = page == number
-        _fade(picture, covers[number], atlas, patch[on], points[on], change[on])
+        _fade(picture, covers[number], atlas, patch[on], points[on], change[on], strip_px)
 
 
-def _fade(picture: F16, cover: I32, atlas: Atlas, patch: I64, points: I64, change: F32) -> None:
+def _fade(picture: F16, cover: I32, atlas: Atlas, patch: I64, points: I64, change: F32, strip_px: int) -> None:
     """Adds to a page the changes (M, 3) at pixels (M, 2) of patches (M,), fading to zero within the strip."""
     height, width = cover.shape
     index = points[:, 1] * width + points[:, 0]
@@ -138,7 +144,7 @@ def _fade(picture: F16, cover: I32, atlas: Atlas, patch: I64, points: I64, chang
     owner[index] = patch
     at_seam = np.zeros(height * width, dtype=bool)
     at_seam[pixels] = True
-    near = cv2.distanceTransform((~at_seam).astype(np.uint8).reshape(height, width), cv2.DIST_L2, 5).ravel() <= STRIP_PX
+    near = cv2.distanceTransform((~at_seam).astype(np.uint8).reshape(height, width), cv2.DIST_L2, 5).ravel() <= strip_px
     strip = np.flatnonzero((owner >= 0) & near & ~at_seam)
     unknown = np.full(height * width, -1, dtype=np.int32)
     unknown[strip] = np.arange(len(strip))

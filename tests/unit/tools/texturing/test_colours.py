@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
-import pytest
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.exposure import estimate_exposures, no_exposures
 from gibson_sim_tools.texturing.filling import fill_vertices
 from gibson_sim_tools.texturing.outliers import inliers
-from gibson_sim_tools.texturing.photographs import Lens, Photograph, Photographs
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import LINEAR, Views, joined, sampled, views_of
 from gibson_sim_tools.texturing.solving import solve
-from gibson_sim_tools.texturing.surface import Surface, project
+from gibson_sim_tools.texturing.surface import project
 from gibson_sim_tools.texturing.visibility import SeenFaces, seen_faces
+from support.painted_wall import CAMERA, moved, painted_wall, photographed, row_of_cameras
 
 
 def views(face, photograph, light, radius=None) -> Views:
@@ -105,53 +102,33 @@ def test_unknown_colours_are_smooth_between_known_ones():
     np.testing.assert_allclose(fill_vertices(triangles, known, colors, own)[[2, 3], 0], [0.4, 0.6], atol=1e-3)
 
 
-@pytest.fixture
-def wall():
-    """A painted wall of 4 x 3 m at z = 0 that six cameras photograph from 2 m."""
-    x, y = np.meshgrid(np.linspace(-2.0, 2.0, 41), np.linspace(-1.5, 1.5, 31))
-    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
-    first = (np.arange(30)[:, None] * 41 + np.arange(40)).ravel()
-    triangles = np.concatenate([np.stack([first, first + 42, first + 1], 1), np.stack([first, first + 41, first + 42], 1)])
-    rng = np.random.default_rng(5)
-    paint = cv2.GaussianBlur(rng.random((600, 800)).astype(np.float32), (0, 0), 6)
-    return Surface(vertices, triangles), ((paint - paint.min()) / np.ptp(paint)).astype(np.float32)
-
-
-def test_poses_that_are_off_by_a_pixel_or_two_are_corrected(wall, tmp_path):
-    surface, paint = wall
-    camera = Intrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
-    v, u = np.mgrid[:120, :160].astype(np.float64)
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+def test_poses_that_are_off_by_a_pixel_or_two_are_corrected(tmp_path):
     rng = np.random.default_rng(1)
-    true, given, items = [], [], []
-    for k in range(6):
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler("xyz", rng.normal(0.0, 0.08, 3)).as_matrix()
-        T[:3, 3] = (-0.5 + 0.2 * k, 0.1 * (-1) ** k, -2.0)
-        d = rays @ T[:3, :3].T
-        hit = T[:3, 3] + d * (2.0 / d[..., 2:])
-        at = np.stack([(hit[..., 0] + 2.0) / 4.0 * 799, (hit[..., 1] + 1.5) / 3.0 * 599], axis=-1)
-        cv2.imwrite(str(tmp_path / f"{k}.png"), np.rint(50 + 150 * sampled(paint, at.astype(np.float32))).astype(np.uint8))
-        off = np.eye(4)
-        off[:3, :3] = Rotation.from_rotvec(np.radians(rng.normal(0.0, 0.4, 3))).as_matrix()
-        true.append(T)
-        given.append(T @ off)
-        items.append(Photograph(tmp_path / f"{k}.png", Lens(camera), T @ off))
-    photographs = Photographs(tmp_path, "test", tuple(items))
-    table = joined([views_of(k, seen_faces(surface, camera, items[k].T_world_camera), photographs.picture(k)) for k in range(6)])
-    found = refine_poses(surface, photographs, table, no_exposures(6), most_m=0.1, most_deg=2.0)
+    wall, true = painted_wall(), row_of_cameras(6, rng)
+    offsets = np.tile(np.eye(4), (6, 1, 1))
+    offsets[:, :3, :3] = Rotation.from_rotvec(np.radians(rng.normal(0.0, 0.4, (6, 3)))).as_matrix()
+    given = moved(photographed(tmp_path, wall, true), offsets)
+    table = joined([views_of(k, seen_faces(wall.surface, CAMERA, T), given.picture(k)) for k, T in enumerate(given.poses)])
+    found = refine_poses(wall.surface, given, table, no_exposures(6), most_m=0.1, most_deg=2.0)
 
     def error_px(poses) -> float:
         # All poses together may drift along the wall: their common motion is no error.
-        middle = np.array([[0.0, 0.0, 0.0]])
+        middle = np.zeros((1, 3))
         off = np.array(
-            [project(middle, camera, a)[0][0] - project(middle, camera, b)[0][0] for a, b in zip(poses, true, strict=True)]
+            [project(middle, CAMERA, a)[0][0] - project(middle, CAMERA, b)[0][0] for a, b in zip(poses, true, strict=True)]
         )
         return float(np.linalg.norm(off - off.mean(axis=0), axis=1).mean())
 
-    assert error_px(given) > 0.8 and error_px(found.poses) < 0.15
+    assert error_px(given.poses) > 0.8 and error_px(found.poses) < 0.15
     assert found.kept == 0
-    # A limit that is too narrow for the corrections keeps the poses.
-    held = refine_poses(surface, photographs, table, no_exposures(6), most_m=0.0, most_deg=0.0)
-    assert held.kept == 6
-    np.testing.assert_array_equal(held.poses, np.array(given))
+
+
+def test_corrections_beyond_the_limits_are_rejected(tmp_path):
+    wall, poses = painted_wall(), row_of_cameras(2, np.random.default_rng(1))
+    offsets = np.tile(np.eye(4), (2, 1, 1))
+    offsets[1, 0, 3] = 0.02
+    given = moved(photographed(tmp_path, wall, poses), offsets)
+    table = joined([views_of(k, seen_faces(wall.surface, CAMERA, T), given.picture(k)) for k, T in enumerate(given.poses)])
+    held = refine_poses(wall.surface, given, table, no_exposures(2), most_m=0.0, most_deg=0.0)
+    assert held.kept == 2
+    np.testing.assert_array_equal(held.poses, given.poses)
