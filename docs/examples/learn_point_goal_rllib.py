@@ -7,6 +7,7 @@ which Gibson Sim has to be installed, too.
 """
 
 import argparse
+import math
 import os
 from pathlib import Path
 
@@ -70,9 +71,8 @@ def main() -> None:
         result = learner.train()
         runners = result["env_runners"]
         steps = int(runners["num_env_steps_sampled_lifetime"])
-        told = "no episode has ended yet"
-        if "success" in runners:
-            told = f"{runners['success']:.0%} succeeded, return {runners['episode_return_mean']:.1f}"
+        success, reward = runners.get("success", math.nan), runners.get("episode_return_mean", math.nan)
+        told = "no episode has ended yet" if math.isnan(success) else f"{success:.0%} succeeded, return {reward:.1f}"
         print(f"{steps} steps, {result['time_total_s']:.0f} s: {told}", flush=True)
         learner.save_to_path(str(args.folder.resolve()))
     learner.stop()
