@@ -94,6 +94,7 @@ COMPILED = tuple(
         "physics/frames.py",
         "render/lod/lod_selection.py",
         "render/culling/occlusion_culling.py",
+        "render/draw/splat_raster.py",
         "render/readback/frames.py",
     )
 )
@@ -103,6 +104,11 @@ import gibson_sim as gs
 with gs.Simulation("linden_flat") as sim:
     sim.step(seconds=0.1)
     sim.render("camera", outputs=["rgb", "depth"])
+import numpy as np
+from gibson_sim.geometry.compiling import fixed
+from gibson_sim.render.draw.splat_raster import COLUMNS, blend_tiles, place_in_tiles
+tiled = place_in_tiles(fixed(np.ones((1, COLUMNS), np.float32)), 16, 16)
+blend_tiles(*tiled, fixed(np.zeros((16, 16), np.float32)), np.zeros((16, 16, 4), np.float32), 0, 1)
 """
 """Program that runs all of these loops."""
 
