@@ -22,7 +22,7 @@ class TrainingSettings:
 
     seed: int = 0
     """Of the data, the network and the order of the examples."""
-    shards: int = 10
+    shards: int = 20
     """Shards of each training scene."""
     validation_shards: int = 2
     """Shards of each validation scene."""
