@@ -53,6 +53,16 @@ def test_a_file_that_is_cut_is_refused(tmp_path: Path, order: str, kept: float) 
         _read(tmp_path, data[: int(kept * len(data))])
 
 
+def test_a_property_without_a_type_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MeshError, match="unknown type"):
+        _read(tmp_path, ply().replace(b"property float x", b"property"))
+
+
+def test_a_property_that_comes_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MeshError, match="has property 'x' twice"):
+        _read(tmp_path, ply().replace(b"property float y", b"property float x"))
+
+
 def test_a_count_larger_than_the_file_takes_no_memory(tmp_path: Path) -> None:
     with pytest.raises(MeshError, match="do not fit"):
         _read(tmp_path, ply().replace(b"element vertex 4", b"element vertex 4000000000"))

@@ -242,10 +242,12 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
 
 
 def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:
-    kinds = words[1:3] if words[0] == "list" else words[:1]
+    kinds = words[1:3] if words[:1] == ["list"] else words[:1]
     unknown = [kind for kind in kinds if kind not in _TYPES]
     if unknown or len(words) < 2:
         raise MeshError(f"{path}: property {quoted(' '.join(words))} of {element.name} is of an unknown type; the PLY is broken")
+    if any(known.name == words[-1] for known in element.properties):
+        raise MeshError(f"{path}: {element.name} has property {quoted(words[-1])} twice; the PLY is broken")
     added = _Property(words[-1], _TYPES[kinds[-1]], _TYPES[kinds[0]] if words[0] == "list" else "")
     return _Element(element.name, element.count, (*element.properties, added))
 

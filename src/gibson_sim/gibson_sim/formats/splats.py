@@ -206,12 +206,12 @@ def _rest(path: Path, table: Table) -> F32:
 
 
 def _exp(values: F32) -> F32:
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return np.exp(values)
 
 
 def _sigmoid(values: F32) -> F32:
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(1.0 / (1.0 + np.exp(-values)), dtype=np.float32)
 
 
