@@ -9,7 +9,9 @@ import pytest
 
 from gibson_path_following.errors import SettingError
 from gibson_path_following.follower import FollowerSettings, PathFollower
+from gibson_path_following.lens import ZoomEstimate
 from gibson_path_following.localisation import Localiser, LocaliserSettings, NodeMatcher
+from gibson_path_following.motion_model import MotionModel
 from gibson_path_following.motions import CommandLog, Motion, motion_between, segments
 from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSettings
 from gibson_path_following.types import STOP, PathNode, Place, RecordedPath, Velocity, View
@@ -197,6 +199,60 @@ def test_it_stops_while_it_is_lost() -> None:
     for i in range(8):
         velocity = follower.observe(last + (i + 1) * STEP_NS, pinhole_view(2000 + i))
     assert velocity == STOP and follower.state == "lost"
+
+
+def test_a_robot_that_is_lost_looks_to_both_sides_once_and_then_stands() -> None:
+    follower, _ = _follower(search_after=1.0)
+    stamp = _found(follower, 4)
+    yaw, turned, states = 0.0, [0.0], list[str]()
+    for _ in range(220):
+        stamp += 200_000_000
+        velocity = follower.observe(stamp, pinhole_view(2000, yaw))
+        if states and states[-1] != "following":
+            assert velocity.linear == 0.0
+        yaw += 0.2 * velocity.angular
+        turned.append(yaw)
+        states.append(follower.state)
+    assert states[-1] == "lost" and velocity == STOP and "searching" in states
+    start = turned[states.index("searching")]
+    assert max(turned) - start == pytest.approx(60.0 * DEG, abs=8.0 * DEG)
+    assert min(turned) - start == pytest.approx(-60.0 * DEG, abs=8.0 * DEG)
+
+
+def test_a_place_that_looks_like_this_one_does_not_move_a_robot_that_is_not_lost() -> None:
+    localiser = Localiser(straight_path())
+    localiser.reset(1.0)
+    for _ in range(3):
+        localiser.update(pinhole_view(1.0), Motion(0.0, 0.0, 0.0))
+    found = localiser.update(pinhole_view(10.0), NODE)
+    assert found.index < 4.0 and found.confidence == 0.0 and not found.is_lost
+
+
+def test_latency_and_turns_are_learned_from_what_is_seen() -> None:
+    model, log, step_ns = MotionModel(), CommandLog(), 200_000_000
+    rng = np.random.default_rng(3)
+    sent = [0.0, 0.0, *rng.uniform(-0.6, 0.6, 40).tolist()]
+    for k, rate in enumerate(sent):
+        log.add(k * step_ns, Velocity(0.4, rate))
+        if k >= 2:  # what is seen from k - 1 to k was commanded two views earlier; of it, 80 % are made
+            told = sent[k - 3] if k >= 3 else 0.0
+            model.learn(log, (k - 1) * step_ns, k * step_ns, 0.8 * 0.2 * told)
+    assert model.latency == pytest.approx(0.4)
+    assert model.turn_ratio == pytest.approx(0.8, abs=0.03)
+    pending = model.pending(log, len(sent) * step_ns, 0.5)
+    assert pending.distance == pytest.approx(0.5 * 0.4 * 0.4)
+    assert pending.turn == pytest.approx(0.8 * 0.2 * (sent[-1] + sent[-2]), abs=0.02)
+
+
+def test_the_zoom_at_which_views_fit_best_is_learned_and_a_first_view_tells_little() -> None:
+    lens = ZoomEstimate()
+    scores = 0.6 - 8.0 * (ZoomEstimate.LOGARITHMS - 0.06) ** 2
+    lens.add(scores, 1.0)
+    assert 1.0 < lens.zoom < math.exp(0.05)  # 8 (z - 0.06)^2 + 3 z^2 is least at 0.48 / 11
+    assert not lens.is_settled
+    for _ in range(60):
+        lens.add(scores, 1.0)
+    assert lens.is_settled and lens.zoom == pytest.approx(math.exp(0.06), abs=0.005)
 
 
 def test_old_images_change_nothing_and_impossible_velocities_are_limited() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -20,13 +21,13 @@ def pinhole() -> Preprocessor:
 
 
 def test_a_line_in_an_image_is_at_its_azimuth_in_the_panorama() -> None:
-    # 100 degrees at 60 columns per radian are 105 columns. The focal length is 48 / tan(50 deg) = 40.28 pixels, so that the middle of
-    # pixel 80 is 32.5 pixels to the right of the axis: atan(32.5 / 40.28) = 38.9 degrees; that is 52.5 + 38.9 / (100 / 105) = 93.3.
+    # 100 degrees at 45 columns per radian are 79 columns. The focal length is 48 / tan(50 deg) = 40.28 pixels, so that the middle of
+    # pixel 80 is 32.5 pixels to the right of the axis: atan(32.5 / 40.28) = 38.9 degrees; that is 39.5 + 38.9 / (100 / 79) = 70.2.
     image = np.zeros((64, 96, 3), dtype=np.uint8)
     image[:, 80] = 255
     found = pinhole().panorama((image,))
-    assert found.shape == (48, 105)
-    assert int(found[24].argmax()) == 93
+    assert found.shape == (32, 79)
+    assert int(found[16].argmax()) == 70
 
 
 def test_the_middle_of_the_panorama_is_ahead_and_back_is_at_its_ends() -> None:
@@ -34,8 +35,8 @@ def test_the_middle_of_the_panorama_is_ahead_and_back_is_at_its_ends() -> None:
     ahead[:], back[:] = 200, 50
     camera = Preprocessor("fisheye_pair", math.pi, (64, 64))
     found = camera.panorama((ahead, back))
-    assert found.shape == (48, 377)  # 2 pi x 60
-    assert np.allclose(found[:, 188], 200) and np.allclose(found[:, :90], 50) and np.allclose(found[:, -90:], 50)
+    assert found.shape == (32, 283)  # 2 pi x 45
+    assert np.allclose(found[:, 141], 200) and np.allclose(found[:, :68], 50) and np.allclose(found[:, -68:], 50)
 
 
 def test_exposure_and_contrast_are_gone_after_normalisation() -> None:
@@ -73,6 +74,26 @@ def test_some_nodes_are_matched_alone() -> None:
     every, some = matcher.match(patterns[3]), matcher.match(patterns[3], 2, 4)
     assert np.allclose(some.scores, every.scores[2:4])
     assert np.allclose(some.turns, every.turns[2:4])
+
+
+def test_a_place_is_found_although_bright_and_dark_have_changed_places() -> None:
+    camera = pinhole()
+    matcher = Matcher(camera, [camera.pattern(pinhole_view(i)) for i in range(4)])
+    negative = (255 - pinhole_view(2, -8.0 * DEG)[0],)
+    found = matcher.match(camera.pattern(negative))
+    assert int(found.scores.argmax()) == 2
+    assert found.turns[2] == pytest.approx(8.0 * DEG, abs=0.6 * DEG)
+
+
+def test_a_longer_lens_shows_the_same_with_its_zoom() -> None:
+    # 110 % of the focal length of 100 degrees.
+    view = (cv2.resize(pinhole_view(1)[0], None, fx=1.1, fy=1.1, interpolation=cv2.INTER_LINEAR),)
+    top, left = (view[0].shape[0] - SIZE[1]) // 2, (view[0].shape[1] - SIZE[0]) // 2
+    zoomed = (np.ascontiguousarray(view[0][top : top + SIZE[1], left : left + SIZE[0]]),)
+    camera = pinhole()
+    as_is, true = (camera.panorama(zoomed, zoom)[:, 8:-8] for zoom in (1.0, 1.1))
+    target = camera.panorama(pinhole_view(1))[:, 8:-8]
+    assert float(np.abs(true - target).mean()) < 0.3 * float(np.abs(as_is - target).mean())
 
 
 def test_a_covered_lens_has_no_texture_though_its_sensor_has_noise() -> None:

@@ -30,7 +30,7 @@ _SEARCH_NS = 20 * NS_PER_S
 """Time after which a search ends, however far the robot turned, ns."""
 _LONG_AGO_NS = NS_PER_S
 """Time between two views after which the second is not compared with the first, ns."""
-_LEAST_ALIKE = 0.5
+_LEAST_ALIKE = 0.35
 """Score of two successive views below which their shift tells nothing."""
 
 
@@ -169,7 +169,7 @@ class PathFollower:
         before_ns, self._placed_ns = self._placed_ns, stamp_ns
         before, self._pattern = self._pattern, self.localiser.nodes.pattern(view)
         if before_ns is None:
-            return self.localiser.update(view, None)
+            return self.localiser.update(view, Motion(0.0, 0.0, 0.0))  # it stood where it was put
         moved = self._model.made(self._log, before_ns, stamp_ns, 1.0)
         if before is not None and stamp_ns - before_ns <= _LONG_AGO_NS:
             turn, score = self.localiser.nodes.turn_between(before, self._pattern)

@@ -42,7 +42,7 @@ class LocaliserSettings:
     """The same where no commands are known, nodes."""
     turn_radius: float = 0.3
     """Metres that a radian of a turn counts as."""
-    sharpness: float = 20.0
+    sharpness: float = 28.0
     """Log-likelihood that a difference of 1 in score makes."""
     repeated: float = 0.25
     """Share that a view counts if the robot did not move since the one before: it says the same again."""
@@ -50,15 +50,15 @@ class LocaliserSettings:
     """Likelihood of the worst image against the best: how far one image can move the belief."""
     relocation: float = 0.0001
     """Share of the belief that is spread over the whole path with each view."""
-    least_score: float = 0.38
+    least_score: float = 0.21
     """Score of the best node near the believed place, below which the images do not fit there: confidence is 0.
 
     For a field of view of 100 degrees; less for a wider one."""
-    weak_score: float = 0.27
+    weak_score: float = 0.15
     """The same where the robot must be by what it drove, if no other place fits better."""
-    rival: float = 0.25
+    rival: float = 0.17
     """Score by which another place may fit better before the images are taken not to fit here."""
-    moved_score: float = 0.55
+    moved_score: float = 0.32
     """Score that a place must have at which a lost robot is found, if it cannot have driven there: many places look a little alike."""
     least_share: float = 0.5
     """Share of the belief within ``fit_radius`` below which the images fit to several places."""
@@ -114,7 +114,7 @@ class NodeMatcher:
         height, width = path.nodes[0].view[0].shape[:2]
         self.preprocessor = Preprocessor(path.camera, path.hfov, (width, height), preprocessing)
         self._newest: tuple[View, NDArray[np.float32]] | None = None
-        self.matcher = Matcher(self.preprocessor, [self._pattern(node.view, 1.0) for node in path.nodes], matching)
+        self.matcher = Matcher(self.preprocessor, [self.preprocessor.pattern(node.view, 1.0) for node in path.nodes], matching)
         self.nodes = len(path.nodes)
         across = self.preprocessor.columns * self.preprocessor.radians_per_column
         self.score_scale = min(1.0, math.sqrt(_USUAL_FIELD / across))
@@ -130,7 +130,7 @@ class NodeMatcher:
     def pattern(self, view: View) -> NDArray[np.float32]:
         """Returns the normalised panorama of a view, as ``Matcher.match`` takes it; that of the newest view is kept."""
         if self._newest is None or self._newest[0] is not view:
-            self._newest = view, self._pattern(view, self._zoom)
+            self._newest = view, self.preprocessor.pattern(view, self._zoom)
         return self._newest[1]
 
     def learn_lens(self, view: View, index: float, weight: float) -> None:
@@ -145,12 +145,9 @@ class NodeMatcher:
             return
         first = max(0, int(index) - _LENS_NODES + 1)
         end = min(first + 2 * _LENS_NODES, self.nodes)
-        patterns = (self._pattern(view, math.exp(logarithm)) for logarithm in ZoomEstimate.LOGARITHMS)
+        patterns = (self.preprocessor.pattern(view, math.exp(logarithm)) for logarithm in ZoomEstimate.LOGARITHMS)
         self._lens.add(np.array([self.matcher.match(pattern, first, end).scores.max() for pattern in patterns]), weight)
         self._zoom = self._lens.zoom
-
-    def _pattern(self, view: View, zoom: float) -> NDArray[np.float32]:
-        return self.preprocessor.normalised(self.preprocessor.panorama(view, zoom))
 
     def turn_between(self, before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[float, float]:
         """Returns the turn to the left between two patterns, radians, and how alike they are, a score."""

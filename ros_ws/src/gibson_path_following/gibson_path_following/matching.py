@@ -59,7 +59,7 @@ class Matcher:
 
         Args:
             preprocessor: of the path's camera.
-            patterns: the normalised panoramas of the nodes, each (rows, columns).
+            patterns: of the nodes, each (channels, rows, columns), as ``Preprocessor.pattern`` returns it, or (rows, columns).
             settings: limits of the shift; None = the defaults.
         """
         self.settings = settings or MatchingSettings()
@@ -76,22 +76,26 @@ class Matcher:
         """Radians to the left that the robot must turn, for each shift."""
         self._size = columns if preprocessor.is_closed else _fast(columns + reach)
         stack = np.stack([np.asarray(g, dtype=np.float32) for g in patterns])
+        stack = stack.reshape(len(stack), -1, columns)  # (nodes, rows of all channels, columns)
         spectra = np.fft.rfft(stack, self._size, axis=2).astype(np.complex64).conj()
         self._spectra = np.ascontiguousarray(spectra.transpose(2, 0, 1))  # (frequencies, nodes, rows)
         energy = (stack.astype(np.float64) ** 2).sum(axis=1)  # (nodes, columns)
         self._energies = self._overlapping(energy, -self._shifts)
 
     def match(self, pattern: F32, first: int = 0, end: int | None = None) -> Matches:
-        """Returns the comparison of a normalised panorama with the nodes from ``first`` to before ``end`` (None = the last)."""
+        """Returns the comparison of a pattern with the nodes from ``first`` to before ``end`` (None = the last)."""
         most = self.settings.max_rows
         energies = self._energies[first:end]
-        moved = np.stack([_moved(pattern, rows) for rows in range(-most, most + 1)])  # (vertical shifts, rows, columns)
-        spectrum = np.fft.rfft(pattern, self._size, axis=1).astype(np.complex64)  # (rows, frequencies)
-        spectrum = np.stack([_moved(spectrum, rows) for rows in range(-most, most + 1)])
+        shifts = range(-most, most + 1)
+        energy = np.stack(
+            [(_moved(pattern, rows).astype(np.float64) ** 2).sum(axis=tuple(range(pattern.ndim - 1))) for rows in shifts]
+        )
+        spectrum = np.fft.rfft(pattern, self._size, axis=-1).astype(np.complex64)  # (channels, rows, frequencies)
+        spectrum = np.stack([_moved(spectrum, rows).reshape(-1, spectrum.shape[-1]) for rows in shifts])
         # For each frequency: (nodes, rows) @ (rows, vertical shifts).
         product = self._spectra[:, first:end] @ spectrum.transpose(2, 1, 0)
         correlation = np.fft.irfft(product, self._size, axis=0)[self._shifts % self._size].transpose(2, 1, 0)
-        energy = self._overlapping((moved.astype(np.float64) ** 2).sum(axis=1), self._shifts)
+        energy = self._overlapping(energy, self._shifts)  # of each vertical shift
         best: F64 = (correlation / np.sqrt(np.maximum(energy[:, None] * energies[None], 1e-9))).max(axis=0)
         at = best.argmax(axis=1)
         scores, turns = _peaks(best, at, self.angles)
@@ -127,9 +131,9 @@ def _moved(pattern: NDArray[_Number], rows: int) -> NDArray[_Number]:
         return pattern
     moved = np.zeros_like(pattern)
     if rows > 0:
-        moved[rows:] = pattern[:-rows]
+        moved[..., rows:, :] = pattern[..., :-rows, :]
     else:
-        moved[:rows] = pattern[-rows:]
+        moved[..., :rows, :] = pattern[..., -rows:, :]
     return moved
 
 

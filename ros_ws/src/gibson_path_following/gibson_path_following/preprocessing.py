@@ -14,21 +14,22 @@ from gibson_path_following.types import IMAGES_OF, CameraKind, View
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+_LEAST_EDGE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class PreprocessingSettings:
     """Size of the panorama, and how its contrast is normalised."""
 
-    columns_per_radian: float = 60.0
+    columns_per_radian: float = 45.0
     """Columns of the panorama per radian of azimuth."""
-    rows: int = 48
+    rows: int = 32
     """Rows of the panorama."""
     half_height: float = 0.7
     """Tangent of the largest elevation, upwards and downwards, in the panorama."""
-    smoothing: float = 1.2
+    smoothing: float = 0.9
     """Standard deviation of the Gaussian against noise, pixels of the panorama."""
-    window: float = 5.0
+    window: float = 3.7
     """Standard deviation of the Gaussian window within which contrast is normalised, pixels of the panorama."""
     contrast_floor: float = 3.0
     """Contrast below which a window counts as flat, grey levels: noise is not amplified beyond it."""
@@ -129,6 +130,32 @@ class Preprocessor:
         deviation = np.sqrt(np.maximum(_blur(centred**2, settings.window), 0.0))
         found = centred / (deviation + settings.contrast_floor)
         return np.ascontiguousarray(found[:, pad : pad + panorama.shape[1]])
+
+    def pattern(self, view: View, zoom: float = 1.0) -> F32:
+        """Returns what a view is compared by, (3, rows, columns): its normalised panorama, and the directions of the edges in it.
+
+        Where the sun comes in, what was brighter than its surroundings is darker, and the panorama changes its sign. The direction of an
+        edge, as an angle modulo 180 degrees, does not. Whole patterns tell more where there are few edges.
+
+        Args:
+            view: the images.
+            zoom: see ``panorama``.
+
+        Raises:
+            ViewError: number or size of the images are not those of the camera.
+        """
+        grey = self.normalised(self.panorama(view, zoom))
+        pad = min(math.ceil(4 * self.settings.window), grey.shape[1]) if self.is_closed else 0
+        wide = np.concatenate([grey[:, -pad:], grey, grey[:, :pad]], axis=1) if pad else grey
+        across, down = (cv2.Sobel(wide, cv2.CV_32F, x, 1 - x, borderType=cv2.BORDER_REPLICATE) for x in (1, 0))
+        # Doubled angles of a direction and its opposite are the same. The root lets weak edges count, too.
+        length = np.sqrt(np.sqrt(across**2 + down**2)) + _LEAST_EDGE
+        length *= length * length
+        edges = ((across**2 - down**2) / length, 2.0 * across * down / length)
+        edges = tuple((part - _blur(part, self.settings.window))[:, pad : pad + grey.shape[1]] for part in edges)
+        # Grey levels and edges count alike.
+        share = float(np.sqrt((grey**2).sum() / max(float((edges[0] ** 2 + edges[1] ** 2).sum()), 1e-9) * 2.0))
+        return np.stack([grey, share * edges[0], share * edges[1]])
 
 
 def texture(view: View) -> float:

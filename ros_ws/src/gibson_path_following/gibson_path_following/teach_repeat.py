@@ -13,7 +13,7 @@ from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
 from gibson_path_following.types import Place, RecordedPath, Velocity, View
 
-_CLEAR = 0.25
+_CLEAR = 0.17
 """Score above ``least_score`` from which on a heading error counts in full."""
 _JUMP = 3.0
 """Nodes between the places of two views beyond which the second one is a new beginning."""
@@ -45,7 +45,7 @@ class TeachRepeatSettings:
     """Heading error at which the robot turns almost in place, radians."""
     doubtful: float = 0.5
     """Share of the speed while an image does not fit where the robot is believed to be; it stops if that lasts."""
-    least_score: float = 0.25
+    least_score: float = 0.13
     """Score below which a node tells nothing about the heading."""
 
     def __post_init__(self) -> None:
