@@ -89,6 +89,25 @@ def _weights(surface: Surface, intrinsics: Intrinsics, T_world_camera: F64) -> t
     return face, true_weights(barycentric(uv[corners], np.stack([x, y], axis=1).astype(np.float64)), z[corners])
 
 
+def held_out_likeness(textured: Textured, numbers: Sequence[int]) -> dict[str, Likeness]:
+    """Returns how alike photographs and the surface are, with its texture and, if the mesh has any, with the colours of its vertices.
+
+    Args:
+        textured: the surface.
+        numbers: of the photographs that were held out; they are drawn at the poses that were found.
+    """
+    held_out = textured.photographs.only(numbers)
+
+    def drawn(number: int, vertex_colors: U8 | None) -> Drawn:
+        pose = held_out.items[number].T_world_camera
+        return draw_textured(textured, held_out.intrinsics(number), pose, vertex_colors=vertex_colors)
+
+    out = {"texture": compare(held_out, lambda number: drawn(number, None))}
+    if textured.surface.colors is not None:
+        out["colours of vertices"] = compare(held_out, lambda number: drawn(number, textured.surface.colors))
+    return out
+
+
 def compare(
     photographs: Photographs,
     picture: Callable[[int], Drawn],

@@ -15,7 +15,7 @@ class TextureSettings:
     """Settings of texturing."""
 
     smoothness: float = setting(
-        0.1, "Cost of a seam edge, where a triangle without its best photograph costs at most 1; 0 = each triangle has its best",
+        0.3, "Cost of a seam edge, where a triangle without its best photograph costs at most 1; 0 = each triangle has its best",
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
     poses: bool = setting(True, "Correct poses that are a little off")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource, area_normals
 from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.scans import is_scan
+from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform
 from gibson_sim_tools.texturing.surface import Surface
 from gibson_sim_tools.texturing.texture import Textured
 
@@ -21,18 +22,24 @@ UNSEEN_MATERIAL = "unseen"
 """Material of the triangles that no photograph shows."""
 
 
-def write_textured_scene(textured: Textured, output: Path, name: str = "") -> Path:
+def write_textured_scene(textured: Textured, output: Path, name: str = "", *, level: bool = False) -> Path:
     """Writes a scene into a new folder and returns its scene.yaml.
 
     Args:
-        textured: z up, metres.
+        textured: metres; z up, or to be levelled.
         output: the folder.
         name: of the scene; empty = that of the folder.
+        level: whether to turn it so that z is up and the floor is at z = 0.
 
     Raises:
         SceneError: the folder is not empty, or cannot be written.
+        ScanError: it is to be levelled, and has no level surface.
     """
     mesh = mesh_of(textured)
+    if level:
+        surface = textured.surface
+        whole = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), textured.vertex_colors)
+        mesh = mesh.transformed(level_transform(whole, textured.photographs.poses))
     name = name or output.resolve().name
     scene = ImportedScene(name, "textured scan", output.parent, light=BAKED_LIGHT)
     scene.objects = [ImportedObject(name, mesh, collision=SIMPLIFIED if is_scan(mesh) else "same")]
