@@ -39,6 +39,12 @@ def add_parser(subparsers: Any) -> None:
         metavar="N",
         help="leave out every N-th photograph, from the first on, and compare it with the scene (0 = use all)",
     )
+    parser.add_argument(
+        "--sheet",
+        type=Path,
+        metavar="FILE",
+        help="with --hold-out: write a picture of photographs beside the scene, .jpg or .png",
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write what was found as JSON")
     add_settings(parser, TextureSettings, [f.name for f in fields(TextureSettings)])
     parser.set_defaults(run=_run)
@@ -47,7 +53,8 @@ def add_parser(subparsers: Any) -> None:
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need none of it.
     from gibson_sim.formats.load_mesh import load_mesh
-    from gibson_sim_tools.texturing.measure import held_out_likeness
+    from gibson_sim.picture_files import write_picture
+    from gibson_sim_tools.texturing.measure import contact_sheet, held_out_likeness
     from gibson_sim_tools.texturing.photograph_layouts import open_photographs
     from gibson_sim_tools.texturing.surface import surface_of
     from gibson_sim_tools.texturing.texture import texture
@@ -58,6 +65,10 @@ def _run(args: argparse.Namespace) -> ExitCode:
         raise ConfigError(f"--output {args.output}: is there already and not empty; give another folder, or delete it first")
     if args.hold_out < 0 or args.hold_out == 1:
         raise ConfigError(f"--hold-out {args.hold_out}: must be 0, or 2 or more, so that photographs are left")
+    if args.sheet is not None and not args.hold_out:
+        raise ConfigError(
+            f"--sheet {args.sheet}: shows photographs that were held out; give --hold-out, too, such as --hold-out 10"
+        )
     photographs = open_photographs(args.photographs, settings.longest_side)
     for warning in photographs.warnings:
         print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
@@ -71,6 +82,8 @@ def _run(args: argparse.Namespace) -> ExitCode:
     likeness = held_out_likeness(textured, held_out) if args.hold_out else {}
     for name, alike in likeness.items():
         print(f"{len(held_out)} photographs that were held out, {name}: PSNR {alike.psnr:.2f} dB, SSIM {alike.ssim:.3f}")
+    if args.sheet is not None:
+        write_picture(args.sheet, contact_sheet(textured, held_out)[:, :, ::-1])
     print(f"next: gibson-sim scene check {file.parent}; gibson-sim run --scene {file.parent}")
     write_json(args.report, {**textured.report.as_dict(), "held_out": {name: asdict(alike) for name, alike in likeness.items()}})
     return ExitCode.OK

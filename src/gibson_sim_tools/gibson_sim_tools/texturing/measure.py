@@ -23,6 +23,10 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
+SHEET_ROWS = 4
+"""Most photographs of a contact sheet."""
+SHEET_PX = 320
+"""Width of a picture in it, pixels."""
 _C1, _C2 = 0.01**2, 0.03**2
 _SSIM_PX = 1.5
 """Standard deviation of the window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
@@ -106,6 +110,30 @@ def held_out_likeness(textured: Textured, numbers: Sequence[int]) -> dict[str, L
     if textured.surface.colors is not None:
         out["colours of vertices"] = compare(held_out, lambda number: drawn(number, textured.surface.colors))
     return out
+
+
+def contact_sheet(textured: Textured, numbers: Sequence[int]) -> U8:
+    """Returns a picture (H, W, 3), sRGB: in each row a photograph, the surface in the colours of its vertices if it has any, and textured.
+
+    Args:
+        textured: the surface.
+        numbers: of the photographs; at most ``SHEET_ROWS`` of them are shown, spread evenly.
+    """
+    shown = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, SHEET_ROWS).round().astype(int))]
+    variants = [None] if textured.surface.colors is None else [textured.surface.colors, None]
+    rows = []
+    for number in shown:
+        truth = textured.photographs.picture(number)
+        row = [truth]
+        for colors in variants:
+            pose = textured.photographs.items[number].T_world_camera
+            drawn = draw_textured(textured, textured.photographs.intrinsics(number), pose, vertex_colors=colors)
+            row.append(np.rint(np.clip(matched(drawn.rgb, truth, drawn.seen), 0.0, 1.0) * 255.0).astype(np.uint8))
+        sheet = np.concatenate(row, axis=1)
+        width = len(row) * SHEET_PX
+        height = max(round(sheet.shape[0] * width / sheet.shape[1]), 1)
+        rows.append(np.asarray(cv2.resize(sheet, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8))
+    return np.concatenate(rows)
 
 
 def compare(

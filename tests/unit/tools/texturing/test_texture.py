@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -167,13 +168,16 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
     paths = [str(tmp_path / name) for name in ("scan", "wall.ply", "made")]
     words = ["scene", "texture", paths[0], paths[1], "--output", paths[2], "--name", "Wall"]
     with pytest.raises(SystemExit) as end:
-        main([*words, "--hold-out", "3", "--report", str(tmp_path / "report.json")])
+        main([*words, "--hold-out", "3", "--sheet", str(tmp_path / "sheet.png"), "--report", str(tmp_path / "report.json")])
     assert end.value.code == 0
     said = capsys.readouterr().out
     assert (
         "1 photographs that were held out, texture: PSNR" in said and "patches" in said and "next: gibson-sim scene check" in said
     )
     assert load_scene(tmp_path / "made").name == "Wall"
+    # A photograph, the grey mesh, the texture.
+    sheet = cv2.imread(str(tmp_path / "sheet.png"))
+    assert sheet.shape == (240, 960, 3) and np.abs(sheet[60:180, :320].astype(int) - sheet[60:180, 640:]).mean() < 4.0
     held_out = json.loads((tmp_path / "report.json").read_text())["held_out"]
     assert held_out["texture"]["psnr"] > held_out["colours of vertices"]["psnr"] + 10.0
     with pytest.raises(SystemExit) as end:
