@@ -211,6 +211,19 @@ def test_holes_count_in_a_scan_and_not_in_furniture(tmp_path: Path) -> None:
         assert _found(check_path(tmp_path / name)).get("holes", "note") == level
 
 
+def test_instances_of_a_mesh_count_as_the_copies_that_a_repair_makes_of_them(tmp_path: Path) -> None:
+    corners, quads = box_faces((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0))
+    write_obj(tmp_path / "bin.obj", corners, quads[[0, 2, 3, 4, 5]])  # open at the top: a rim of 4 m
+    folder = _scene(tmp_path, *room(furniture=False))
+    placed = "".join(f"  - {{name: bin{k}, mesh: bin.obj, pose: {{xyz: [{k}, 0, 0]}}}}\n" for k in (-2, 0, 2))
+    (folder / "scene.yaml").write_text(f"name: test\nobjects:\n  - {{name: room, mesh: room.obj}}\n{placed}")
+    report = check_path(folder)
+    assert report.amounts["holes"] == pytest.approx(12.0)
+    assert len([f for f in report.findings if f.what == "holes"]) == 1
+    _, mended = fix_scene(report, tmp_path / "b", FixOptions())
+    assert mended.amounts["holes"] == pytest.approx(12.0)
+
+
 def test_what_a_robot_would_see_as_a_hole_is_told_before_it_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     corners, quads = room(furniture=False)
     assert "view-holes" not in _found(check_path(_scene(tmp_path / "a", corners, quads)))

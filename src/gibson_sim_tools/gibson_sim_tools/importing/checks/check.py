@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -174,11 +175,12 @@ def _is_scan(faults: MeshFaults) -> bool:
 
 
 def _meshes(geometry: DrawnGeometry, faults: Mapping[int, MeshFaults]) -> Iterator[SceneFinding]:
-    done: set[int] = set()
-    for visual, mesh in geometry.meshes:
-        if id(mesh) in faults and id(mesh) not in done:
-            done.add(id(mesh))
-            yield from _mesh(visual.name, faults[id(mesh)], len(faults[id(mesh)].degenerate))
+    instances = Counter(id(mesh) for _, mesh in geometry.meshes)
+    names = {id(mesh): visual.name for visual, mesh in reversed(geometry.meshes)}
+    for key, found in faults.items():
+        for finding in _mesh(names[key], found, len(found.degenerate)):
+            # A repaired copy has a mesh of its own for each instance.
+            yield replace(finding, amount=finding.amount * instances[key])
 
 
 def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
