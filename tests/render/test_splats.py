@@ -163,6 +163,21 @@ def test_what_moves_hides_splats_behind_it_and_is_hidden_by_those_before_it(tmp_
     assert red[1.0] < 0.02 and red[1.39] < 0.02 and red[2.0] > 0.7
 
 
+@pytest.mark.parametrize("samples", [1, 4])
+def test_a_translucent_thing_that_moves_tints_the_splats_behind_it(tmp_path: Path, samples: int) -> None:
+    pane = box((0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.5), (0.02, 1.0, 1.0), link="pane")
+    drawn = replace(scene(pane, links=("pane",)), splats=_file(tmp_path, _red((1.5, 0.0, 0.0), size=0.1)))
+    camera = replace(EYE, samples=samples)
+    before, away = (_rgb(_draw(drawn, camera, positions=(at,))[0])[31, 31] for at in ((1.0, 0, 0), (-3.0, 0, 0)))
+    assert away[0] > 0.8 and away[2] < 0.05
+    assert 0.2 < before[0] < 0.9 * away[0] and before[2] > 0.2
+    # Where there is no splat, it looks as it does without splats, and all other outputs do everywhere.
+    (bare,) = _draw(replace(drawn, splats=None), camera, positions=((1.0, 0, 0),))
+    (full,) = _draw(drawn, camera, positions=((1.0, 0, 0),))
+    np.testing.assert_array_equal(_rgb(full)[5:10], _rgb(bare)[5:10])
+    np.testing.assert_array_equal(full.depth, bare.depth)
+
+
 @pytest.mark.parametrize("projection", ["fisheye", "equirectangular"])
 def test_cameras_of_other_projections_see_splats_where_they_are(tmp_path: Path, projection: str) -> None:
     points = ((1.0, 0.2, 0.1), (0.3, 1.0, 0.2), (0.1, -1.0, -0.3)) + (

@@ -70,13 +70,14 @@ class CameraImages:
             # Labels and depth are those of the pixel's centre, to the bit, with and without multisampling of colours.
             self._scene.draw(target, plain, color=False)
             smooth = self.target(target.width, target.height, (), samples)
-            self._scene.draw(smooth, plain)
+            self._scene.draw(smooth, plain, moving_later=self._splats is not None)
             self._resolve(smooth, target)
         else:
-            self._scene.draw(target, plain, color=color)
+            self._scene.draw(target, plain, color=color, moving_later=self._splats is not None)
         if color and self._splats is not None:
             # With one sample a pixel: splats have soft edges.
             self._splats.draw(self._scene, target, plain)
+            self._scene.draw_moving_translucent(target)
         if non_pinhole:
             self._draw_non_pinhole(target, non_pinhole, color)
 
@@ -102,9 +103,10 @@ class CameraImages:
         for (image, before), group in zip(images, views, strict=True):
             pictures += [_view_picture(image, view, before, place[first + k]) for k, view in enumerate(group)]
             first += len(group)
-        self._scene.draw(source, pictures, color=color)
+        self._scene.draw(source, pictures, color=color, moving_later=self._splats is not None)
         if color and self._splats is not None:
             self._splats.draw(self._scene, source, pictures)
+            self._scene.draw_moving_translucent(source)
         first = 0
         for (image, _), group in zip(images, views, strict=True):
             places = tuple(place[first + k] for k in range(len(group)))

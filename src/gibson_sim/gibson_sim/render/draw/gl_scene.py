@@ -81,6 +81,7 @@ class GlScene:
         """Lights that were left out, one line each."""
         self._drawn: list[U32] = []
         self._plans: list[DrawPlan] = []
+        self._later: list[DrawPlan] = []
         try:
             self._load(geometry, 0, 0)
         except BaseException:
@@ -152,8 +153,17 @@ class GlScene:
                 self._links_before, np.ascontiguousarray((T_world_links if before is None else before)[:, :3], dtype=np.float32)
             )
 
-    def draw(self, target: RenderTarget, pictures: Sequence[PinholePicture], *, color: bool = True) -> None:
-        """Clears a target and draws pictures into it, with all features of the target; with ``color=False`` without colours."""
+    def draw(
+        self, target: RenderTarget, pictures: Sequence[PinholePicture], *, color: bool = True, moving_later: bool = False
+    ) -> None:
+        """Clears a target and draws pictures into it, with all features of the target.
+
+        Args:
+            target: what to draw into.
+            pictures: side by side.
+            color: False = without colours.
+            moving_later: leave the translucent surfaces of what moves to ``draw_moving_translucent``.
+        """
         if color:
             self._update_shadow()
         self._prepare_state()
@@ -174,7 +184,7 @@ class GlScene:
         target.use(color=color)
         self._clear(target.features, color=color, depth=not occlusion)
         if plans:
-            self._draw_pictures(target.features, plans, color)
+            self._draw_pictures(target.features, plans, color, moving_later)
 
     def _prepare_state(self) -> None:
         gl = self._gl
@@ -273,10 +283,15 @@ class GlScene:
     def _multi_draw(self, first: int, count: int) -> None:
         self._gl.glMultiDrawElementsIndirect(GL.TRIANGLES, GL.UNSIGNED_INT, first * _DRAW_BYTES, count, _DRAW_BYTES)
 
-    def _draw_pictures(self, features: tuple[Feature, ...], plans: Sequence[DrawPlan], color: bool) -> None:
+    def _draw_pictures(self, features: tuple[Feature, ...], plans: Sequence[DrawPlan], color: bool, moving_later: bool) -> None:
         """Draws each picture: the opaque pass, the sky, then the translucent pass."""
         if color:
             plans = self._sorted_translucent(plans)
+        self._later = []
+        if color and moving_later:
+            later = [self._moving[plan.batch] & (np.arange(len(plan.batch)) >= plan.opaque) for plan in plans]
+            self._later = [plan.subset(mine) for plan, mine in zip(plans, later, strict=True)]
+            plans = [plan.subset(~mine) for plan, mine in zip(plans, later, strict=True)]
         self._drawn = [plan.draws if color else plan.draws[: plan.opaque] for plan in plans]
         self._upload_draws(self._drawn)
         first = 0
@@ -371,6 +386,33 @@ class GlScene:
                 self._multi_draw(first, multi_draw.draws)
                 first += multi_draw.draws
         self._draw_both_sides(True)
+
+    def draw_moving_translucent(self, target: RenderTarget) -> None:
+        """Draws what ``draw`` left for later into the colours of a target that has the depth of the same pictures."""
+        plans = self._later
+        if not any(len(plan.draws) for plan in plans):
+            return
+        gl = self._gl
+        self._prepare_state()
+        target.use()
+        self._bind()
+        gl.glBindVertexArray(self._memory.sorted_array)
+        self._upload_draws([plan.draws for plan in plans])
+        gl.glEnable(GL.BLEND)
+        gl.glBlendFunc(GL.SRC_ALPHA, GL.ONE_MINUS_SRC_ALPHA)
+        gl.glDepthMask(0)
+        self._mask_features(target.features, 0)
+        first = 0
+        for number, plan in enumerate(plans):
+            self._bind_picture(plan.picture, number)
+            for multi_draw in plan.multi_draws():
+                self._bind_batch(multi_draw, target.features, color=True)
+                self._multi_draw(first, multi_draw.draws)
+                first += multi_draw.draws
+        gl.glDepthMask(1)
+        self._mask_features(target.features, 1)
+        gl.glDisable(GL.BLEND)
+        gl.glBindVertexArray(self._memory.array)
 
     def draw_depth(self, clip_from_world: Mat4, T_world_links: F64, texel: float, *, static: bool, moving: bool) -> None:
         """Draws the opaque pass into the depth buffer that is bound; ``set_links`` must have been called with these poses.
