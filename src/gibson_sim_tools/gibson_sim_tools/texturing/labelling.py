@@ -148,8 +148,6 @@ def _merged(labels: I32, candidates: Candidates, pairs: I64, smoothness: float) 
         keys, edges = np.unique(own * span + other, return_counts=True)
         patches, options = keys // span, keys % span
         gain = smoothness * edges - _price(patch, patches, options, labels, candidates)
-        best = np.zeros(int(patch.max()) + 1)
-        np.maximum.at(best, patches, gain)
         # Neighbours that move together may miss each other: a patch moves if it gains most among its neighbours.
         order = np.argsort(-gain, kind="stable")
         order = order[gain[order] > 1e-6]
@@ -158,8 +156,8 @@ def _merged(labels: I32, candidates: Candidates, pairs: I64, smoothness: float) 
         beside: dict[int, set[int]] = {}
         for p, q in zip(own.tolist(), np.concatenate([patch[b[cut]], patch[a[cut]]]).tolist(), strict=True):
             beside.setdefault(p, set()).add(q)
-        frozen = np.zeros(len(best), dtype=bool)
-        target = np.full(len(best), UNSEEN, dtype=np.int64)
+        frozen = np.zeros(int(patch.max()) + 1, dtype=bool)
+        target = np.full(len(frozen), UNSEEN, dtype=np.int64)
         for row in order.tolist():
             p = int(patches[row])
             if not frozen[p]:
