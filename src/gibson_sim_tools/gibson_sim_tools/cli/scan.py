@@ -129,7 +129,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     if fusion.snap is not None:
         print(fusion.snap.text())
         report["snap"] = asdict(fusion.snap)
-    print(_level_text(T, settings.level))
+    print(level_text(T, settings.level))
     if T is not None:
         with progress_bar("looking for holes") as progress:
             holes = robot_view_holes(mesh, np.eye(4) if settings.level else T, progress)
@@ -149,7 +149,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     return ExitCode.OK
 
 
-def _level_text(T_level_scan: NDArray[np.float64] | None, turned: bool) -> str:
+def level_text(T_level_scan: NDArray[np.float64] | None, turned: bool) -> str:
     """Returns what is said of the floor of a scan."""
     if T_level_scan is None:
         return "no level surface faces up, so there is no floor, and holes are not measured"

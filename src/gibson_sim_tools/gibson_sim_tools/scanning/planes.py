@@ -70,10 +70,9 @@ class SnapReport:
 
     def text(self) -> str:
         """Returns the report in words."""
-        return (
-            f"{self.planes} planes with {100.0 * self.share:.0f} % of the surface; their noise was {self.noise_mm:.1f} mm; vertices moved by "
-            f"{self.mean_mm:.1f} mm on average, at most {self.max_mm:.1f}"
-        )
+        planes = f"{self.planes} plane{'' if self.planes == 1 else 's'} with {100.0 * self.share:.0f} % of the surface"
+        moved = f"vertices moved by {self.mean_mm:.1f} mm on average, at most {self.max_mm:.1f}"
+        return f"{planes}; their noise was {self.noise_mm:.1f} mm; {moved}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,8 +79,12 @@ def test_what_is_said_of_a_stride_is_what_was_taken(board, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*words, "--voxel", "0.04", "--min-weight", "1", "--min-part", "0", "--stride", "2"])
     assert ended.value.code == 0
-    assert "from 2 of 3 frames (open3d)" in capsys.readouterr().out
-    assert json.loads((tmp_path / "a.json").read_text())["frames"] == 2
+    out = capsys.readouterr().out
+    assert (
+        "from 2 of 3 frames (open3d)" in out and "1 plane with" in out and "no level surface faces up" in out
+    )  # cameras look straight down
+    report = json.loads((tmp_path / "a.json").read_text())
+    assert report["frames"] == 2 and report["voxel_m"] == 0.04 and report["snap"]["max_mm"] <= 20.0
     assert list(chosen_frames(board, replace(SETTINGS, stride=2))) == [0, 2]
 
 
