@@ -227,10 +227,10 @@ def test_instances_of_a_mesh_count_as_the_copies_that_a_repair_makes_of_them(tmp
 def test_what_a_robot_would_see_as_a_hole_is_told_before_it_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     corners, quads = room(furniture=False)
     assert "view-holes" not in _found(check_path(_scene(tmp_path / "a", corners, quads)))
-    (found,) = [f for f in check_path(_scene(tmp_path / "b", corners, quads[:-1])).findings if f.what == "view-holes"]
+    report = check_path(_scene(tmp_path / "b", corners, quads[:-1]))
+    (found,) = [f for f in report.findings if f.what == "view-holes"]
     assert found.level == "note" and 0.02 < found.amount < 0.2 and "% of what a robot sees is hole" in found.text
-    report = check_path(_scene(tmp_path / "b", corners, quads[:-1])).json()
-    assert report["free_floor_m2"] == pytest.approx(5.5 * 3.5, rel=0.1)
+    assert report.json()["free_floor_m2"] == pytest.approx(5.5 * 3.5, rel=0.1)
     monkeypatch.setattr("gibson_sim_tools.importing.checks.check.SCAN_FROM", 10)
     assert _found(check_path(tmp_path / "b"))["view-holes"] == "warning"
 
