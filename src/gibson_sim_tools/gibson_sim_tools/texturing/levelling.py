@@ -34,8 +34,10 @@ _MOST_ALONG = 65
 """Most points on a seam edge at which the local levelling compares."""
 _EVEN = 0.3
 """Weight of the evenness of a correction within a patch, relative to a seam."""
-_ZERO = 1e-3
-"""Weight of the correction itself, which decides for patches without seams."""
+_ZERO = 0.03
+"""Weight of the correction itself: exposures are known already, so that corrections are small."""
+_REAL_STEP = 0.1
+"""Step over a seam that counts half, sRGB, 0 to 1: larger ones are edges that one of the photographs shows elsewhere."""
 _LOCAL_TOLERANCE, _LOCAL_STEPS = 1e-2, 100
 """Accuracy and most iterations of the local system, whose solution is exact at the seams in any case."""
 
@@ -101,11 +103,12 @@ def global_levelling(atlas: Atlas, triangles: I64, seams: Seams, colors: F32) ->
     across = np.searchsorted(keys, atlas.patch[seams.rows][:, :, None] * span + seams.ends[:, None, :])
     sides = np.concatenate([across[:, :, 0], across[:, :, 1]])
     wanted = np.concatenate([(step * near).sum(axis=1) / near.sum(), (step * near[::-1]).sum(axis=1) / near.sum()])
+    weights = 1.0 / (1.0 + (wanted**2).sum(axis=1) / (3.0 * _REAL_STEP**2))
     within = np.unique(np.sort(np.concatenate([node[:, [0, 1]], node[:, [1, 2]], node[:, [2, 0]]]), axis=1), axis=0)
-    A = _differences(sides, len(keys))
+    A = sparse.diags(np.sqrt(weights)) @ _differences(sides, len(keys))
     B = _differences(within, len(keys))
     matrix = (A.T @ A + _EVEN**2 * (B.T @ B) + _ZERO**2 * sparse.identity(len(keys))).tocsr()
-    right = -(A.T @ wanted.astype(np.float64))
+    right = -(A.T @ (np.sqrt(weights)[:, None] * wanted))
     return solve(matrix, right)[node].astype(np.float32)
 
 

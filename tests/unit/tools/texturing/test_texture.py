@@ -65,9 +65,9 @@ def test_a_patch_is_the_rectangle_of_its_photograph_with_padding():
 
 
 def test_a_step_between_two_even_patches_is_levelled_to_its_middle():
-    plan, pages, covers, seams = two_patches(0.4, 0.6)
+    plan, pages, covers, seams = two_patches(0.48, 0.52)
     colors = colors_along(seams, plan, pages)
-    assert abs(mean_step(colors) - 0.2 * 255) < 0.1
+    assert abs(mean_step(colors) - 0.04 * 255) < 0.1
     add_at_corners(plan, pages, covers, global_levelling(plan, SQUARE, seams, colors))
     after = colors_along(seams, plan, pages)
     assert mean_step(after) < 0.5 and abs(after.mean() - 0.5) < 1e-2
