@@ -11,7 +11,7 @@ import pytest
 from gibson_path_following.errors import ModelError, SettingError, ViewError
 from gibson_path_following.follower import PathFollower
 from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings, PathModel
-from gibson_path_following.occupancy import median_distances
+from gibson_path_following.occupancy import OccupancySettings, median_distances
 from gibson_path_following.pose_filter import PoseFilter, node_poses, relative
 from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity, View
 from support.path_models import path_model
@@ -95,7 +95,9 @@ def test_robot_on_the_path_drives_straight_at_the_recorded_speed(tmp_path: Path)
 def driven(folder: Path, free: tuple[float, ...], views: int) -> tuple[LearnedPolicy, list[Velocity]]:
     """Returns a policy that stands at the start of a straight path and sees the same again and again, and its velocities."""
     images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
-    policy = LearnedPolicy(path_of(images), model(folder, free))
+    # The network by hand sees the same things in all images, recorded ones too.
+    settings = LearnedSettings(occupancy=OccupancySettings(discount=0.0))
+    policy = LearnedPolicy(path_of(images), model(folder, free), settings)
     return policy, [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(views)]
 
 
@@ -154,6 +156,9 @@ def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
         PathModel(file)
     file.write_bytes(path_model(FREE, metadata={}))
     with pytest.raises(ModelError, match="its metadata lack hfov_deg or free_edges"):
+        PathModel(file)
+    file.write_bytes(path_model(FREE, metadata={"hfov_deg": "100", "free_edges": "0,1,3"}))
+    with pytest.raises(ModelError, match="its free_edges are 3 numbers, must be 31 that grow from 0 m"):
         PathModel(file)
     with pytest.raises(ModelError, match=r"nowhere\.onnx"):
         PathModel(tmp_path / "nowhere.onnx")

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hits_around, median_distances
+from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, median_distances
 
 F64 = NDArray[np.float64]
 BEARINGS = np.arctan((1.0 - (np.arange(24) + 0.5) / 12.0) * math.tan(math.radians(50.0)))
@@ -107,24 +107,30 @@ def test_cleared_map_knows_nothing() -> None:
     assert not found.is_occupied(at(1.02))
 
 
-def test_distances_that_are_unsure_put_a_thing_where_it_most_likely_is() -> None:
+def test_distances_that_vary_put_a_thing_where_it_most_likely_is() -> None:
     found = OccupancyMap(FAR)
     for free in (0.9, 1.1, 1.0, 0.95, 1.05):
-        found.see(ORIGIN, BEARINGS, *hits_around(np.full(24, free), 3.0))
+        found.see(ORIGIN, BEARINGS, EDGES, hits(free))
     assert found.is_occupied(at(1.0))
     assert not found.is_occupied(at(0.6))
-
-
-def test_hits_around_distances_are_probabilities_with_their_median_there() -> None:
-    edges, hit = hits_around(np.array([1.0, 3.0]), 3.0)
-    np.testing.assert_allclose(hit.sum(axis=1), 1.0)
-    assert np.interp(1.0, edges[1:], np.cumsum(hit[0, :-1])) == pytest.approx(0.5, abs=0.01)
-    assert hit[1, -1] == 1.0
 
 
 def test_settings_out_of_range_are_one_line() -> None:
     with pytest.raises(SettingError, match=r"memory is 0, must be 0.1 to 1e\+06"):
         OccupancySettings(memory=0.0)
+
+
+def test_what_recorded_images_show_on_the_path_is_no_thing_there() -> None:
+    path = np.array([[0.0, 0.0], [3.0, 0.0]])
+    found = OccupancyMap(path)
+    found.expect(ORIGIN, BEARINGS, EDGES, hits(1.0))
+    for _ in range(6):
+        found.see(ORIGIN, BEARINGS, EDGES, hits(1.0))
+    assert not found.is_occupied(at(1.02)), "the robot that recorded the path drove here"
+    assert found.is_occupied(at(0.82, 0.6)), "beside the path it may be a wall"
+    for _ in range(12):
+        found.see(ORIGIN, BEARINGS, EDGES, hits(1.5))
+    assert found.is_occupied(at(1.52)), "the recorded images did not show this"
 
 
 def test_median_distance_lies_in_the_bin_that_reaches_one_half() -> None:

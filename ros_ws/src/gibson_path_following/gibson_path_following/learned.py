@@ -20,7 +20,7 @@ from gibson_path_following.errors import ModelError, SettingError, ViewError, ch
 from gibson_path_following.lattice import Lattice, LatticeSettings, Way
 from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
-from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, hits_around
+from gibson_path_following.occupancy import OccupancyMap, OccupancySettings
 from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
 from gibson_path_following.recovery import Recovery, RecoverySettings
@@ -47,8 +47,6 @@ _SLOW_AHEAD = 0.5
 """Distance along the path ahead whose clearance limits the speed, metres."""
 _INPUTS = ("present", "recorded")
 _OUTPUTS = ("pose", "scale", "match", "hit")
-_FIRST_OUTPUTS = ("pose", "scale", "match", "free")
-"""Of the first networks, which told distances without their uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +80,15 @@ class PathModel:
         try:
             self.hfov = math.radians(float(metadata["hfov_deg"]))
             """Horizontal field of view that it was trained for, radians."""
-            if self._is_first:
-                self.edges, _ = hits_around(np.zeros(1), float(metadata["max_free"]))
-            else:
-                self.edges = np.array([float(edge) for edge in metadata["free_edges"].split(",")])
+            self.edges: F64 = np.array([float(edge) for edge in metadata["free_edges"].split(",")])
             """(B + 1,), edges of the bins of free distances, metres, from 0."""
         except (KeyError, ValueError) as error:
             raise ModelError(f"{file}: its metadata lack hfov_deg or free_edges as numbers; export it anew") from error
-        count = int(self._session.get_outputs()[3].shape[0])
+        count, bins = self._session.get_outputs()[3].shape
+        if bins != len(self.edges) or self.edges[0] != 0.0 or not (np.diff(self.edges) > 0.0).all():
+            raise ModelError(
+                f"{file}: its free_edges are {len(self.edges)} numbers, must be {bins} that grow from 0 m; export it anew"
+            )
         across = 1.0 - (np.arange(count) + 0.5) * 2.0 / count
         self.bearings: F64 = np.arctan(across * math.tan(self.hfov / 2.0))
         """Directions of the free distances, radians, positive to the left, left first."""
@@ -105,8 +104,7 @@ class PathModel:
             ModelError: the network cannot be run.
         """
         values = run(self._session, self._file, {"present": present[None], "recorded": recorded})
-        pose, scale, match, hit = (np.asarray(value, dtype=np.float64) for value in values)
-        return Sighting(pose, scale, match, hits_around(hit, float(self.edges[-1]))[1] if self._is_first else hit)
+        return Sighting(*(np.asarray(value, dtype=np.float64) for value in values))
 
     def fitted(self, image: Image, hfov: float) -> Image:
         """Returns an image as the camera that the network was trained for would see it.
@@ -131,14 +129,16 @@ class PathModel:
     def _check(self, file: Path) -> None:
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         names = tuple(i.name for i in inputs), tuple(o.name for o in outputs)
-        self._is_first = names == (_INPUTS, _FIRST_OUTPUTS)
-        if names != (_INPUTS, _OUTPUTS) and not self._is_first:
+        if names != (_INPUTS, _OUTPUTS):
             raise ModelError(
                 f"{file}: its inputs are {', '.join(names[0])} and its outputs {', '.join(names[1])}; must be "
                 f"{', '.join(_INPUTS)} and {', '.join(_OUTPUTS)}: use a file that gibson-sim learn path-following wrote"
             )
-        if not _is_image(inputs[0].shape) or not isinstance(outputs[3].shape[0], int):
-            raise ModelError(f"{file}: its images have shape {inputs[0].shape}, must be (1, height, width, 3) with fixed sizes")
+        if not _is_image(inputs[0].shape) or not _is_fixed(outputs[3].shape, 2):
+            raise ModelError(
+                f"{file}: its images have shape {inputs[0].shape}, hit has {outputs[3].shape}; must be (1, height, width, 3) and "
+                "(directions, bins), with fixed sizes"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +251,9 @@ class LearnedPolicy:
         self._recovery = Recovery(self.settings.recovery)
         self.map = OccupancyMap(self._poses[:, :2], self.settings.occupancy)
         """What stands around the robot, in the frame of the path."""
+        for pose, image in zip(self._poses, self._images, strict=True):
+            recorded = self.model.estimate(image, image[None])
+            self.map.expect(self._camera(pose), self.model.bearings, self.model.edges, recorded.hit)
         self.way: Way | None = None
         """Where the robot wants to drive; None = it has not looked yet."""
         self.filter = PoseFilter()
@@ -340,12 +343,15 @@ class LearnedPolicy:
 
     def _look(self, sighting: Sighting, seconds: float) -> None:
         """Puts into the map what is free and what is not."""
-        x, y, yaw = self.filter.pose
-        ahead = self.settings.camera_ahead
-        camera = np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), yaw])
-        self.map.centre(float(x), float(y))
+        self.map.centre(float(self.filter.pose[0]), float(self.filter.pose[1]))
         self.map.fade(seconds)
-        self.map.see(camera, self.model.bearings, self.model.edges, sighting.hit)
+        self.map.see(self._camera(self.filter.pose), self.model.bearings, self.model.edges, sighting.hit)
+
+    def _camera(self, pose: F64) -> F64:
+        """Returns the pose (3,) of the camera of a robot at a pose (3,)."""
+        x, y, yaw = pose
+        ahead = self.settings.camera_ahead
+        return np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), yaw])
 
     def _drive(self, seconds: float, pending: Step) -> Velocity:
         """Returns the velocity along the path, round what stands there.
@@ -463,6 +469,10 @@ class LearnedPolicy:
 
     def _speed(self, part: Motion) -> float:
         return abs(part.distance) / part.duration if part.duration > 1e-3 else self.settings.usual_linear
+
+
+def _is_fixed(shape: list[Any], dimensions: int) -> bool:
+    return len(shape) == dimensions and all(isinstance(size, int) for size in shape)
 
 
 def _is_image(shape: list[Any]) -> bool:

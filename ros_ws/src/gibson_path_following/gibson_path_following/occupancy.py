@@ -30,8 +30,9 @@ class OccupancySettings:
     """Edge of a cell, metres."""
     size: float = 6.0
     """Edge of the map, metres; the robot is in its middle."""
-    density: float = 0.15
-    """Things per metre of a line of sight that are to be expected."""
+    density: float = 1.0
+    """Things per metre of a line of sight that are to be expected; in the data that the network is trained on it is 0.6. With less, every
+    doubt of the network counts as a thing."""
     depth: float = 0.1
     """Depth that a thing has at least, metres."""
     weight: float = 0.4
@@ -40,12 +41,15 @@ class OccupancySettings:
     """Largest evidence of one view for a thing, log odds before the weight."""
     most_free: float = 2.0
     """Largest evidence of one view for free floor, log odds before the weight."""
-    limit: float = 3.5
+    limit: float = 5.0
     """Largest evidence that a cell keeps, log odds, either way."""
-    path_width: float = 0.25
+    path_width: float = 0.35
     """Distance from the recorded path within which the floor was free once, metres."""
     path_prior: float = -2.0
     """Log odds of a cell there of which nothing is known."""
+    discount: float = 2.5
+    """Factor on what the recorded images tell of things there, which is wrong, and is taken from what later views tell: of later views there
+    are more."""
     occupied: float = 0.8
     """Log odds from which a cell is occupied."""
     memory: float = 40.0
@@ -64,6 +68,7 @@ class OccupancySettings:
             ("limit", 0.1, 50.0),
             ("path_width", 0.0, 5.0),
             ("path_prior", -20.0, 0.0),
+            ("discount", 0.0, 10.0),
             ("occupied", -20.0, 20.0),
             ("memory", 0.1, 1e6),
         )
@@ -86,6 +91,8 @@ class OccupancyMap:
         """Cell of the frame of the path, x and y, that is the first one of the map; None = it is nowhere yet."""
         self._evidence: F32 = np.zeros((self._count, self._count), np.float32)
         self._prior: F32 = np.zeros_like(self._evidence)
+        self._recorded: list[tuple[F64, F64, F32]] = []
+        """Of each recorded image: pose of its camera, directions, evidence by direction and distance."""
         self._away: F32 | None = None
         """Distance of each cell from the nearest occupied one, metres; None = to be computed."""
 
@@ -124,24 +131,31 @@ class OccupancyMap:
         """
         if self._corner is None:
             self.centre(float(camera[0]), float(camera[1]))
+        cells, told = self._told(camera, bearings, self._evidence_by_distance(edges, hit))
+        limit = self.settings.limit
+        self._evidence[cells] = np.clip(self._evidence[cells] + told, -limit, limit)
+        self._away = None
+
+    def expect(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
+        """Learns from a recorded image: what it shows on the path is nothing that stands there. For the arguments see ``see``."""
+        self._recorded.append((camera, bearings, self._evidence_by_distance(edges, hit)))
+        self._corner = None
+
+    def _told(self, camera: F64, bearings: F64, table: F32) -> tuple[NDArray[np.bool_], F32]:
+        """Returns the cells (n, n) that a camera sees, and what a table (D, R) by direction and distance tells of them, (K,)."""
         count = self._count
-        table = self._evidence_by_distance(edges, hit)
         cells = (np.arange(count) + 0.5) * self.settings.cell
         assert self._corner is not None
         dx = self._corner[0] * self.settings.cell + cells - camera[0]
         dy = self._corner[1] * self.settings.cell + cells - camera[1]
         c, s = math.cos(camera[2]), math.sin(camera[2])
         ahead, left = c * dx[:, None] + s * dy[None, :], c * dy[None, :] - s * dx[:, None]
-        away = np.hypot(ahead, left)
-        row = (away / _RANGE_STEP).astype(np.int64)
+        row = (np.hypot(ahead, left) / _RANGE_STEP).astype(np.int64)
         half = _half_width(bearings)
         with np.errstate(divide="ignore", invalid="ignore"):
             strip = np.floor((1.0 - left / ahead / half) * 0.5 * len(bearings))
         in_view = (ahead > 0.02) & (strip >= 0) & (strip < len(bearings)) & (row < table.shape[1])
-        limit = self.settings.limit
-        told = table[strip[in_view].astype(np.int64), row[in_view]]
-        self._evidence[in_view] = np.clip(self._evidence[in_view] + told, -limit, limit)
-        self._away = None
+        return in_view, table[strip[in_view].astype(np.int64), row[in_view]]
 
     @property
     def log_odds(self) -> F32:
@@ -196,26 +210,15 @@ class OccupancyMap:
         if away.all():
             return np.zeros_like(self._evidence)
         distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * self.settings.cell
-        return np.where(distance <= self.settings.path_width, self.settings.path_prior, 0.0).astype(np.float32)
-
-
-def hits_around(free: F64, max_free: float, ratio: float = 0.12, least: float = 0.04, bins: int = 40) -> tuple[F64, F64]:
-    """Returns edges (B + 1,) and probabilities (D, B + 1) of first things around single distances, as ``OccupancyMap.see`` takes them.
-
-    Args:
-        free: (D,), distances, metres; ``max_free`` and more is nothing.
-        max_free: farthest distance, metres.
-        ratio: standard deviation of a distance, as a share of it.
-        least: least standard deviation, metres.
-        bins: number of bins up to ``max_free``.
-    """
-    edges = np.linspace(0.0, max_free, bins + 1)
-    deviation = np.maximum(ratio * free, least)
-    # The logistic distribution, which has no need of an error function.
-    below = 1.0 / (1.0 + np.exp(np.clip(-1.702 * (edges[None, :] - free[:, None]) / deviation[:, None], -60.0, 60.0)))
-    below[:, 0] = 0.0
-    below[free >= 0.98 * max_free] = 0.0
-    return edges, np.concatenate([np.diff(below, axis=1), 1.0 - below[:, -1:]], axis=1)
+        seen = np.zeros(distance.shape, np.float32)
+        far = 0.75 * self.settings.size
+        middle = (np.array(self._corner) + self._count / 2.0) * self.settings.cell
+        for camera, bearings, table in self._recorded:
+            if np.abs(camera[:2] - middle).max() < far:
+                in_view, told = self._told(camera, bearings, table)
+                seen[in_view] += told
+        wrong = np.clip(self.settings.discount * seen, 0.0, self.settings.limit)
+        return np.where(distance <= self.settings.path_width, self.settings.path_prior - wrong, 0.0).astype(np.float32)
 
 
 def median_distances(edges: F64, hit: F64) -> F64:
@@ -226,7 +229,7 @@ def median_distances(edges: F64, hit: F64) -> F64:
         hit: (..., B + 1), probability that the first thing stands in each bin; the last: farther than all.
     """
     within = np.cumsum(hit[..., :-1], axis=-1)
-    row = np.minimum((within < 0.5).sum(axis=-1), within.shape[-1] - 1)[..., None]
+    row = np.minimum(np.sum(within < 0.5, axis=-1), within.shape[-1] - 1)[..., None]
     share = np.take_along_axis(hit, row, axis=-1)
     before = np.take_along_axis(within, row, axis=-1) - share
     part = np.clip((0.5 - before) / np.maximum(share, 1e-9), 0.0, 1.0)

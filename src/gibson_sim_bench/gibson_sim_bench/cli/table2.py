@@ -28,7 +28,10 @@ def add_parser(kinds: Any) -> None:
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="runs of each case, domain and method (default: 100)")
     parser.add_argument("--cases", default="6.6,8.4,12.7", metavar="A,B", help="lengths of paths, metres (default: 6.6,8.4,12.7)")
     parser.add_argument(
-        "--domains", default="", metavar="A,B", help="names of domains, see docs/benchmarks/path_following.md (default: all but development)"
+        "--domains",
+        default="",
+        metavar="A,B",
+        help="names of domains, see docs/benchmarks/path_following.md (default: all but development)",
     )
     parser.add_argument(
         "--methods",
