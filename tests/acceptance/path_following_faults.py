@@ -1,7 +1,8 @@
 """Drives a path by images while the camera fails, or a person crosses; says what the robot did. Plain ROS 2 and our package.
 
-After `source env.sh`: python path_following_faults.py [NAME ...] [--backend learned]. It starts the simulation and all nodes by itself, in
-lockstep: time waits for images, so a slow machine changes nothing. Names: plain covered dropped delayed person standing robots; all by default.
+After `source env.sh`: python tests/acceptance/path_following_faults.py [NAME ...] [--backend learned]. It starts the simulation and all nodes
+by itself, in lockstep: time waits for images, so a slow machine changes nothing. Names: plain covered dropped delayed person standing
+robots; all by default.
 """
 
 import argparse
@@ -12,7 +13,9 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from geometry_msgs.msg import Twist
@@ -25,7 +28,7 @@ from gibson_path_following.path_folder import load_path
 from gibson_sim.trials.execution.walking import person_pose, person_urdf
 from gibson_sim.trials.records import Person
 
-HERE = Path(__file__).resolve().parent
+ROBOT = Path(__file__).resolve().parents[2] / "docs" / "examples" / "path_robot"
 FAULTS = {
     "plain": (),
     "covered": ("-p", "cover_after:=3.0", "-p", "cover:=3.0"),
@@ -38,23 +41,23 @@ TIME_LIMIT = 90.0
 """Seconds of simulation time for a drive."""
 
 
-STARTED: list[subprocess.Popen] = []
+STARTED: list[subprocess.Popen[bytes]] = []
 
 
-def start(module: str, *arguments: str, log: Path) -> subprocess.Popen:
+def start(module: str, *arguments: str, log: Path) -> subprocess.Popen[bytes]:
     with log.open("w") as out:
         process = subprocess.Popen([sys.executable, "-m", module, *arguments], stdout=out, stderr=subprocess.STDOUT)
     STARTED.append(process)
     return process
 
 
-def node(name: str, namespace: str, log: Path, **parameters: object) -> subprocess.Popen:
+def node(name: str, namespace: str, log: Path, **parameters: object) -> subprocess.Popen[bytes]:
     given = [text for key, value in parameters.items() for text in ("-p", f"{key}:={value}")]
     topics = ("-r", "odom:=ground_truth/odom", "-r", f"__ns:=/{namespace}")
     return start(f"gibson_path_following.nodes.{name}", "--ros-args", "-p", "use_sim_time:=true", *given, *topics, log=log)
 
 
-def end(*processes: subprocess.Popen) -> None:
+def end(*processes: subprocess.Popen[bytes]) -> None:
     for process in processes:
         if process.poll() is None:
             process.terminate()
@@ -93,14 +96,14 @@ class Simulation:
         place, speed = msg.pose.pose.position, msg.twist.twist.linear.x
         self.trace[name].append((seconds, place.x, place.y, speed))
 
-    def spin_until(self, holds, what: str) -> None:
+    def spin_until(self, holds: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + 600.0
         while not holds():
             rclpy.spin_once(self.node, timeout_sec=0.2)
             if self.process.poll() is not None or time.monotonic() > deadline:
                 sys.exit(f"error: the simulation gave no {what}; see {self.log}")
 
-    def call(self, name: str, kind, request):
+    def call(self, name: str, kind: Any, request: Any) -> Any:
         client = self.node.create_client(kind, name)
         self.spin_until(client.service_is_ready, name)
         future = client.call_async(request)
@@ -140,13 +143,14 @@ class Walker:
     """A person who crosses the path when the robot comes near, or who stands on it for a while."""
 
     def __init__(self, simulation: Simulation, folder: Path, robot: str, stays: bool) -> None:
-        nodes = [one.pose for one in load_path(folder).nodes]
+        nodes = [one.pose for one in load_path(folder).nodes if one.pose is not None]
         x, y, yaw = nodes[len(nodes) * 3 // 5]
         self._at, self._robot, self._stays, self._simulation = (x, y), robot, stays, simulation
         side = (-math.sin(yaw), math.cos(yaw))
         far = [(x + k * side[0], y + k * side[1]) for k in (1.2, -1.2)]
         self._person = Person("person", tuple(far), 0.8, 0.25, 1.7)
-        self._since = self._last = None
+        self._since: float | None = None
+        self._last: float | None = None
         request = SpawnEntity.Request(name="person", allow_renaming=False)
         (request.entity_resource if hasattr(request, "entity_resource") else request).resource_string = person_urdf(self._person)
         self._put(request.initial_pose, *far[0])
@@ -155,7 +159,7 @@ class Walker:
             sys.exit(f"error: {answer.result.error_message}")
         self._move = simulation.node.create_client(SetEntityState, "set_entity_state")
 
-    def _put(self, target, x: float, y: float) -> None:
+    def _put(self, target: Any, x: float, y: float) -> None:
         target.header.frame_id = "map"
         target.pose.position.x, target.pose.position.y = x, y
 
@@ -231,7 +235,7 @@ def follow(simulation: Simulation, out: Path, name: str, paths: dict[str, Path],
         print(f"{name + ' ' + robot:14s} {line(json.loads(file.read_text()), simulation.trace[robot])}", flush=True)
 
 
-def line(result: dict, trace: list[tuple[float, float, float, float]]) -> str:
+def line(result: dict[str, Any], trace: list[tuple[float, float, float, float]]) -> str:
     """Returns what a drive was, in a line."""
     begin = next((k for k, one in enumerate(trace) if one[3] > 0.02), 0)
     stops, k = [], begin
@@ -259,7 +263,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"what happens: {', '.join([*FAULTS, 'robots'])} (default: all)")
     parser.add_argument("--scene", default="harbour_flat")
-    parser.add_argument("--robot", default=str(HERE / "path_robot"), help="name or folder of the robot")
+    parser.add_argument("--robot", default=str(ROBOT), help="name or folder of the robot")
     parser.add_argument("--backend", default="teach_repeat")
     parser.add_argument("--output", type=Path, default=Path("out/path_following_faults"))
     given = parser.parse_args()
