@@ -158,8 +158,8 @@ def test_a_path_that_cannot_be_read_fails_the_transition(context: Any, tmp_path:
 def test_stamps_that_go_back_begin_the_path_again(context: Any, folder: Path) -> None:
     driven = Driven(context, folder)
     driven.begin()
-    for k in range(4, 14):
-        driven.see(min(11, k - 3), k * TICK)
+    for k in range(4, 24):
+        driven.see(int(0.4 * (k - 3)), k * TICK)  # 0.4 m/s, as commanded
     assert driven.node._follower.place.index > 5.0
     driven.see(0, 1)
     assert driven.node._follower.place.index < 1.0
