@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gibson_sim.geometry.rasterise import numbered_pairs
 from gibson_sim.maps.floor_map import FloorMap
 
 F64 = NDArray[np.float64]
@@ -201,11 +202,8 @@ def _hits(corners: F64) -> Sequence[tuple[I64, I64, F64, Bools]]:
     edges = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     normals = np.cross(b - a, c - a)
     offsets = np.einsum("nk,nk->n", normals, a)
-    rays, ends, out = _rays(), np.cumsum(counts), []
-    for start in range(0, int(ends[-1]) if len(ends) else 0, _PAIRS_AT_ONCE):
-        pairs = np.arange(start, min(start + _PAIRS_AT_ONCE, int(ends[-1])))
-        k = np.searchsorted(ends, pairs, side="right")
-        number = pairs - (ends[k] - counts[k])
+    rays, out = _rays(), []
+    for k, number in numbered_pairs(counts, _PAIRS_AT_ONCE):
         pixel = (first[k, 1] + number // sizes[k, 0]) * WIDTH + first[k, 0] + number % sizes[k, 0]
         x, y = rays[pixel].T
         side = edges[k, :, 0] * x[:, None] + edges[k, :, 1] * y[:, None] + edges[k, :, 2]

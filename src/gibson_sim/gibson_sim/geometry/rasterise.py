@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,15 +61,25 @@ class Grid:
         last = np.minimum(np.floor(flat.max(axis=1) + ROUNDING), [columns - 1, rows - 1]).astype(np.int64)
         sizes = np.maximum(last - first + 1, 0)
         counts = sizes.prod(axis=1)
-        ends = np.cumsum(counts)
-        for start in range(0, int(ends[-1]) if len(ends) else 0, _PAIRS_AT_ONCE):
-            pairs = np.arange(start, min(start + _PAIRS_AT_ONCE, int(ends[-1])))
-            which = np.searchsorted(ends, pairs, side="right")
-            number = pairs - (ends[which] - counts[which])
+        for which, number in numbered_pairs(counts, _PAIRS_AT_ONCE):
             cells = first[which] + np.stack([number % sizes[which, 0], number // sizes[which, 0]], axis=1)
             z, inside = _over(corners[which, :, 2], flat[which], cells)
             chosen.at(out, (cells[:, 1] * columns + cells[:, 0])[inside], z[inside])
         return out.reshape(self.shape)
+
+
+def numbered_pairs(counts: I64, at_once: int) -> Iterator[tuple[I64, I64]]:
+    """Yields items (N,) and numbers (N,) from 0 to before the count of the item, in order, at most ``at_once`` of them together.
+
+    Args:
+        counts: (K,), of each item, such as the pixels of a triangle's bounding box.
+        at_once: pairs that are returned together, which limits memory.
+    """
+    ends = np.cumsum(counts)
+    for start in range(0, int(ends[-1]) if len(ends) else 0, at_once):
+        pairs = np.arange(start, min(start + at_once, int(ends[-1])))
+        which = np.searchsorted(ends, pairs, side="right")
+        yield which, pairs - (ends[which] - counts[which])
 
 
 def clip_to_slab(corners: F64, low: float, high: float) -> F64:
@@ -106,11 +117,8 @@ def rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
     polygons = np.clip(np.nan_to_num(polygons), -_FAR, _FAR)
     first, last = _cell_range(polygons[:, :, 1].min(axis=1), polygons[:, :, 1].max(axis=1), shape[0])
     counts = np.maximum(last - first + 1, 0)
-    ends = np.cumsum(counts)
-    for start in range(0, int(ends[-1]), _PAIRS_AT_ONCE):
-        pairs = np.arange(start, min(start + _PAIRS_AT_ONCE, int(ends[-1])))
-        which = np.searchsorted(ends, pairs, side="right")
-        rows = first[which] + pairs - (ends[which] - counts[which])
+    for which, number in numbered_pairs(counts, _PAIRS_AT_ONCE):
+        rows = first[which] + number
         left, right = _extent_in_band(polygons[which], rows.astype(np.float64))
         a, b = _cell_range(left, right, shape[1])
         np.add.at(grid, (rows, a), 1)

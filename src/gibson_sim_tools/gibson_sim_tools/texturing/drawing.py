@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.rasterise import numbered_pairs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.surface import Surface, project
 
@@ -89,15 +90,7 @@ def _covered(corners: F64, width: int, height: int) -> Iterator[tuple[I64, I64, 
     seen = np.flatnonzero((high >= low).all(axis=1))
     first = low[seen].astype(np.int64)
     sizes = high[seen].astype(np.int64) - first + 1
-    counts = sizes.prod(axis=1)
-    ends = np.cumsum(counts)
-    for start in range(0, int(ends[-1]) if len(ends) else 0, _PAIRS_AT_ONCE):
-        stop = min(start + _PAIRS_AT_ONCE, int(ends[-1]))
-        a, b = np.searchsorted(ends, [start, stop - 1], side="right")
-        rows = np.arange(a, b + 1)
-        before = ends[rows] - counts[rows]
-        row = np.repeat(rows, np.minimum(ends[rows], stop) - np.maximum(before, start))
-        number = np.arange(start, stop) - (ends[row] - counts[row])
+    for row, number in numbered_pairs(sizes.prod(axis=1), _PAIRS_AT_ONCE):
         x = first[row, 0] + number % sizes[row, 0]
         y = first[row, 1] + number // sizes[row, 0]
         which = seen[row]
