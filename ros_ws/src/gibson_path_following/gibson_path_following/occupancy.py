@@ -31,8 +31,7 @@ class OccupancySettings:
     size: float = 6.0
     """Edge of the map, metres; the robot is in its middle."""
     density: float = 1.0
-    """Things per metre of a line of sight that are to be expected; in the data that the network is trained on it is 0.6. With less, every
-    doubt of the network counts as a thing."""
+    """Things per metre of a line of sight that are to be expected. With less, every doubt of the network counts as a thing."""
     depth: float = 0.1
     """Depth that a thing has at least, metres."""
     weight: float = 0.4
