@@ -25,7 +25,7 @@ from support.splat_files import random_splats
 from support.splat_reference import draw_reference
 
 BACKGROUND = (0.3, 0.5, 0.7)
-ALL: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow")
+ALL: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow", "hole")
 
 
 def _file(folder: Path, splats: Splats) -> SplatsSpec:

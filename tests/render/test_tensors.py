@@ -195,6 +195,8 @@ def by_host(images: Images, camera: CameraSpec, T_world_camera: NDArray[np.float
     with np.errstate(invalid="ignore"):
         position = turned(rays_f32(camera) * depth[..., None]) + t
     position[np.isinf(depth)] = np.nan
+    side, red = images["NORMALS"][..., 3], images["NORMALS"][..., 0]
+    hole = np.select([(side == 0) & (red == 0), side == 0, side < 40000], [1, 3, 2], 0).astype(np.uint8)
     return {
         "rgb": images["color"][..., :3],
         "depth": depth,
@@ -204,6 +206,7 @@ def by_host(images: Images, camera: CameraSpec, T_world_camera: NDArray[np.float
         "normal_world": turned(normal),
         "position": position,
         "flow": images["FLOW"],
+        "hole": hole,
     }
 
 

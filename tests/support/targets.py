@@ -23,13 +23,15 @@ def blank_images(width: int, height: int) -> Images:
 
 
 def random_images(width: int, height: int, seed: int = 0) -> Images:
-    """Returns images of every value: zeros among depths, normals with and without a surface, one NaN of flow."""
+    """Returns images of every value: zeros among depths, normals with and without a surface, with its back, and of the sky, one NaN of flow."""
     rng = np.random.default_rng(seed)
     images = blank_images(width, height)
     for name in ("color", "LABELS", "NORMALS"):
         images[name][...] = rng.integers(0, np.iinfo(images[name].dtype).max, images[name].shape, endpoint=True)
     images["depth"][...] = np.where(rng.random((height, width)) < 0.2, 0.0, rng.random((height, width)))
-    images["NORMALS"][..., 3] = np.where(rng.random((height, width)) < 0.3, 0, 65535)
+    images["NORMALS"][..., 3] = rng.choice([0, 32768, 65535], (height, width), p=[0.3, 0.2, 0.5])
+    images["NORMALS"][..., 0] *= images["NORMALS"][..., 3] != 0
+    images["NORMALS"][0, -1] = 65535, 65535, 65535, 0
     images["FLOW"][...] = rng.normal(size=images["FLOW"].shape)
     images["FLOW"][0, 0] = np.nan
     return images

@@ -547,8 +547,8 @@ class Simulation:
             optical axis, +inf = nothing, with the camera's ``depth_noise``. ``semantic``, ``instance`` (H, W) uint16: numbers in
             ``semantic_classes`` and ``instances``. ``normal`` (H, W, 3) float32, optical frame (x right, y down, z forward), and
             ``normal_world``. ``position`` (H, W, 3) float32, world frame, metres, NaN = nothing. ``flow`` (H, W, 2) float32, pixels right
-            and down since ``previous``. Outputs that were not requested are None. ``stamp_ns`` is that of the state; ``T_world_camera``
-            (4, 4) takes the optical frame to the world.
+            and down since ``previous``. ``hole`` (H, W) uint8, see ``Frame``. Outputs that were not requested are None.
+            ``stamp_ns`` is that of the state; ``T_world_camera`` (4, 4) takes the optical frame to the world.
 
         Raises:
             ConfigError: there is no such camera or output, or ``flow`` has no previous state.

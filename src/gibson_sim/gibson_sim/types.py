@@ -19,8 +19,8 @@ from gibson_sim.quoting import quoted
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 Rgba = tuple[float, float, float, float]
-Output = Literal["rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow"]
-OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow")
+Output = Literal["rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow", "hole"]
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow", "hole")
 DEFAULT_OUTPUTS: tuple[Output, ...] = ("rgb", "depth")
 Projection = Literal["pinhole", "fisheye", "equirectangular"]
 DISTORTIONS: dict[Projection, dict[str, tuple[int, ...]]] = {
@@ -359,6 +359,9 @@ class Frame:
     """(height, width, 3) float32, points in the world frame, metres, NaN = nothing, or None."""
     flow: NDArray[np.float32] | None = None
     """(height, width, 2) float32, motion of the visible point since the previous state, pixels right and down, NaN = nothing; or None."""
+    hole: NDArray[np.uint8] | None = None
+    """(height, width) uint8: 0 = the front of a surface, 1 = nothing is drawn, 2 = the back of an opaque surface of the static world, as seen
+    through a wall that a scan lacks, 3 = outside the lens's view, or the sky; or None. See ``filling.holes``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

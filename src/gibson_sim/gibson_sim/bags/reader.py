@@ -31,6 +31,7 @@ _ENCODINGS: dict[str, tuple[str, int]] = {
     "rgba8": ("u1", 4),
     "bgra8": ("u1", 4),
     "mono8": ("u1", 1),
+    "8UC1": ("u1", 1),
     "mono16": ("u2", 1),
     "32FC1": ("f4", 1),
     "32FC2": ("f4", 2),

@@ -7,4 +7,4 @@ NOTHING = 1
 BACK_FACE = 2
 """The back of an opaque surface of the world is seen: of a scan, what lies behind a wall that is missing."""
 UNSEEN = 3
-"""Outside of the lens's view: no picture has anything here, so it is neither a hole nor a surface."""
+"""No surface and no hole: outside the lens's view, or the sky of a scene that has one."""

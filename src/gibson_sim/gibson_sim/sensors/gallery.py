@@ -34,6 +34,8 @@ _INK, _PAPER = (40, 40, 40), 250
 _RIG = "gallery/rig"
 """Link that carries the cameras."""
 _FAR_SHOWN_M = 6.0
+_HOLE_COLOURS = np.array([[205, 205, 205], [30, 30, 30], [200, 60, 160], [110, 160, 220]], dtype=np.uint8)
+"""Of ``Frame.hole``: surface, nothing, back face, outside or sky."""
 """Depth at the end of the colour scale."""
 _INTERVAL_S = 1.0 / 30.0
 """Simulation time between the two states of flow and motion blur."""
@@ -88,6 +90,7 @@ def _outputs(renderer: Renderer, now: SceneState, before: SceneState) -> Iterato
     titles: dict[Output, str] = {
         "rgb": "rgb, 4 samples", "depth": "depth, 0 to 6 m", "semantic": "semantic class", "instance": "instance",
         "normal": "normal, camera frame", "normal_world": "normal, world frame", "position": "position, world frame", "flow": "optical flow",
+        "hole": "holes",
     }  # fmt: skip
     for output in OUTPUTS:
         yield _Panel(titles[output], shown(frame, output))
@@ -189,6 +192,7 @@ def shown(frame: Frame, output: Output) -> Rgb:
         "normal_world": lambda f: _direction_picture(_required(f.normal_world)),
         "position": lambda f: _position_picture(_required(f.position)),
         "flow": lambda f: _flow_picture(_required(f.flow)),
+        "hole": lambda f: _HOLE_COLOURS[_required(f.hole)],
     }
     return pictures[output](frame)
 

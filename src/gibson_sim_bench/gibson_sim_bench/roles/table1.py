@@ -40,6 +40,7 @@ _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
     "normal_world": ("32FC3", np.float32, (3,)),
     "position": ("32FC3", np.float32, (3,)),
     "flow": ("32FC2", np.float32, (2,)),
+    "hole": ("8UC1", np.uint8, ()),
 }
 """Encoding, type and shape of a pixel, by output."""
 

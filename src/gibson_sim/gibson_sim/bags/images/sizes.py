@@ -9,6 +9,7 @@ from typing import Literal
 ImageForm = Literal["raw", "compressed", "none"]
 _PIXEL_BYTES = {
     "rgb": 3, "depth": 4, "semantic": 2, "instance": 2, "normal": 12, "normal_world": 12, "position": 12, "flow": 8,
+    "hole": 1,
 }  # fmt: skip
 """Output of a camera -> bytes of a raw pixel."""
 _SMALLER = {"rgb": 14.0, "depth": 30.0, "semantic": 60.0, "instance": 60.0}

@@ -32,6 +32,8 @@ _VIEWS = 0
 _LINKS, _LINKS_BEFORE, _MATERIALS, _APPEARANCES = 0, 1, 2, 3
 """Bindings of the storage buffers."""
 _NOTHING, _UNKNOWN = np.zeros(4, dtype=np.float32), np.full(4, np.nan, dtype=np.float32)
+_SKY = np.array([1.0, 1.0, 1.0, 0.0], dtype=np.float32)
+"""Normals where only the sky is seen: no surface, as without a sky, and no hole either."""
 _OCCLUSION_FROM = 1_500
 """Least number of triangles of pictures that are drawn with occlusion culling."""
 _NEAR_FROM = 50_000
@@ -221,7 +223,13 @@ class GlScene:
             gl.glClearBufferfv(GL.COLOR, 0, self._lighting.background.ctypes.data)
         for feature in features:
             clear = gl.glClearBufferuiv if feature == "LABELS" else gl.glClearBufferfv
-            clear(GL.COLOR, ATTACHMENT[feature], (_UNKNOWN if feature == "FLOW" else _NOTHING).ctypes.data)
+            clear(GL.COLOR, ATTACHMENT[feature], self._nothing(feature).ctypes.data)
+
+    def _nothing(self, feature: Feature) -> NDArray[np.float32]:
+        """Returns the value of a feature where nothing is drawn."""
+        if feature == "NORMALS" and self._lighting is not None and self._lighting.has_sky:
+            return _SKY
+        return _UNKNOWN if feature == "FLOW" else _NOTHING
 
     def _occlusion_culled(self, target: RenderTarget, plans: Sequence[DrawPlan]) -> list[DrawPlan]:
         """Returns the plans without what is hidden behind the occluders, whose depth the target has afterwards."""

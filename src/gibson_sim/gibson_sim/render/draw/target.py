@@ -32,7 +32,7 @@ def features_of(outputs: Sequence[Output]) -> tuple[Feature, ...]:
     """Returns the features that outputs need beside colour and depth."""
     needed = {
         "LABELS": bool({"semantic", "instance"} & set(outputs)),
-        "NORMALS": bool({"normal", "normal_world"} & set(outputs)),
+        "NORMALS": bool({"normal", "normal_world", "hole"} & set(outputs)),
         "FLOW": "flow" in outputs,
     }
     return tuple(feature for feature in FEATURES if needed[feature])

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from gibson_sim.filling.holes import BACK_FACE, NOTHING, SURFACE, UNSEEN
 from gibson_sim.geometry import projections
 from gibson_sim.geometry.compiling import CAN_COMPILE, compiled, fixed
 from gibson_sim.geometry.transforms import Mat4
@@ -28,6 +29,8 @@ U16 = NDArray[np.uint16]
 UNIT = np.float32(2.0 / 65535.0)
 """Normals are stored as fractions of 65535: ``fraction * UNIT - 1``."""
 _ONE = np.float32(1.0)
+BACK_BELOW = 49152
+"""Alpha of normals, of 65535: where it is smaller and above 0 the back of a surface is seen."""
 _MAX_ARRAYS = 64
 
 
@@ -110,7 +113,7 @@ def frame_from_raw(image: TargetImage, raw: dict[str, NDArray[Any]]) -> Frame:
     R = image.T_world_camera[:3, :3].astype(np.float32)
     attachments = _attachments_of(outputs)
     depth = depth_of(part["depth"], camera.near, camera.far) if "depth" in attachments else None
-    normal = normals_of(part["NORMALS"]) if "NORMALS" in attachments else None
+    normal = normals_of(part["NORMALS"]) if {"normal", "normal_world"} & set(outputs) else None
     position = None
     if "position" in outputs:
         assert depth is not None
@@ -127,6 +130,7 @@ def frame_from_raw(image: TargetImage, raw: dict[str, NDArray[Any]]) -> Frame:
         normal_world=rotated(R, normal) if normal is not None and "normal_world" in outputs else None,
         position=position,
         flow=part["FLOW"].copy() if "flow" in outputs else None,
+        hole=hole_of(part["NORMALS"]) if "hole" in outputs else None,
     )
 
 
@@ -202,6 +206,33 @@ def _normals_loop(raw: U16) -> F32:
                 for k in range(3):
                     scaled = np.float32(raw[v, u, k]) * UNIT
                     out[v, u, k] = scaled - _ONE
+    return out
+
+
+def hole_of(raw: U16, *, loops: bool = CAN_COMPILE) -> NDArray[np.uint8]:
+    """Returns what is seen, (H, W), as ``filling.holes`` numbers it.
+
+    Args:
+        raw: (H, W, 4) normals, fractions of 65535; alpha is 0 where no surface is, and red tells then whether that is a hole.
+        loops: by compiled loops.
+    """
+    if loops:
+        return _hole_loop(fixed(raw))
+    side, red = raw[:, :, 3], raw[:, :, 0]
+    nothing = np.where(red == 0, NOTHING, UNSEEN)
+    return np.where(side == 0, nothing, np.where(side < BACK_BELOW, BACK_FACE, SURFACE)).astype(np.uint8)
+
+
+@compiled
+def _hole_loop(raw: U16) -> NDArray[np.uint8]:
+    out = np.zeros((raw.shape[0], raw.shape[1]), dtype=np.uint8)
+    for v in range(raw.shape[0]):
+        for u in range(raw.shape[1]):
+            side = raw[v, u, 3]
+            if side == 0:
+                out[v, u] = NOTHING if raw[v, u, 0] == 0 else UNSEEN
+            elif side < BACK_BELOW:
+                out[v, u] = BACK_FACE
     return out
 
 

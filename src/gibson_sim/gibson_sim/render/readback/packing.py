@@ -24,18 +24,19 @@ from gibson_sim.render.readback.frames import TargetImage, rays_f32
 from gibson_sim.render.readback.pixel_buffers import GlBuffer
 from gibson_sim.types import CameraSpec, Output
 
-ORDER: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow")
+ORDER: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow", "hole")
 """The order of ``Job.first`` in shaders/pack.comp."""
 DTYPES: dict[Output, tuple[type[np.generic], int]] = {
     "rgb": (np.uint8, 3), "depth": (np.float32, 1), "semantic": (np.uint16, 1), "instance": (np.uint16, 1),
     "normal": (np.float32, 3), "normal_world": (np.float32, 3), "position": (np.float32, 3), "flow": (np.float32, 2),
+    "hole": (np.uint8, 1),
 }  # fmt: skip
 """Type and channels of each array, as in ``Frame``."""
 
 _JOB = np.dtype(
     [
         ("rect", "<i4", 4),
-        ("first", "<u4", 8),
+        ("first", "<u4", 12),
         ("R_t", "<f4", (3, 4)),
         ("near", "<f4"),
         ("least", "<f4"),

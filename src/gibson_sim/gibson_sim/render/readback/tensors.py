@@ -59,6 +59,8 @@ class TensorFrame:
     """(height, width, 3) float32, world frame, metres, NaN = nothing."""
     flow: Any = None
     """(height, width, 2) float32, pixels, NaN = nothing."""
+    hole: Any = None
+    """(height, width) uint8, see ``filling.holes``."""
 
 
 class Tensors:

@@ -10,7 +10,7 @@ layout(binding = 4) uniform usampler2D u_flow;     // the bits of floats
 
 struct Job {
     ivec4 rect;         // x, y, width, height in the target
-    uvec4 first[2];     // words: rgb, depth, semantic, instance; normal, normal_world, position, flow; LEFT_OUT = not requested
+    uvec4 first[3];     // words: rgb, depth, semantic, instance; normal, normal_world, position, flow; hole; LEFT_OUT = not requested
     vec4 R_t[3];        // T_world_camera by rows
     float near;
     float least;        // near / far: smaller values are farther than "far"
@@ -49,6 +49,12 @@ vec3 normal_of(uvec4 fractions) {
     return fractions.w == 0u ? vec3(0.0) : normal;
 }
 
+// As hole_of() of readback/frames.py.
+uint hole_of(uvec4 fractions) {
+    if (fractions.w == 0u) return fractions.x == 0u ? 1u : 3u;
+    return fractions.w < 49152u ? 2u : 0u;
+}
+
 void put(uint first, uint pixel, vec3 value) {
     for (uint i = 0u; i < 3u; ++i) words[first + 3u * pixel + i] = floatBitsToUint(value[i]);
 }
@@ -60,11 +66,13 @@ void main() {
     if (pixel >= count) return;
     uvec3 rgb[4];
     uvec2 labels[4];
+    uint holes = 0u;
     for (uint k = 0u; k < 4u; ++k) {
         uint p = min(pixel + k, count - 1u);  // the last word may be partly filled: there is room for it
         ivec2 at = job.rect.xy + ivec2(int(p) % job.rect.z, int(p) / job.rect.z);
         if (job.first[0].x != LEFT_OUT) rgb[k] = texelFetch(u_color, at, 0).rgb;
         if (job.first[0].z != LEFT_OUT || job.first[0].w != LEFT_OUT) labels[k] = texelFetch(u_labels, at, 0).rg;
+        if (job.first[2].x != LEFT_OUT) holes |= hole_of(texelFetch(u_normals, at, 0)) << 8u * k;
         if (pixel + k >= count) continue;
         if (job.first[0].y != LEFT_OUT || job.first[1].z != LEFT_OUT) {
             float reversed = texelFetch(u_depth, at, 0).r;
@@ -96,6 +104,7 @@ void main() {
         words[word + 1u] = rgb[1].g | rgb[1].b << 8 | rgb[2].r << 16 | rgb[2].g << 24;
         words[word + 2u] = rgb[2].b | rgb[3].r << 8 | rgb[3].g << 16 | rgb[3].b << 24;
     }
+    if (job.first[2].x != LEFT_OUT) words[job.first[2].x + pixel / 4u] = holes;
     for (int i = 0; i < 2; ++i) {
         uint first = job.first[0][2 + i];
         if (first == LEFT_OUT) continue;

@@ -119,8 +119,8 @@ void main() {
     out_label = seen ? texelFetch(u_labels, at, 0).rg : uvec2(0);
 #endif
 #ifdef NORMALS
-    vec4 normal = seen ? texelFetch(u_normals, at, 0) : vec4(0.0);
-    out_normal = normal.a > 0.0 ? vec4(0.5 + 0.5 * (u_turn[tile] * (2.0 * normal.rgb - 1.0)), normal.a) : vec4(0.0);
+    vec4 normal = seen ? texelFetch(u_normals, at, 0) : vec4(1.0, 1.0, 1.0, 0.0);  // no hole: outside the lens's view
+    out_normal = normal.a > 0.0 ? vec4(0.5 + 0.5 * (u_turn[tile] * (2.0 * normal.rgb - 1.0)), normal.a) : normal;
 #endif
 #ifdef FLOW
     vec2 moved = moved_at(entry.xy, at);

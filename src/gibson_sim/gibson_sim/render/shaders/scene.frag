@@ -97,7 +97,13 @@ void main() {
     out_label = uvec2(v_label & 0xFFFFu, v_label >> 16);
 #endif
 #ifdef NORMALS
-    out_normal = vec4(0.5 + 0.5 * (mat3(optical_from_world) * normal), 1.0);
+    // Alpha tells where the back of the static world is seen: hole_of() of readback/frames.py. What moves, and leaves and nets, have two sides.
+#if defined(MOVING) || defined(ALPHA_TEST)
+    float side = 1.0;
+#else
+    float side = gl_FrontFacing ? 1.0 : 0.5;
+#endif
+    out_normal = vec4(0.5 + 0.5 * (mat3(optical_from_world) * normal), side);
 #endif
 #ifdef FLOW
     // Clip y points down in the picture, as rows do (the flip is in the projection).

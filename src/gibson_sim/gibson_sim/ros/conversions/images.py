@@ -26,10 +26,12 @@ ENCODINGS: dict[Output, str] = {
     "normal_world": "32FC3",
     "position": "32FC3",
     "flow": "32FC2",
+    "hole": "8UC1",
 }
 """Output -> encoding in an image message."""
 _PIXELS: dict[str, tuple[type[np.generic], int]] = {
     "rgb8": (np.uint8, 3),
+    "8UC1": (np.uint8, 1),
     "32FC1": (np.float32, 1),
     "16UC1": (np.uint16, 1),
     "32FC2": (np.float32, 2),

@@ -64,7 +64,7 @@ class RenderNode(Node):
         <camera>/semantic/label_info and <camera>/instance/label_info (LabelInfo, latched) name, <camera>/normal/image_raw and
         <camera>/normal_world/image_raw (32FC3, optical frame and world frame, 0 = nothing), <camera>/position/image_raw (32FC3, world
         frame, metres, NaN = nothing), <camera>/flow/image_raw (32FC2, pixels right and down since the previous image, NaN =
-        nothing), each with its camera_info.
+        nothing), <camera>/hole/image_raw (8UC1: 0 = surface, 1 = nothing, 2 = back face, 3 = outside or sky), each with its camera_info.
         run_info (gibson_msgs/RunInfo, latched); tick_done (gibson_msgs/TickDone), for lockstep; with ``digests``: tick_digest
         (gibson_msgs/TickDigest), of images before depth noise.
         /diagnostics (diagnostic_msgs/DiagnosticArray): images a second, skipped, milliseconds to draw; once a second.

@@ -30,8 +30,9 @@ class SnapshotNode(Node):
     """Waits for the scene, saves the next image of every camera, and ends.
 
     ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118);
-    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, named in /scene; ``_normal.png`` and ``_normal_world.png``
-    map x, y, z from -1..1 to red, green, blue from 0..255; ``_position.npy`` and ``_flow.npy`` are NumPy arrays.
+    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, named in /scene; ``_hole.png`` holds 8-bit numbers;
+    ``_normal.png`` and ``_normal_world.png`` map x, y, z from -1..1 to red, green, blue from 0..255; ``_position.npy`` and
+    ``_flow.npy`` are NumPy arrays.
     Camera ``left/camera`` is ``left_camera`` in file names.
 
     Parameters: the fields of ``gibson_sim.client_config.SnapshotConfig``.
@@ -120,8 +121,8 @@ def remove_empty(folders: Iterable[Path]) -> None:
 
 
 def png_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Returns the pixels of a PNG: BGR uint8 for colours and normals, uint16 for labels and for depth, in millimetres."""
-    if pixels.dtype == np.uint16:
+    """Returns the pixels of a PNG: BGR uint8 for colours and normals, uint16 for labels and for depth, in millimetres, uint8 for holes."""
+    if pixels.dtype == np.uint16 or (pixels.dtype == np.uint8 and pixels.ndim == 2):
         return pixels
     if pixels.ndim == 3:
         colors = pixels if pixels.dtype == np.uint8 else np.rint(127.5 * (pixels + 1.0)).astype(np.uint8)

@@ -49,6 +49,7 @@ def label_of(topic: str) -> str:
         "normal_world",
         "position",
         "flow",
+        "hole",
         "depth_registered",
     ):
         return f"{'/'.join(parts[:-1])} {parts[-1]}"
