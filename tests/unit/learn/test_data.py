@@ -13,7 +13,7 @@ from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.tasks.episode import item_body
-from gibson_sim_learn.path_following.clutter import KINDS, random_thing
+from gibson_sim_learn.path_following.clutter import FURNITURE, KINDS, random_furniture, random_thing
 from gibson_sim_learn.path_following.data import (
     FREE_EDGES,
     HFOV,
@@ -121,10 +121,23 @@ def test_random_things_stand_on_the_floor_and_are_none_of_table_2() -> None:
         body = item_body(item)
         corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
         assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-4)
-        assert 0.2 <= corners[:, 2].max() <= 2.0
+        assert 0.12 <= corners[:, 2].max() <= 2.0
         assert np.abs(corners[:, :2]).max() < 0.75
         kinds.add(item.model)
     assert kinds == set(KINDS)
+    assert kinds.isdisjoint(THINGS)
+
+
+def test_random_furniture_stands_on_the_floor_and_is_none_of_table_2() -> None:
+    kinds = set()
+    for seed in range(60):
+        item = random_furniture(np.random.default_rng(seed), f"furniture_{seed}")
+        corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(item_body(item),)))
+        assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-4)
+        assert 0.15 <= corners[:, 2].max() <= 2.1
+        assert np.linalg.norm(np.ptp(corners[:, :2], axis=0)) < 2.5
+        kinds.add(item.model)
+    assert kinds == set(FURNITURE)
     assert kinds.isdisjoint(THINGS)
 
 

@@ -50,6 +50,12 @@ def test_an_image_and_its_recorded_ones_change_colours_alike() -> None:
     np.testing.assert_array_equal(later[batch.has_pairs], recorded[batch.has_pairs])
 
 
+def test_grey_stays_grey_in_other_colours() -> None:
+    batch = Sampler([shard()]).batch(np.random.default_rng(4), 40, 1)
+    bright = np.maximum(batch.later[:, :, :40].mean(axis=(1, 2)), batch.later[:, :, 56:].mean(axis=(1, 2)))
+    assert np.ptp(bright, axis=1).max() < 1.5, "but for the noise"
+
+
 def test_equal_generators_give_equal_batches() -> None:
     first, second = (Sampler([shard()]).batch(np.random.default_rng(3), 8, 2) for _ in range(2))
     np.testing.assert_array_equal(first.later, second.later)

@@ -1,16 +1,21 @@
-"""Things and people of random shapes and colours, for training alone: none of them is what table 2 puts on a path."""
+"""Things, people and furniture of random shapes and colours, for training alone: none of them is what table 2 puts on a path."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.tasks.episode import Item
 
-KINDS = ("box", "cylinder", "table", "chair", "person")
+KINDS = ("box", "cylinder", "container", "table", "chair", "person")
 """What a thing is, each equally likely."""
+FURNITURE = ("block", "sofa", "shelf", "table", "chair", "container")
+"""What a piece of furniture is, each equally likely."""
+_LOW_SHARE = 0.4
+"""Share of the boxes and cylinders that are lower than the camera."""
 
 
 def random_thing(rng: np.random.Generator, name: str, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Item:
@@ -23,8 +28,16 @@ def random_thing(rng: np.random.Generator, name: str, x: float = 0.0, y: float =
         y: the same.
         z: of the floor, metres.
     """
-    kind = KINDS[int(rng.integers(len(KINDS)))]
-    parts = {"box": _box, "cylinder": _cylinder, "table": _table, "chair": _chair, "person": _person}[kind](rng)
+    return _made(KINDS[int(rng.integers(len(KINDS)))], rng, name, x, y, z)
+
+
+def random_furniture(rng: np.random.Generator, name: str, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Item:
+    """Returns a piece of furniture, up to 1.6 m wide, that stands on the floor; arguments as of ``random_thing``."""
+    return _made(FURNITURE[int(rng.integers(len(FURNITURE)))], rng, name, x, y, z)
+
+
+def _made(kind: str, rng: np.random.Generator, name: str, x: float, y: float, z: float) -> Item:
+    parts = _MAKERS[kind](rng)
     shapes = "".join(
         f'<{role}><origin xyz="{px:.4f} {py:.4f} {pz:.4f}"/><geometry>{shape}</geometry>{look if role == "visual" else ""}</{role}>'
         for shape, (px, py, pz), look in parts
@@ -58,13 +71,32 @@ def _look(rng: np.random.Generator) -> str:
 
 def _box(rng: np.random.Generator) -> list[_Part]:
     x, y = rng.uniform(0.12, 0.7, 2)
-    z = rng.uniform(0.2, 1.3)
+    z = _height(rng, 1.3)
     return [(_size(x, y, z), (0.0, 0.0, z / 2.0), _look(rng))]
 
 
 def _cylinder(rng: np.random.Generator) -> list[_Part]:
-    radius, length = rng.uniform(0.07, 0.3), rng.uniform(0.2, 1.4)
+    radius, length = rng.uniform(0.07, 0.3), _height(rng, 1.4)
     return [(_round(radius, length), (0.0, 0.0, length / 2.0), _look(rng))]
+
+
+def _height(rng: np.random.Generator, most: float) -> float:
+    return float(rng.uniform(0.12, 0.42) if rng.random() < _LOW_SHARE else rng.uniform(0.2, most))
+
+
+def _container(rng: np.random.Generator) -> list[_Part]:
+    """Returns what is open at its top, round or of four sides, with a rim or lines around it, or without."""
+    x, y, z = (float(value) for value in rng.uniform((0.18, 0.18, 0.15), (0.55, 0.55, 0.65)))
+    outside, inside = _look(rng), _look(rng)
+    is_round = rng.random() < 0.5
+    across, along = (x, x) if is_round else (x, y)
+
+    def layer(scale: float, height: float) -> str:
+        return _round(scale * across / 2.0, height) if is_round else _size(scale * across, scale * along, height)
+
+    parts: list[_Part] = [(layer(1.0, z), (0.0, 0.0, z / 2.0), outside), (layer(0.88, 0.004), (0.0, 0.0, z + 0.002), inside)]
+    lines = int(rng.integers(0, 4))
+    return parts + [(layer(1.04, 0.025), (0.0, 0.0, z * (k + 1) / (lines + 1)), inside) for k in range(lines)]
 
 
 def _table(
@@ -90,6 +122,50 @@ def _chair(rng: np.random.Generator) -> list[_Part]:
     return parts
 
 
+def _block(rng: np.random.Generator) -> list[_Part]:
+    """Returns a cabinet: a body, often with a plinth or a plate of another colour."""
+    x, y, z = (float(value) for value in rng.uniform((0.3, 0.25, 0.35), (1.6, 0.7, 2.0)))
+    parts: list[_Part] = [(_size(x, y, z), (0.0, 0.0, z / 2.0), _look(rng))]
+    if rng.random() < 0.5:
+        parts.append((_size(x + 0.02, y + 0.02, 0.04), (0.0, 0.0, z), _look(rng)))
+    if rng.random() < 0.5:
+        parts.append((_size(x + 0.01, y + 0.01, 0.1), (0.0, 0.0, 0.05), _look(rng)))
+    return parts
+
+
+def _sofa(rng: np.random.Generator) -> list[_Part]:
+    x, y, seat = rng.uniform(0.6, 1.6), rng.uniform(0.6, 0.9), rng.uniform(0.3, 0.48)
+    back, arm, cloth = rng.uniform(0.25, 0.5), rng.uniform(0.08, 0.2), _look(rng)
+    foot = rng.uniform(0.0, 0.15) * (rng.random() < 0.5)
+    parts: list[_Part] = [
+        (_size(x, y, seat - foot), (0.0, 0.0, (seat + foot) / 2.0), cloth),
+        (_size(x, 0.18, back), (0.0, y / 2.0 - 0.09, seat + back / 2.0), cloth),
+    ]
+    if foot > 0.0:
+        wood = _look(rng)
+        ends = [(side * (x / 2.0 - 0.05), end * (y / 2.0 - 0.05)) for side in (-1.0, 1.0) for end in (-1.0, 1.0)]
+        parts += [(_round(0.025, foot), (px, py, foot / 2.0), wood) for px, py in ends]
+    if rng.random() < 0.6:
+        parts += [(_size(arm, y, 0.2), (side * (x - arm) / 2.0, 0.0, seat + 0.1), cloth) for side in (-1.0, 1.0)]
+    return parts
+
+
+def _shelf(rng: np.random.Generator) -> list[_Part]:
+    """Returns boards between two sides, with a few boxes on them."""
+    x, y, z = (float(value) for value in rng.uniform((0.4, 0.2, 0.5), (1.4, 0.45, 1.9)))
+    wood, levels = _look(rng), int(rng.integers(2, 6))
+    parts: list[_Part] = [(_size(0.025, y, z), (side * x / 2.0, 0.0, z / 2.0), wood) for side in (-1.0, 1.0)]
+    heights = np.linspace(0.02, z - 0.02, levels)
+    parts += [(_size(x, y, 0.02), (0.0, 0.0, float(height)), wood) for height in heights]
+    if rng.random() < 0.5:
+        parts.append((_size(x, 0.01, z), (0.0, y / 2.0, z / 2.0), _look(rng)))
+    for height in heights[:-1]:
+        wide, tall = rng.uniform(0.1, 0.5) * x, rng.uniform(0.3, 0.8) * (heights[1] - heights[0])
+        at = float(rng.uniform(-0.5, 0.5) * (x - wide - 0.05))
+        parts.append((_size(wide, 0.8 * y, tall), (at, 0.0, float(height) + 0.01 + tall / 2.0), _look(rng)))
+    return parts
+
+
 def _person(rng: np.random.Generator) -> list[_Part]:
     """Returns legs, a trunk and a head."""
     tall, wide = rng.uniform(1.45, 1.95), rng.uniform(0.14, 0.26)
@@ -103,3 +179,16 @@ def _person(rng: np.random.Generator) -> list[_Part]:
         return [*parts, (_round(0.9 * wide, hips), (0.0, 0.0, hips / 2.0), trousers)]
     leg, apart, step = 0.45 * wide, 0.5 * wide, rng.uniform(-0.1, 0.1)
     return parts + [(_round(leg, hips), (side * step, side * apart, hips / 2.0), trousers) for side in (-1.0, 1.0)]
+
+
+_MAKERS: dict[str, Callable[[np.random.Generator], list[_Part]]] = {
+    "box": _box,
+    "cylinder": _cylinder,
+    "container": _container,
+    "table": _table,
+    "chair": _chair,
+    "person": _person,
+    "block": _block,
+    "sofa": _sofa,
+    "shelf": _shelf,
+}

@@ -34,7 +34,7 @@ from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomi
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.tasks.episode import item_body
 from gibson_sim.types import CameraSpec, Output, Pose, SceneState
-from gibson_sim_learn.path_following.clutter import random_thing
+from gibson_sim_learn.path_following.clutter import random_furniture, random_thing
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
 from gibson_sim_learn.path_following.photometry import Photometry, photographed, relit_linear
 
@@ -67,13 +67,15 @@ _STEP = 0.0125
 """Step of the rays, metres."""
 _MATCH_AHEAD, _MATCH_BESIDE, _MATCH_YAW = (-0.7, 2.2), 1.2, math.radians(65.0)
 """Largest relative pose of two images of one place: metres and radians."""
-_TEXTURES = TextureRules(chance=0.15)
+_TEXTURES = TextureRules(chance=0.3)
 _LABEL, _LEAST_LABEL = 0.04, 0.02
 """Standard deviation that true distances are given, as a share of them, and its least, metres: bins beside the right one are nearly right."""
 _IN_THE_WAY = 2
 """Most things that stand on or close to a path where it is met later."""
 _ACROSS = 0.4
 """Largest distance of their middles from it, metres."""
+_FURNITURE = 10
+"""Most pieces of furniture that a shard has besides those of its scene."""
 _CLOSE = 0.4
 """Probability that a later view, on a path with such things, is one from which one of them is near."""
 
@@ -92,7 +94,7 @@ class DataSettings:
     """Distance between recorded images, metres."""
     length: tuple[float, float] = (3.0, 14.0)
     """Shortest and longest path, metres; a longer one is cut."""
-    recolour_chance: float = 0.4
+    recolour_chance: float = 0.7
     """Probability that a shard has other colours and textures than its scene."""
     changed_recordings: float = 0.3
     """Probability that a recorded image, too, is of another camera's exposure and colours."""
@@ -263,7 +265,8 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     paths = [draw_path(world.coarse, planner, rng, settings) for _ in range(settings.paths)]
     drives = np.concatenate(paths)
     count = int(rng.integers(TRAINED.moved[0], TRAINED.moved[1] + 1)) + 1
-    things = [_things(world.coarse, rng, count, name, keep_off=drives) for name in ("recorded", "later")]
+    around = _furniture(world.coarse, rng, drives)
+    things = [[*around, *_things(world.coarse, rng, count, name, keep_off=drives)] for name in ("recorded", "later")]
     in_the_way = [_things_on(path, world.floor.floor_z, rng, f"on_path_{k}") for k, path in enumerate(paths)]
     things[1] += [body for bodies, _ in in_the_way for body in bodies]
     floors = [with_bodies(world.scene, world.floor, some) for some in things]
@@ -443,6 +446,20 @@ def _things(floor: FloorMap, rng: np.random.Generator, count: int, name: str, ke
     return [item_body(random_thing(rng, f"{name}_{k}", *point)) for k, point in enumerate(points[:count])]
 
 
+def _furniture(floor: FloorMap, rng: np.random.Generator, keep_off: F64) -> list[BodySpec]:
+    """Returns furniture at random free places that leave room for drives (K, 3)."""
+    bodies = []
+    for k, pose in enumerate(random_free_poses(floor, int(rng.integers(_FURNITURE + 1)), rng, clearance=0.1)):
+        body = item_body(random_furniture(rng, f"furniture_{k}", *pose.position))
+        corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
+        away = np.linalg.norm(corners[:, None, :2] - keep_off[::4, :2], axis=2).min()
+        size = np.linalg.norm(np.ptp(corners[:, :2], axis=0))
+        # Between two corners it may be nearer than at them.
+        if away > 0.35 and np.linalg.norm(keep_off[:, :2] - pose.position[:2], axis=1).min() > 0.35 + size / 3.0:
+            bodies.append(body)
+    return bodies
+
+
 def _things_on(path: F64, floor_z: float, rng: np.random.Generator, name: str) -> tuple[list[BodySpec], NDArray[np.int64]]:
     """Returns things that stand on or close to a path (K, 3), and the rows of the path where they stand."""
     count = int(rng.integers(_IN_THE_WAY + 1))
@@ -546,4 +563,4 @@ def _standing(bodies: Sequence[BodySpec], revision: int) -> SceneState:
 _TOGETHER = 16
 """Images that are drawn side by side."""
 _TEXTURED = Rules({"*": ClassRules(texture=TextureRules(chance=0.4))})
-_RECOLOURED = Rules({"*": ClassRules(hue=(-0.15, 0.15), saturation=(0.5, 1.5), value=(0.6, 1.3), texture=_TEXTURES)})
+_RECOLOURED = Rules({"*": ClassRules(hue=(-0.5, 0.5), saturation=(0.3, 1.6), value=(0.5, 1.4), texture=_TEXTURES)})

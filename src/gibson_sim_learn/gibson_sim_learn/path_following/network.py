@@ -16,6 +16,8 @@ from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, HEIGHT,
 
 _ROWS, _COLUMNS = HEIGHT // 4, WIDTH // 4
 """Size of the features."""
+_DROPPED = 0.15
+"""Share of the features that are left out in training, where distances are told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +114,9 @@ class PathNetwork(nn.Module):
 
     def free(self, present: Tensor) -> Tensor:
         """Returns (B, 24, bins + 1): log-odds of where the first thing stands, by bins of ``FREE_EDGES`` and beyond them, left to right."""
-        columns: Tensor = self.columns(present)
+        # Distances are what it learns by heart, scene by scene: what it may lean on changes from step to step.
+        first = self.columns[:2](functional.dropout(present, _DROPPED, self.training))
+        columns: Tensor = self.columns[2:](functional.dropout(first, _DROPPED, self.training))
         return columns[:, :, 0].transpose(1, 2)
 
 

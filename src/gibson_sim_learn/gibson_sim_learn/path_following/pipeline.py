@@ -60,7 +60,8 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
         if training.round == number:
             _drive(drives, folder / f"round-{number}.onnx", training, number, progress)
             training.begin_round()
-        until = settings.iterations + (number + 1) * settings.dagger_iterations
+        steps = settings.last_iterations if number + 1 == len(driven) else settings.dagger_iterations
+        until = settings.iterations + number * settings.dagger_iterations + steps
         training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, progress)
     every = Sampler.of_folders([data, *driven])
     size = export_network(training.network, folder / MODEL)

@@ -1,4 +1,4 @@
-"""Draws batches from shards: which images, mirrored or not, with what is true about them. numpy alone."""
+"""Draws batches from shards: which images, mirrored or not, with what is true about them. numpy and OpenCV alone."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +19,10 @@ _GAMMA = 1.35
 """Largest exponent of the contrast of an image, and the inverse of the smallest."""
 _OTHER_COLOURS = 0.5
 """Probability that the colour channels of an image and of its recorded ones are in a drawn order: six scenes have few colours."""
+_MIXED = 0.35
+"""Largest share of each colour channel that is given to the others, in other colours."""
+_UNEVEN = 0.45
+"""Largest change of brightness across an image, in natural logarithms: light that falls from elsewhere."""
 _NOISE = 4.0
 """Largest standard deviation of added noise, grey levels."""
 
@@ -117,13 +122,26 @@ class Sampler:
             order[rng.random(later) >= _OTHER_COLOURS] = np.arange(3)
             images = np.take_along_axis(images, order[:, None, None], axis=3)
             others = np.take_along_axis(others, order[:, None, None, None], axis=4)
+            mix = rng.uniform(-_MIXED, _MIXED, (later, 3, 3)).astype(np.float32)
+            mix[:, np.arange(3), np.arange(3)] = 0.0
+            mix[rng.random(later) >= _OTHER_COLOURS] = 0.0
+            mix += (1.0 - mix.sum(axis=2))[..., None] * np.eye(3, dtype=np.float32)  # grey stays grey
+            images, others = _mixed(images, mix), _mixed(others, mix)
             images = _other_contrast(images, rng)
             others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng).reshape(others.shape)
         return Batch(images, others, pose, match, free, has)
 
 
+def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
+    """Returns images (L, ..., H, W, 3) with their colours times matrices (L, 3, 3)."""
+    out = images.copy()
+    for k in np.flatnonzero(np.abs(mix - np.eye(3, dtype=np.float32)).max(axis=(1, 2)) > 1e-3):
+        out[k] = cv2.transform(images[k].reshape(-1, 1, 3), mix[k]).reshape(images[k].shape)
+    return out
+
+
 def _other_contrast(images: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Returns images (N, H, W, 3) with a drawn exponent of their contrast, and noise."""
+    """Returns images (N, H, W, 3) with a drawn exponent of their contrast, light that is uneven, and noise."""
     out = np.empty_like(images)
     levels = np.arange(256) / 255.0
     grain = rng.standard_normal((HEIGHT * WIDTH * 3 + 997,), dtype=np.float32)
@@ -131,5 +149,7 @@ def _other_contrast(images: NDArray[np.uint8], rng: np.random.Generator) -> NDAr
         table = 255.0 * levels ** (_GAMMA ** rng.uniform(-1.0, 1.0))
         start = int(rng.integers(997))
         noise = rng.uniform(0.0, _NOISE) * grain[start : start + image.size].reshape(image.shape)
-        out[k] = np.clip(table.astype(np.float32)[image] + noise, 0.0, 255.0)
+        light = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32) * rng.uniform(0.0, _UNEVEN)
+        bright = cv2.resize(np.exp(light), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)[..., None]
+        out[k] = np.clip(table.astype(np.float32)[image] * bright + noise, 0.0, 255.0)
     return out

@@ -22,7 +22,7 @@ class TrainingSettings:
 
     seed: int = 0
     """Of the data, the network and the order of the examples."""
-    shards: int = 20
+    shards: int = 40
     """Shards of each training scene."""
     validation_shards: int = 2
     """Shards of each validation scene."""
@@ -31,7 +31,9 @@ class TrainingSettings:
     dagger_rounds: int = 2
     """Rounds of drives with the network, each followed by more iterations."""
     dagger_iterations: int = 4000
-    """Steps of the optimiser after each round."""
+    """Steps of the optimiser after each round but the last."""
+    last_iterations: int = 10000
+    """Steps of the optimiser after the last round."""
     dagger_drives: int = 8
     """Drives in each training scene and round."""
     later: int = 24
@@ -57,6 +59,7 @@ class TrainingSettings:
             ("iterations", 1, 10_000_000),
             ("dagger_rounds", 0, 100),
             ("dagger_iterations", 1, 10_000_000),
+            ("last_iterations", 1, 10_000_000),
             ("dagger_drives", 1, 1000),
             ("later", 2, 4096),
             ("recorded", 1, 16),

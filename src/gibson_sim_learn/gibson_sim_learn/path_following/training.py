@@ -238,7 +238,15 @@ class Training:
         self._processor_s = content["processor_s"]
 
 
-_MAY_CHANGE = ("iterations", "dagger_rounds", "dagger_iterations", "dagger_drives", "shards", "validation_shards")
+_MAY_CHANGE = (
+    "iterations",
+    "dagger_rounds",
+    "dagger_iterations",
+    "last_iterations",
+    "dagger_drives",
+    "shards",
+    "validation_shards",
+)
 """Settings by which a training can be made longer."""
 
 
