@@ -40,7 +40,7 @@ setup(
         "Topic :: Scientific/Engineering",
     ],
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "render/shaders/*", "web/page/*"]},
+    package_data={NAME: ["py.typed", "render/shaders/*", "web/page/*", "filling/models/*"]},
     python_requires=">=3.10",
     install_requires=[
         "numpy",
@@ -72,6 +72,7 @@ setup(
         "analysis": ["matplotlib>=3.8"],
         "foxglove": ["foxglove-sdk>=0.30"],
         "ray": ["ray>=2.40"],
+        "filler": ["onnxruntime>=1.20"],
         # Levels of detail, compressed glTF, simplified scans. Has no wheels: pip compiles it.
         "meshes": ["meshoptimizer>=0.2.30a0"],
         # The nodes, on the ROS packages of PyPI; a ROS installation has all of them. Both lists: docs/install_pip.md.

@@ -126,6 +126,16 @@ class DepthNoise:
         check_seed("depth_noise", self.seed)
 
 
+FILLS = ("push_pull", "learned")
+"""Ways to fill holes beside the networks in files."""
+
+
+def check_fill(what: str, fill: str) -> None:
+    """Raises ConfigError, with ``what`` in its message, unless ``fill`` is a way to fill holes; empty = none."""
+    if fill and fill not in FILLS and not fill.endswith(".onnx"):
+        raise ConfigError(f"{what}: fill is {quoted(fill)}, must be {', '.join(FILLS)} or the path of an ONNX file (.onnx)")
+
+
 WORLD_FRAME = "map"
 """Name of the world frame (REP 105); the link of cameras that are fixed to the world."""
 
@@ -168,6 +178,10 @@ class CameraSpec:
     """Right camera of a stereo pair: distance from the left one, metres, for ``p`` of camera_info."""
     effects: ImageEffects = field(default_factory=ImageEffects)
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
+    fill: str = ""
+    """What fills holes of the colours (``hole`` 1 and 2): ``push_pull``, ``learned``, the path of an ONNX file; empty = nothing."""
+    fill_depth: bool = False
+    """Whether depth, and positions, are filled too; ``hole`` marks what is invented."""
     frame_id: str = ""
     """tf frame of its images; empty = ``<name>_optical_frame``."""
 
@@ -186,6 +200,9 @@ class CameraSpec:
         unknown = [o for o in self.outputs if o not in OUTPUTS]
         if unknown or not self.outputs:
             raise ConfigError(f"{what}: outputs are {list(self.outputs)}, must be one or more of {', '.join(OUTPUTS)}")
+        check_fill(what, self.fill)
+        if self.fill_depth and not self.fill:
+            raise ConfigError(f"{what}: fill_depth is set without fill; give that too: {', '.join(FILLS)} or an ONNX file")
         self._check_optics(what)
 
     def _check_optics(self, what: str) -> None:

@@ -20,6 +20,7 @@ from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
 from gibson_sim.formats.splats import load_splats
 from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.render.batching.building import build_geometry
 from gibson_sim.render.batching.composition import Composition
 from gibson_sim.render.batching.scene_geometry import Loader, Progress, SceneGeometry
@@ -30,6 +31,7 @@ from gibson_sim.render.draw.camera_images import CameraImages
 from gibson_sim.render.draw.effects import EffectsPass, changes_colors
 from gibson_sim.render.draw.gl_scene import GlScene
 from gibson_sim.render.draw.grouping import IdentityCache
+from gibson_sim.render.draw.hole_filling import HoleFilling
 from gibson_sim.render.draw.shutter import Shutter
 from gibson_sim.render.draw.splats import SplatPass
 from gibson_sim.render.draw.target import RenderTarget
@@ -87,6 +89,7 @@ class Renderer:
         self._splats_spec: SplatsSpec | None = None
         self._effects: EffectsPass | None = None
         self._shutter: Shutter | None = None
+        self._hole_filling: HoleFilling | None = None
         self._pixel_buffers: PixelBuffers | None = None
         self._tensors: Tensors | None = None
         self._camera_images: CameraImages | None = None
@@ -275,6 +278,8 @@ class Renderer:
         before = T_world_links if previous is None else self._link_matrices(previous)
         poses = [self._camera_matrix(camera, T_world_links) for camera in cameras]
         plans = [exposures(camera, previous, state) for camera in cameras]
+        if self._splats is not None:
+            self._check_fills(cameras)
         self._context.make_current()
         for group in self._camera_images.groups(cameras):
             target = self._camera_images.target(group.width, group.height, group.features)
@@ -318,6 +323,7 @@ class Renderer:
         camera, average = image.camera, False
         changes = "rgb" in camera.outputs and changes_colors(camera.effects)
         if not plan and not changes:
+            self._fill_holes(target, image)
             return
         if self._effects is None:
             self._effects = EffectsPass(self._context)
@@ -330,8 +336,43 @@ class Renderer:
                 self._draw(picture, [TargetImage(rows, image.stamp_ns, self._camera_matrix(rows, links))], links, before)
 
             average = self._shutter.image(target, camera, plan, image.x, image.y, draw)
+        # Noise lies over what is filled, too; an average of pictures is finished by the effects, and filled after them.
+        if not average:
+            self._fill_holes(target, image)
         if average or changes:
             self._effects.apply(camera, image.stamp_ns, target, image.x, image.y, average=average)
+        if average:
+            self._fill_holes(target, image)
+
+    def _fill_holes(self, target: RenderTarget, image: TargetImage) -> None:
+        if image.camera.fill:
+            self._filling().fill(target, image)
+
+    def _filling(self) -> HoleFilling:
+        if self._hole_filling is None:
+            self._hole_filling = HoleFilling(self.context)
+        return self._hole_filling
+
+    def prepare(self, cameras: Sequence[CameraSpec]) -> None:
+        """Loads the networks that fill the holes of cameras' images, which else happens at the first image.
+
+        Raises:
+            ConfigError: a network cannot be loaded, or the scene has splats.
+        """
+        self._check_usable()
+        if self._splats is not None:
+            self._check_fills(cameras)
+        for fill in {camera.fill for camera in cameras if camera.fill}:
+            self._filling().prepare(fill)
+
+    def _check_fills(self, cameras: Sequence[CameraSpec]) -> None:
+        """Raises ConfigError where pictures of splats are to be filled: their colours are seen where the mesh has no depth."""
+        for camera in cameras:
+            if camera.fill:
+                raise ConfigError(
+                    f"camera {camera.name!r}: fill is {quoted(camera.fill)}, but this scene has splats, which show colours where its mesh has "
+                    "holes; leave fill out"
+                )
 
     def _link_matrices(self, state: SceneState) -> NDArray[np.float64]:
         """Returns T_world_links, (L + 1, 4, 4), the world first."""

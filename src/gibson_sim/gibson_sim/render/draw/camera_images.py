@@ -16,7 +16,7 @@ from gibson_sim.render.draw.grouping import CameraGroup, CameraGrouping, Identit
 from gibson_sim.render.draw.pinhole_views import PinholeView, is_plain, views_of
 from gibson_sim.render.draw.resample import Resampler
 from gibson_sim.render.draw.splats import SplatPass
-from gibson_sim.render.draw.target import Feature, RenderTarget
+from gibson_sim.render.draw.target import Feature, RenderTarget, draws_colors
 from gibson_sim.render.readback.frames import TargetImage
 from gibson_sim.types import CameraSpec, Pose
 
@@ -63,7 +63,7 @@ class CameraImages:
             before: T_world_camera of each at the state before.
         """
         plain = [_picture(image, pose) for image, pose in zip(images, before, strict=True) if _is_plain(image.camera)]
-        color = any("rgb" in image.camera.outputs for image in images)
+        color = any(draws_colors(image.camera) for image in images)
         samples = max((image.camera.samples for image in images), default=1)
         non_pinhole = [(image, pose) for image, pose in zip(images, before, strict=True) if not _is_plain(image.camera)]
         if color and samples > 1 and plain:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from gibson_sim.render.draw.target import Feature, features_of
+from gibson_sim.render.draw.target import Feature, draws_colors, features_of
 from gibson_sim.types import CameraSpec
 
 _MAX_ENTRIES = 256
@@ -70,8 +70,8 @@ def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], lis
     """
     groups: dict[tuple[tuple[Feature, ...], bool, int, bool], list[int]] = {}
     for k, camera in enumerate(cameras):
-        color = "rgb" in camera.outputs
-        key = features_of(camera.outputs), color, camera.samples if color else 1, "/" in camera.link
+        color = draws_colors(camera)
+        key = features_of(camera.outputs, filled=bool(camera.fill)), color, camera.samples if color else 1, "/" in camera.link
         groups.setdefault(key, []).append(k)
     return [(features, numbers) for (features, *_), numbers in groups.items()]
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext, gl as GL
-from gibson_sim.types import Output
+from gibson_sim.types import CameraSpec, Output
 
 Feature = Literal["LABELS", "NORMALS", "FLOW"]
 """A further output, named as its macro in the shaders."""
@@ -28,14 +28,20 @@ FORMATS: dict[str, int] = {
 """OpenGL's internal format of each texture."""
 
 
-def features_of(outputs: Sequence[Output]) -> tuple[Feature, ...]:
-    """Returns the features that outputs need beside colour and depth."""
+def features_of(outputs: Sequence[Output], *, filled: bool = False) -> tuple[Feature, ...]:
+    """Returns the features that outputs need beside colour and depth; those of pictures that are ``filled`` tell where holes are."""
     needed = {
         "LABELS": bool({"semantic", "instance"} & set(outputs)),
-        "NORMALS": bool({"normal", "normal_world", "hole"} & set(outputs)),
+        "NORMALS": filled or bool({"normal", "normal_world", "hole"} & set(outputs)),
         "FLOW": "flow" in outputs,
     }
     return tuple(feature for feature in FEATURES if needed[feature])
+
+
+def draws_colors(camera: CameraSpec) -> bool:
+    """Returns whether the colours of a camera's images are drawn: a network fills depth by them, even where they are not an output."""
+    by_network = camera.fill_depth and camera.fill != "push_pull" and bool({"depth", "position"} & set(camera.outputs))
+    return "rgb" in camera.outputs or by_network
 
 
 class RenderTarget:

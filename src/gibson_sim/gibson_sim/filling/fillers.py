@@ -1,0 +1,76 @@
+"""What fills the holes of a camera's pictures, by the name that ``CameraSpec.fill`` gives it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.filling.holes import BACK_FACE, NOTHING
+from gibson_sim.filling.inputs import filled_colour
+from gibson_sim.filling.push_pull import push_pull_depth
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+LEARNED = Path(__file__).with_name("models") / "filler.onnx"
+"""The network in the package."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filled:
+    """A picture without holes."""
+
+    colour: U8
+    """(H, W, 3), sRGB."""
+    depth: F32 | None = None
+    """(H, W), metres, +inf = nothing; equal to what was drawn outside of holes; None = not requested."""
+
+
+class Filler(Protocol):
+    """Fills holes."""
+
+    def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
+        """Returns a picture without holes.
+
+        Args:
+            colour: (H, W, 3), sRGB, as drawn.
+            depth: (H, W), metres, +inf = nothing.
+            normals: (H, W, 3), optical frame, facing the camera, 0 = nothing.
+            hole: (H, W), as ``Frame.hole``.
+            with_depth: fill depth, too.
+
+        Raises:
+            ConfigError: a network cannot be run.
+        """
+
+
+class PushPull:
+    """Fills holes by push-pull: only they change."""
+
+    def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
+        """As in ``Filler``."""
+        is_hole = np.asarray((hole == NOTHING) | (hole == BACK_FACE))
+        return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole) if with_depth else None)
+
+
+def open_filler(fill: str) -> Filler:
+    """Returns what fills holes.
+
+    Args:
+        fill: ``push_pull``, ``learned``, or the path of an ONNX file.
+
+    Raises:
+        ConfigError: the network is missing, or no network that is known; or onnxruntime is not installed.
+    """
+    if fill == "push_pull":
+        return PushPull()
+    if fill == "learned" and not LEARNED.is_file():
+        raise ConfigError("fill: this installation has no learned network; give push_pull, or the path of an ONNX file")
+    # onnxruntime takes half a second to load, so only those who need it do.
+    from gibson_sim.filling.network import open_network
+
+    return open_network(LEARNED if fill == "learned" else Path(fill))

@@ -1,0 +1,167 @@
+"""Networks that fill holes, in ONNX files: ours, and inpainting networks of others (MI-GAN, as its authors export it)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.filling.fillers import Filled
+from gibson_sim.filling.holes import BACK_FACE, NOTHING, SURFACE, UNSEEN
+from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
+from gibson_sim.filling.onnx_files import open_session, run
+from gibson_sim.filling.push_pull import push_pull_depth
+from gibson_sim.quoting import quoted
+
+Bools = NDArray[np.bool_]
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+MULTIPLE = 16
+"""Pictures are widened to multiples of this many pixels for our networks."""
+VERSION = "1"
+"""Value of ``gibson_filler`` in the metadata of a file: the version of its input."""
+_LEAST_INVERSE = np.float32(1e-3)
+"""Smaller inverse depths count as this one, 1/m."""
+_CONTRACTS = (
+    f"ours, input (1, {CHANNELS}, H, W) and output image (1, 3, H, W); MI-GAN's pipeline, image (1, 3, H, W) and mask (1, 1, H, W), uint8; or "
+    "its generator, (1, 4, R, R) to (1, 3, R, R): see docs/filler.md"
+)
+
+
+def open_network(file: Path) -> OurNetwork | MiGanPipeline | MiGanGenerator:
+    """Returns the network in a file, by the shapes of its inputs.
+
+    Raises:
+        ConfigError: onnxruntime is not installed, or the file holds none of the networks that are known.
+    """
+    session = open_session(file)
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    kinds = [(value.type, tuple(value.shape)) for value in inputs]
+    names = [value.name for value in inputs]
+    if len(kinds) == 1 and _fits(kinds[0], "tensor(float)", CHANNELS):
+        version = session.get_modelmeta().custom_metadata_map.get("gibson_filler", VERSION)
+        if version != VERSION:
+            raise ConfigError(
+                f"{file} was made for version {quoted(version)} of the filler, this is {VERSION}; train or fetch it anew"
+            )
+        if _fits((outputs[0].type, tuple(outputs[0].shape)), "tensor(float)", 3):
+            return OurNetwork(file, session)
+    elif names == ["image", "mask"] and _fits(kinds[0], "tensor(uint8)", 3) and _fits(kinds[1], "tensor(uint8)", 1):
+        return MiGanPipeline(file, session)
+    elif len(kinds) == 1 and _fits(kinds[0], "tensor(float)", 4):
+        side, other = kinds[0][1][2:]
+        if isinstance(side, int) and side == other and 16 <= side <= 2048:
+            return MiGanGenerator(file, session, side)
+    found = "; ".join(f"{name} {kind} {list(shape)}" for name, (kind, shape) in zip(names, kinds, strict=True))
+    raise ConfigError(f"{file} has inputs {quoted(found)}, must be one of: {_CONTRACTS}")
+
+
+def _fits(value: tuple[str, tuple[Any, ...]], kind: str, channels: int) -> bool:
+    """Returns whether an input or output has an element type and four dimensions with so many channels."""
+    return value[0] == kind and len(value[1]) == 4 and value[1][1] == channels and value[1][0] in (1, None, *_texts(value[1][:1]))
+
+
+def _texts(sizes: tuple[Any, ...]) -> tuple[str, ...]:
+    """Returns the sizes that are free and have a name."""
+    return tuple(size for size in sizes if isinstance(size, str))
+
+
+class OurNetwork:
+    """A network of ours: it corrects the whole picture, and fills depth too if it has a second output."""
+
+    def __init__(self, file: Path, session: Any) -> None:
+        self._file, self._session = file, session
+        self._name = session.get_inputs()[0].name
+        self._has_depth = len(session.get_outputs()) > 1
+
+    def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
+        """As in ``Filler``."""
+        height, width = hole.shape
+        values = packed(filled_colour(colour, hole), depth, normals, hole)
+        beyond = ((0, 0), (0, 0), (0, -height % MULTIPLE), (0, -width % MULTIPLE))
+        values = np.pad(values, beyond, mode="edge") if height % MULTIPLE or width % MULTIPLE else values
+        found = run(self._session, self._file, {self._name: values})
+        image = _planes(found[0], self._file, (1, 3, *values.shape[2:]))[0, :, :height, :width]
+        out = _bytes(image)
+        np.copyto(out, colour, where=(hole == UNSEEN)[:, :, None])
+        if not with_depth:
+            return Filled(out)
+        is_hole = _is_hole(hole)
+        if not self._has_depth:
+            return Filled(out, push_pull_depth(depth, is_hole))
+        inverse = _planes(found[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
+        return Filled(out, np.where(is_hole, np.float32(1.0) / np.maximum(inverse, _LEAST_INVERSE), depth))
+
+
+class MiGanPipeline:
+    """MI-GAN with its pre- and postprocessing: colours as bytes and a mask, 255 = known, to colours as bytes."""
+
+    def __init__(self, file: Path, session: Any) -> None:
+        self._file, self._session = file, session
+
+    def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
+        """As in ``Filler``."""
+        is_hole = _is_hole(hole)
+
+        def painted() -> U8:
+            known = np.where(is_hole, 0, 255).astype(np.uint8)
+            feeds = {"image": np.ascontiguousarray(colour.transpose(2, 0, 1))[None], "mask": known[None, None]}
+            image = run(self._session, self._file, feeds)[0]
+            if image.shape != (1, 3, *hole.shape) or image.dtype != np.uint8:
+                raise _wrong_output(self._file, image, (1, 3, *hole.shape), "uint8")
+            return np.asarray(image[0].transpose(1, 2, 0), dtype=np.uint8)
+
+        return _composed(painted, colour, depth, hole, with_depth=with_depth)
+
+
+class MiGanGenerator:
+    """MI-GAN alone, of a fixed size: mask - 0.5 (mask 1 = known) and colours from -1 to 1 times the mask, to colours from -1 to 1."""
+
+    def __init__(self, file: Path, session: Any, side: int) -> None:
+        self._file, self._session, self._side = file, session, side
+        self._name = session.get_inputs()[0].name
+
+    def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
+        """As in ``Filler``."""
+        size = (self._side, self._side)
+
+        def painted() -> U8:
+            known = cv2.resize((hole == SURFACE).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+            small = cv2.resize(colour, size, interpolation=cv2.INTER_LINEAR).astype(np.float32) / 127.5 - 1.0
+            values = np.concatenate([known[None] - 0.5, small.transpose(2, 0, 1) * known]).astype(np.float32)[None]
+            image = _planes(run(self._session, self._file, {self._name: values})[0], self._file, (1, 3, *size))[0]
+            large = cv2.resize(_bytes(0.5 * image + 0.5), (hole.shape[1], hole.shape[0]), interpolation=cv2.INTER_LINEAR)
+            return np.asarray(large, dtype=np.uint8)
+
+        return _composed(painted, colour, depth, hole, with_depth=with_depth)
+
+
+def _composed(painted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, with_depth: bool) -> Filled:
+    """Returns a picture whose holes alone are painted; a picture without any is not."""
+    is_hole = _is_hole(hole)
+    out = np.where(is_hole[:, :, None], painted(), colour) if is_hole.any() else colour.copy()
+    return Filled(out, push_pull_depth(depth, is_hole) if with_depth else None)
+
+
+def _is_hole(hole: U8) -> Bools:
+    return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
+
+
+def _bytes(image: F32) -> U8:
+    """Returns planes (3, H, W), 0 to 1, as a picture (H, W, 3)."""
+    return np.ascontiguousarray(np.rint(np.clip(image, 0.0, 1.0) * np.float32(255.0)).astype(np.uint8).transpose(1, 2, 0))
+
+
+def _planes(value: NDArray[Any], file: Path, shape: tuple[int, ...]) -> F32:
+    if value.shape != shape or value.dtype != np.float32:
+        raise _wrong_output(file, value, shape, "float32")
+    return value
+
+
+def _wrong_output(file: Path, value: NDArray[Any], shape: tuple[int, ...], kind: str) -> ConfigError:
+    return ConfigError(f"{file}: its output is {value.dtype} {list(value.shape)}, must be {kind} {list(shape)}; export it anew")

@@ -1,0 +1,99 @@
+"""Fills the holes of images in a target, in place: the pixels are read to the host, filled, and written back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.filling.fillers import Filler, open_filler
+from gibson_sim.filling.holes import BACK_FACE, NOTHING
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.draw.target import ATTACHMENT, RenderTarget
+from gibson_sim.render.readback.frames import RAW_FORMATS, TargetImage, depth_of, hole_of, normals_of
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+_NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
+
+
+class HoleFilling:
+    """What ``CameraSpec.fill`` asks for.
+
+    Args:
+        context: it must be current in every call.
+    """
+
+    def __init__(self, context: GlContext) -> None:
+        self._gl = GL.Gl(context)
+        self._fillers: dict[str, Filler] = {}
+
+    def prepare(self, fill: str) -> Filler:
+        """Returns what fills holes in one way; a network is loaded at the first call.
+
+        Raises:
+            ConfigError: the network cannot be loaded.
+        """
+        if fill not in self._fillers:
+            self._fillers[fill] = open_filler(fill)
+        return self._fillers[fill]
+
+    def fill(self, target: RenderTarget, image: TargetImage) -> None:
+        """Fills the holes of an image.
+
+        Args:
+            target: that holds it, with the feature ``NORMALS`` and without multisampling.
+            image: which one.
+
+        Raises:
+            ConfigError: the network cannot be run.
+        """
+        camera = image.camera
+        filler, colours = self.prepare(camera.fill), "rgb" in camera.outputs
+        with_depth = camera.fill_depth and bool({"depth", "position"} & set(camera.outputs))
+        if not (colours or with_depth):
+            return
+        raw_normals = self._read(target, image, "NORMALS")
+        hole = hole_of(raw_normals)
+        if camera.fill == "push_pull" and not ((hole == NOTHING) | (hole == BACK_FACE)).any():
+            return
+        raw_color, raw_depth = self._read(target, image, "color"), self._read(target, image, "depth")
+        depth, normals = depth_of(raw_depth, camera.near, camera.far), normals_of(raw_normals)
+        colour = np.asarray(cv2.cvtColor(raw_color, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
+        blended = camera.samples > 1 or camera.projection != "pinhole" or bool(camera.distortion)
+        filled = filler.fill(colour, depth, normals, _widened(hole) if blended else hole, with_depth=with_depth)
+        if colours:
+            raw_color[:, :, :3] = filled.colour
+            self._write(target, image, "color", raw_color)
+        if filled.depth is not None:
+            is_hole = (hole == NOTHING) | (hole == BACK_FACE)
+            np.divide(np.float32(camera.near), filled.depth, out=raw_depth, where=is_hole)
+            self._write(target, image, "depth", raw_depth)
+
+    def _read(self, target: RenderTarget, image: TargetImage, name: str) -> NDArray[Any]:
+        raw, camera, gl = RAW_FORMATS[name], image.camera, self._gl
+        shape = (camera.height, camera.width) if raw.channels == 1 else (camera.height, camera.width, raw.channels)
+        out = np.empty(shape, dtype=raw.dtype)
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
+        gl.glReadBuffer(GL.COLOR_ATTACHMENT0 + ATTACHMENT.get(name, 0))
+        gl.glPixelStorei(GL.PACK_ALIGNMENT, 1)
+        gl.glReadPixels(image.x, image.y, camera.width, camera.height, raw.gl_format, raw.gl_type, out.ctypes.data)
+        return out
+
+    def _write(self, target: RenderTarget, image: TargetImage, name: str, pixels: NDArray[Any]) -> None:
+        raw, camera, gl = RAW_FORMATS[name], image.camera, self._gl
+        gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
+        gl.glTextureSubImage2D(
+            target.textures[name], 0, image.x, image.y, camera.width, camera.height, raw.gl_format, raw.gl_type, pixels.ctypes.data
+        )  # fmt: skip
+
+
+def _widened(hole: U8) -> U8:
+    """Returns a hole image whose holes are wider by one pixel, whose colours are partly those of the background."""
+    out = hole.copy()
+    is_hole = ((hole == NOTHING) | (hole == BACK_FACE)).astype(np.uint8)
+    rim = (cv2.dilate(is_hole, _NEIGHBOURS) != 0) & (hole == 0)
+    out[rim] = NOTHING
+    return out

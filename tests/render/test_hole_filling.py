@@ -1,0 +1,114 @@
+"""Holes of pictures are filled where a camera asks for it, and nothing else of the pictures changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.filling.inputs import filled_colour
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, ImageEffects, Pose
+from render.drawing import EYE, box, scene, state
+
+pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
+
+RED, GREEN = (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)
+LEFT, RIGHT = box((2.001, 1.25, 0.0), RED, (0.002, 2.0, 6.0)), box((2.001, -1.25, 0.0), GREEN, (0.002, 2.0, 6.0))
+"""A wall 2 m ahead with a gap of 0.5 m in the middle: 32 * 0.25 / 2 = 4 pixels on each side of column 31.5."""
+FILLED = replace(EYE, outputs=OUTPUTS, fill="push_pull")
+
+
+@pytest.fixture(scope="module")
+def renderer(egl: object) -> Iterator[Renderer]:
+    with Renderer(scene(LEFT, RIGHT)) as made:
+        yield made
+
+
+def _see(renderer: Renderer, camera: CameraSpec) -> Frame:
+    return renderer.render(state(), [camera])[0]
+
+
+def test_a_gap_is_closed_with_the_colours_of_both_sides(renderer: Renderer) -> None:
+    frame = _see(renderer, FILLED)
+    assert (frame.hole[32, 28:36] == 1).all() and not frame.hole[32, 20:28].any() and not frame.hole[32, 36:44].any()
+    left, right = frame.rgb[32, 27].astype(int), frame.rgb[32, 36].astype(int)
+    gap = frame.rgb[32, 28:36].astype(int)
+    # The level of 16 x 16 pixels is the first without a hole: columns 16 to 31 are red, 32 to 47 green, and between their centres,
+    # 7.5 pixels from the gap's, it goes from one to the other.
+    assert (np.diff(gap[:, 0]) <= 0).all() and (np.diff(gap[:, 1]) >= 0).all()
+    assert np.abs(gap.mean(axis=0) - (left + right) / 2).max() < 4.0
+
+
+def test_nothing_else_changes(renderer: Renderer) -> None:
+    plain, filled = _see(renderer, replace(FILLED, fill="")), _see(renderer, FILLED)
+    for output in OUTPUTS:
+        if output != "rgb":
+            assert np.array_equal(getattr(plain, output), getattr(filled, output), equal_nan=True), output
+    seen = plain.hole == 0
+    assert np.array_equal(plain.rgb[seen], filled.rgb[seen])
+    assert np.array_equal(filled.rgb, filled_colour(plain.rgb, plain.hole))
+
+
+def test_the_image_does_not_depend_on_the_other_outputs(renderer: Renderer) -> None:
+    every = _see(renderer, FILLED).rgb
+    assert np.array_equal(_see(renderer, replace(FILLED, outputs=("rgb",))).rgb, every)
+
+
+def test_depth_is_filled_only_on_request(renderer: Renderer) -> None:
+    plain, filled = _see(renderer, FILLED), _see(renderer, replace(FILLED, fill_depth=True))
+    hole = plain.hole != 0
+    assert np.isinf(plain.depth[hole]).all() and np.allclose(filled.depth[32, 28:36], 2.0, atol=1e-5)
+    assert np.array_equal(filled.depth[~hole], plain.depth[~hole])
+    assert np.isfinite(filled.position[32, 28:36]).all()
+    assert np.array_equal(filled.hole, plain.hole)
+
+
+def test_noise_lies_over_what_is_filled(renderer: Renderer) -> None:
+    noisy = _see(renderer, replace(FILLED, effects=ImageEffects(read_noise=0.05)))
+    clean = _see(renderer, FILLED)
+    assert 3.0 < (noisy.rgb[30:34, 28:36].astype(float) - clean.rgb[30:34, 28:36]).std() < 60.0
+
+
+def test_cameras_side_by_side_are_filled_each_for_itself(renderer: Renderer) -> None:
+    back = replace(FILLED, name="back", pose=Pose(quat_xyzw=quat_from_matrix(np.diag([-1.0, -1.0, 1.0]) @ R_LINK_OPTICAL)))
+    alone = _see(renderer, FILLED)
+    ahead, behind = renderer.render(state(), [FILLED, back])
+    assert np.array_equal(ahead.rgb, alone.rgb)
+    assert (behind.hole == 1).all() and not behind.rgb.any(), "where nothing is known, nothing is made up"
+
+
+@pytest.mark.parametrize("way", ["start", "tensors"])
+def test_frames_that_are_read_later_and_tensors_are_filled_too(renderer: Renderer, way: str) -> None:
+    expected = _see(renderer, FILLED).rgb
+    found = renderer.start(state(), [FILLED]).result() if way == "start" else renderer.render_tensors(state(), [FILLED])
+    assert np.array_equal(np.asarray(found[0].rgb), expected)
+
+
+def test_smooth_edges_do_not_bring_the_background_into_the_hole() -> None:
+    grey = replace(scene(replace(LEFT, color=GREEN), RIGHT), light=replace(scene().light, background=(1.0, 1.0, 1.0)))
+    with Renderer(grey) as made:
+        smooth = made.render(state(), [replace(FILLED, samples=4, width=61, height=61)])[0]
+        fisheye = made.render(state(), [replace(FILLED, projection="fisheye", fov=math.pi / 2)])[0]
+    for frame in (smooth, fisheye):
+        row = frame.rgb[frame.camera.height // 2, 20:41]
+        assert row[:, 0].max() == 0 and row[:, 2].max() == 0, "the wall and what is between is pure green"
+
+
+def test_a_hole_that_is_filled_is_nearer_to_the_closed_wall_than_one_that_is_not(renderer: Renderer) -> None:
+    with Renderer(scene(LEFT, RIGHT, box((2.001, 0.0, 0.0), (0.5, 0.5, 0.0, 1.0), (0.002, 0.5, 6.0)))) as made:
+        truth = _see(made, FILLED).rgb
+    filled, plain = _see(renderer, FILLED).rgb, _see(renderer, replace(FILLED, fill="")).rgb
+    assert cv2.PSNR(filled, truth) > cv2.PSNR(plain, truth) + 3.0
+
+
+def test_a_network_that_is_not_there_is_named(renderer: Renderer, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"cannot read '.*nothing\.onnx': No such file"):
+        renderer.prepare([replace(FILLED, fill=str(tmp_path / "nothing.onnx"))])
