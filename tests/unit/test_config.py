@@ -61,6 +61,16 @@ def test_camera_outputs_come_in_the_order_of_the_renderer() -> None:
         PhysicsConfig(camera_outputs="rgb,smell")
 
 
+def test_camera_fill_names_what_fills_and_whether_depth_is_filled() -> None:
+    assert PhysicsConfig(camera_fill="push_pull").wanted_fill() == ("push_pull", False)
+    assert PhysicsConfig(camera_fill="learned,depth").wanted_fill() == ("learned", True)
+    assert PhysicsConfig(camera_fill="none").wanted_fill() == ("", False)
+    assert PhysicsConfig(camera_fill="a.onnx").wanted_fill() == (str(Path("a.onnx").absolute()), False)
+    for wrong in ("telea", "learned,colour", "none,depth"):
+        with pytest.raises(ConfigError, match="must be"):
+            PhysicsConfig(camera_fill=wrong)
+
+
 def test_wait_for_reads_topics_and_counts() -> None:
     assert PhysicsConfig(wait_for="scene_state:2,odom:1").wanted_subscribers() == {"scene_state": 2, "odom": 1}
     with pytest.raises(ConfigError, match="must be topic:count"):

@@ -14,7 +14,7 @@ from pathlib import Path
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.settings import check_settings, nearest, setting
-from gibson_sim.types import OUTPUTS, Output
+from gibson_sim.types import FILLS, OUTPUTS, Output, check_fill
 
 DETAIL_PX = 1.0
 """Default of the largest error of levels of detail in the image, pixels."""
@@ -97,6 +97,11 @@ class PhysicsConfig:
     )
     camera_outputs: str = setting(
         "", f"Outputs of every camera, separated by commas: {', '.join(OUTPUTS)}; empty = as in the robot's file"
+    )
+    camera_fill: str = setting(
+        "",
+        "Fill holes in the images of every camera: push_pull, learned, an ONNX file, or none; with ,depth also in depth; empty = as in the "
+        "robot's file; see docs/filler.md",
     )
     views: str = setting("", VIEWS + "; on topics `view_follow/image_raw` and so on", names="views")
     view_size: str = setting("640x480", "Default width and height of views", unit="px")
@@ -194,6 +199,7 @@ class PhysicsConfig:
                 f"setting 'camera_rate' is {self.camera_rate:g} Hz, must be at most 'publish_hz', {self.publish_hz} Hz"
             )
         self.wanted_outputs()
+        self.wanted_fill()
         self.wanted_subscribers()
         self.wanted_view_size()
         for name in ("participants", "pipelined"):
@@ -203,6 +209,18 @@ class PhysicsConfig:
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``camera_outputs``."""
         return outputs_of("camera_outputs", self.camera_outputs)
+
+    def wanted_fill(self) -> tuple[str, bool]:
+        """Returns what fills holes of colours in ``camera_fill``, a file by its absolute path, empty = nothing; and whether of depth, too."""
+        fill, comma, more = (part.strip() for part in self.camera_fill.partition(","))
+        if more != ("depth" if comma else "") or (fill == "none" and comma):
+            raise ConfigError(
+                f"setting 'camera_fill' is {quoted(self.camera_fill)}, must be none, or {', '.join(FILLS)} or an ONNX file, with ,depth to fill "
+                "depth, too"
+            )
+        fill = "" if fill == "none" else fill
+        check_fill("setting 'camera_fill'", fill)
+        return (str(Path(fill).expanduser().absolute()) if fill.endswith(".onnx") else fill), bool(comma)
 
     def wanted_view_size(self) -> tuple[int, int]:
         """Returns the width and the height in ``view_size``, pixels."""

@@ -533,7 +533,12 @@ class Simulation:
         return self._renderer_of(self._drawn_now()[0])
 
     def render(
-        self, camera: str | CameraSpec = "", outputs: Sequence[Output] | None = None, previous: SceneState | None = None
+        self,
+        camera: str | CameraSpec = "",
+        outputs: Sequence[Output] | None = None,
+        previous: SceneState | None = None,
+        *,
+        fill: str | None = None,
     ) -> Frame:
         """Returns the image of a camera at the present state.
 
@@ -541,6 +546,8 @@ class Simulation:
             camera: name of a camera or a view, or a camera of your own; empty = the first one.
             outputs: one or several of ``gibson_sim.OUTPUTS``; None = those of the camera's spec.
             previous: an earlier state, which ``flow`` needs; with it, cameras with a shutter have motion blur.
+            fill: what fills holes of the colours: ``push_pull``, ``learned``, the path of an ONNX file, empty = nothing; None = as the
+                camera's spec has it.
 
         Returns:
             The frame. Row 0 is the top; H, W are the camera's. ``rgb`` (H, W, 3) uint8, sRGB. ``depth`` (H, W) float32, metres along the
@@ -551,19 +558,21 @@ class Simulation:
             ``stamp_ns`` is that of the state; ``T_world_camera`` (4, 4) takes the optical frame to the world.
 
         Raises:
-            ConfigError: there is no such camera or output, or ``flow`` has no previous state.
+            ConfigError: there is no such camera or output, ``flow`` has no previous state, or holes cannot be filled.
             RenderError: no EGL device can draw.
         """
-        return self.render_all([camera], outputs, previous)[0]
+        return self.render_all([camera], outputs, previous, fill=fill)[0]
 
     def render_all(
         self,
         cameras: Sequence[str | CameraSpec] = (),
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
+        *,
+        fill: str | None = None,
     ) -> list[Frame]:
         """Returns the frames of several cameras, drawn together, which is faster than one by one; none given = all. See ``render``."""
-        renderer, state, specs, before = self._render_arguments(cameras, outputs, previous)
+        renderer, state, specs, before = self._render_arguments(cameras, outputs, previous, fill)
         frames = renderer.render(state, specs, before)
         return [apply_depth_noise(frame, frame.camera.depth_noise) for frame in frames]
 
@@ -572,6 +581,8 @@ class Simulation:
         cameras: Sequence[str | CameraSpec] = (),
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
+        *,
+        fill: str | None = None,
     ) -> list[TensorFrame]:
         """Returns the frames of ``render_all`` as PyTorch tensors, without depth noise: on the GPU that drew them if CUDA supports it, else on
         the CPU.
@@ -579,7 +590,7 @@ class Simulation:
         Raises:
             ConfigError: PyTorch is not installed, or there is no such camera.
         """
-        renderer, state, specs, before = self._render_arguments(cameras, outputs, previous)
+        renderer, state, specs, before = self._render_arguments(cameras, outputs, previous, fill)
         return renderer.render_tensors(state, specs, before)
 
     def close(self) -> None:
@@ -671,7 +682,11 @@ class Simulation:
         return self._renderer
 
     def _render_arguments(
-        self, cameras: Sequence[str | CameraSpec], outputs: Sequence[Output] | None, previous: SceneState | None
+        self,
+        cameras: Sequence[str | CameraSpec],
+        outputs: Sequence[Output] | None,
+        previous: SceneState | None,
+        fill: str | None,
     ) -> tuple[Renderer, SceneState, list[CameraSpec], SceneState | None]:
         drawn, views = self._drawn_now()
         if isinstance(cameras, (str, CameraSpec)) or not isinstance(cameras, Sequence):
@@ -680,6 +695,8 @@ class Simulation:
         if outputs is not None:
             requested = cast("tuple[Output, ...]", (outputs,) if isinstance(outputs, str) else tuple(outputs))
             specs = [replace(camera, outputs=requested) for camera in specs]
+        if fill is not None:
+            specs = [replace(camera, fill=fill, fill_depth=camera.fill_depth and bool(fill)) for camera in specs]
         if previous is not None and not isinstance(previous, SceneState):
             raise ConfigError(f"previous is {quoted(previous)}, must be a state: what `step` returned, or `sim.state`")
         if previous is not None and previous.links != self.world.links:

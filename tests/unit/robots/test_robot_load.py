@@ -95,6 +95,18 @@ def test_fisheye_has_its_full_angle_in_degrees(load: Load) -> None:
     assert camera.distortion == (0.1, 0.0, 0.0, 0.0)
 
 
+def test_holes_are_filled_on_request_and_invented_depth_is_marked(load: Load, tmp_path: Path) -> None:
+    camera = load("cameras: [{name: c, link: eye, fill: push_pull, fill_depth: true}]\n").cameras[0]
+    assert (camera.fill, camera.fill_depth, camera.outputs) == ("push_pull", True, ("rgb", "depth", "hole"))
+    assert load("cameras: [{name: c, link: eye, fill: off}]\n").cameras[0].fill == ""
+    assert load("cameras: [{name: c, link: eye}]\n").cameras[0].fill == ""
+
+
+def test_a_network_that_fills_holes_is_found_beside_the_file(load: Load) -> None:
+    with pytest.raises(RobotError, match=r"fill: there is no file '/.*/net\.onnx'; give an ONNX file, push_pull or learned"):
+        load("cameras: [{name: c, link: eye, fill: net.onnx}]\n")
+
+
 def test_camera_effects_and_depth_noise_come_from_their_sections(load: Load) -> None:
     text = "cameras: [{name: c, link: eye, samples: 4, stereo_baseline: 0.06, effects: {exposure_ev: 1, seed: 7}, "
     camera = load(text + "depth_noise: {quadratic: 0.002, hole_fraction: 0.1}}]\n").cameras[0]
@@ -140,6 +152,11 @@ def test_camera_on_an_optical_link_is_that_link(load: Load) -> None:
         ("cameras: [{name: c, link: eye, samples: 3}]\n", "camera 'c': samples is 3, must be 1 or 4"),
         ("cameras: [{name: c, link: eye, effects: {exposure: 2}}]\n", "did you mean 'exposure_ev'"),
         ("cameras: [{name: c, link: eye, depth_noise: {seed: 1.5}}]\n", "whole number"),
+        (
+            "cameras: [{name: c, link: eye, fill: telea}]\n",
+            "fill is 'telea', must be push_pull, learned or the path of an ONNX file",
+        ),
+        ("cameras: [{name: c, link: eye, fill_depth: true}]\n", "fill_depth is set without fill"),
         ("cameras: [{name: c, link: ey}]\n", "no link 'ey'; known: base"),
         ("cameras: [{name: c, link: eye}, {name: c, link: eye}]\n", "names must differ"),
         ("cameras: [{name: c, link: eye_optical_frame, pose: {}}]\n", "takes no pose"),

@@ -174,9 +174,11 @@ def test_scene_round_trip_keeps_every_setting_of_every_camera() -> None:
             stereo_baseline=0.1,
             outputs=OUTPUTS,
             depth_noise=DepthNoise(**_numbers(DepthNoise)),
+            fill="/a folder/net:1.onnx",
+            fill_depth=True,
         ),
         CameraSpec("fish", "l", projection="fisheye", fov=3.5, effects=ImageEffects(**_numbers(ImageEffects))),
-        CameraSpec("sphere", "l", projection="equirectangular"),
+        CameraSpec("sphere", "l", projection="equirectangular", fill="push_pull"),
     )
     scene = DrawnScene("s", 1, "", ("l",), (), cameras, LightSpec())
     assert c.scene_from_msg(c.scene_to_msg(scene, 5)).cameras == cameras

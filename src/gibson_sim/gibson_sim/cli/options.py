@@ -18,6 +18,7 @@ _METAVARS = {
     "asset_roots": "DIRS",
     "cache": "DIR",
     "camera_outputs": "NAMES",
+    "camera_fill": "METHOD",
     "cameras": "NAMES",
     "drive": "NAME|FILE",
     "egl_library": "FILE",

@@ -115,7 +115,7 @@ def load_robot(
             fixed_base=fixed_base,
             radius=radius,
             height=height,
-            cameras=read_cameras(robot, model, name),
+            cameras=read_cameras(robot, model, name, path.parent),
             sensors=read_sensors(robot, model, name),
             start=start or Pose(),
             joints=joints,

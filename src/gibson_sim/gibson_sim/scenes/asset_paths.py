@@ -42,9 +42,10 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
     visuals = tuple(_with_files(visual, local(visual.shape.mesh), local(_pattern_image(visual))) for visual in scene.visuals)
     light = replace(scene.light, environment=local(scene.light.environment), backdrop=local(scene.light.backdrop))
     splats = None if scene.splats is None else replace(scene.splats, file=local(scene.splats.file))
+    cameras = tuple(replace(c, fill=local(c.fill)) if c.fill.endswith(".onnx") else c for c in scene.cameras)
     if all(there == here for there, here in found.items()):
         return scene, ()
-    moved = replace(scene, visuals=visuals, light=light, splats=splats)
+    moved = replace(scene, visuals=visuals, light=light, splats=splats, cameras=cameras)
     return moved, _difference(scene, found)
 
 

@@ -34,7 +34,7 @@ _GROUPS: dict[str, tuple[str, ...]] = {
         "grasp_release_force",
         "grasp_release_angle_deg",
     ),
-    "cameras": ("camera_rate", "camera_outputs", "cameras", "views", "view_size", "view_rate", "register_depth"),
+    "cameras": ("camera_rate", "camera_outputs", "camera_fill", "cameras", "views", "view_size", "view_rate", "register_depth"),
     "compressed images": (
         "compressed_format",
         "jpeg_quality",

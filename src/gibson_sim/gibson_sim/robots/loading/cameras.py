@@ -15,6 +15,7 @@ from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
+from gibson_sim.reading import exists
 from gibson_sim.types import (
     DEFAULT_OUTPUTS,
     DISTORTIONS,
@@ -30,19 +31,19 @@ from gibson_sim.types import (
 _OPTICS_KEYS = ("projection", "k", "fov_y_deg", "fov_deg", "distortion_model", "d")
 _CAMERA_KEYS = (
     "name", "link", "pose", "width", "height", *_OPTICS_KEYS, "rate_hz", "near", "far", "outputs", "samples", "stereo_baseline",
-    "effects", "depth_noise",
+    "effects", "depth_noise", "fill", "fill_depth",
 )  # fmt: skip
 _MATRIX_KEYS = ("fx", "fy", "cx", "cy", "skew")
 _POSE_KEYS = ("xyz", "rpy_deg")
 _ZERO = (0.0, 0.0, 0.0)
 
 
-def read_cameras(robot: YamlMap, model: UrdfModel, name: str) -> tuple[CameraSpec, ...]:
-    """Returns the cameras of the robot ``name``, in the order of the file."""
+def read_cameras(robot: YamlMap, model: UrdfModel, name: str, folder: Path) -> tuple[CameraSpec, ...]:
+    """Returns the cameras of the robot ``name``, in the order of the file, which is in ``folder``."""
     entries = robot.values.get("cameras") or []
     if not isinstance(entries, list):
         raise RobotError(f"{robot.where}: cameras must be a list, is {type(entries).__name__}")
-    return _cameras(_entries(robot, entries), robot.where, lambda link: f"{name}/{model.link(link).name}")
+    return _cameras(_entries(robot, entries, folder), robot.where, lambda link: f"{name}/{model.link(link).name}")
 
 
 def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
@@ -88,11 +89,19 @@ def camera_entries(path: Path) -> list[YamlMap]:
     entries = document.values.get("cameras") or []
     if not isinstance(entries, list) or not entries:
         raise RobotError(f"{path}: cameras is {quoted(entries)}, must be a list with at least one camera, as in a robot.yaml")
-    return _entries(document, entries)
+    return _entries(document, entries, path.parent)
 
 
-def _entries(top: YamlMap, entries: list[Any]) -> list[YamlMap]:
-    return [top.within(entry, f"cameras[{i}]") for i, entry in enumerate(entries)]
+def _entries(top: YamlMap, entries: list[Any], folder: Path) -> list[YamlMap]:
+    return [top.within(_with_file(entry, folder), f"cameras[{i}]") for i, entry in enumerate(entries)]
+
+
+def _with_file(entry: Any, folder: Path) -> Any:
+    """Returns an entry whose network that fills holes is named by an absolute path; in the file it is relative to its folder."""
+    fill = entry.get("fill") if isinstance(entry, dict) else None
+    if not isinstance(fill, str) or not fill.endswith(".onnx"):
+        return entry
+    return {**entry, "fill": str((folder / Path(fill).expanduser()).absolute())}
 
 
 def _cameras(entries: list[YamlMap], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
@@ -126,6 +135,15 @@ def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpe
     outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {quoted(outputs)}, must be a list of {', '.join(OUTPUTS)}")
+    if settings.values.get("fill", False) is not False:  # "off" is False in YAML
+        values["fill"] = settings.text("fill")
+        if values["fill"].endswith(".onnx") and not exists(Path(values["fill"])):
+            raise RobotError(
+                f"{settings.where}: fill: there is no file {quoted(values['fill'])}; give an ONNX file, push_pull or learned"
+            )
+    values["fill_depth"] = settings.flag("fill_depth", False)
+    if values["fill_depth"] and "hole" not in outputs:
+        outputs = [*outputs, "hole"]  # it marks the depths that are made up
     pose = _camera_pose(settings, link)
     return CameraSpec(name=camera_name, link=link, pose=pose, outputs=tuple(outputs), **values)
 

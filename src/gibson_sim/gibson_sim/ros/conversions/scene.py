@@ -48,6 +48,8 @@ _SHAPES: dict[ShapeKind, int] = {
     "sphere": RosVisual.SHAPE_SPHERE,
     "cylinder": RosVisual.SHAPE_CYLINDER,
 }
+_FILL, _FILL_DEPTH = "fill:", "fill_depth"
+"""Words among the outputs of a camera: before what fills its holes; that depth is filled, too."""
 _SHAPE_KINDS = {number: kind for kind, number in _SHAPES.items()}
 
 
@@ -227,7 +229,11 @@ def _camera_to_msg(camera: CameraSpec, link: int) -> RosCamera:
         near=camera.near,
         far=camera.far,
         rate=camera.rate_hz,
-        outputs=list(camera.outputs),
+        outputs=[
+            *camera.outputs,
+            *([f"{_FILL}{camera.fill}"] if camera.fill else []),
+            *([_FILL_DEPTH] if camera.fill_depth else []),
+        ],
         samples=camera.samples,
         stereo_baseline=camera.stereo_baseline,
         effects=RosImageEffects(**asdict(camera.effects)),
@@ -256,6 +262,8 @@ def _camera_from_msg(msg: RosCamera, link: str) -> CameraSpec:
         frame_id="" if msg.frame_id == f"{msg.name}_optical_frame" else msg.frame_id,
         effects=ImageEffects(**{f.name: getattr(msg.effects, f.name) for f in fields(ImageEffects)}),
         depth_noise=DepthNoise(**{f.name: getattr(msg.depth_noise, f.name) for f in fields(DepthNoise)}),
+        fill=next((word.removeprefix(_FILL) for word in msg.outputs if word.startswith(_FILL)), ""),
+        fill_depth=_FILL_DEPTH in msg.outputs,
     )
 
 

@@ -35,7 +35,7 @@ from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.sensors.frame_history import FrameHistory
 from gibson_sim.standard.lockstep import CAMERAS
-from gibson_sim.types import Frame, SceneState as State
+from gibson_sim.types import CameraSpec, Frame, SceneState as State
 
 _REVISION_TIMEOUT_S = 2.0
 """Wall time after which states of another revision than the scene's are logged, s: scene and states arrive on two topics, in any order."""
@@ -177,11 +177,24 @@ class RenderNode(Node):
             if found is not None and (found.camera, found.target) == (camera, target):
                 self._cameras[index] = old.pop(camera.name)
                 continue
+            if not self._can_fill(camera, first=self._state_subscription is None):
+                continue
             if found is not None:
                 old.pop(camera.name).close()
             self._cameras[index] = CameraPublisher(self, camera, self._config, target)
         for publisher in old.values():
             publisher.close()
+
+    def _can_fill(self, camera: CameraSpec, *, first: bool) -> bool:
+        """Loads what fills the holes of a camera's images; if that fails the camera is left out, and in the first scene it ends the node."""
+        assert self._renderer is not None
+        try:
+            self._renderer.prepare([camera])
+        except ConfigError as error:
+            self._failure = error if first else self._failure
+            self.get_logger().warning(f"camera {camera.name}: no images: {error}")
+            return False
+        return True
 
     def _on_state(self, msg: SceneState) -> None:
         """Draws the newest waiting state at which a camera with subscribers is due."""

@@ -162,10 +162,18 @@ class WorldInterface:
 
 
 def with_camera_settings(cameras: Sequence[CameraSpec], config: PhysicsConfig) -> tuple[CameraSpec, ...]:
-    """Returns the cameras with the rate and the outputs that the settings give for all of them."""
+    """Returns the cameras with the rate, the outputs and the filling of holes that the settings give for all of them."""
     changes: dict[str, Any] = {}
     if config.camera_rate:
         changes["rate_hz"] = config.camera_rate
     if outputs := config.wanted_outputs():
         changes["outputs"] = outputs
-    return tuple(replace(camera, **changes) for camera in cameras)
+    if config.camera_fill:
+        changes["fill"], changes["fill_depth"] = config.wanted_fill()
+    return tuple(_with_mask(replace(camera, **changes)) for camera in cameras)
+
+
+def _with_mask(camera: CameraSpec) -> CameraSpec:
+    """Returns a camera whose depths that are made up are marked."""
+    marked = not camera.fill_depth or "hole" in camera.outputs
+    return camera if marked else replace(camera, outputs=(*camera.outputs, "hole"))

@@ -1,0 +1,142 @@
+"""Networks that fill holes: what each kind is fed with, and that files that hold none of them are refused in one line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.filling import fillers, onnx_files
+from gibson_sim.filling.fillers import Filled, PushPull, open_filler
+from support import onnx_bytes as ox
+
+COLOUR = np.random.default_rng(0).integers(0, 256, (20, 36, 3), dtype=np.uint8)
+HOLE = np.zeros((20, 36), dtype=np.uint8)
+HOLE[4:8, 10:20], HOLE[8:10, 10:20], HOLE[0, 0] = 1, 2, 3
+DEPTH = np.where(HOLE == 1, np.inf, 4.0).astype(np.float32)
+NORMALS = np.zeros((20, 36, 3), dtype=np.float32)
+IS_HOLE = (HOLE == 1) | (HOLE == 2)
+
+
+def _channels(first: int, last: int, output: str) -> tuple[bytes, dict[str, np.ndarray]]:
+    """Returns a node that cuts channels out of ``input``, and its constants."""
+    names = [f"{output}_{part}" for part in ("first", "last", "axis")]
+    values = (np.array([value]) for value in (first, last, 1))
+    return ox.node("Slice", ["input", *names], output), dict(zip(names, values, strict=True))
+
+
+def our_network(channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False) -> bytes:
+    """Returns a network of our kind whose picture is its input's, and whose inverse depth is 0.5 more than its input's."""
+    cut, tensors = _channels(0, 3, "cut" if nan else "image")
+    nodes, outputs = [cut], [ox.value("image", "float32", [1, 3, "h", "w"])]
+    if nan:
+        nodes += [ox.node("Sub", ["cut", "two"], "below"), ox.node("Sqrt", ["below"], "image")]
+        tensors["two"] = np.float32(2.0)
+    if depth:
+        cut, more = _channels(3, 4, "inverse")
+        nodes += [cut, ox.node("Add", ["inverse", "half"], "inverse_depth")]
+        tensors = {**tensors, **more, "half": np.float32(0.5)}
+        outputs.append(ox.value("inverse_depth", "float32", [1, 1, "h", "w"]))
+    made = ox.model(nodes, [ox.value("input", "float32", [1, channels, "h", "w"])], outputs, tensors)
+    return made + ox.message(14, ox.message(1, "gibson_filler") + ox.message(2, version))
+
+
+def pipeline() -> bytes:
+    """Returns a network with the interface of MI-GAN's pipeline, which paints holes with 7."""
+    nodes = [ox.node("Cast", ["mask"], "known", to=9), ox.node("Where", ["known", "image", "seven"], "result")]
+    inputs = [ox.value("image", "uint8", ["n", 3, "h", "w"]), ox.value("mask", "uint8", ["n", 1, "h", "w"])]
+    return ox.model(
+        nodes, inputs, [ox.value("result", "uint8", ["n", 3, "h", "w"])], {"seven": np.full((1, 1, 1, 1), 7, np.uint8)}
+    )
+
+
+def generator() -> bytes:
+    """Returns a network with the interface of MI-GAN's generator: white where the mask says known, black where it says unknown."""
+    cut, tensors = _channels(0, 1, "half")
+    nodes = [cut, ox.node("Mul", ["half", "two"], "mask"), ox.node("Concat", ["mask", "mask", "mask"], "output", axis=1)]
+    shapes = ox.value("input", "float32", [1, 4, 32, 32]), ox.value("output", "float32", [1, 3, 32, 32])
+    return ox.model(nodes, [shapes[0]], [shapes[1]], {**tensors, "two": np.float32(2.0)})
+
+
+def fill(tmp_path: Path, content: bytes, *, with_depth: bool = False) -> Filled:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(content)
+    return open_filler(str(file)).fill(COLOUR, DEPTH, NORMALS, HOLE, with_depth=with_depth)
+
+
+def test_our_network_gets_the_picture_after_push_pull_at_any_size(tmp_path: Path) -> None:
+    expected = PushPull().fill(COLOUR, DEPTH, NORMALS, HOLE, with_depth=True)
+    found = fill(tmp_path, our_network(), with_depth=True)
+    assert np.array_equal(found.colour, expected.colour)
+    assert np.array_equal(found.depth, expected.depth), "without depth of its own, push-pull fills depth"
+
+
+def test_depth_of_our_network_is_used_in_holes_alone(tmp_path: Path) -> None:
+    found = fill(tmp_path, our_network(depth=True), with_depth=True)
+    # 1 / (0 + 0.5) where nothing is drawn, 1 / (1 / 4 + 0.5) at a back face.
+    assert np.allclose(found.depth[HOLE == 1], 2.0) and np.allclose(found.depth[HOLE == 2], 4.0 / 3.0)
+    assert (found.depth[~IS_HOLE] == 4.0).all()
+    assert fill(tmp_path, our_network(depth=True)).depth is None
+
+
+@pytest.mark.parametrize(("content", "painted"), [(pipeline(), 7), (generator(), 0)])
+def test_networks_of_others_paint_holes_alone(tmp_path: Path, content: bytes, painted: int) -> None:
+    found = fill(tmp_path, content, with_depth=True)
+    assert np.array_equal(found.colour[~IS_HOLE], COLOUR[~IS_HOLE])
+    assert (found.colour[5:7, 13:17] == painted).all()
+    assert np.allclose(found.depth[IS_HOLE], 4.0)
+
+
+def test_the_same_picture_gives_the_same_bits(tmp_path: Path) -> None:
+    one, other = (fill(tmp_path, our_network(), with_depth=True) for _ in range(2))
+    assert one.colour.tobytes() == other.colour.tobytes()
+
+
+def _external() -> bytes:
+    value = ox.value("input", "float32", [1, 9, 4, 4])
+    return ox.model(
+        [ox.node("Add", ["input", "w"], "image")], [value], [value], [ox.external_tensor("w", [1], "/etc/hostname")]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", r"network\.onnx is no network that onnxruntime runs: "),
+        (b"GIF89a and so on", r"network\.onnx is no ONNX file, or is cut"),
+        (our_network()[:-60], r"network\.onnx is no ONNX file, or is cut"),
+        (_external(), r"network\.onnx keeps its weights in other files, which are not read"),
+        (our_network(channels=5), r"network\.onnx has inputs .input tensor\(float\) \[1, 5, .*must be one of: ours, input \(1, 9, H, W\)"),
+        (our_network(version="2"), r"network\.onnx was made for version '2' of the filler, this is 1"),
+        (our_network(nan=True), r"network\.onnx: its output holds a NaN or an infinity"),
+    ],
+)  # fmt: skip
+def test_files_that_are_no_network_are_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        fill(tmp_path, content)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnx_files, "MAX_BYTES", 100)
+    with pytest.raises(ConfigError, match=r"cannot read '.*network\.onnx': .*give an ONNX file"):
+        fill(tmp_path, our_network())
+
+
+def test_without_onnxruntime_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ConfigError, match=r"needs onnxruntime, which is not installed: pip install gibson-sim\[filler\]"):
+        fill(tmp_path, our_network())
+
+
+def test_learned_is_the_file_in_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fillers, "LEARNED", tmp_path / "filler.onnx")
+    with pytest.raises(
+        ConfigError, match="this installation has no learned network; give push_pull, or the path of an ONNX file"
+    ):
+        open_filler("learned")
+    (tmp_path / "filler.onnx").write_bytes(our_network())
+    assert open_filler("learned").fill(COLOUR, DEPTH, NORMALS, HOLE, with_depth=False).colour.shape == COLOUR.shape
