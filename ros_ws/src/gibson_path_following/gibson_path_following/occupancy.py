@@ -41,7 +41,10 @@ class OccupancySettings:
     most_free: float = 2.0
     """Largest evidence of one view for free floor, log odds before the weight."""
     limit: float = 5.0
-    """Largest evidence that a cell keeps, log odds, either way."""
+    """Largest evidence for a thing that a cell keeps, log odds."""
+    free_limit: float = 1.5
+    """Largest evidence for free floor that a cell keeps, log odds: what stands there next, or is seen there only from near, must soon
+    outweigh it."""
     path_width: float = 0.35
     """Distance from the recorded path within which the floor was free once, metres."""
     path_prior: float = -2.0
@@ -65,6 +68,7 @@ class OccupancySettings:
             ("most_occupied", 0.0, 20.0),
             ("most_free", 0.0, 20.0),
             ("limit", 0.1, 50.0),
+            ("free_limit", 0.1, 50.0),
             ("path_width", 0.0, 5.0),
             ("path_prior", -20.0, 0.0),
             ("discount", 0.0, 10.0),
@@ -131,8 +135,7 @@ class OccupancyMap:
         if self._corner is None:
             self.centre(float(camera[0]), float(camera[1]))
         cells, told = self._told(camera, bearings, self._evidence_by_distance(edges, hit))
-        limit = self.settings.limit
-        self._evidence[cells] = np.clip(self._evidence[cells] + told, -limit, limit)
+        self._evidence[cells] = np.clip(self._evidence[cells] + told, -self.settings.free_limit, self.settings.limit)
         self._away = None
 
     def expect(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
@@ -161,12 +164,8 @@ class OccupancyMap:
         """(n, n), rows along x and columns along y of the frame of the path."""
         return np.asarray(self._evidence + self._prior, dtype=np.float32)
 
-    def is_occupied(self, points: F64) -> NDArray[np.bool_]:
-        """Returns (...,): whether points (..., 2) of the frame of the path lie in occupied cells; outside the map nothing is occupied."""
-        return np.asarray(self._looked_up(self.log_odds, points, -np.inf) >= self.settings.occupied)
-
     def clearance(self, points: F64) -> F64:
-        """Returns (...,): distances from points (..., 2) of the frame of the path to the nearest occupied cell, metres."""
+        """Returns (...,): distances from points (..., 2) of the frame of the path to the nearest occupied cell, metres; in one: 0."""
         if self._away is None:
             free = (self.log_odds < self.settings.occupied).astype(np.uint8)
             if free.all():
