@@ -223,6 +223,20 @@ def test_a_recorder_that_comes_later_takes_part_until_it_ends(
     assert len(steps) == 50, "ten a second, for five seconds"
 
 
+def test_time_goes_on_without_a_drive_that_a_user_started_and_that_is_done(
+    start: Callable[..., Launched], listener: Listener
+) -> None:
+    launched = start("--no-render", "--participant-timeout", "100")
+    odometry = listener.collect(Odometry, "odom", DEEP)
+    drive = LaunchedNode("drive", "-p", "drive:=forward", "-p", "length:=0.2", env={PARENT_VARIABLE: ""})
+    listener.spin_until(lambda: drive.process.poll() is not None, "its end")
+    assert drive.wait() == 0
+    assert _said(launched, "'drive' joined; time waits for it at ticks with ground_truth/odom")
+    listener.spin_until(lambda: bool(_said(launched, "'drive' left")), "a word")
+    before = len(odometry)
+    listener.spin_until(lambda: len(odometry) > before + 5, "odometry afterwards")
+
+
 def test_several_render_nodes_draw_every_image_that_is_due(
     start: Callable[..., Launched], listener: Listener, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.ros.topics import names, qos
-from gibson_sim.ros.topics.discovery import is_fully_matched
+from gibson_sim.ros.topics.discovery import is_fully_matched, wait_until_acknowledged
 from gibson_sim.ros.wire.fast_publish import FastTickDone
 
 DISCOVERY_TIMEOUT_S = 10.0
@@ -60,8 +60,9 @@ class LockstepParticipant:
         self._publisher.publish(message.serialize(stamp.sec, stamp.nanosec))
 
     def leave(self) -> None:
-        """Leaves: the simulation no longer waits for this participant."""
+        """Leaves: the simulation no longer waits for this participant. Returns once the simulation has it: the process may end then."""
         self._publisher.publish(TickDone(event=TickDone.LEAVE, participant=self.name))
+        wait_until_acknowledged(self._publisher)
 
 
 def is_in_lockstep(node: Node) -> bool:

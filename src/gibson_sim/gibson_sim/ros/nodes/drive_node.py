@@ -136,6 +136,8 @@ class DriveNode(Node):
         """Drives until the drive is done or the context ends; returns the exit code."""
         spin_while(self, self._is_unfinished)
         wait_until_acknowledged(self._publisher)
+        if self._lockstep is not None and not started_by_launcher():  # which ends the run at this tick
+            self._lockstep.leave()
         self.get_logger().info(f"{'done' if self._done else 'stopped'} after {self._sent} commands")
         return 0
 
