@@ -89,8 +89,8 @@ _KINDS = {
     "launch.event_handlers": ("OnProcessExit",),
     "launch.events": ("Shutdown",),
     "launch.launch_description_sources": ("PythonLaunchDescriptionSource",),
-    "launch.substitutions": ("EqualsSubstitution", "LaunchConfiguration"),
+    "launch.substitutions": ("EqualsSubstitution", "LaunchConfiguration", "NotEqualsSubstitution"),
     "launch_ros": (),
-    "launch_ros.actions": ("Node",),
+    "launch_ros.actions": ("Node", "SetRemap"),
     "launch_ros.parameter_descriptions": ("ParameterValue",),
 }

@@ -41,7 +41,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"{name} = {NAME}.nodes.{name}:main"
-            for name in ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults")
+            for name in ("path_recorder", "path_localiser", "path_policy", "path_evaluator", "camera_faults", "goggles")
         ]
     },
 )

@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gibson_path_following.types import Velocity
@@ -17,12 +18,12 @@ from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim_bench.cli import table2
 from gibson_sim_bench.path_following.plan import RunKey, Table2Plan, keys_of, seeds_of
 from gibson_sim_bench.path_following.report import report_page, report_text
-from gibson_sim_bench.path_following.runs import RunResult, kind_of, result_of, run_path
+from gibson_sim_bench.path_following.runs import RunResult, SeeingThrough, kind_of, result_of, run_path
 from gibson_sim_bench.path_following.store import Store
 from gibson_sim_bench.path_following.strips import examples, write_strips
 from gibson_sim_bench.path_following.table import Table2, cells_of, differences_of, paired_interval
 from gibson_sim_learn.path_following.cases import PathCase
-from gibson_sim_learn.path_following.drives import Tick, Trace
+from gibson_sim_learn.path_following.drives import Sight, Tick, Trace
 from support.scenes import write_room
 
 WALL = "  - {name: middle, box: [2.6, 0.2, 2.0], pose: {xyz: [-0.6, 0.0, 1.0]}, semantic_class: wall}\n"
@@ -104,6 +105,54 @@ def test_runs_are_shared_out_among_the_paths_of_a_case() -> None:
     assert [len(keys[case]) for case in cases] == [6, 4, 4]  # 3, 2, 2 repeats of two methods
     assert {key.policy for key in keys[cases[0]] if key.method == "learned"} == {"abc"}
     assert {key.policy for key in keys[cases[0]] if key.method == "oracle"} == {""}
+
+
+def test_other_goggles_are_another_method_and_plain_runs_stay_valid() -> None:
+    case = PathCase("room", 6.6, 0, ((0.0, 0.0), (1.0, 0.0)))
+    methods = ("learned", "learned+goggles", "learned+histogram", "teach_repeat+goggles", "teach_repeat+grey_world")
+    plan = Table2Plan(runs=1, lengths=(6.6,), domains=("light",), methods=methods)
+    policies = {key.method: key.policy for key in keys_of(plan, [case], "abc", "xyz")[case]}
+    assert policies == {
+        "learned": "abc", "learned+goggles": "abc+xyz", "learned+histogram": "abc", "teach_repeat+goggles": "xyz", "teach_repeat+grey_world": "",
+    }  # fmt: skip
+
+
+def test_a_driver_sees_through_goggles_what_the_camera_did_not_show() -> None:
+    class Looks:
+        needs_view, place, state = True, None, "following"
+
+        def drive(self, sight: Sight) -> Velocity:
+            return Velocity(float(sight.view[0][0, 0, 0]), sight.stamp_ns)
+
+    driver = SeeingThrough(Looks(), lambda image: image + np.uint8(7))
+    image = np.full((2, 2, 3), 3, np.uint8)
+    assert driver.drive(Sight(5, (image,), (0.0, 0.0, 0.0))) == Velocity(10.0, 5)
+    assert image.max() == 3
+
+
+def test_runs_with_goggles_are_compared_with_those_without(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = room_plan(tmp_path).scenes[0]
+    folder, parser = tmp_path / "out", argparse.ArgumentParser()
+    table2.add_parser(parser.add_subparsers())
+    (folder / "runs").mkdir(parents=True)
+    keys = [RunKey(scene, 3.5, 0, 0, "light", method) for method in ("teach_repeat", "teach_repeat+histogram")]
+    lines = [replace(result("blind", 0, kind), key=key).as_line() for key, kind in zip(keys, ("lost", "success"), strict=True)]
+    (folder / "runs" / "room_3.5m_0.jsonl").write_text("\n".join(lines) + "\n")
+    options = [
+        "--methods",
+        "teach_repeat,teach_repeat+histogram",
+        "--domains",
+        "light",
+        "--cases",
+        "3.5",
+        "--runs",
+        "1",
+        "--paths",
+        "1",
+    ]
+    args = parser.parse_args(["table2", "--scenes", scene, "--folder", str(folder), "--report-only", "--no-strips", *options])
+    assert args.run(args) == 0
+    assert "teach_repeat+histogram minus teach_repeat" in capsys.readouterr().out
 
 
 def test_runs_that_differ_in_method_or_domain_alone_have_the_same_seeds() -> None:
@@ -207,7 +256,10 @@ def test_results_survive_their_line() -> None:
         (["--cases", "0.1"], r"a case is 0\.1 m, must be 1 to 100 m"),
         (["--domains", "nigth"], r"no domain 'nigth'.*night"),
         (["--methods", "orakle"], r"no method 'orakle'.*oracle"),
+        (["--methods", "learned+gogles"], r"no method 'learned\+gogles'.*learned\+goggles"),
+        (["--methods", "blind+goggles"], r"no method 'blind\+goggles'"),
         (["--model", "none.onnx"], r"none\.onnx: .*name an ONNX file"),
+        (["--methods", "teach_repeat+goggles", "--goggles", "none.onnx"], r"--goggles none\.onnx: .*name an ONNX file"),
     ],
 )
 def test_impossible_options_are_refused(options: list[str], message: str) -> None:

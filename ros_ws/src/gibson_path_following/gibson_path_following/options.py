@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from gibson_path_following.errors import SettingError, quoted
+from gibson_path_following.goggles import MODES
 from gibson_path_following.types import IMAGES_OF
 
 
@@ -150,6 +151,31 @@ class FaultOptions(Options):
     drop: float = option(0.0, "part of the images that is missing, evenly spread: 0.5 is every other one", 0.0, 1.0)
     delay: float = option(0.0, "how late images come, seconds, in steps of the time from one image to the next", 0.0, 60.0)
     stamped: bool = option(False, "cmd_vel is geometry_msgs/TwistStamped")
+
+
+@dataclass(frozen=True)
+class GogglesOptions(Options):
+    """Parameters of ``goggles``."""
+
+    image_topic: str = option(
+        "camera/image_raw", "topic of the images; a name that ends in /compressed carries sensor_msgs/CompressedImage"
+    )
+    mode: str = option("learned", f"how images are brought to the simulator's look: {', '.join(MODES)}")
+    model: str = option("", "ONNX file of learned; empty = the network in the package")
+    reference: str = option("", "folder of a path whose colours the other modes aim at; empty = the simulator's")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.image_topic:
+            raise SettingError("parameter image_topic is empty, must be a topic of images")
+        if self.mode not in MODES:
+            raise SettingError(f"parameter mode is {quoted(self.mode)}, must be one of {', '.join(MODES)}")
+        if self.model and self.mode != "learned":
+            raise SettingError(f"parameter model is {quoted(self.model)}, which mode {self.mode} does not use; leave it empty")
+        if self.reference and self.mode == "learned":
+            raise SettingError(
+                f"parameter reference is {quoted(self.reference)}, which mode learned does not use; leave it empty"
+            )
 
 
 def _check(name: str, value: Any, default: object, least: Any, most: Any) -> None:

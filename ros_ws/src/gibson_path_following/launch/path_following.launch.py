@@ -9,8 +9,8 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
+from launch_ros.actions import Node, SetRemap
 from launch_ros.parameter_descriptions import ParameterValue
 
 
@@ -32,6 +32,17 @@ def generate_launch_description():
 
     backend = ParameterValue(LaunchConfiguration("backend"), value_type=str)
     autostart = ParameterValue(LaunchConfiguration("autostart"), value_type=bool)
+    mode = LaunchConfiguration("goggles")
+    with_goggles = IfCondition(NotEqualsSubstitution(mode, "none"))
+    goggles = Node(
+        package="gibson_path_following",
+        executable="goggles",
+        name="goggles",
+        namespace=namespace,
+        parameters=[params, {"use_sim_time": sim_time, "mode": ParameterValue(mode, value_type=str)}],
+        output="screen",
+        condition=with_goggles,
+    )
     results = ParameterValue(LaunchConfiguration("results"), value_type=str)
     return LaunchDescription(
         [
@@ -44,6 +55,11 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "autostart", default_value="true", description="drive at once; false = wait for a lifecycle manager"
             ),
+            DeclareLaunchArgument(
+                "goggles",
+                default_value="none",
+                description="images in the simulator's look: learned, histogram, grey_world; or none",
+            ),
             DeclareLaunchArgument("evaluator", default_value="false", description="judge the drive by ground_truth/odom"),
             DeclareLaunchArgument("results", default_value="path_following.json", description="file of the evaluator"),
             DeclareLaunchArgument(
@@ -51,6 +67,9 @@ def generate_launch_description():
                 default_value=os.path.join(share, "config", "path_following.yaml"),
                 description="parameters of all nodes",
             ),
+            goggles,
+            # Whoever follows in this file sees through them.
+            *(SetRemap(f"camera/{name}", f"goggles/{name}", condition=with_goggles) for name in ("image_raw", "camera_info")),
             node("path_policy", {"backend": backend, "autostart": autostart}),
             node("path_evaluator", {"file": results}, condition=IfCondition(LaunchConfiguration("evaluator"))),
         ]

@@ -37,7 +37,8 @@ def add_parser(kinds: Any) -> None:
         "--methods",
         default="",
         metavar="A,B",
-        help="of oracle, learned, teach_repeat, blind, random (default: all; learned if there is a network)",
+        help="of oracle, learned, teach_repeat, blind, random (default: all; learned if there is a network); learned and teach_repeat also with "
+        "+goggles, +histogram or +grey_world",
     )
     parser.add_argument("--scenes", default="", metavar="A,B", help="scenes (default: those held out from training)")
     parser.add_argument("--paths", type=int, default=10, metavar="N", help="paths of each case, over all scenes (default: 10)")
@@ -45,6 +46,9 @@ def add_parser(kinds: Any) -> None:
         "--camera", choices=("pinhole", "fisheye_pair"), default="pinhole", help="cameras of the robot (default: pinhole)"
     )
     parser.add_argument("--model", default="", metavar="FILE", help="network of learned, ONNX (default: the one that is shipped)")
+    parser.add_argument(
+        "--goggles", default="", metavar="FILE", help="network of methods with +goggles, ONNX (default: the one that is shipped)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of paths, conditions and noise (default: 0)")
     parser.add_argument(
         "--folder",
@@ -65,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
     """Makes the runs that are missing, prints the report, and writes page, Markdown and JSON into the folder."""
     from gibson_sim.writing import write_file
     from gibson_sim_bench import timing
+    from gibson_sim_bench.path_following.plan import parts_of
     from gibson_sim_bench.path_following.report import report_page, report_text
     from gibson_sim_bench.path_following.store import Store
     from gibson_sim_bench.path_following.strips import write_strips
@@ -79,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     if not results:
         raise ConfigError(f"{args.folder}: holds no run of this plan{f'; {errors[0]}' if errors else ''}")
     planned = len(results) + sum(map(len, store.missing().values()))
+    compared = [("learned", "teach_repeat"), *((name, base) for name in plan.methods for base, kind in [parts_of(name)] if kind)]
     found = Table2(
         timing.now(),
         timing.version(),
@@ -87,9 +93,10 @@ def run(args: argparse.Namespace) -> int:
         plan.as_json(),
         store.policy,
         cells_of(results),
-        differences_of(results, "learned", "teach_repeat"),
+        tuple(one for pair in compared for one in differences_of(results, *pair)),
         planned,
         tuple(errors),
+        store.goggles,
     )
     strips = {} if args.no_strips else write_strips(store, results, tell)
     write_json(args.folder / "table2.json", found.as_json())
@@ -107,16 +114,12 @@ def plan_of(args: argparse.Namespace) -> Table2Plan:
     Raises:
         ConfigError: an option is invalid.
     """
-    from gibson_sim_bench.path_following.plan import METHODS, Table2Plan
-    from gibson_sim_bench.path_following.runs import policy_digest
+    from gibson_sim_bench.path_following.plan import METHODS, Table2Plan, parts_of
+    from gibson_sim_bench.path_following.runs import goggles_digest, policy_digest
 
     default = Table2Plan()
     methods = _words(args.methods) or tuple(name for name in METHODS if name != "learned" or policy_digest(args.model))
-    if "learned" in methods and not policy_digest(args.model):
-        raise ConfigError(
-            "method learned needs a network: train one with gibson-sim learn path-following, and name it with --model"
-        )
-    return Table2Plan(
+    plan = Table2Plan(
         runs=args.runs,
         lengths=tuple(sorted({_metres(text) for text in _words(args.cases)})) or default.lengths,
         domains=_words(args.domains) or default.domains,
@@ -126,7 +129,18 @@ def plan_of(args: argparse.Namespace) -> Table2Plan:
         camera=args.camera,
         seed=args.seed,
         model=str(Path(args.model).absolute()) if args.model else "",
+        goggles=str(Path(args.goggles).absolute()) if args.goggles else "",
     )
+    parts = {part for name in methods for part in parts_of(name)}
+    if "learned" in parts and not policy_digest(args.model):
+        raise ConfigError(
+            "method learned needs a network: train one with gibson-sim learn path-following, and name it with --model"
+        )
+    if "goggles" in parts and not goggles_digest(args.goggles):
+        raise ConfigError(
+            "methods with +goggles need a network: train one with gibson-sim learn goggles, and name it with --goggles"
+        )
+    return plan
 
 
 def _words(text: str) -> tuple[str, ...]:

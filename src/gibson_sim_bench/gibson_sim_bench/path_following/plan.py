@@ -24,6 +24,14 @@ METHODS = {
     "random": "random commands for as long as the recording took",
 }
 """By name: what it is."""
+GOGGLES = {
+    "goggles": "the network of gibson-sim learn goggles",
+    "histogram": "the levels of the path's images",
+    "grey_world": "grey on average, as bright as the path's images",
+}
+"""What may bring the images that a method sees to the simulator's look, by name: ``learned+goggles``."""
+SEEING = ("learned", "teach_repeat")
+"""Methods that may be seen with ``GOGGLES``."""
 PATHS = 10
 """Paths of a case, over all scenes."""
 
@@ -49,6 +57,8 @@ class Table2Plan:
     seed: int = 0
     model: str = ""
     """ONNX file of ``learned``; empty = the one that is shipped."""
+    goggles: str = ""
+    """ONNX file of ``+goggles``; empty = the one that is shipped."""
 
     def __post_init__(self) -> None:
         if self.runs < 1:
@@ -73,9 +83,7 @@ class Table2Plan:
         for name in self.domains:
             domain_of(name)
         for name in self.methods:
-            if name not in METHODS:
-                hint = nearest(name, tuple(METHODS))
-                raise ConfigError(f"there is no method {quoted(name)}; {f'{hint} ' if hint else ''}known: {', '.join(METHODS)}")
+            method_text(name)
 
     def identity(self) -> dict[str, Any]:
         """Returns what all runs in one folder must have in common: with another of these they could not be compared."""
@@ -84,6 +92,28 @@ class Table2Plan:
     def as_json(self) -> dict[str, Any]:
         """Returns the plan as JSON types."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+def parts_of(method: str) -> tuple[str, str]:
+    """Returns who drives, and one of ``GOGGLES`` or an empty text: ``learned+goggles`` is learned, goggles."""
+    base, _, goggles = method.partition("+")
+    return base, goggles
+
+
+def method_text(method: str) -> str:
+    """Returns what a method is.
+
+    Raises:
+        ConfigError: there is no such method.
+    """
+    base, goggles = parts_of(method)
+    if method in METHODS:
+        return METHODS[method]
+    if base in SEEING and goggles in GOGGLES:
+        return f"{base}, whose images first get the simulator's look: {GOGGLES[goggles]}"
+    known = (*METHODS, *(f"{one}+{kind}" for one in SEEING for kind in GOGGLES))
+    hint = nearest(method, known)
+    raise ConfigError(f"there is no method {quoted(method)}; {f'{hint} ' if hint else ''}known: {', '.join(known)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +128,7 @@ class RunKey:
     domain: str
     method: str
     policy: str = ""
-    """Digest of the network of ``learned``: other weights are another method."""
+    """Digests of the networks, that of ``learned`` and that of the Goggles, joined by +: other weights are another method."""
 
     @property
     def name(self) -> str:
@@ -127,23 +157,30 @@ def cases_of(plan: Table2Plan) -> tuple[PathCase, ...]:
     return tuple(found)
 
 
-def keys_of(plan: Table2Plan, cases: Sequence[PathCase], policy: str) -> dict[PathCase, list[RunKey]]:
+def keys_of(plan: Table2Plan, cases: Sequence[PathCase], policy: str, goggles: str = "") -> dict[PathCase, list[RunKey]]:
     """Returns the runs of each path: of each case ``plan.runs``, one more on some paths than on others if they cannot be shared out.
 
     Args:
         plan: the plan.
         cases: its paths.
-        policy: digest of the network.
+        policy: digest of the network of ``learned``.
+        goggles: digest of the network of ``+goggles``.
     """
+    digests = {name: _digests(name, policy, goggles) for name in plan.methods}
     out: dict[PathCase, list[RunKey]] = {case: [] for case in cases}
     for length in plan.lengths:
         of_length = [case for case in cases if case.length == length]
         for k, case in enumerate(of_length):
             repeats = (plan.runs + len(of_length) - 1 - k) // len(of_length)
             out[case] = [
-                RunKey(case.scene, length, case.number, repeat, domain, method, policy if method == "learned" else "")
+                RunKey(case.scene, length, case.number, repeat, domain, method, digests[method])
                 for repeat in range(repeats)
                 for domain in plan.domains
                 for method in plan.methods
             ]
     return out
+
+
+def _digests(method: str, policy: str, goggles: str) -> str:
+    base, kind = parts_of(method)
+    return "+".join(digest for digest, is_used in ((policy, base == "learned"), (goggles, kind == "goggles")) if is_used)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gibson_sim_bench.path_following.plan import METHODS
+from gibson_sim_bench.path_following.plan import method_text, parts_of
 from gibson_sim_bench.path_following.table import Cell, Difference, Table2
 from gibson_sim_bench.reports.render import table
 from gibson_sim_learn.path_following.domains import DOMAINS
@@ -89,13 +89,15 @@ def _facts(found: Table2) -> list[str]:
         f"{found.runs} of {found.planned} runs; scenes {', '.join(plan['scenes'])}; {plan['paths']} paths a case; seed {plan['seed']}; "
         f"camera {plan['camera']}.",
         "Success: within 0.5 m of the end, and nothing touched. Coverage: share of the path's places that the robot came within 0.5 m of.",
-        *(
-            f"{name}: {METHODS[name]}{f' ({found.policy})' if name == 'learned' and found.policy else ''}."
-            for name in plan["methods"]
-        ),
+        *(f"{name}: {method_text(name)}{_digest(found, name)}." for name in plan["methods"]),
         *(f"{name}: {DOMAINS[name].text}." for name in plan["domains"]),
     ]
     return [*lines, *(f"Failed: {line}" for line in found.errors)]
+
+
+def _digest(found: Table2, method: str) -> str:
+    digest = {"learned": found.policy, "goggles": found.goggles}.get(parts_of(method)[1] or method, "")
+    return f" ({digest})" if digest else ""
 
 
 def _tables(found: Table2) -> list[tuple[str, Sequence[str], Sequence[Sequence[str]], Sequence[int]]]:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,14 @@ import numpy as np
 from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import PathFollowingError
 from gibson_path_following.follower import FollowerSettings, PathFollower
+from gibson_path_following.goggles import DEFAULT_MODEL as DEFAULT_GOGGLES, Goggles, Look, make_goggles
 from gibson_path_following.learned import DEFAULT_MODEL
+from gibson_path_following.types import Place, Velocity
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.jobs.units import Context
 from gibson_sim.reading import read_file
 from gibson_sim.writing import cannot_write
-from gibson_sim_bench.path_following.plan import RunKey, seeds_of
+from gibson_sim_bench.path_following.plan import RunKey, parts_of, seeds_of
 from gibson_sim_learn.path_following.cameras import Rig
 from gibson_sim_learn.path_following.cases import PathCase
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
@@ -31,6 +33,7 @@ from gibson_sim_learn.path_following.drives import (
     PathSite,
     RandomDriver,
     Recording,
+    Sight,
     Trace,
     follow,
     oracle_for,
@@ -106,13 +109,50 @@ def policy_digest(model: str) -> str:
     Raises:
         ConfigError: the file that is named cannot be read.
     """
-    file = Path(model) if model else DEFAULT_MODEL
+    return _digest("--model", model, DEFAULT_MODEL)
+
+
+def goggles_digest(model: str) -> str:
+    """Returns the same of the Goggles' network; arguments and errors as of ``policy_digest``."""
+    return _digest("--goggles", model, DEFAULT_GOGGLES)
+
+
+def _digest(option: str, model: str, shipped: Path) -> str:
+    file = Path(model) if model else shipped
     if not model and not file.is_file():
         return ""
     try:
         return hashlib.sha256(read_file(file, _MAX_MODEL_BYTES)).hexdigest()[:16]
     except OSError as error:
-        raise ConfigError(f"--model {file}: cannot be read: {error.strerror}; name an ONNX file of gibson-sim learn") from error
+        raise ConfigError(f"{option} {file}: cannot be read: {error.strerror}; name an ONNX file of gibson-sim learn") from error
+
+
+class SeeingThrough:
+    """A driver whose images get the simulator's look first.
+
+    Args:
+        driver: sees the images afterwards.
+        bring: gives an image that look.
+    """
+
+    needs_view = True
+
+    def __init__(self, driver: Driver, bring: Goggles) -> None:
+        self._driver, self._bring = driver, bring
+
+    @property
+    def place(self) -> Place | None:
+        """That of the driver."""
+        return self._driver.place
+
+    @property
+    def state(self) -> str:
+        """That of the driver."""
+        return self._driver.state
+
+    def drive(self, sight: Sight) -> Velocity:
+        """Returns the velocity until the next tick."""
+        return self._driver.drive(replace(sight, view=tuple(self._bring(image) for image in sight.view)))
 
 
 class Runner:
@@ -122,10 +162,11 @@ class Runner:
         seed: of the plan.
         rig: cameras.
         model: ONNX file of ``learned``; empty = the one that is shipped.
+        goggles: ONNX file of ``+goggles``; empty = the one that is shipped.
     """
 
-    def __init__(self, seed: int, rig: Rig, model: str = "") -> None:
-        self._seed, self._rig, self._model = seed, rig, model
+    def __init__(self, seed: int, rig: Rig, model: str = "", goggles: str = "") -> None:
+        self._seed, self._rig, self._model, self._goggles = seed, rig, model, goggles
         self._site: PathSite | None = None
         self._recording: Recording | None = None
 
@@ -207,10 +248,15 @@ class Runner:
             return BlindDriver(recording)
         if method == "random":
             return RandomDriver(recording, rng)
-        backend = f"learned:{self._model}" if method == "learned" and self._model else method
+        base, kind = parts_of(method)
+        backend = f"learned:{self._model}" if base == "learned" and self._model else base
         try:
             policy, localiser = make_policy(backend, recording.path)
-            return FollowerDriver(PathFollower(recording.path, policy, FollowerSettings(), localiser))
+            driver = FollowerDriver(PathFollower(recording.path, policy, FollowerSettings(), localiser))
+            if not kind:
+                return driver
+            mode = "learned" if kind == "goggles" else kind
+            return SeeingThrough(driver, make_goggles(mode, self._goggles, Look.of_path(recording.path)))
         except PathFollowingError as error:
             raise ConfigError(f"method {method}: {error}") from error
 
@@ -240,18 +286,18 @@ def kind_of(trace: Trace, *, success: bool, arrived: bool, collisions: int) -> s
     return "stood still" if trace.ended == "standing" else "out of time"
 
 
-_KEPT: dict[tuple[int, str, str], Runner] = {}
+_KEPT: dict[tuple[int, str, str, str], Runner] = {}
 """The runner of a worker process, which keeps its scene from one unit to the next."""
 
 
 def run_path(arguments: dict[str, Any], folder: Path, context: Context) -> int:
     """Makes the runs of one path, and appends a line for each to its file; returns their number. A unit of work, see ``jobs``."""
-    settings = (arguments["seed"], arguments["camera"], arguments["model"])
+    settings = (arguments["seed"], arguments["camera"], arguments["model"], arguments["goggles"])
     if settings not in _KEPT:
         for runner in _KEPT.values():
             runner.close()
         _KEPT.clear()
-        _KEPT[settings] = Runner(settings[0], Rig(settings[1]), settings[2])
+        _KEPT[settings] = Runner(settings[0], Rig(settings[1]), *settings[2:])
     case = case_of(arguments["case"])
     keys = [RunKey(**values) for values in arguments["keys"]]
     return make_runs(_KEPT[settings], case, keys, Path(arguments["file"]), context.stop, context.progress)

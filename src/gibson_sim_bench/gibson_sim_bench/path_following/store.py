@@ -14,8 +14,8 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.jobs.units import Backend, Unit, UnitResult, run_units
 from gibson_sim.reading import is_file, read_file
 from gibson_sim.writing import cannot_write, write_file
-from gibson_sim_bench.path_following.plan import RunKey, Table2Plan, cases_of, keys_of
-from gibson_sim_bench.path_following.runs import UNIT, RunResult, case_of, policy_digest, result_of
+from gibson_sim_bench.path_following.plan import RunKey, Table2Plan, cases_of, keys_of, parts_of
+from gibson_sim_bench.path_following.runs import UNIT, RunResult, case_of, goggles_digest, policy_digest, result_of
 from gibson_sim_learn.path_following.cases import PathCase
 
 PLAN, LINES = "plan.json", "runs"
@@ -36,7 +36,11 @@ class Store:
 
     def __init__(self, folder: Path, plan: Table2Plan) -> None:
         self.folder, self.plan = folder, plan
-        self.policy = policy_digest(plan.model) if "learned" in plan.methods else ""
+        parts = {part for method in plan.methods for part in parts_of(method)}
+        self.policy = policy_digest(plan.model) if "learned" in parts else ""
+        """Digest of the network of ``learned``; empty = it is not in the plan."""
+        self.goggles = goggles_digest(plan.goggles) if "goggles" in parts else ""
+        """Digest of the Goggles; empty = they are not in the plan."""
         file = folder / PLAN
         if is_file(file):
             self.cases = _read_cases(file, plan)
@@ -119,6 +123,7 @@ class Store:
             "seed": self.plan.seed,
             "camera": self.plan.camera,
             "model": self.plan.model,
+            "goggles": self.plan.goggles,
             "case": asdict(case),
             "keys": [asdict(key) for key in keys],
             "file": str(file),
@@ -126,7 +131,7 @@ class Store:
         return Unit(name, UNIT, arguments)
 
     def _keys(self) -> dict[PathCase, list[RunKey]]:
-        return keys_of(self.plan, [case for case in self.cases if case.length in self.plan.lengths], self.policy)
+        return keys_of(self.plan, [case for case in self.cases if case.length in self.plan.lengths], self.policy, self.goggles)
 
 
 def _end_line(file: Path) -> None:

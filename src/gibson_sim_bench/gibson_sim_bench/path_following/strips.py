@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.picture_files import write_picture
+from gibson_sim_bench.path_following.plan import parts_of
 from gibson_sim_bench.path_following.runs import SUCCESS, Runner, RunResult
 from gibson_sim_bench.path_following.store import Store
 from gibson_sim_learn.path_following.cameras import Rig
@@ -42,7 +43,7 @@ def write_strips(store: Store, results: Iterable[RunResult], tell: Callable[[str
         GibsonSimError: a file cannot be written.
     """
     out: dict[str, Path] = {}
-    runner = Runner(store.plan.seed, Rig(store.plan.camera), store.plan.model)
+    runner = Runner(store.plan.seed, Rig(store.plan.camera), store.plan.model, store.plan.goggles)
     try:
         for caption, result in sorted(examples(results).items(), key=lambda item: item[1].key.scene):
             file = store.folder / FOLDER / f"{result.key.name}.png"
@@ -71,7 +72,15 @@ def examples(results: Iterable[RunResult]) -> dict[str, RunResult]:
 
     def order(result: RunResult) -> tuple[object, ...]:
         key = result.key
-        return _LOOKED_AT.index(key.method), key.domain != "reality", key.length, key.scene, key.path, key.repeat
+        return (
+            _LOOKED_AT.index(parts_of(key.method)[0]),
+            key.method,
+            key.domain != "reality",
+            key.length,
+            key.scene,
+            key.path,
+            key.repeat,
+        )
 
     for result in sorted((r for r in results if not r.kind.startswith("not run")), key=order):
         kind = f"{result.key.method}: {SUCCESS}" if result.success else result.kind

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from gibson_sim.tasks.metrics import wilson
-from gibson_sim_bench.path_following.plan import METHODS
+from gibson_sim_bench.path_following.plan import GOGGLES, METHODS, parts_of
 from gibson_sim_bench.path_following.runs import SUCCESS, RunResult
 from gibson_sim_bench.ros import without_nan
 from gibson_sim_learn.path_following.domains import DOMAINS
@@ -92,6 +92,8 @@ class Table2:
     planned: int
     """Runs of the plan, made or not."""
     errors: tuple[str, ...] = ()
+    goggles: str = ""
+    """Digest of the network of ``+goggles``; empty = it is not in the plan."""
 
     @property
     def runs(self) -> int:
@@ -112,8 +114,9 @@ def cells_of(results: Iterable[RunResult]) -> tuple[Cell, ...]:
     return tuple(_cell(key, groups[key]) for key in sorted(groups, key=_order))
 
 
-def _order(key: tuple[float, str, str]) -> tuple[float, int, int]:
-    return key[0], list(DOMAINS).index(key[1]), list(METHODS).index(key[2])
+def _order(key: tuple[float, str, str]) -> tuple[float, int, int, int]:
+    base, goggles = parts_of(key[2])
+    return key[0], list(DOMAINS).index(key[1]), list(METHODS).index(base), ["", *GOGGLES].index(goggles)
 
 
 def _cell(key: tuple[float, str, str], found: Sequence[RunResult]) -> Cell:

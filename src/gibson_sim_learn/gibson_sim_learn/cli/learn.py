@@ -40,6 +40,23 @@ def add_parser(subparsers: Any) -> None:
     )
     path.add_argument("--seed", type=int, metavar="N", help="of data and training (default: that of the file)")
     path.set_defaults(run=run)
+    goggles = kinds.add_parser(
+        "goggles",
+        help="train the network that brings a camera's images to the simulator's look",
+        description=(
+            "Draws pairs of images in the training scenes and trains. It goes on where it was interrupted. docs/goggles.md"
+        ),
+    )
+    goggles.add_argument("--iterations", type=int, metavar="N", help="steps of the optimiser (default: 3000)")
+    goggles.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("out/goggles"),
+        metavar="DIR",
+        help="where pairs, checkpoints, curve and network are put (default: out/goggles)",
+    )
+    goggles.add_argument("--seed", type=int, default=0, metavar="N", help="of pairs and training (default: 0)")
+    goggles.set_defaults(run=run_goggles)
 
 
 @quiet()
@@ -57,6 +74,25 @@ def run(args: argparse.Namespace) -> int:
     finally:
         CONSOLE.status("")
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; curve: {args.folder / 'curve.png'}")
+    return 0
+
+
+@quiet()
+def run_goggles(args: argparse.Namespace) -> int:
+    """Trains Goggles, and prints how near they bring images to the simulator's, and where the network is."""
+    from gibson_sim_learn.goggles.settings import GogglesSettings
+
+    settings = GogglesSettings(seed=args.seed, **({} if args.iterations is None else {"iterations": args.iterations}))
+    require_learning()
+    from gibson_sim_learn.goggles.pipeline import learn
+
+    progress = _Progress(CONSOLE)
+    try:
+        learned = learn(args.folder, settings, progress.tell)
+    finally:
+        CONSOLE.status("")
+    print("\n".join(learned.scores))
+    print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; examples: {args.folder / 'sheet.png'}")
     return 0
 
 

@@ -1,0 +1,113 @@
+"""Writes trained Goggles as ONNX, and their card. Needs PyTorch and onnx.
+
+Inputs: ``image`` (1, H, W, 3), uint8, RGB, H and W even, and ``small`` (1, 64, 96, 3), the same image, smaller. Output: ``brought``
+(1, H, W, 3), uint8, RGB.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from gibson_sim.writing import write_file
+from gibson_sim_learn.goggles.network import SMALL, GogglesNetwork, parameter_count
+from gibson_sim_learn.goggles.pairs import DRAWN_FROM
+from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
+from gibson_sim_learn.goggles.training import CurvePoint
+from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+
+_OPSET = 17
+
+
+def export_network(network: GogglesNetwork, file: Path) -> int:
+    """Writes a network as ONNX; returns the size of the file, bytes."""
+    was_training = network.training
+    small = torch.zeros(1, *SMALL, 3, dtype=torch.uint8)
+    buffer: Any = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter that PyTorch recommends instead needs further packages
+        torch.onnx.export(
+            _Exported(network).eval(),
+            (torch.zeros(1, 48, 80, 3, dtype=torch.uint8), small),
+            buffer,
+            input_names=["image", "small"],
+            output_names=["brought"],
+            dynamic_axes={name: {1: "height", 2: "width"} for name in ("image", "brought")},
+            opset_version=_OPSET,
+            dynamo=False,
+        )
+    network.train(was_training)
+    model = onnx.load_from_string(buffer.getvalue())
+    entry = model.metadata_props.add()
+    entry.key, entry.value = "license", "Apache-2.0"
+    onnx.checker.check_model(model)
+    content = model.SerializeToString()
+    write_file(file, content)
+    return len(content)
+
+
+def write_card(
+    file: Path,
+    settings: GogglesSettings,
+    network: GogglesNetwork,
+    point: CurvePoint,
+    pairs: int,
+    scores: Mapping[str, Mapping[str, str]],
+) -> None:
+    """Writes the card of a network, Markdown.
+
+    Args:
+        file: where.
+        settings: of the training.
+        network: the network.
+        point: the last point of its curve.
+        pairs: number of pairs that it was trained on.
+        scores: name of a domain -> name of what brings images to the simulator's look -> how near that is.
+    """
+    lines = [
+        "# Card of Goggles",
+        "",
+        "- **What for**: bringing images of a pinhole camera, indoors, to the look of Gibson Sim's own images: exposure, white balance, light, "
+        "vignette, noise, blur.",
+        "- **Not for**: seeing in the dark, colours that must be true, other lenses; what a clipped or black pixel showed is invented.",
+        f"- **Size**: {parameter_count(network)} weights, float32.",
+        f"- **Trained in**: {', '.join(TRAINING)}, light and cameras of the domains {', '.join(f'`{name}`' for name in DRAWN_FROM)}. "
+        f"**Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
+        f"- **Data**: {pairs} pairs of 96x64 pixels; drawn by Gibson Sim, no photograph of the world.",
+        f"- **Command**: `gibson-sim learn goggles --seed {settings.seed}`",
+        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
+        "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
+        "- **Licence**: Apache-2.0, as Gibson Sim.",
+        "",
+        *score_table(scores),
+    ]
+    write_file(file, "\n".join(lines).rstrip() + "\n")
+
+
+def score_table(scores: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Returns the lines of a Markdown table; ``scores`` as of ``write_card``."""
+    rows = dict.fromkeys(name for column in scores.values() for name in column)
+    return [
+        f"| on the validation scenes | {' | '.join(f'`{domain}`' for domain in scores)} |",
+        f"|---|{'---|' * len(scores)}",
+        *(f"| {row} | {' | '.join(column.get(row, '-') for column in scores.values())} |" for row in rows),
+    ]
+
+
+class _Exported(nn.Module):
+    """The network with images of 8 bits on both sides."""
+
+    def __init__(self, network: GogglesNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, image: Tensor, small: Tensor) -> Tensor:
+        brought = self.network(image, small).permute(0, 2, 3, 1)
+        return (brought.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)

@@ -1,0 +1,130 @@
+"""Goggles: histograms and grey world by hand, networks of any size of image, and files of strangers in one line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_path_following.errors import ModelError, PathFollowingError, SettingError, ViewError
+from gibson_path_following.goggles import GreyWorldGoggles, HistogramGoggles, LearnedGoggles, Look, look_of, make_goggles
+from gibson_path_following.options import GogglesOptions
+from gibson_path_following.path_folder import save_path
+from support import onnx_bytes as ox
+from support.path_views import straight_path
+
+MIRRORED = {"channels": np.array([2, 1, 0], dtype=np.int64)}
+
+
+def network(height: int | str = "height", width: int | str = "width", small: str = "small", out: str = "image") -> bytes:
+    """Returns a network that exchanges red and blue."""
+    return ox.model(
+        [ox.node("Gather", [out, "channels"], "brought", axis=3)],
+        [ox.value("image", "uint8", [1, height, width, 3]), ox.value(small, "uint8", [1, 64, 96, 3])],
+        [ox.value("brought", "uint8", [1, height, width, 3])],
+        MIRRORED,
+    )
+
+
+def write(folder: Path, content: bytes) -> Path:
+    file = folder / "goggles.onnx"
+    file.write_bytes(content)
+    return file
+
+
+def grey(*levels: int) -> np.ndarray:
+    """Returns an image of one row, a pixel for each level."""
+    return np.array(levels, np.uint8)[None, :, None].repeat(3, axis=2)
+
+
+def test_each_colour_gets_the_levels_of_the_reference_in_their_order() -> None:
+    look = Look.of_images([np.array([[[10, 0, 200], [30, 0, 220]]], np.uint8)])
+    brought = HistogramGoggles(look)(np.array([[[250, 7, 60], [90, 9, 61]]], np.uint8))
+    # Half of the pixels are below, half above: a quarter and three quarters of the way through the reference's levels.
+    assert brought.tolist() == [[[30, 0, 200], [10, 0, 220]]]
+
+
+def test_an_image_with_the_levels_of_the_reference_stays_as_it_is() -> None:
+    image = np.random.default_rng(3).integers(0, 256, (64, 96, 3)).astype(np.uint8)
+    brought = HistogramGoggles(Look.of_images([image]))(image)
+    assert np.abs(brought.astype(int) - image).max() <= 1
+
+
+def test_grey_world_takes_the_mean_colour_for_that_of_the_light() -> None:
+    # sRGB 188, 137, 99 are 0.503, 0.250, 0.124 of white's light: the reference, 137, is 0.250 bright.
+    seen = np.array([[[188, 137, 99]] * 2], np.uint8)
+    brought = GreyWorldGoggles(Look.of_images([grey(137, 137)]))(seen)
+    assert np.abs(brought.astype(int) - 137).max() <= 1
+
+
+def test_a_black_image_stays_black_in_a_grey_world() -> None:
+    assert not GreyWorldGoggles(Look.of_images([grey(100)]))(grey(0, 0)).any()
+
+
+def test_a_look_survives_its_file_and_that_of_a_path_is_of_its_images(tmp_path: Path) -> None:
+    path = straight_path()
+    nodes = tuple(replace(node, view=(np.full((64, 96, 3), 50, np.uint8),)) for node in path.nodes)
+    save_path(replace(path, nodes=nodes), tmp_path / "path")
+    look = look_of(str(tmp_path / "path"))
+    (tmp_path / "look.csv").write_text(look.as_text())
+    assert np.abs(Look.load(tmp_path / "look.csv").levels - 50.0).max() <= 1.0
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3\n", "1,2\n" * 256, "1,2,300\n" * 256, "nan,0,0\n" * 256, "colour\n"])
+@pytest.mark.filterwarnings("ignore:loadtxt")
+def test_a_file_without_a_look_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "look.csv").write_text(text)
+    with pytest.raises(ModelError, match=r"look\.csv.*install the package anew") as caught:
+        Look.load(tmp_path / "look.csv")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [(64, 96), (63, 95), (480, 640), (1, 1)])
+def test_a_network_takes_images_of_any_size(tmp_path: Path, size: tuple[int, int]) -> None:
+    image = np.random.default_rng(1).integers(0, 256, (*size, 3)).astype(np.uint8)
+    assert (LearnedGoggles(write(tmp_path, network()))(image) == image[..., ::-1]).all()
+
+
+def test_an_image_that_is_too_large_for_a_network_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ViewError, match="2100x1000 pixels, Goggles take up to 2097152"):
+        LearnedGoggles(write(tmp_path, network()))(np.zeros((1000, 2100, 3), np.uint8))
+
+
+def _with_external_data() -> bytes:
+    tensors = [ox.external_tensor("w", [1], "/etc/hostname")]
+    return ox.model([ox.node("Add", ["a", "w"], "c")], [ox.value("a", "float32", [1])], [ox.value("c", "float32", [1])], tensors)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", r"is no network that onnxruntime runs: "),
+        (b"GIF89a and so on", r"is no ONNX file, or is cut"),
+        (network()[:-40], r"is no ONNX file, or is cut"),
+        (_with_external_data(), r"keeps its weights in other files, which are not read"),
+        (network(small="thumbnail"), r"its inputs are 'image, thumbnail' .*; must be image, small and brought: use a file that gibson-sim learn"),
+        (network(height=64, width=96), r"cannot be run: "),
+        (network(out="small"), r"its output is uint8 \(1, 64, 96, 3\), must be uint8 \(1, 22, 34, 3\), as its image"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_such_network_is_refused_in_one_line(tmp_path: Path, content: bytes, words: str) -> None:
+    with pytest.raises(ModelError, match=words) as caught:
+        make_goggles("learned", str(write(tmp_path, content)))
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+
+
+def test_what_cannot_be_is_refused_with_what_can(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"cannot read .*none\.onnx: No such file"):
+        make_goggles("learned", str(tmp_path / "none.onnx"))
+    with pytest.raises(SettingError, match="mode is 'rose', must be learned, histogram or grey_world"):
+        make_goggles("rose")
+    with pytest.raises(SettingError, match="parameter mode is 'rose', must be one of learned, histogram, grey_world"):
+        GogglesOptions(mode="rose")
+    with pytest.raises(SettingError, match=r"model is 'a\.onnx', which mode histogram does not use"):
+        GogglesOptions(mode="histogram", model="a.onnx")
+    with pytest.raises(SettingError, match="reference is 'kitchen', which mode learned does not use"):
+        GogglesOptions(reference="kitchen")
+    with pytest.raises(PathFollowingError, match="kitchen"):
+        look_of(str(tmp_path / "kitchen"))
