@@ -27,12 +27,12 @@ def noisy_room(edge: float = 0.05, noise: float = 0.005, seed: int = 0) -> tuple
     """
     x, y, z = ROOM
     sheets = [
-        _sheet((0, 0, 0), (x, 0, 0), (0, y, 0), edge),
-        _sheet((0, 0, z), (0, y, 0), (x, 0, 0), edge),
-        _sheet((0, 0, 0), (0, y, 0), (0, 0, z), edge),
-        _sheet((x, 0, 0), (0, 0, z), (0, y, 0), edge),
-        _sheet((0, 0, 0), (0, 0, z), (x, 0, 0), edge),
-        _sheet((0, y, 0), (x, 0, 0), (0, 0, z), edge),
+        sheet((0, 0, 0), (x, 0, 0), (0, y, 0), edge),
+        sheet((0, 0, z), (0, y, 0), (x, 0, 0), edge),
+        sheet((0, 0, 0), (0, y, 0), (0, 0, z), edge),
+        sheet((x, 0, 0), (0, 0, z), (0, y, 0), edge),
+        sheet((0, 0, 0), (0, 0, z), (x, 0, 0), edge),
+        sheet((0, y, 0), (x, 0, 0), (0, 0, z), edge),
         *_box((0.0, 0.0, 0.0), (1.5, 1.2, STEP), edge),
         *_box((3.95, 0.0, 0.0), (0.1, y, THRESHOLD), edge),
     ]
@@ -57,15 +57,15 @@ def hall(
     """
     x, y, z = size
     sheets = [
-        _sheet((0, 0, 0), (start, 0, 0), (0, y, 0), edge),
-        _sheet((0, 0, 0), (0, y, 0), (0, 0, z), edge),
-        _sheet((x, 0, 0), (0, 0, z), (0, y, 0), edge),
-        _sheet((0, 0, 0), (0, 0, z), (x, 0, 0), edge),
-        _sheet((0, y, 0), (x, 0, 0), (0, 0, z), edge),
+        sheet((0, 0, 0), (start, 0, 0), (0, y, 0), edge),
+        sheet((0, 0, 0), (0, y, 0), (0, 0, z), edge),
+        sheet((x, 0, 0), (0, 0, z), (0, y, 0), edge),
+        sheet((0, 0, 0), (0, 0, z), (x, 0, 0), edge),
+        sheet((0, y, 0), (x, 0, 0), (0, 0, z), edge),
     ]
     for k, front in enumerate((start, start + depth, start + 2 * depth), 1):
-        sheets.append(_sheet((front, 0, k * rise), (depth if k < 3 else x - front, 0, 0), (0, y, 0), edge))
-        sheets.append(_sheet((front, 0, (k - 1) * rise), (0, 0, rise), (0, y, 0), edge))
+        sheets.append(sheet((front, 0, k * rise), (depth if k < 3 else x - front, 0, 0), (0, y, 0), edge))
+        sheets.append(sheet((front, 0, (k - 1) * rise), (0, 0, rise), (0, y, 0), edge))
     return _joined(sheets, noise, seed)
 
 
@@ -83,15 +83,15 @@ def _box(corner: tuple[float, float, float], size: tuple[float, float, float], e
     """Returns the four sides and the top of a box that stands on the floor."""
     (x, y, z), (a, b, c) = corner, size
     return [
-        _sheet((x, y, z + c), (a, 0, 0), (0, b, 0), edge),
-        _sheet((x, y, z), (a, 0, 0), (0, 0, c), edge),
-        _sheet((x, y + b, z), (0, 0, c), (a, 0, 0), edge),
-        _sheet((x, y, z), (0, 0, c), (0, b, 0), edge),
-        _sheet((x + a, y, z), (0, b, 0), (0, 0, c), edge),
+        sheet((x, y, z + c), (a, 0, 0), (0, b, 0), edge),
+        sheet((x, y, z), (a, 0, 0), (0, 0, c), edge),
+        sheet((x, y + b, z), (0, 0, c), (a, 0, 0), edge),
+        sheet((x, y, z), (0, 0, c), (0, b, 0), edge),
+        sheet((x + a, y, z), (0, b, 0), (0, 0, c), edge),
     ]
 
 
-def _sheet(corner: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...], edge: float) -> tuple[F64, I64]:
+def sheet(corner: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...], edge: float) -> tuple[F64, I64]:
     """Returns a grid of triangles over a parallelogram, facing along u x v."""
     a, b, c = (np.asarray(side, dtype=np.float64) for side in (corner, u, v))
     rows, columns = (max(1, round(float(np.linalg.norm(side)) / edge)) for side in (b, c))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.errors import ConfigError
+from gibson_sim_tools.cli.photographs import PHOTOGRAPH_OPTIONS, add_photograph_options, import_photographs
 
 if TYPE_CHECKING:
     from gibson_sim.formats.mesh import UpAxis
@@ -20,15 +21,18 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "import",
-        help="make a scene.yaml of a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, a USD file, or an archive",
-        description="docs/importing.md says what is read of each format.",
+        help="make a scene of a folder of photographs with poses, a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, "
+        "a USD file, or an archive",
+        description="docs/importing.md says what is read of each format, docs/your_building.md what becomes of photographs.",
     )
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file, folder or archive (.zip, .tar.gz)")
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="new folder for the scene.yaml and a copy of all files (default: scene.yaml beside the source, nothing is copied)",
+        help="new folder for the scene.yaml and a copy of all files (default: scene.yaml beside the source, nothing is copied; of photographs: "
+        "NAME_scene)",
     )  # fmt: skip
     add_choices(parser)
+    add_photograph_options(parser)
     parser.set_defaults(run=_run)
 
 
@@ -87,9 +91,15 @@ def unit_m(text: str | None) -> float | None:
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no meshes.
+    from gibson_sim_tools.from_photographs.found import is_of_photographs
     from gibson_sim_tools.importing.checks.facts import scene_facts
     from gibson_sim_tools.importing.run import import_scene
 
+    if is_of_photographs(args.source):
+        return import_photographs(args, unit_m(args.unit))
+    given = [f"--{name.replace('_', '-')}" for name in PHOTOGRAPH_OPTIONS if getattr(args, name) not in (None, False)]
+    if given:
+        raise ConfigError(f"{', '.join(given)}: is for a folder of photographs, which {args.source} is not; leave it out")
     choices = chosen(args)
     imported = import_scene(args.source, args.output, choices)
     for warning in imported.warnings:

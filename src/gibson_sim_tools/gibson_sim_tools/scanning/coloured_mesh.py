@@ -110,8 +110,16 @@ def level_transform(mesh: ColouredMesh, poses: F64) -> Mat4:
     Raises:
         ScanError: the mesh has no level surface that faces up.
     """
-    up = -poses[:, :3, 1].mean(axis=0)
-    up /= max(float(np.linalg.norm(up)), 1e-9)
+    return level_transform_near(mesh, -poses[:, :3, 1].mean(axis=0))
+
+
+def level_transform_near(mesh: ColouredMesh, up: F64) -> Mat4:
+    """Returns T_level_world as ``level_transform``, for a known rough direction of up (3,), in the frame of the mesh.
+
+    Raises:
+        ScanError: the mesh has no level surface near it that faces up.
+    """
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
     patches = flat_patches(mesh.vertices.astype(np.float64), mesh.triangles, np.random.default_rng(0))
     found = [] if patches is None else find_candidates(patches)
     near = [c for c in found if float(np.asarray(c.up) @ up) > math.cos(math.radians(_CAMERA_DEG)) and c.area > _LEVEL_SHARE]

@@ -1,0 +1,112 @@
+"""``gibson-sim scene import`` of a folder of photographs: a bar for each stage, and what is said of it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.errors import ConfigError
+from gibson_sim_tools.from_photographs.settings import PhotographSettings
+
+PHOTOGRAPH_OPTIONS = ("mesh", "fuse", *(f.name for f in fields(PhotographSettings)))
+"""Names of the options that other sources do not have."""
+_INDENT = "    "
+
+
+def add_photograph_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of an import from photographs."""
+    group = parser.add_argument_group("of a folder of photographs")
+    group.add_argument(
+        "--mesh",
+        type=Path,
+        metavar="FILE",
+        help="texture this mesh (default: the one in the folder, else one is fused from depth)",
+    )
+    group.add_argument("--fuse", action="store_true", help="fuse a mesh from depth although one is in the folder")
+    add_settings(group, PhotographSettings, [f.name for f in fields(PhotographSettings)])
+
+
+def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCode:
+    """Makes a scene of a folder of photographs, or what is missing of it; ``scale``: metres per unit of poses and mesh."""
+    # Loaded here: the other sub-commands need none of it.
+    from gibson_sim_tools.from_photographs.found import find
+    from gibson_sim_tools.from_photographs.importing import SHEET, Import
+    from gibson_sim_tools.importing.checks.gravity import direction
+
+    settings = settings_from_args(PhotographSettings, args)
+    if args.mesh is not None and args.fuse:
+        raise ConfigError("--mesh names a mesh and --fuse makes one: give one of them")
+    output = args.output or Path(f"{args.source.resolve().name}_scene")
+    found = find(args.source, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
+    if scale is not None and found.mesh is None:
+        raise ConfigError("--unit is for poses without depth: depth images say how large the room is; leave it out")
+    up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")
+    job = Import(found, output, settings, args.name or output.resolve().name, up, scale)
+    for warning in dict.fromkeys((*found.photographs.warnings, *(found.rgbd.warnings if found.rgbd is not None else ()))):
+        print(f"warning: {args.source}: {warning}", file=sys.stderr)
+    print(f"{args.source}: " + f"\n{_INDENT}".join(found.lines()))
+    stages = job.stages()
+    with stage_bars([stage.name for stage in stages], [stage.weight for stage in stages]) as (bar, say):
+        job.run(bar, say)
+    if settings.hold_out:
+        print(f"photographs beside the simulation: {output / SHEET}")
+    print(f"next: gibson-sim run --scene {output}")
+    return ExitCode.OK
+
+
+@contextmanager
+def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callable[[int], Any], Callable[[Any], None]]]:
+    """Yields what shows the progress of a stage, by its number, and what is called with each stage that ended.
+
+    On a terminal two bars are shown, of the stage and of all, with the time since the start and the time that is left.
+    """
+    errors = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(), TextColumn("left:"),
+        TimeRemainingColumn(),
+    )  # fmt: skip
+    total, ended = sum(weights), [0]
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
+        whole = bars.add_task("all stages", total=total)
+
+        @contextmanager
+        def bar(number: int) -> Iterator[Callable[[float], None]]:
+            if not errors.is_terminal:
+                print(f"{number + 1}/{len(names)} {names[number]} ...", file=sys.stderr, flush=True)
+            stage = bars.add_task(f"{number + 1}/{len(names)} {names[number]}", total=1.0)
+            before = sum(weights[:number])
+
+            def advance(part: float) -> None:
+                bars.update(stage, completed=part)
+                bars.update(whole, completed=before + part * weights[number])
+
+            try:
+                yield advance
+            finally:
+                bars.remove_task(stage)
+
+        def say(stage: Any) -> None:
+            ended[0] += 1
+            bars.update(whole, completed=sum(weights[: ended[0]]))
+            time = "made before" if stage.reused else _time(stage.seconds)
+            text = f"{ended[0]}/{len(names)} {stage.name} ({time}): " + f"\n{_INDENT}".join(stage.lines)
+            if errors.is_terminal and sys.stdout.isatty():
+                bars.console.print(text, markup=False, soft_wrap=True, highlight=False)  # above the bars
+            else:
+                print(text, flush=True)
+
+        yield bar, say
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 60.0 else f"{int(seconds) // 60}:{int(seconds) % 60:02d} min"

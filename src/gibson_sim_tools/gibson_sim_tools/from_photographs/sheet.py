@@ -1,0 +1,91 @@
+"""Photographs beside the simulation: drawn by the renderer that robots see through, at the same places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import CameraSpec, SceneState
+from gibson_sim_tools.scanning.clean_scene import still_scene
+from gibson_sim_tools.texturing.measure import Drawn, Likeness, compare, matched
+from gibson_sim_tools.texturing.photographs import Photographs
+
+U8 = NDArray[np.uint8]
+
+_PAIRS, _COLUMNS, _WIDTH, _GAP, _CAPTION = 6, 2, 400, 6, 20
+_PAPER, _INK = 250, (50, 50, 50)
+
+
+def draw_photographs(
+    scene: SceneSpec,
+    photographs: Photographs,
+    numbers: Sequence[int],
+    unseen: str,
+    progress: Callable[[float], None] = lambda _: None,
+) -> dict[int, Drawn]:
+    """Returns what a simulated camera sees at the places of some photographs, by their numbers.
+
+    Args:
+        scene: in the frame of the poses.
+        photographs: their poses are those of the cameras.
+        numbers: of the photographs.
+        unseen: name of the object that no photograph shows; it is drawn, and does not count as seen.
+        progress: called with the fraction that is done, 0 to 1.
+    """
+    out = {}
+    still = still_scene(scene)
+    others = [number for number, name in enumerate(still.instances) if number and name != unseen]
+    with Renderer(still, cache=default_folder()) as renderer:
+        for done, number in enumerate(numbers):
+            lens = photographs.intrinsics(number)
+            pose = pose_from_matrix(photographs.items[number].T_world_camera)
+            camera = CameraSpec(
+                "photograph", "", pose, lens.width, lens.height, matrix=tuple(lens.matrix.ravel().tolist()), outputs=("rgb", "instance"), samples=4,
+            )  # fmt: skip
+            frame = renderer.render(SceneState.still(scene.revision), [camera])[0]
+            assert frame.rgb is not None and frame.instance is not None
+            out[number] = Drawn((frame.rgb / 255.0).astype(np.float32), np.isin(frame.instance, others))
+            progress((done + 1) / len(numbers))
+    return out
+
+
+def likeness(photographs: Photographs, drawn: dict[int, Drawn]) -> Likeness:
+    """Returns how alike photographs and their drawings are where the simulation shows a surface."""
+    return compare(photographs, drawn.__getitem__, numbers=list(drawn))
+
+
+def contact_sheet(photographs: Photographs, drawn: dict[int, Drawn]) -> U8:
+    """Returns pairs of a photograph and the simulation, (H, W, 3), sRGB; at most ``_PAIRS``, spread evenly."""
+    numbers = list(drawn)
+    shown = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _PAIRS).round().astype(int))]
+    cells = []
+    for number in shown:
+        truth, picture = photographs.picture(number), drawn[number]
+        simulated = np.rint(np.clip(matched(picture.rgb, truth, picture.seen), 0.0, 1.0) * 255.0).astype(np.uint8)
+        simulated[~picture.seen] = np.rint(picture.rgb[~picture.seen] * 255.0)
+        cells.append(
+            np.concatenate(
+                [_cell(f"photograph {photographs.items[number].file.name}", truth), _cell("simulation", simulated)], axis=1
+            )
+        )
+    height = max(len(cell) for cell in cells)
+    blank = np.full((height, cells[0].shape[1], 3), _PAPER, dtype=np.uint8)
+    cells = [np.concatenate([cell, blank[len(cell) :]]) for cell in cells]
+    columns = min(_COLUMNS, len(cells))
+    cells += [blank] * (-len(cells) % columns)
+    return np.concatenate([np.concatenate(cells[k : k + columns], axis=1) for k in range(0, len(cells), columns)])
+
+
+def _cell(title: str, picture: U8) -> U8:
+    height = max(round(picture.shape[0] * _WIDTH / picture.shape[1]), 1)
+    out = np.full((height + _CAPTION + _GAP, _WIDTH + _GAP, 3), _PAPER, dtype=np.uint8)
+    out[:height, :_WIDTH] = cv2.resize(picture, (_WIDTH, height), interpolation=cv2.INTER_AREA)
+    cv2.putText(out, title[:48], (3, height + _CAPTION - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
+    return out

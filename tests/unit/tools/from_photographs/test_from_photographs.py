@@ -1,0 +1,317 @@
+"""From a folder of photographs to a scene: what is found, which stages are made, and when they are made again."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from gibson_sim.cli.command_line import run
+from gibson_sim.errors import SceneError
+from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.from_photographs import importing
+from gibson_sim_tools.from_photographs.closed_floor import closed_floor
+from gibson_sim_tools.from_photographs.found import find, is_of_photographs
+from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, Import
+from gibson_sim_tools.from_photographs.pictures import is_cut
+from gibson_sim_tools.from_photographs.settings import PhotographSettings
+from gibson_sim_tools.from_photographs.work import RECORD, Stage, Work
+from gibson_sim_tools.scanning.coloured_mesh import moved
+from gibson_sim_tools.scanning.fusion import Fusion
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from support.photographed_room import (
+    COUNT,
+    T_FIRST_WORLD,
+    room_mesh,
+    room_poses,
+    write_colmap,
+    write_mesh,
+    write_nerfstudio,
+    write_rgbd,
+)
+
+SETTINGS = PhotographSettings(hold_out=0, snap=0.0)
+"""Without the comparison, which draws with OpenGL."""
+
+
+def opened(folder: Path, output: Path, mesh: Path | None = None, settings: PhotographSettings = SETTINGS) -> Import:
+    found = find(folder, mesh, fuse=False, longest=0, leave_out=output)
+    return Import(found, output, settings, "room")
+
+
+def made(job: Import) -> dict[str, bool]:
+    """Runs an import; returns the stages, and whether each was reused."""
+    stages = {}
+    job.run(lambda number: nullcontext(lambda part: None), lambda stage: stages.update({stage.name: stage.reused}))
+    return stages
+
+
+@pytest.fixture
+def room(tmp_path):
+    """The room as an app exports it: photographs with depth, and a mesh, in the frame of the first camera."""
+    folder = write_rgbd(tmp_path / "phone")
+    write_mesh(folder / "mesh.ply")
+    return folder
+
+
+def test_a_folder_becomes_a_level_scene_whose_floor_is_closed(room, tmp_path):
+    job = opened(room, tmp_path / "out")
+    assert job.found.lines() == [
+        f"{COUNT} photographs of 64x48 pixels, with poses, depth is not used (layout: open3d)", f"mesh: {room}/mesh.ply",
+    ]  # fmt: skip
+    assert not any(made(job).values())
+    scene = load_scene(tmp_path / "out")
+    assert [visual.name for visual in scene.visuals] == ["room", UNSEEN_FLOOR]
+    # The floor of the room is at y = 1.2 of the frame of the first camera, which looks along its y.
+    np.testing.assert_allclose(
+        json.loads((tmp_path / "out/import/level.json").read_text())["T_level_scan"][2], [0, -1, 0, 1.2], atol=1e-3
+    )
+    assert len(scene.floors) == 1 and abs(scene.floors[0]) < 0.01
+    area = yaml.safe_load((tmp_path / "out/maps/floor_0.yaml").read_text())
+    assert area["resolution"] == 0.05 and (tmp_path / "out/free_poses.csv").is_file()
+    report = json.loads((tmp_path / "out/import/check.json").read_text())
+    # The whole floor, 4 x 3 m, less a rim of the robot's radius and half a cell's diagonal.
+    assert report["free_floor_m2"] == pytest.approx(3.5 * 2.5, abs=0.7)
+
+
+def test_stages_that_ended_are_not_made_again(room, tmp_path):
+    job = opened(room, tmp_path / "out")
+    assert list(made(job)) == ["photographs", "mesh", "planes", "level", "texture", "scene", "collision", "floor map", "check"]
+    assert all(made(opened(room, tmp_path / "out")).values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "again"),
+    [
+        ({"close_floor": False}, "scene"),
+        ({"longest_side": 64}, "texture"),
+        ({"triangles": 500}, "planes"),
+    ],
+)
+def test_an_option_makes_its_stage_and_what_follows_again(room, tmp_path, monkeypatch, changes, again):
+    skip_work(monkeypatch)
+    made(opened(room, tmp_path / "out"))
+    stages = made(opened(room, tmp_path / "out", settings=replace(SETTINGS, **changes)))
+    names = list(stages)
+    assert [name for name in names if not stages[name]] == names[names.index(again) :]
+
+
+def test_another_photograph_or_another_mesh_makes_all_that_follows_again(room, tmp_path, monkeypatch):
+    skip_work(monkeypatch)
+    made(opened(room, tmp_path / "out"))
+    write_mesh(room / "other.ply")
+    stages = made(opened(room, tmp_path / "out", room / "other.ply"))
+    assert stages["photographs"] and not any(reused for name, reused in stages.items() if name != "photographs")
+    (room / "color/000003.png").write_bytes((room / "color/000004.png").read_bytes())
+    assert not any(made(opened(room, tmp_path / "out", room / "other.ply")).values())
+
+
+def skip_work(monkeypatch):
+    """Lets every stage write empty files and do nothing else."""
+    stages = Import.stages
+
+    def empty(job: Import) -> list[Stage]:
+        def writing(stage: Stage):
+            def run(_):
+                for file in stage.files:
+                    (job.output / file).parent.mkdir(parents=True, exist_ok=True)
+                    (job.output / file).touch()
+                return []
+
+            return replace(stage, run=run)
+
+        return [writing(stage) for stage in stages(job)]
+
+    monkeypatch.setattr(Import, "stages", empty)
+
+
+def test_an_interrupted_import_goes_on_at_the_stage_that_did_not_end(tmp_path):
+    ran = []
+
+    def stage(name, fails=False):
+        def run(_):
+            ran.append(name)
+            if fails:
+                raise KeyboardInterrupt
+            (tmp_path / "out" / name).write_text("")
+            return [f"{name} said"]
+
+        return Stage(name, run, (name,))
+
+    work = Work(tmp_path / "out", "source")
+    work.open()
+    with pytest.raises(KeyboardInterrupt):
+        work.run([stage("a"), stage("b", fails=True), stage("c")], lambda _: nullcontext(lambda part: None), lambda _: None)
+    said = []
+    again = Work(tmp_path / "out", "source")
+    again.open()
+    again.run([stage("a"), stage("b"), stage("c")], lambda _: nullcontext(lambda part: None), said.append)
+    assert ran == ["a", "b", "b", "c"]
+    assert [(s.lines, s.reused) for s in said] == [(("a said",), True), (("b said",), False), (("c said",), False)]
+    (tmp_path / "out/b").unlink()
+    again.run([stage("a"), stage("b"), stage("c")], lambda _: nullcontext(lambda part: None), said.append)
+    assert ran[4:] == ["b", "c"]
+
+
+def test_a_stage_cut_off_with_new_options_does_not_count_as_made_with_the_former_ones(tmp_path):
+    ran = []
+
+    def stage(option, fails=False):
+        def run(_):
+            ran.append(option)
+            (tmp_path / "out/file").write_text(option)
+            if fails:
+                raise KeyboardInterrupt
+            return []
+
+        return [Stage("stage", run, ("file",), option)]
+
+    for option, fails in (("old", False), ("new", True), ("old", False)):
+        work = Work(tmp_path / "out", "source")
+        work.open()
+        try:
+            work.run(stage(option, fails), lambda _: nullcontext(lambda part: None), lambda _: None)
+        except KeyboardInterrupt:
+            assert fails
+    assert ran == ["old", "new", "old"] and (tmp_path / "out/file").read_text() == "old"
+
+
+def test_depth_is_fused_where_no_mesh_is_there(tmp_path, monkeypatch):
+    folder = write_rgbd(tmp_path / "phone")
+    given = []
+
+    def fuse_scan(rgbd, settings, progress):
+        given.append((len(rgbd), settings.depth_max, settings.snap))
+        return Fusion(moved(room_mesh(), T_FIRST_WORLD), 0.02, None, None, None)
+
+    monkeypatch.setattr(importing, "fuse_scan", fuse_scan)
+    monkeypatch.setattr(importing, "open3d", lambda: None)
+    job = opened(folder, tmp_path / "out", settings=replace(SETTINGS, depth_max=3.0))
+    assert job.found.lines()[1] == "no mesh: it will be fused from depth"
+    assert "fuse" in made(job) and given == [(COUNT, 3.0, 0.0)]
+
+
+@pytest.mark.parametrize(("write", "layout"), [(write_nerfstudio, "nerfstudio"), (write_colmap, "colmap")])
+def test_photographs_without_depth_need_a_mesh(tmp_path, write, layout):
+    folder = write(tmp_path / "photographs")
+    assert is_of_photographs(folder)
+    with pytest.raises(
+        ScanError, match=f"12 photographs with poses \\({layout}\\), but neither depth images that can be fused nor a mesh"
+    ):
+        opened(folder, tmp_path / "out")
+    mesh = write_mesh(tmp_path / "room.ply", np.eye(4))
+    assert opened(folder, tmp_path / "out", mesh).found.photographs.poses == pytest.approx(room_poses(), abs=1e-6)
+
+
+def test_a_mesh_with_other_axes_than_the_poses_is_turned(tmp_path):
+    folder = write_nerfstudio(tmp_path / "photographs")
+    to_y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    write_mesh(folder / "mesh.ply", to_y_up)
+    job = opened(folder, tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    (text,) = job._given(lambda part: None)
+    assert "turned from y up to z up" in text
+    fused = job._read_mesh("import/fused.ply")
+    np.testing.assert_allclose(np.ptp(fused.vertices, axis=0), [4.0, 3.0, 2.4], atol=1e-5)
+
+
+def test_a_mesh_that_no_photograph_shows_is_refused(tmp_path):
+    folder = write_nerfstudio(tmp_path / "photographs")
+    aside = np.eye(4)
+    aside[:3, 3] = 50.0
+    write_mesh(folder / "mesh.ply", aside)
+    with pytest.raises(ScanError, match=r"mesh.ply: fills 0 % of the photographs from its front, at least 20 % is needed"):
+        opened(folder, tmp_path / "out")._given(lambda part: None)
+
+
+def test_the_floor_is_closed_within_the_outline_and_not_over_a_stairwell():
+    mesh = room_mesh()
+    vertices = mesh.vertices.astype(np.float64)
+    boards = closed_floor(vertices, mesh.triangles, room_poses()[:, :3, 3])
+    assert boards is not None and boards.area == pytest.approx(0.6 * 3.0, abs=0.2)
+    low, high = boards.mesh.bounds
+    assert high[2] == pytest.approx(-0.004) and (low[:2] >= -0.051).all() and (high[:2] <= [0.71, 3.051]).all()
+    # A landing 1.5 m below the part that is missing.
+    steps = room_mesh().vertices[mesh.triangles].reshape(-1, 3)
+    landing = np.array([[0, 0, -1.5], [0.6, 0, -1.5], [0.6, 3, -1.5], [0, 3, -1.5]])
+    joined = np.concatenate([steps, landing]).astype(np.float64)
+    triangles = np.concatenate([np.arange(len(steps)).reshape(-1, 3), len(steps) + np.array([[0, 1, 2], [0, 2, 3]])])
+    stairs = closed_floor(joined, triangles, room_poses()[:, :3, 3])
+    assert stairs is None or stairs.area < 0.1
+
+
+def test_a_folder_with_a_mesh_and_its_textures_is_no_folder_of_photographs(tmp_path):
+    write_mesh(tmp_path / "shop.ply")
+    (tmp_path / "wood.png").write_bytes(b"")
+    assert not is_of_photographs(tmp_path)
+    (tmp_path / "shop.ply").unlink()
+    assert is_of_photographs(tmp_path)
+    (tmp_path / "scene.yaml").write_text("name: shop\n")
+    assert not is_of_photographs(tmp_path)
+
+
+def fails(*words: object) -> int:
+    return run(["scene", "import", *map(str, words)])
+
+
+def test_bad_folders_are_one_line_each(room, tmp_path, capsys):
+    def message(*words):
+        assert fails(*words, "--output", tmp_path / "out") == 1
+        text = capsys.readouterr().err
+        assert text.count("\n") == 1
+        return text
+
+    for name in ("heic", "unposed"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "heic/IMG_1.HEIC").write_bytes(b"x")
+    assert "has no photograph that can be read (.jpg, .png), but IMG_1.HEIC: convert it to JPEG first" in message(
+        tmp_path / "heic"
+    )
+    (tmp_path / "unposed/1.jpg").write_bytes(b"x")
+    assert "has photographs but no poses; COLMAP finds them" in message(tmp_path / "unposed")
+    assert "--mesh" in message(room, "--mesh", tmp_path / "none.ply")
+    assert "must be 0, or 2 or more" in message(room, "--hold-out", 1)
+    assert "give one of them" in message(room, "--mesh", room / "mesh.ply", "--fuse")
+    write_mesh(room / "dense.ply")
+    (room / "mesh.ply").rename(room / "sparse.ply")
+    assert "holds 2 meshes (dense.ply, sparse.ply); say with --mesh FILE which one, or --fuse" in message(room)
+    assert not (tmp_path / "out").exists()
+
+
+def test_cut_images_are_named_before_the_work_begins(room, tmp_path, capsys):
+    for name in ("color/000002.png", "depth/000005.png"):
+        (room / name).write_bytes((room / name).read_bytes()[:-20])
+    assert fails(room, "--output", tmp_path / "out") == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "000002.png: was cut short, its end is missing; copy the photographs again" in error
+
+
+def test_a_jpeg_is_cut_if_its_end_is_missing_although_its_preview_has_one():
+    preview = b"\xff\xd8\xff\xd9"
+    header = b"\xff\xd8\xff\xe1" + (2 + len(preview)).to_bytes(2, "big") + preview
+    assert is_cut(header + b"\xff\xda\x00\x02 data") and not is_cut(header + b"\xff\xda\x00\x02 data\xff\xd9 trailer")
+
+
+def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/notes.txt").write_text("mine")
+    with pytest.raises(SceneError, match="out: is there already and not empty; give another folder with --output"):
+        made(opened(room, tmp_path / "out"))
+    (tmp_path / "out/notes.txt").unlink()
+    Work(tmp_path / "out", "/elsewhere").open()
+    with pytest.raises(SceneError, match="out: holds an import of /elsewhere; give another folder"):
+        made(opened(room, tmp_path / "out"))
+    (tmp_path / "out" / RECORD).write_text("{")
+    with pytest.raises(SceneError, match=f"{RECORD}: is no record of an import from photographs"):
+        made(opened(room, tmp_path / "out"))
+
+
+def test_options_of_photographs_are_refused_for_other_sources(tmp_path, capsys):
+    write_mesh(tmp_path / "shop.ply")
+    assert fails(tmp_path / "shop.ply", "--triangles", 9, "--output", tmp_path / "out") == 1
+    assert "--triangles: is for a folder of photographs, which" in capsys.readouterr().err
