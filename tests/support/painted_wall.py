@@ -37,6 +37,12 @@ class PaintedWall:
         x, y = (points[..., k] / SIZE[k] + 0.5 for k in range(2))
         return sampled(self.paint, np.stack([x * 799, y * 599], axis=-1).astype(np.float32))
 
+    def depth(self, T_world_camera: F64, scale: float) -> NDArray[np.uint16]:
+        """Returns its depth image, in units of which ``scale`` are a metre."""
+        v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(np.float64)
+        rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], axis=-1)
+        return np.rint(-scale * T_world_camera[2, 3] / (rays @ T_world_camera[2, :3])).astype(np.uint16)
+
     def photograph(self, file: Path, T_world_camera: F64, gain: float = 1.0) -> Photograph:
         """Takes a photograph; ``gain`` multiplies the light."""
         v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(np.float64)

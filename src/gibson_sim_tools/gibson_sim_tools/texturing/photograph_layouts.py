@@ -57,7 +57,7 @@ def open_photographs(folder: Path, longest: int = 0) -> Photographs:
     if any(layout.looks_like(folder) for layout in LAYOUTS):
         rgbd = open_posed_rgbd(folder)
         lens = Lens(rgbd.intrinsics)
-        items = tuple(Photograph(files.color, lens, files.T_world_camera) for files in rgbd.files)
+        items = tuple(Photograph(f.color, lens, f.T_world_camera, f.depth, rgbd.depth_scale) for f in rgbd.files)
         return Photographs(folder, rgbd.layout, items, longest, rgbd.warnings)
     if any(p.suffix.lower() in _IMAGES for place in (folder, folder / "images") if is_folder(place) for p in place.iterdir()):
         raise ScanError(

@@ -10,11 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, check_pose, read_image
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, check_pose, metres, read_image
 from gibson_sim_tools.texturing.surface import scaled
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
+
+_PROPORTION = 0.02
+"""Relative difference of the proportions of a depth image and its photograph that rounding explains."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,10 @@ class Photograph:
     lens: Lens
     T_world_camera: F64
     """(4, 4), optical frame: x right, y down, z forward; metres."""
+    depth: Path | None = None
+    """16-bit depth image of the same view, which may have fewer pixels; None = there is none."""
+    depth_scale: float = 1000.0
+    """Units of the depth image per metre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,12 +96,39 @@ class Photographs:
                 "give photographs of the size that was posed"
             )
         if any(item.lens.distortion):
-            undistort = cv2.fisheye.undistortImage if item.lens.fisheye else cv2.undistort
-            K = full.matrix
-            bgr = undistort(bgr, K, np.array(item.lens.distortion), None, K)
+            bgr = cv2.remap(bgr, *_undistortion(item.lens), cv2.INTER_LINEAR)
         if (wanted.width, wanted.height) != (full.width, full.height):
             bgr = cv2.resize(bgr, (wanted.width, wanted.height), interpolation=cv2.INTER_AREA)
         return np.ascontiguousarray(bgr[:, :, ::-1])
+
+    def depth(self, number: int) -> F32 | None:
+        """Returns the measured depth at the pixels of a picture, (H, W) metres along the optical axis, NaN = unknown; None = not measured.
+
+        Raises:
+            ScanError: the file is missing or broken, or its sides are not in the proportion of the photograph's.
+        """
+        item = self.items[number]
+        if item.depth is None:
+            return None
+        full, wanted = item.lens.intrinsics, self.intrinsics(number)
+        units = read_image(item.depth, cv2.IMREAD_UNCHANGED)
+        if units.dtype != np.uint16 or units.ndim != 2:
+            raise ScanError(
+                f"{item.depth}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel"
+            )
+        height, width = units.shape
+        if abs(width * full.height - height * full.width) > _PROPORTION * width * full.height:
+            raise ScanError(
+                f"{item.depth}: has {width}x{height} pixels, its photograph {full.width}x{full.height}; both must show the same, "
+                "so that their sides must be in proportion"
+            )
+        if any(item.lens.distortion):
+            part = Lens(scaled(full, width, height), item.lens.distortion, item.lens.fisheye)
+            units = cv2.remap(units, *_undistortion(part), cv2.INTER_NEAREST)
+        if (width, height) != (wanted.width, wanted.height):
+            # Between two pixels there may be an edge: no depth lies between theirs.
+            units = cv2.resize(units, (wanted.width, wanted.height), interpolation=cv2.INTER_NEAREST)
+        return metres(np.asarray(units, dtype=np.uint16), item.depth_scale)
 
     def at(self, poses: F64) -> Photographs:
         """Returns the same photographs at other poses, (N, 4, 4)."""
@@ -102,3 +137,11 @@ class Photographs:
     def only(self, numbers: Sequence[int]) -> Photographs:
         """Returns some of the photographs."""
         return replace(self, items=tuple(self.items[k] for k in numbers))
+
+
+def _undistortion(lens: Lens) -> tuple[F32, F32]:
+    """Returns where each pixel of the picture without distortion lies in the photograph: columns and rows, (H, W)."""
+    K, size = lens.intrinsics.matrix, (lens.intrinsics.width, lens.intrinsics.height)
+    maps = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
+    columns, rows = maps(K, np.array(lens.distortion), np.eye(3), K, size, cv2.CV_32FC1)
+    return np.asarray(columns, dtype=np.float32), np.asarray(rows, dtype=np.float32)

@@ -1,8 +1,10 @@
-"""Corrects poses that are a little off: photographs are moved until they agree with the mean colours of the surface.
+"""Corrects poses that are a little off: photographs are moved until they agree with the mean colours of the surface, and depths with it.
 
 After Zhou and Koltun, "Color Map Optimization for 3D Reconstruction with Consumer Depth Cameras", SIGGRAPH 2014, with rigid corrections:
 the colour of each point is the mean over the photographs that show it, then every pose takes a Gauss-Newton step towards the mean of the
-others, again and again. A prior holds poses of photographs with little texture, and none moves farther than a limit.
+others, again and again. Where depth was measured, its points are drawn onto the surface along its normals (point-to-plane ICP with
+projective association), which aligns what has no pattern. A prior holds poses of photographs with little texture, and none moves farther
+than a limit.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.transforms import invert
+from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.exposure import Exposures
 from gibson_sim_tools.texturing.photographs import Photographs
@@ -41,6 +44,10 @@ _PRIOR_M, _PRIOR_DEG = 0.01, 0.5
 """Standard deviation of corrections that are expected."""
 _POINTS_PER_FACT = 10.0
 """Points that count as one observation, since neighbours err alike."""
+_DEPTH_NOISE, _DEPTH_NOISE_SQUARE = 0.01, 0.003
+"""Distance from the surface at which a depth counts half: metres, and metres by depth squared."""
+_MOST_FACES = 4000
+"""Triangles of a photograph that it is aligned by: more make it slower, and hardly better."""
 _LEAST_POINTS = 50
 """Photographs with fewer points in common with others keep their poses."""
 
@@ -75,14 +82,14 @@ def refine_poses(
         progress: called with the fraction that is done, 0 to 1.
     """
     points = np.einsum("sk,fkc->fsc", SAMPLES[:_POINTS], surface.corners).reshape(-1, 3)
-    order = np.argsort(views.photograph, kind="stable")
-    ends = np.searchsorted(views.photograph[order], np.arange(len(photographs) + 1))
-    rows = [(views.face[order[a:b]].astype(np.int64)[:, None] * _POINTS + np.arange(_POINTS)).ravel() for a, b in pairwise(ends)]
-    cameras, images = [], []
+    rows = [(faces[:, None] * _POINTS + np.arange(_POINTS)).ravel() for faces in _chosen_faces(views, len(photographs))]
+    normals = unit_normals(surface.corners)
+    cameras, images, depths = [], [], []
     for number in range(len(photographs)):
         camera, image = _luma(photographs, number, exposures)
         cameras.append(camera)
         images.append(image)
+        depths.append(_depth(photographs, number, camera))
         progress(0.3 * (number + 1) / len(photographs))
     given = photographs.poses
     poses = given.copy()
@@ -104,13 +111,29 @@ def refine_poses(
                 continue
             others = (total[row[good]] - value[good]) / (count[row[good]] - 1.0)
             rest = value[good] - others
-            poses[k] = _step(soft[k], points[row[good]], rest, cameras[k], poses[k], given[k])
+            system = _by_colour(soft[k], points[row[good]], rest, cameras[k], poses[k])
+            depth = depths[k]
+            if depth is not None:
+                measured = _by_depth(depth, points[row], normals[row // _POINTS], cameras[k], poses[k])
+                system = (system[0] + measured[0], system[1] + measured[1])
+            poses[k] = _stepped(system, poses[k], given[k])
         progress(0.3 + 0.7 * (turn + 1) / _ROUNDS)
     moved = np.linalg.norm(poses[:, :3, 3] - given[:, :3, 3], axis=1)
     turned = np.degrees(Rotation.from_matrix(given[:, :3, :3].transpose(0, 2, 1) @ poses[:, :3, :3]).magnitude())
     far = (moved > most_m) | (turned > most_deg)
     poses[far], moved[far], turned[far] = given[far], 0.0, 0.0
     return RefinedPoses(poses, moved, turned, int(far.sum()))
+
+
+def _chosen_faces(views: Views, count: int) -> list[I64]:
+    """Returns the triangles that each of ``count`` photographs is aligned by.
+
+    All photographs choose by one random order, so that those that show the same triangles choose the same ones.
+    """
+    rank = np.random.default_rng(0).permutation(int(views.face.max(initial=-1)) + 1)
+    order = np.lexsort((rank[views.face], views.photograph))
+    ends = np.searchsorted(views.photograph[order], np.arange(count + 1))
+    return [views.face[order[a : min(b, a + _MOST_FACES)]].astype(np.int64) for a, b in pairwise(ends)]
 
 
 def _luma(photographs: Photographs, number: int, exposures: Exposures) -> tuple[Intrinsics, F32]:
@@ -135,11 +158,17 @@ def _values(image: F32, points: F64, camera: Intrinsics, T_world_camera: F64) ->
     return out
 
 
-def _step(image: F32, points: F64, rest: F64, camera: Intrinsics, T_world_camera: F64, given: F64) -> F64:
-    """Returns a pose after one Gauss-Newton step that lowers the residuals (N,) at points (N, 3)."""
-    T = invert(T_world_camera)
-    p = points @ T[:3, :3].T + T[:3, 3]
-    uv, _ = project(points, camera, T_world_camera)
+def _depth(photographs: Photographs, number: int, camera: Intrinsics) -> F32 | None:
+    """Returns the measured depth (H, W) at the pixels of a camera, metres, NaN = unknown; None = not measured."""
+    depth = photographs.depth(number)
+    if depth is None or depth.shape == (camera.height, camera.width):
+        return depth
+    return np.asarray(cv2.resize(depth, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+
+
+def _by_colour(image: F32, points: F64, rest: F64, camera: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
+    """Returns the normal equations, (6, 6) and (6,), of the motion of a camera that lowers the residuals (N,) at points (N, 3)."""
+    p, uv = _seen_at(points, camera, T_world_camera)
     at = uv.astype(np.float32)
     across, down = np.array([0.5, 0.0], dtype=np.float32), np.array([0.0, 0.5], dtype=np.float32)
     slope_x = (sampled(image, at + across) - sampled(image, at - across)).astype(np.float64)
@@ -151,10 +180,37 @@ def _step(image: F32, points: F64, rest: F64, camera: Intrinsics, T_world_camera
     )
     J = np.concatenate([by_point, np.cross(p, by_point)], axis=1)
     weights = 1.0 / (1.0 + (rest / _NOISE) ** 2) / (_NOISE**2 * _POINTS_PER_FACT)
+    return (J * weights[:, None]).T @ J, -(J.T @ (weights * rest))
+
+
+def _by_depth(depth: F32, points: F64, normals: F64, camera: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
+    """Returns the normal equations of the motion that brings points (N, 3) with normals (N, 3), world frame, to the depth (H, W)."""
+    p, uv = _seen_at(points, camera, T_world_camera)
+    with np.errstate(invalid="ignore"):
+        inside = ((uv >= 0.0) & (uv <= (camera.width - 1.0, camera.height - 1.0))).all(axis=1)
+    p, (column, row) = p[inside], np.rint(uv[inside]).astype(np.int64).T
+    n = normals[inside] @ T_world_camera[:3, :3]
+    measured = depth[row, column].astype(np.float64)
+    known = np.isfinite(measured)
+    p, n, measured = p[known], n[known], measured[known]
+    rest = (1.0 - measured / p[:, 2]) * np.einsum("ij,ij->i", n, p)
+    J = np.concatenate([n, np.cross(p, n)], axis=1)
+    noise = _DEPTH_NOISE + _DEPTH_NOISE_SQUARE * measured**2
+    weights = 1.0 / (1.0 + (rest / noise) ** 2) / (noise**2 * _POINTS_PER_FACT)
+    return (J * weights[:, None]).T @ J, -(J.T @ (weights * rest))
+
+
+def _seen_at(points: F64, camera: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
+    """Returns points (N, 3) of the world in the frame of a camera, (N, 3), and their pixels (N, 2)."""
+    T = invert(T_world_camera)
+    return points @ T[:3, :3].T + T[:3, 3], project(points, camera, T_world_camera)[0]
+
+
+def _stepped(system: tuple[F64, F64], T_world_camera: F64, given: F64) -> F64:
+    """Returns a pose after one Gauss-Newton step of normal equations, (6, 6) and (6,), and the prior around the given pose."""
     prior = np.array([_PRIOR_M] * 3 + [math.radians(_PRIOR_DEG)] * 3) ** -2.0
     offset = _difference(T_world_camera, given)
-    normal = (J * weights[:, None]).T @ J + np.diag(prior)
-    change = np.linalg.solve(normal, -(J.T @ (weights * rest)) - prior * offset)
+    change = np.linalg.solve(system[0] + np.diag(prior), system[1] - prior * offset)
     moved = np.eye(4)
     moved[:3, :3] = Rotation.from_rotvec(change[3:]).as_matrix()
     moved[:3, 3] = change[:3]

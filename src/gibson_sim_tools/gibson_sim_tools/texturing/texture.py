@@ -21,7 +21,7 @@ from gibson_sim_tools.texturing.quality import Views, intrinsics_radius, joined,
 from gibson_sim_tools.texturing.report import TextureReport
 from gibson_sim_tools.texturing.settings import TextureSettings
 from gibson_sim_tools.texturing.surface import Adjacency, Surface, adjacency, project, split_long_edges
-from gibson_sim_tools.texturing.visibility import seen_faces
+from gibson_sim_tools.texturing.visibility import agreeing, seen_faces
 
 F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
@@ -118,10 +118,13 @@ def _refined(
 
 
 def collect_views(surface: Surface, photographs: Photographs, progress: Progress = lambda _: None) -> Views:
-    """Returns all triangles in all photographs."""
+    """Returns all triangles in all photographs. Where depth was measured that is not that of the surface, something else is seen."""
     parts = []
     for number, item in enumerate(photographs.items):
         seen = seen_faces(surface, photographs.intrinsics(number), item.T_world_camera)
+        depth = photographs.depth(number)
+        if depth is not None:
+            seen = agreeing(surface, seen, depth, item.T_world_camera)
         parts.append(views_of(number, seen, photographs.picture(number)))
         progress((number + 1) / len(photographs))
     return joined(parts)

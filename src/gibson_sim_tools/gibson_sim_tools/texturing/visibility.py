@@ -1,4 +1,4 @@
-"""Which triangles a photograph shows as a whole, by a depth image of the surface."""
+"""Which triangles a photograph shows as a whole, by a depth image of the surface, and by one that was measured with the photograph."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.drawing import NEAR, draw
 from gibson_sim_tools.texturing.surface import Surface, project, scaled
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -27,6 +28,10 @@ _BEFORE, _BEFORE_SHARE = 0.01, 0.005
 """A surface hides what lies behind it by more than this: metres, and metres per metre of depth."""
 _GAP, _GAP_SHARE = 0.1, 0.03
 """The same for a surface that a neighbouring pixel shows: poses are a little off, so that what hides may hide a little more."""
+_APART, _APART_SHARE = 0.03, 0.01
+"""A depth that was measured agrees with the surface within this: metres, and metres per metre of depth."""
+_AROUND_PX = 320.0
+"""Width of an image whose pixels are compared with their neighbours, 3 x 3; in larger ones with more: poses are a little off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,3 +86,23 @@ def visible_points(surface: Surface, points: F64, intrinsics: Intrinsics, T_worl
     around = minimum_filter(image.depth, size=3, mode="nearest")[row, column]
     hidden |= around < z - _GAP - _GAP_SHARE * z
     return np.asarray(~hidden)
+
+
+def agreeing(surface: Surface, seen: SeenFaces, depth: F32, T_world_camera: F64) -> SeenFaces:
+    """Returns the triangles at which the depth (H, W) that was measured with the photograph, NaN = unknown, is that of the surface.
+
+    Where it differs, the photograph shows something that the surface lacks: what moved, what is thin, what is too dark for the sensor.
+    """
+    height, width = depth.shape
+    size = 2 * max(round(width / _AROUND_PX), 1) + 1
+    unknown = np.isnan(depth)
+    nearest = minimum_filter(np.where(unknown, np.inf, depth), size=size, mode="nearest")
+    farthest = maximum_filter(np.where(unknown, -np.inf, depth), size=size, mode="nearest")
+    points = np.concatenate([seen.corners, seen.corners.mean(axis=1, keepdims=True)], axis=1)
+    column, row = np.clip(np.rint(points), 0, (width - 1, height - 1)).astype(np.int64).transpose(2, 0, 1)
+    z = (surface.corners[seen.faces] - T_world_camera[:3, 3]) @ T_world_camera[:3, 2]
+    z = np.concatenate([z, z.mean(axis=1, keepdims=True)], axis=1)
+    apart = _APART + _APART_SHARE * z
+    other = np.isfinite(nearest[row, column]) & ((nearest[row, column] > z + apart) | (farthest[row, column] < z - apart))
+    kept = ~other.any(axis=1)
+    return SeenFaces(seen.faces[kept], seen.corners[kept])

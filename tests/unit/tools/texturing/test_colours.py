@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
@@ -121,6 +124,24 @@ def test_poses_that_are_off_by_a_pixel_or_two_are_corrected(tmp_path):
 
     assert error_px(given.poses) > 0.8 and error_px(found.poses) < 0.15
     assert found.kept == 0
+
+
+def test_depth_corrects_what_a_wall_without_a_pattern_cannot(tmp_path):
+    wall, true = painted_wall(20, 15), row_of_cameras(3, np.random.default_rng(1))
+    wall = replace(wall, paint=np.full_like(wall.paint, 0.5))
+    taken = photographed(tmp_path, wall, true)
+    for item in taken.items:
+        cv2.imwrite(str(item.file.with_suffix(".depth.png")), wall.depth(item.T_world_camera, 1000.0))
+    taken = replace(taken, items=tuple(replace(item, depth=item.file.with_suffix(".depth.png")) for item in taken.items))
+    offsets = np.tile(np.eye(4), (3, 1, 1))
+    # 12 mm nearer to the wall, and half a degree about the vertical.
+    offsets[0, 2, 3] = 0.012
+    offsets[1, :3, :3] = Rotation.from_rotvec((0.0, np.radians(0.5), 0.0)).as_matrix()
+    given = moved(taken, offsets)
+    table = joined([views_of(k, seen_faces(wall.surface, CAMERA, T), given.picture(k)) for k, T in enumerate(given.poses)])
+    found = refine_poses(wall.surface, given, table, no_exposures(3), most_m=0.1, most_deg=2.0)
+    assert np.abs(found.poses[:, 2, 3] - true[:, 2, 3]).max() < 0.002
+    assert np.degrees(np.arccos((found.poses[:, :3, 2] * true[:, :3, 2]).sum(axis=1))).max() < 0.2
 
 
 def test_corrections_beyond_the_limits_are_rejected(tmp_path):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
+from gibson_sim_tools.texturing import drawing
 from gibson_sim_tools.texturing.drawing import barycentric, draw, draw_flat, true_weights
 from gibson_sim_tools.texturing.surface import Surface, adjacency, project, scaled, split_long_edges
-from gibson_sim_tools.texturing.visibility import seen_faces
+from gibson_sim_tools.texturing.visibility import agreeing, seen_faces
 
 CAMERA = Intrinsics(101, 81, 100.0, 100.0, 50.0, 40.0)
 """Looks along z; a metre at a distance of 2 m has 50 pixels."""
@@ -75,6 +76,39 @@ def test_a_camera_sees_fronts_that_nothing_hides_and_that_are_whole_in_its_image
     back = surface(behind)
     turned = Surface(back.vertices, back.triangles[:, ::-1])
     assert seen_faces(turned, CAMERA, EYE).faces.tolist() == []
+
+
+def test_a_photograph_does_not_show_a_surface_before_or_behind_which_depth_was_measured():
+    sheet = surface(square(2.0, 0.1), square(2.0, 0.1, 0.5))
+    seen = seen_faces(sheet, CAMERA, EYE)
+    assert seen.faces.tolist() == [0, 1, 2, 3]
+
+    def kept(left: float, right: float) -> list[int]:
+        depth = np.full((81, 101), np.nan, np.float32)
+        depth[:, :60], depth[:, 65:] = left, right
+        return agreeing(sheet, seen, depth, EYE).faces.tolist()
+
+    # 3 cm, and 1 cm a metre: 5 cm at 2 m.
+    assert kept(2.04, 1.96) == [0, 1, 2, 3]
+    assert kept(1.5, 2.0) == [2, 3] and kept(2.0, 2.5) == [0, 1]
+    assert kept(np.nan, 1.0) == [0, 1]
+
+
+def test_loops_and_numpy_draw_the_same(monkeypatch):
+    rng = np.random.default_rng(0)
+    many = Surface(
+        rng.uniform((-1.0, -1.0, 1.0), (1.0, 1.0, 3.0), (60, 3)), rng.permuted(np.tile(np.arange(60), (40, 1)), axis=1)[:, :3]
+    )
+    line = Surface(np.array([[-0.5, 0.0, 1.0], [0.0, 0.0, 1.0], [0.5, 0.0, 1.0]]), np.array([[0, 1, 2]]))
+    corners = rng.uniform(-5.0, 40.0, (30, 3, 2))
+    given = [draw(many, CAMERA, EYE), draw(line, CAMERA, EYE)], draw_flat(corners, 30, 20)
+    monkeypatch.setattr(drawing, "CAN_COMPILE", not drawing.CAN_COMPILE)
+    other = [draw(many, CAMERA, EYE), draw(line, CAMERA, EYE)], draw_flat(corners, 30, 20)
+    for a, b in zip(given[0], other[0], strict=True):
+        np.testing.assert_array_equal(a.face, b.face)
+        np.testing.assert_array_equal(a.depth, b.depth)
+    np.testing.assert_array_equal(given[1], other[1])
+    assert (given[0][0].face >= 0).mean() > 0.5 and (given[0][1].face >= 0).sum() == 0
 
 
 def test_corners_of_seen_triangles_are_pixels():

@@ -156,7 +156,7 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
     poses = row_of_cameras(3, np.random.default_rng(0))
     for k, T in enumerate(poses):
         wall.photograph(tmp_path / "scan" / "color" / f"{k}.png", T)
-        wall.photograph(tmp_path / "scan" / "depth" / f"{k}.png", T)
+        cv2.imwrite(str(tmp_path / "scan" / "depth" / f"{k}.png"), np.zeros((120, 160), np.uint16))
     write_trajectory_log(tmp_path / "scan" / "trajectory.log", poses)
     values = '{"width": 160, "height": 120, "intrinsic_matrix": [140, 0, 0, 0, 140, 0, 79.5, 59.5, 1]}'
     (tmp_path / "scan" / "intrinsic.json").write_text(values)
