@@ -14,7 +14,7 @@ require("rclpy", "gibson_msgs")
 from gibson_sim.cli.environment import node_environment  # noqa: E402
 from gibson_sim_bench.cli.table1 import _exchanged, _free, _lockstep  # noqa: E402
 from gibson_sim_bench.protocol import Table1Plan, write_robot  # noqa: E402
-from gibson_sim_bench.reports.paper import MODES  # noqa: E402
+from gibson_sim_bench.reports.paper import MODES, TOGETHER  # noqa: E402
 from gibson_sim_bench.rows import DDS, FREE, HOST, IN_PROCESS, OPENGL, Table1Row  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -32,7 +32,7 @@ def test_messages_alone_are_timed_for_every_row(ros_domain: int) -> None:
 
 
 def test_one_simulation_in_lockstep_makes_ticks_of_each_row_in_turn(ros_domain: int, tmp_path: Path) -> None:
-    modes, left_out = [mode for mode in MODES if mode.outputs], list[str]()
+    modes, left_out = [mode for mode in MODES if mode.outputs and not mode.fill], list[str]()
     robot = write_robot(tmp_path, (256, 256))
     with _lockstep(Table1Plan(scene="arena"), node_environment(), robot, left_out, 24, modes) as make:
         for which in (0, 1, 0, len(modes) - 1):
@@ -53,6 +53,6 @@ def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain
 
 def test_a_free_simulation_gives_all_its_rows(ros_domain: int, tmp_path: Path) -> None:
     plan = Table1Plan(scene="arena", seconds=0.3)
-    rows = list(_free(plan, node_environment(), write_robot(tmp_path, (256, 256)), 24, False, ALONE, EXCHANGED))
+    rows = list(_free(plan, node_environment(), write_robot(tmp_path, (256, 256)), 24, TOGETHER[0], ALONE, EXCHANGED))
     assert [row.mode for row in rows] == [mode.name for mode in MODES if not mode.outputs]
     assert all(row.way == FREE and row.fps > 0.0 and DDS not in row.bounds for row in rows)

@@ -290,6 +290,29 @@ def test_depth_of_one_camera_is_registered_to_another(rig: Rig) -> None:
     assert before.nonzero()[0].max() - after.nonzero()[0].max() == pytest.approx(moved, abs=1.0)
 
 
+def test_images_and_depth_are_filled_and_the_mask_says_where(rig: Rig) -> None:
+    rig.render()
+    rig.load(_scene(replace(EYE, outputs=("rgb", "depth", "hole"), fill="push_pull", fill_depth=True)))
+    topics = {topic: rig.collect(Image, f"eye/{topic}image_raw") for topic in ("", "depth/", "hole/")}
+    rig.tick_until(lambda: bool(set.intersection(*({_stamp(m) for m in found} for found in topics.values()))), "one stamp on all")
+    colour, depth, hole = (conversions.array_from_image(found[0]) for found in topics.values())
+    assert topics["hole/"][0].encoding == "8UC1"
+    # The wall fills the left half; on the right there is nothing, which is now as red and as far as the wall.
+    assert not hole[10:38, 2:30].any() and (hole[:, 34:] == 1).all()
+    assert (colour[24, 34:, 0] > 0).all() and not colour[24, :, 1:].any()
+    assert np.allclose(depth[24], 2.0, atol=1e-4)
+
+
+def test_a_camera_whose_holes_cannot_be_filled_ends_the_node_with_one_line(rig: Rig, tmp_path: Path) -> None:
+    network = tmp_path / "network.onnx"
+    network.write_bytes(b"GIF89a")
+    render = rig.render()
+    rig.load(_scene(replace(EYE, fill=str(network))), ready=False)
+    rig.spin_until(lambda: render._failure is not None, "the failure")
+    with pytest.raises(ConfigError, match=r"network\.onnx is no ONNX file, or is cut"):
+        render.spin()
+
+
 def test_label_info_is_latched_and_names_every_number(rig: Rig) -> None:
     rig.render()
     rig.load(_scene(EYE))

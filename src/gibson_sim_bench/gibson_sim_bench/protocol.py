@@ -11,7 +11,7 @@ import yaml
 from gibson_sim.reading import read_yaml_file
 from gibson_sim.resources import find_robot
 from gibson_sim.writing import write_file
-from gibson_sim_bench.reports.paper import Mode
+from gibson_sim_bench.reports.paper import FILL, FILLED, Mode
 
 STEP_HZ = 240
 SUBSTEPS = (24, 4, 1)
@@ -25,7 +25,7 @@ WAYS = ("in process", "lockstep", "free-running", HOUSES_ONLY)
 """Parts of the table that can be measured alone."""
 FOV_Y_DEG = 90.0
 ROBOT = "gibson_bot"
-HOUSE_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")))
+HOUSE_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")), Mode(FILLED, ("rgb", "depth"), fill=FILL))
 WARM_UP = 10
 """Least number of frames that do not count."""
 SETTLE_S = 4.0

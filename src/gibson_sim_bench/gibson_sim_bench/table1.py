@@ -21,6 +21,7 @@ import numpy as np
 from gibson_sim.physics.engine import pybullet
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.context import gl as GL
+from gibson_sim.render.draw.hole_filling import HoleFilling
 from gibson_sim.render.readback.frames import Readback
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
@@ -33,7 +34,7 @@ from gibson_sim_bench.loop import Loop
 from gibson_sim_bench.measured.scenes import bench_scene, camera_path
 from gibson_sim_bench.ours import STILL, pose_of
 from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, WARM_UP, WAYS, Table1Plan
-from gibson_sim_bench.reports.paper import HOUSE_SIZE, MODES, PHYSICS_SIZE, Mode
+from gibson_sim_bench.reports.paper import HOUSE_SIZE, PHYSICS_SIZE, TOGETHER, Mode
 from gibson_sim_bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Table1, Table1Row, lockstep_row, row_of
 from gibson_sim_bench.tensors import synchronize
 
@@ -71,8 +72,7 @@ def measure(
         drawn = drawn_scene(loop.world.scene, loop.world.links)
         pair = RendererPair(drawn, plan.device, None, stack)
         if IN_PROCESS in plan.ways:
-            for substeps, pictures in ((k, d) for k in plan.substeps for d in (False, True)):
-                modes = [mode for mode in MODES if bool(mode.outputs) == pictures]
+            for substeps, modes in ((k, together) for k in plan.substeps for together in TOGETHER):
                 with ExitStack() as running:
                     ticks = running.enter_context(lockstep.start(substeps, modes)) if lockstep else None
                     for which, mode in enumerate(modes):
@@ -91,27 +91,30 @@ def measure(
 
 
 class RendererPair:
-    """Two renderers of a scene: one unmodified, one whose OpenGL calls are timed."""
+    """Two renderers of a scene: one unmodified, one whose OpenGL calls are timed; what fills holes is timed in both."""
 
     def __init__(self, scene: DrawnScene, device: int | str | None, roots: list[Path] | None, stack: ExitStack) -> None:
         options: dict[str, Any] = {"device": device, "cache": default_folder(), "allowed_roots": roots}
         self.plain = stack.enter_context(Renderer(scene, **options))
         self.clock: Clock = stack.enter_context(opengl_calls())
         self._timed = stack.enter_context(Renderer(scene, **options))
+        self._fill = stack.enter_context(calls_of(HoleFilling, "fill"))
         self._readback = Readback(self._timed.context)
         self._finish = GL.Gl(self._timed.context).glFinish
         self.triangles = int(self.plain.info["triangles"])
 
-    def apart(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, float, float, float]:
-        """Returns a frame, and the milliseconds of drawing, of readback, and of the OpenGL calls while drawing."""
+    def apart(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, dict[str, float]]:
+        """Returns a frame, and the milliseconds of drawing, filling, readback, and of the OpenGL calls while drawing and filling."""
         self.clock.pop_ms()
+        self._fill.pop_ms()
         began = time.perf_counter_ns()
         ((target, shots, _),) = self._timed.drawn(state, [camera])
         self._finish()
         drawn = time.perf_counter_ns()
-        opengl = self.clock.pop_ms()
+        values, filling = {OPENGL: self.clock.pop_ms()}, self._fill.pop_ms()
         (frame,) = self._readback.frames(target, shots)
-        return frame, (drawn - began) / 1e6, (time.perf_counter_ns() - drawn) / 1e6, opengl
+        values |= {"draw": (drawn - began) / 1e6 - filling, "read back": (time.perf_counter_ns() - drawn) / 1e6}
+        return frame, values | ({"fill": filling} if camera.fill else {})
 
 
 def _with_physics(
@@ -162,7 +165,7 @@ def _with_physics(
 
 def camera_of(camera: CameraSpec, mode: Mode) -> CameraSpec | None:
     """Returns the camera with the outputs of a mode; None if the mode has none."""
-    return replace(camera, outputs=mode.outputs) if mode.outputs else None
+    return replace(camera, outputs=mode.outputs, fill=mode.fill) if mode.outputs else None
 
 
 def seconds_of(work: Callable[[], Any], count: int, warm_up: int) -> list[float]:
@@ -227,7 +230,8 @@ class FrameStages:
             BULLET: self._engine.pop_ms(),
         }
         if self._camera is not None:
-            frame, values["draw"], values["read back"], values[OPENGL] = self._pair.apart(state, self._camera)
+            frame, parts = self._pair.apart(state, self._camera)
+            values |= parts
             self._bytes = bytes_of(frame)
         self._found.append(values)
 
@@ -261,19 +265,20 @@ def _house(plan: Table1Plan, name: str) -> Iterable[Table1Row]:
             pair = RendererPair(drawn_scene(spec, ()), plan.device, list(scene_roots(spec)), stack)
             fov_y = math.radians(FOV_Y_DEG)
             cameras = [
-                CameraSpec("eye", "", pose, width, height, fov_y, near=0.05, far=100.0, outputs=mode.outputs) for pose in path
+                CameraSpec("eye", "", pose, width, height, fov_y, near=0.05, far=100.0, outputs=mode.outputs, fill=mode.fill)
+                for pose in path
             ]
             several = iter(cameras * 2)
             every = iter(cameras[:WARM_UP] + cameras * 2)
-            found: list[tuple[Frame, float, float, float]] = []
+            found: list[tuple[Frame, dict[str, float]]] = []
             times, _ = in_turns(
                 lambda: pair.plain.render(STILL, [next(every)]),  # noqa: B023
                 lambda: found.append(pair.apart(STILL, next(several))),  # noqa: B023
                 len(cameras),
                 len(cameras[:WARM_UP]),
             )
-            draw, back, opengl = np.median([values[1:] for values in found[2:]], axis=0).tolist()
-            stages, bounds = parted({"draw": draw, "read back": back, OPENGL: opengl, COPY: copy_ms(bytes_of(found[0][0]))})
+            middle = {name: float(np.median([values[name] for _, values in found[2:]])) for name in found[0][1]}
+            stages, bounds = parted({**middle, COPY: copy_ms(bytes_of(found[0][0]))})
             common: dict[str, Any] = {"way": IN_PROCESS, "mode": mode.name, "scene": name, "triangles": pair.triangles}
             common |= {"width": width, "height": height, "substeps": 0, "bounds": bounds}
             yield row_of(times, to=HOST, stages=stages, **common)

@@ -95,7 +95,7 @@ def test_the_page_has_every_report_with_its_plots_and_keeps_what_people_wrote(tm
         "## How cost grows",
         "## Long runs",
         "(data/table1_cpu.json)",
-        "not there",
+        "RGB-D, pre-filled",
     ):
         assert part in text
     assert sorted(p.name for p in (tmp_path / "images").iterdir()) == [

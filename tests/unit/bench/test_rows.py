@@ -14,7 +14,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.robots.load import load_robot
 from gibson_sim_bench.cli import table1 as cli
 from gibson_sim_bench.protocol import STEP_HZ, RandomCommands, Table1Plan, write_robot
-from gibson_sim_bench.reports.paper import FILLED, MODES, SENSOR_ONLY
+from gibson_sim_bench.reports.paper import FILL, FILLED, MODES, SENSOR_ONLY
 from gibson_sim_bench.reports.table1 import report_text
 from gibson_sim_bench.rows import (
     BULLET,
@@ -119,14 +119,16 @@ def test_a_report_comes_back_from_its_json() -> None:
     back = table_of(read)
     assert [row.key for row in back.rows] == [row.key for row in REPORT.rows]
     assert back.facts == FACTS
-    assert read["not_there"] == {FILLED.name: "not there: no filler in this version"}
+    assert read["filled_by"] == FILL
     assert read["figures"][0] == {"name": REPORT.rows[0].key, "value": 800.0, "unit": "frames/s", "better": "more"}
     assert (read["rows"][1]["share"], read["rows"][1]["paper"]["v2"]) == (0.8, 264.2)
 
 
-def test_the_text_has_the_row_that_cannot_be_measured_and_what_is_not_comparable() -> None:
-    text = report_text(REPORT)
-    assert any(line.startswith("RGB-D, filled") and "not there" in line and line.endswith("30.6") for line in text.splitlines())
+def test_the_text_has_the_row_with_filled_holes_and_what_is_not_comparable() -> None:
+    filled = replace(RGBD, mode=FILLED, fps=40.0, stages={**RGBD.stages, "fill": 12.5})
+    text = report_text(replace(REPORT, rows=(*REPORT.rows, filled)))
+    assert any(line.startswith("RGB-D, filled") and line.endswith("30.6") for line in text.splitlines())
+    assert filled.between["filling holes"] == 12.5
     for part in ("GTX 1080 Ti", "Tesla V100", "24,400 Bullet steps", "2 x CPU", "abc", "load 0.25", "Left out: x: y", "MISSED"):
         assert part in text
 
@@ -171,6 +173,9 @@ def test_an_unknown_way_is_refused() -> None:
 
 def test_a_simulation_of_the_table_has_a_tick_for_each_frame() -> None:
     words = cli._command(LOCKSTEP, "flat", Path("r.yaml"), 24, [MODES[1]])
+    assert "--camera-fill" not in words
+    filled = cli._command(LOCKSTEP, "flat", Path("r.yaml"), 24, [MODES[2]])
+    assert filled[filled.index("--camera-fill") + 1] == FILL
     assert [words[words.index(f"--{name}") + 1] for name in ("step-hz", "publish-hz", "camera-rate")] == ["240", "10", "10"]
     assert words[words.index("--camera-outputs") + 1] == "rgb,depth"
     assert "--no-render" in cli._command(FREE, "flat", Path("r.yaml"), 1, [MODES[0]])

@@ -21,7 +21,7 @@ from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.types import OUTPUTS
 from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, conversation, process, role
 from gibson_sim_bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Table1Plan, write_robot
-from gibson_sim_bench.reports.paper import MODES, PHYSICS_SIZE, Mode
+from gibson_sim_bench.reports.paper import MODES, PHYSICS_SIZE, TOGETHER, Mode
 from gibson_sim_bench.reports.table1 import report_text
 from gibson_sim_bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Table1, Table1Row, free_row
 
@@ -116,11 +116,11 @@ def measure(plan: Table1Plan, *, domain_id: int | None = None, tell: Tell = lamb
         report = measure_here(replace(plan, ways=ways), robot, tell, lockstep)
         rows = list(report.rows)
         alone = {(r.mode, r.substeps): r for r in rows if r.way == IN_PROCESS and r.substeps and r.to == HOST}
-        for substeps, drawn in ((k, d) for k in plan.substeps for d in (False, True)) if FREE in over_ros else ():
-            what = f"{FREE}: {substeps} substeps, {'images' if drawn else 'no images'}"
+        for substeps, modes in ((k, together) for k in plan.substeps for together in TOGETHER) if FREE in over_ros else ():
+            what = f"{FREE}: {substeps} substeps, {', '.join(mode.name for mode in modes)}"
             tell(what)
             try:
-                rows += _free(plan, environment, robot, substeps, drawn, alone, exchanged)
+                rows += _free(plan, environment, robot, substeps, modes, alone, exchanged)
             except BenchError as error:
                 left_out.append(f"{what}: {error}")
         remove_dead_segments()
@@ -176,12 +176,11 @@ def _free(
     environment: Mapping[str, str],
     robot: Path,
     substeps: int,
-    drawn: bool,
+    modes: Sequence[Mode],
     alone: Mapping[tuple[str, int], Table1Row],
     exchanged: Mapping[str, Mapping[str, float]],
 ) -> Iterator[Table1Row]:
-    """Yields the rows with images, or the one without, of one free-running simulation."""
-    modes = [mode for mode in MODES if bool(mode.outputs) == drawn]
+    """Yields the rows of modes that are drawn together, of one free-running simulation."""
     topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
     with process(_command(FREE, plan.scene, robot, substeps, modes), environment):
         expected = START_S + len(modes) * plan.seconds
@@ -210,5 +209,6 @@ def _command(way: str, scene: str, robot: Path, substeps: int, modes: Sequence[M
         hz,
     ]
     options += ["--camera-rate", hz, "--camera-outputs", outputs] if outputs else ["--no-render"]
+    options += ["--camera-fill", modes[0].fill] if modes[0].fill else []
     options += ["--lockstep", "--participants", "bench_controller"] if way == LOCKSTEP else ["--image-timeout", "0"]
     return [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
+from gibson_sim.filling.fillers import LEARNED
 from gibson_sim.types import OUTPUTS, Output
 
 V2_HARDWARE = "GeForce GTX 1080 Ti"
 V1_HARDWARE = "Xeon E5-2697 v4, Tesla V100"
 PHYSICS_SIZE, HOUSE_SIZE = (256, 256), (640, 480)
 """Width and height of the images of the two tables, pixels."""
-FILLER = "RGB-D, filled"
+FILLED = "RGB-D, filled"
+FILL = "learned" if LEARNED.is_file() and find_spec("onnxruntime") is not None else "push_pull"
+"""What fills the holes in that row: the network of the package where it can run."""
 SENSOR_ONLY = "sensor only"
 
 
@@ -27,6 +31,8 @@ class Mode:
     """Frames per second of Gibson Env V1."""
     note: str = ""
     """What is not comparable."""
+    fill: str = ""
+    """What fills holes of the images; empty = nothing."""
 
 
 MODES = (
@@ -46,6 +52,19 @@ MODES = (
         "the paper drew twice, once for colours and once for depth, and read four floats a pixel; ours is one pass",
     ),
     Mode(
+        FILLED,
+        ("rgb", "depth"),
+        61.7,
+        30.6,
+        "the paper's network filled colours on the GPU; ours, too, fills colours alone, "
+        + (
+            "by the network of the package"
+            if FILL == "learned"
+            else "by push-pull, for there is no network here, and only where there are holes"
+        ),
+        FILL,
+    ),
+    Mode(
         "semantic only", ("semantic",), 279.1, 144.2, "the paper's is one of three colours, by number modulo 3; ours are classes"
     ),
     Mode(
@@ -53,9 +72,11 @@ MODES = (
     ),
     Mode("all outputs", OUTPUTS, note="not in the paper"),
 )
-"""The rows that can be measured."""
-FILLED = Mode(FILLER, ("rgb", "depth"), 61.7, 30.6, "not there: no filler in this version")
-"""The row that cannot be measured."""
+"""The rows."""
+TOGETHER = tuple(
+    tuple(mode for mode in MODES if (bool(mode.outputs), mode.fill) == kind) for kind in ((False, ""), (True, ""), (True, FILL))
+)
+"""The rows by the simulation over ROS that makes them: its cameras are all filled, or none."""
 HOUSES = (("Hillsdale", 620.4, 752.9), ("Albertville", 422.0, 688.2))
 """Name, frames per second of Gibson Env V2 and of Habitat-sim, rendering only, both on V2's hardware."""
 HOUSE_NOTE = (
@@ -70,4 +91,4 @@ GENERAL = (
 
 def mode_of(name: str) -> Mode:
     """Returns a row by its name."""
-    return next(mode for mode in (*MODES, FILLED) if mode.name == name)
+    return next(mode for mode in MODES if mode.name == name)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gibson_sim_bench.reports.paper import FILLED, GENERAL, HOUSE_NOTE, MODES, V1_HARDWARE, V2_HARDWARE
+from gibson_sim_bench.reports.paper import GENERAL, HOUSE_NOTE, MODES, V1_HARDWARE, V2_HARDWARE
 from gibson_sim_bench.reports.render import table
 from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, TENSOR, Table1, Table1Row, paper_of, targets
 
-_STAGES = ("step", "convert", "draw", "read back", "encode", "publish", "transport")
+_STAGES = ("step", "convert", "draw", "fill", "read back", "encode", "publish", "transport")
 
 
 def report_text(report: Table1, *, markdown: bool = False) -> str:
@@ -42,11 +42,9 @@ def _physics(report: Table1) -> _Table:
         if row.substeps:
             found.setdefault((row.mode, row.substeps), {})[TENSOR if row.to == TENSOR else row.way] = row
     rows: list[tuple[str, ...]] = []
-    for mode in (MODES[0], MODES[1], FILLED, *MODES[2:]):
+    for mode in MODES:
         here = sorted(((k, ways) for (name, k), ways in found.items() if name == mode.name), key=lambda pair: -pair[0])
         paper = (_rate(mode.v2), _rate(mode.v1))
-        if mode is FILLED and found:
-            rows.append((mode.name, "", *(["not there"] + [""] * 4), *paper))
         for substeps, ways in here:
             fps = (_rate(ways[way].fps) if way in ways else "" for way in (IN_PROCESS, TENSOR, LOCKSTEP, FREE))
             lost = f"{100 * ways[FREE].lost:.0f} %" if FREE in ways else ""
@@ -109,7 +107,7 @@ def _of(row: Table1Row) -> tuple[str, str, str]:
 def _notes(report: Table1) -> list[str]:
     """Returns what is not comparable, row by row, and how many rows are below their limit."""
     present = {row.mode for row in report.rows}
-    found = [f"{mode.name}: {mode.note}." for mode in (*MODES, FILLED) if mode.note and mode.name in present | {FILLED.name}]
+    found = [f"{mode.name}: {mode.note}." for mode in MODES if mode.note and mode.name in present]
     if any(not row.substeps for row in report.rows):
         found.append(f"Houses: {HOUSE_NOTE}.")
     low = [row for row in report.rows if row.to == HOST and row.share < ENOUGH]
