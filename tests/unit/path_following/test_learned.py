@@ -269,3 +269,26 @@ def test_follower_drives_on_where_its_localiser_is_lost_if_the_policy_is_sure(su
     assert follower.place.is_lost
     assert (velocities[-1] == AHEAD) == sure
     assert (follower.state == "following") == sure
+
+
+def test_robot_turns_where_the_path_turns_in_place_and_drives_on_behind_that(tmp_path: Path) -> None:
+    # 0.6 m ahead, half a turn to the left in nodes of 20 degrees at 1 rad/s, and 0.6 m back. No node is seen: it goes by what it drives.
+    turn, turn_ns = math.radians(20.0), round(1e9 * math.radians(20.0))
+    parts = [(0.2, AHEAD, STEP_NS)] * 3 + [(0.0, Velocity(0.0, 1.0), turn_ns)] * 9 + [(0.2, AHEAD, STEP_NS)] * 3
+    nodes, stamp_ns, distance = [], 0, 0.0
+    for length, velocity, duration_ns in [*parts, (0.0, STOP, 0)]:
+        nodes.append(PathNode(VIEW, stamp_ns, distance, ((0, velocity),)))
+        stamp_ns, distance = stamp_ns + duration_ns, distance + length
+    path = RecordedPath("pinhole", HFOV, tuple(nodes))
+    policy = LearnedPolicy(path, model(tmp_path), LearnedSettings(columns=False, unseen_views=1000, far_off=1000.0))
+    step, poses = Step(), []
+    for k in range(120):
+        velocity = policy.act(VIEW, k * 200_000_000, Place(0.0, 1.0, False, moved=step))
+        step = Step(0.2 * velocity.linear, 0.2 * velocity.angular)
+        poses.append(policy.filter.pose.copy())
+    at_turn, end = max(poses, key=lambda pose: float(pose[0])), poses[-1]
+    assert at_turn[0] == pytest.approx(0.6, abs=0.1)
+    assert end[0] == pytest.approx(0.0, abs=0.2)
+    assert end[1] == pytest.approx(0.0, abs=0.1)
+    assert end[2] == pytest.approx(math.radians(180.0), abs=0.2)
+    assert turn * 9 == pytest.approx(math.pi)

@@ -31,6 +31,12 @@ DEFAULT_MODEL = Path(__file__).with_name("models") / "path_following.onnx"
 """The network in the package."""
 _TURN_METRES = 0.3
 """Distance that a radian of heading counts as, metres, where two parts of a path are near."""
+_IN_PLACE = 0.05
+"""Distance between two nodes below which the robot that recorded them turned in place, metres."""
+_PIVOT = 1.0
+"""Turn in place from which on the robot drives to where it was made, and makes it there, radians: smaller ones are rounded."""
+_AT_PIVOT = 0.05
+"""Distance to that place, along the path, at which it begins to turn, metres."""
 _JUMP = 0.2
 """Distance that a metre along the path counts as, beyond the first metre from where the robot was."""
 _PLACE_DEVIATION = 0.12
@@ -240,10 +246,17 @@ class LearnedPolicy:
         self.model = model if isinstance(model, PathModel) else PathModel(model)
         self._hfov = path.hfov
         self._images = np.stack([self.model.fitted(node.view[0], path.hfov) for node in path.nodes])
-        self._distances = np.array([node.distance for node in path.nodes])
+        distances = np.array([node.distance for node in path.nodes])
         poses = node_poses(path)
-        self._poses: F64 = self._seen_poses() if poses is None else poses
+        self._poses: F64 = self._seen_poses(distances) if poses is None else poses
         """(N, 3), of the nodes in the frame of the path."""
+        turns, steps = np.diff(self._poses[:, 2]), np.diff(distances)
+        self._turns: F64 = np.where(steps < _IN_PLACE, turns, 0.0)
+        """(N - 1,): turns in place from node to node, radians to the left."""
+        self._distances: F64 = np.concatenate([[0.0], np.cumsum(steps + _TURN_METRES * np.abs(self._turns))])
+        """(N,): way along the path to each node, metres. Turns in place count, too: else all their nodes would be one place."""
+        self._pivots = _pivots(self._turns, self._distances)
+        """Begin and end of each turn in place that is made where it was recorded, metres along the path."""
         self._speeds = np.array([self._speed(part) for part in segments(path)])
         self._nodes = (nodes or NodeMatcher(path)) if self.settings.columns else None
         self._planner = ArcPlanner(self.settings.arcs)
@@ -362,8 +375,8 @@ class LearnedPolicy:
         """
         settings = self.settings
         here = self._along()
-        beyond, _, _ = relative(self._poses[-1], self.filter.pose)
-        if here >= self._distances[-1] - 1e-6 and beyond > _OVERSHOOT:
+        beyond, _, turned = relative(self._poses[-1], self.filter.pose)
+        if here >= self._distances[-1] - 1e-6 and beyond > _OVERSHOOT and abs(turned) < math.pi / 2.0:
             return STOP
         x, y, yaw = (float(value) for value in self.filter.pose)
         self._pose = np.array(moved((x, y, yaw), pending.distance, pending.turn))
@@ -405,7 +418,15 @@ class LearnedPolicy:
         """Returns the place that the robot goes for, in its own frame."""
         steps = np.linalg.norm(np.diff(way.points, axis=0), axis=1)
         driven = np.concatenate([[0.0], np.cumsum(steps)])
-        ahead = self.settings.ahead
+        ahead, here = self.settings.ahead, float(way.along[0])
+        for start, end in self._pivots:
+            if here < end - _AT_PIVOT and (reach := float(np.interp(start, way.along, driven))) < ahead:
+                if here >= start - _AT_PIVOT:
+                    yaw = float(self._at(min(end, max(here, start) + _TURN_METRES))[2])
+                    return 0.0, 0.0, math.remainder(yaw - float(self._pose[2]), 2.0 * math.pi)
+                x, y, yaw = (float(value) for value in self._at(start))
+                more = ahead - reach
+                return relative(self._pose, np.array([x + more * math.cos(yaw), y + more * math.sin(yaw), yaw]))
         at = np.array([np.interp(ahead, driven, values) for values in (way.points[:, 0], way.points[:, 1], way.along)])
         k = int(np.searchsorted(driven, ahead).clip(1, len(driven) - 1))
         slope = math.atan2(way.offsets[k] - way.offsets[k - 1], way.along[k] - way.along[k - 1])
@@ -442,7 +463,10 @@ class LearnedPolicy:
         share = np.clip((([x, y] - points[:-1]) * parts).sum(axis=1) / lengths, 0.0, 1.0)
         away = np.linalg.norm(points[:-1] + share[:, None] * parts - [x, y], axis=1)
         # Of two parts of the path that are equally near, the robot is on the one along which it looks.
-        turned = np.abs((self._poses[:-1, 2] - self.filter.pose[2] + math.pi) % (2.0 * math.pi) - math.pi)
+        turned = (self.filter.pose[2] - self._poses[:-1, 2] + math.pi) % (2.0 * math.pi) - math.pi
+        in_place = self._turns != 0.0
+        share = np.where(in_place, np.clip(turned / np.where(in_place, self._turns, 1.0), 0.0, 1.0), share)
+        turned = np.abs(turned - share * self._turns)
         along = self._distances[:-1] + share * np.diff(self._distances)
         best = int((away + _TURN_METRES * turned + _JUMP * np.maximum(0.0, np.abs(along - self._here) - 1.0)).argmin())
         self._here = float(along[best])
@@ -458,17 +482,35 @@ class LearnedPolicy:
         ahead = self.settings.camera_ahead
         return np.array([ahead + x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw])
 
-    def _seen_poses(self) -> F64:
+    def _seen_poses(self, distances: F64) -> F64:
         """Returns the poses of the nodes (N, 3) as the network sees one from the other, for a path without recorded velocities."""
         poses = [np.zeros(3)]
         for k in range(len(self._images) - 1):
             turn = float(self.model.estimate(self._images[k], self._images[k + 1 : k + 2]).pose[0, 2])
             x, y, yaw = (float(value) for value in poses[-1])
-            poses.append(np.array(moved((x, y, yaw), float(self._distances[k + 1] - self._distances[k]), turn)))
+            poses.append(np.array(moved((x, y, yaw), float(distances[k + 1] - distances[k]), turn)))
         return np.array(poses)
 
     def _speed(self, part: Motion) -> float:
         return abs(part.distance) / part.duration if part.duration > 1e-3 else self.settings.usual_linear
+
+
+def _pivots(turns: F64, distances: F64) -> tuple[tuple[float, float], ...]:
+    """Returns begin and end along the path, metres, of each turn in place of ``_PIVOT`` or more.
+
+    Args:
+        turns: (N - 1,), made in place from node to node, radians.
+        distances: (N,), of the nodes.
+    """
+    found, k = [], 0
+    while k < len(turns):
+        end = k
+        while end < len(turns) and turns[end] != 0.0:
+            end += 1
+        if abs(turns[k:end].sum()) >= _PIVOT:
+            found.append((float(distances[k]), float(distances[end])))
+        k = end + 1
+    return tuple(found)
 
 
 def _is_fixed(shape: list[Any], dimensions: int) -> bool:
