@@ -24,6 +24,7 @@ from gibson_sim_learn.path_following.data import (
     is_match,
     load_shard,
     make_pairs,
+    median_distances,
     missing_shards,
     relative_pose,
     save_shard,
@@ -163,3 +164,9 @@ def _shard(count: int) -> Shard:
     pairs = make_pairs(poses, [(0, 0)] * count, poses, [(0, 0)] * count, room(), rng)
     images = rng.integers(0, 256, (count, 64, 96, 3)).astype(np.uint8)
     return Shard(images, np.ones((count, 24), np.float32), pairs)
+
+
+def test_median_distance_lies_in_the_bin_that_reaches_one_half() -> None:
+    edges = np.array([0.0, 1.0, 2.0, 4.0])
+    hit = np.array([[0.0, 0.25, 0.5, 0.25], [1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.8]])
+    np.testing.assert_allclose(median_distances(edges, hit), [3.0, 0.5, 4.0])

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.occupancy import OccupancyMap, OccupancySettings, median_distances
+from gibson_path_following.occupancy import OccupancyMap, OccupancySettings
 
 F64 = NDArray[np.float64]
 BEARINGS = np.arctan((1.0 - (np.arange(24) + 0.5) / 12.0) * math.tan(math.radians(50.0)))
@@ -142,9 +142,3 @@ def test_what_recorded_images_show_on_the_path_is_no_thing_there() -> None:
     for _ in range(12):
         found.see(ORIGIN, BEARINGS, EDGES, hits(1.5))
     assert is_occupied(found, at(1.52)), "the recorded images did not show this"
-
-
-def test_median_distance_lies_in_the_bin_that_reaches_one_half() -> None:
-    edges = np.array([0.0, 1.0, 2.0, 4.0])
-    hit = np.array([[0.0, 0.25, 0.5, 0.25], [1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.8]])
-    np.testing.assert_allclose(median_distances(edges, hit), [3.0, 0.5, 4.0])

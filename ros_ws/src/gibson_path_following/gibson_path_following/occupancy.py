@@ -219,21 +219,6 @@ class OccupancyMap:
         return np.where(distance <= self.settings.path_width, self.settings.path_prior - wrong, 0.0).astype(np.float32)
 
 
-def median_distances(edges: F64, hit: F64) -> F64:
-    """Returns (...,): the distances within which a first thing stands with a probability of one half, metres; the last edge if it is less.
-
-    Args:
-        edges: (B + 1,), of the bins of distance, metres, from 0.
-        hit: (..., B + 1), probability that the first thing stands in each bin; the last: farther than all.
-    """
-    within = np.cumsum(hit[..., :-1], axis=-1)
-    row = np.minimum(np.sum(within < 0.5, axis=-1), within.shape[-1] - 1)[..., None]
-    share = np.take_along_axis(hit, row, axis=-1)
-    before = np.take_along_axis(within, row, axis=-1) - share
-    part = np.clip((0.5 - before) / np.maximum(share, 1e-9), 0.0, 1.0)
-    return np.asarray(edges[row] + part * (edges[row + 1] - edges[row]))[..., 0]
-
-
 def _half_width(bearings: F64) -> float:
     """Returns the tangent of half the field of view whose equal strips have these middles."""
     count = len(bearings)

@@ -148,6 +148,21 @@ def distance_labels(free: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate([np.diff(below, axis=-1), 1.0 - below[..., -1:]], axis=-1).astype(np.float32)
 
 
+def median_distances(edges: F64, hit: F64) -> F64:
+    """Returns (...,): the distances within which a first thing stands with a probability of one half, metres; the last edge if it is less.
+
+    Args:
+        edges: (B + 1,), of the bins of distance, metres, from 0.
+        hit: (..., B + 1), probability that the first thing stands in each bin; the last: farther than all.
+    """
+    within = np.cumsum(hit[..., :-1], axis=-1)
+    row = np.minimum(np.sum(within < 0.5, axis=-1), within.shape[-1] - 1)[..., None]
+    share = np.take_along_axis(hit, row, axis=-1)
+    before = np.take_along_axis(within, row, axis=-1) - share
+    part = np.clip((0.5 - before) / np.maximum(share, 1e-9), 0.0, 1.0)
+    return np.asarray(edges[row] + part * (edges[row + 1] - edges[row]))[..., 0]
+
+
 def relative_pose(frm: F64, to: F64) -> F64:
     """Returns (..., 3): planar poses ``to`` in the frames ``frm``, both (..., 3): x, y, yaw; yaw in [-pi, pi)."""
     dx, dy = to[..., 0] - frm[..., 0], to[..., 1] - frm[..., 1]

@@ -19,10 +19,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gibson_path_following.occupancy import median_distances
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import replacing, write_file
-from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels
+from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
