@@ -9,7 +9,7 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.colours import linear_from_srgb
-from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit, relit_linear, white_gains
+from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit_linear, white_gains
 
 GREY = np.full((4, 6, 3), 100, dtype=np.uint8)
 TOWARDS_X = np.tile(np.array([-1.0, 0.0, 0.0], dtype=np.float32), (4, 6, 1))
@@ -27,7 +27,6 @@ def linear(pixel: int) -> float:
 
 
 def test_neutral_light_and_camera_change_nothing() -> None:
-    assert (relit(GREY, TOWARDS_X, AT_2_M, EYE, RoomLight()) == GREY).all()
     assert (photographed(relit_linear(GREY, TOWARDS_X, AT_2_M, EYE, RoomLight()), Photometry(), rng()) == GREY).all()
     assert (photographed(GREY, Photometry(), rng()) == GREY).all()
     assert white_gains(6500.0).tolist() == [1.0, 1.0, 1.0]

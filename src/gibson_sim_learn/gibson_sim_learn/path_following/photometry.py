@@ -96,11 +96,6 @@ class Photometry:
         _check("photometry: vignette", self.vignette, 0.0, 1.0)
 
 
-def relit(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float], light: RoomLight) -> Image:
-    """Returns the image of ``relit_linear`` as sRGB: what is brighter than white is white, whatever is then made of it."""
-    return rgb if light.is_unchanged else srgb8_from_linear(relit_linear(rgb, normal, position, eye, light))
-
-
 def relit_linear(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float], light: RoomLight) -> F32:
     """Returns an image (H, W, 3) in another light, linear; what is brighter than white is above 1, for ``photographed`` to expose.
 
