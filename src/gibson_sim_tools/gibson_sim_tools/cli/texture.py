@@ -13,7 +13,7 @@ from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError
-from gibson_sim_tools.texturing.settings import TextureSettings
+from gibson_sim_tools.texturing.settings import AS_READ, AUTO, MOST_PHOTOGRAPHS, POSE_CONVENTIONS, TextureSettings
 
 
 def add_parser(subparsers: Any) -> None:
@@ -45,15 +45,53 @@ def add_parser(subparsers: Any) -> None:
         metavar="FILE",
         help="with --hold-out: write a picture of photographs beside the scene, .jpg or .png",
     )
+    parser.add_argument(
+        "--pose-convention",
+        choices=(AS_READ, AUTO, *POSE_CONVENTIONS),
+        default=AS_READ,
+        help="how the file of the poses is to be taken: as its layout says; auto = as photographs agree best; or one by name",
+    )
+    parser.add_argument(
+        "--unit", metavar="UNIT", help="of poses and mesh: a name as in scene import, or metres per unit (default: metres)"
+    )
+    parser.add_argument(
+        "--known-length",
+        type=_known_length,
+        metavar="MESH,METRES",
+        help="in place of --unit: a length as it is in the mesh, and the true one, such as 1.37,2.0 for a door",
+    )
+    parser.add_argument(
+        "--most-photographs",
+        type=int,
+        default=MOST_PHOTOGRAPHS,
+        metavar="N",
+        help=f"if there are more, use those that together show the mesh best (default: {MOST_PHOTOGRAPHS})",
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write what was found as JSON")
     add_settings(parser, TextureSettings, [f.name for f in fields(TextureSettings)])
     parser.set_defaults(run=_run)
+
+
+def _known_length(text: str) -> float:
+    try:
+        measured, true = (float(word) for word in text.split(","))
+    except ValueError:
+        measured = true = 0.0
+    if not (0.0 < measured < 1e9 and 0.0 < true < 1e9):
+        raise argparse.ArgumentTypeError(
+            f"{text}: must be two numbers above 0, the length in the mesh and that in metres, such as 1.37,2.0"
+        )
+    return true / measured
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need none of it.
     from gibson_sim.formats.load_mesh import load_mesh
     from gibson_sim.picture_files import write_picture
+    from gibson_sim_tools.cli.importing import unit_m
+    from gibson_sim_tools.from_photographs.pictures import check_pictures
+    from gibson_sim_tools.texturing.choosing import choose_photographs
+    from gibson_sim_tools.texturing.conventions import checked
     from gibson_sim_tools.texturing.measure import contact_sheet, held_out_likeness
     from gibson_sim_tools.texturing.photograph_layouts import open_photographs
     from gibson_sim_tools.texturing.surface import surface_of
@@ -69,10 +107,22 @@ def _run(args: argparse.Namespace) -> ExitCode:
         raise ConfigError(
             f"--sheet {args.sheet}: shows photographs that were held out; give --hold-out, too, such as --hold-out 10"
         )
+    if args.most_photographs < 2:
+        raise ConfigError(f"--most-photographs {args.most_photographs}: must be 2 or more")
+    if args.known_length is not None and args.unit is not None:
+        raise ConfigError("--unit and --known-length both say how long a metre is; give one of them")
+    scale = args.known_length or unit_m(args.unit) or 1.0
     photographs = open_photographs(args.photographs, settings.longest_side)
     for warning in photographs.warnings:
         print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
-    surface = surface_of(load_mesh(args.mesh, [args.mesh.resolve().parent]))
+    surface = surface_of(load_mesh(args.mesh, [args.mesh.resolve().parent])).times(scale)
+    photographs, text = checked(surface, photographs.times(scale), args.pose_convention)
+    if text:
+        print(text)
+    if len(photographs) > args.most_photographs:
+        with progress_bar(f"choosing {args.most_photographs} of {len(photographs)} photographs") as progress:
+            photographs = photographs.only(choose_photographs(surface, photographs, args.most_photographs, progress))
+    check_pictures([item.file for item in photographs.items])
     with progress_bar(f"texturing from {len(photographs)} photographs ({photographs.layout})") as progress:
         held_out = range(0, len(photographs), args.hold_out) if args.hold_out else range(0)
         textured = texture(surface, photographs, settings, progress, held_out=held_out)

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from gibson_sim_tools.texturing.atlas import Atlas
 from gibson_sim_tools.texturing.quality import sampled
-from gibson_sim_tools.texturing.solving import solve
+from gibson_sim_tools.texturing.solving import relax, solve
 from gibson_sim_tools.texturing.surface import Adjacency
 
 F16 = NDArray[np.float16]
@@ -38,8 +38,6 @@ _ZERO = 0.03
 """Weight of the correction itself: exposures are known already, so that corrections are small."""
 _REAL_STEP = 0.1
 """Step over a seam that counts half, sRGB, 0 to 1: larger ones are edges that one of the photographs shows elsewhere."""
-_LOCAL_TOLERANCE, _LOCAL_STEPS = 1e-2, 100
-"""Accuracy and most iterations of the local system, whose solution is exact at the seams in any case."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,33 +143,26 @@ def _fade(picture: F16, cover: I32, atlas: Atlas, patch: I64, points: I64, chang
     covered = np.flatnonzero(cover.ravel() >= 0)
     owner[covered] = atlas.patch[cover.ravel()[covered]]
     owner[index] = patch
-    at_seam = np.zeros(height * width, dtype=bool)
-    at_seam[pixels] = True
-    near = cv2.distanceTransform((~at_seam).astype(np.uint8).reshape(height, width), cv2.DIST_L2, 5).ravel() <= strip_px
-    strip = np.flatnonzero((owner >= 0) & near & ~at_seam)
-    unknown = np.full(height * width, -1, dtype=np.int32)
-    unknown[strip] = np.arange(len(strip))
-    value = np.zeros((height * width, 3), dtype=np.float32)
-    value[pixels] = border
-    rows, columns, degree, right = [], [], np.zeros(len(strip)), np.zeros((len(strip), 3))
+    away = np.ones((height, width), dtype=np.uint8)
+    away.ravel()[pixels] = 0
+    near = cv2.distanceTransform(away, cv2.DIST_L2, 5).ravel() <= strip_px
+    strip = np.flatnonzero((owner >= 0) & near & (away.ravel() > 0))
+    # What is to change: the strip, then the seam, then one more whose change is 0, for all that is farther away.
+    place = np.full(height * width, len(strip) + len(pixels), dtype=np.int32)
+    place[strip] = np.arange(len(strip))
+    place[pixels] = len(strip) + np.arange(len(pixels))
+    values = np.concatenate([np.zeros((len(strip), 3)), border, np.zeros((1, 3))]).astype(np.float32)
+    neighbours = np.full((len(strip), 4), -1, dtype=np.int32)
     x, y = strip % width, strip // width
-    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+    for k, (dx, dy) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
         inside = (x + dx >= 0) & (x + dx < width) & (y + dy >= 0) & (y + dy < height)
         other = np.where(inside, strip + dy * width + dx, strip)
         inside &= owner[other] == owner[strip]
-        degree += inside
-        free = inside & (unknown[other] >= 0)
-        rows.append(np.flatnonzero(free))
-        columns.append(unknown[other[free]])
-        right += np.where(inside[:, None], value[other], 0.0)
-    if len(strip):
-        row, column = np.concatenate(rows), np.concatenate(columns)
-        # The small addition makes islands that touch no seam solvable; their change is 0.
-        matrix = sparse.csr_matrix((-np.ones(len(row)), (row, column)), shape=(len(strip),) * 2) + sparse.diags(degree + 1e-6)
-        value[strip] = solve(matrix.tocsr(), right, tolerance=_LOCAL_TOLERANCE, most=_LOCAL_STEPS)
+        neighbours[inside, k] = place[other[inside]]
+    relax(values, neighbours, (x + y) % 2 == 0, strip_px)
     changed = np.concatenate([strip, pixels])
     flat = picture.reshape(-1, 3)
-    flat[changed] += value[changed].astype(np.float16)
+    flat[changed] += values[:-1].astype(np.float16)
 
 
 def _differences(pairs: I64, count: int) -> sparse.csr_matrix:

@@ -1,4 +1,6 @@
-"""Finds posed photographs in folders of known layouts: posed RGB-D (ours, Open3D, 7-Scenes, TUM), COLMAP's models, nerfstudio's transforms.json."""
+"""Finds posed photographs in folders of known layouts: posed RGB-D (ours, Open3D, 7-Scenes, TUM), COLMAP's models,
+nerfstudio's transforms.json, raw data of Polycam.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_file
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd, read_json
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
-from gibson_sim_tools.texturing.photographs import Lens, Photograph, Photographs
+from gibson_sim_tools.texturing.phone_layouts import OPTICAL_OPENGL, polycam, polycam_cameras, record3d, record3d_images
+from gibson_sim_tools.texturing.photographs import Lens, Photograph, Photographs, posed
 
 F64 = NDArray[np.float64]
 
@@ -28,8 +31,8 @@ _MOST_BYTES = 2 * 2**30
 """Size of a model's file; images.bin holds all points that were found in the photographs."""
 _HALF = 0.5
 """COLMAP's and nerfstudio's pixel centres are at halves, ours at whole numbers."""
-_OPTICAL_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""T_opengl_optical: the cameras of nerfstudio look along -z, y up."""
+_BAG = "metadata.yaml"
+"""What each folder of rosbag2 has."""
 _MODELS = {
     "SIMPLE_PINHOLE": (0, 3), "PINHOLE": (1, 4), "SIMPLE_RADIAL": (2, 4), "RADIAL": (3, 5), "OPENCV": (4, 8),
     "OPENCV_FISHEYE": (5, 8), "FULL_OPENCV": (6, 12),
@@ -51,6 +54,12 @@ def open_photographs(folder: Path, longest: int = 0) -> Photographs:
         raise ScanError(f"{folder}: is no folder; give the one that holds the photographs and their poses")
     if is_file(folder / TRANSFORMS):
         return _nerfstudio(folder, longest)
+    keyframes = polycam_cameras(folder)
+    if keyframes is not None:
+        return polycam(folder, *keyframes, longest)
+    images = record3d_images(folder)
+    if images is not None:
+        return record3d(folder, images, longest)
     model = next((folder / name for name in _COLMAP_FOLDERS if _colmap_suffix(folder / name)), None)
     if model is not None:
         return _colmap(folder, model, longest)
@@ -62,12 +71,16 @@ def open_photographs(folder: Path, longest: int = 0) -> Photographs:
     if any(p.suffix.lower() in _IMAGES for place in (folder, folder / "images") if is_folder(place) for p in place.iterdir()):
         raise ScanError(
             f"{folder}: has photographs but no poses; COLMAP finds them (colmap automatic_reconstructor), or nerfstudio "
-            "(ns-process-data), or export them from a scanning app with its poses"
+            "(ns-process-data), or export them from a scanning app with its poses (Polycam: raw data; Record3D)"
+        )
+    if is_file(folder / _BAG):
+        raise ScanError(
+            f"{folder}: is a bag; make photographs with poses of it first: gibson-sim export {folder} DIR --to nerfstudio"
         )
     known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
     raise ScanError(
-        f"{folder}: no layout of posed photographs that is known. Known are: nerfstudio: {TRANSFORMS}; colmap: cameras and images, "
-        f".txt or .bin, also in sparse/0, and images/; {known}"
+        f"{folder}: no layout of posed photographs that is known. Known are: nerfstudio: {TRANSFORMS}; "
+        f"colmap: cameras and images, .txt or .bin, also in sparse/0, and images/; polycam: keyframes/; record3d: metadata.json and rgb/; {known}"
     )
 
 
@@ -79,15 +92,28 @@ def _nerfstudio(folder: Path, longest: int) -> Photographs:
         raise ScanError(f"{path}: has no list 'frames'; is it nerfstudio's?")
     lenses: dict[tuple[Any, ...], Lens] = {}
     items = []
+    applied = (
+        None if values.get("applied_transform") is None else _matrix(f"{path}: applied_transform", values["applied_transform"])
+    )
+    scale = 1.0 / _number(str(path), values, "depth_unit_scale_factor", 0.001)
     for number, frame in enumerate(frames):
         what = f"{path}: frame {number}"
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise ScanError(f"{what}: has no 'file_path'")
         matrix = _matrix(what, frame.get("transform_matrix"))
         lens = _nerfstudio_lens(what, {**values, **frame})
+        depth = frame.get("depth_file_path")
+        depth = _inside(what, folder, depth) if isinstance(depth, str) else None
         lens = lenses.setdefault((lens.intrinsics, lens.distortion, lens.fisheye), lens)
-        items.append(Photograph(_inside(what, folder, frame["file_path"]), lens, matrix @ _OPTICAL_OPENGL))
-    return Photographs(folder, "nerfstudio", tuple(items), longest)
+        items.append(Photograph(_inside(what, folder, frame["file_path"]), lens, matrix @ OPTICAL_OPENGL, depth, scale))
+    return posed(folder, "nerfstudio", items, longest, applied=applied)
+
+
+def _number(what: str, values: Mapping[str, Any], name: str, default: float | None = None) -> float:
+    value = values.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ScanError(f"{what}: {name} is {quoted(value)}, must be a number")
+    return float(value)
 
 
 def _matrix(what: str, given: object) -> F64:
@@ -96,16 +122,13 @@ def _matrix(what: str, given: object) -> F64:
     except (TypeError, ValueError):
         matrix = np.zeros(0)
     if matrix.shape not in ((4, 4), (3, 4)):
-        raise ScanError(f"{what}: transform_matrix is {quoted(given)}, must be 4x4 numbers by rows")
+        raise ScanError(f"{what}: the matrix is {quoted(given)}, must be 4x4 numbers by rows")
     return np.vstack([matrix[:3], [0.0, 0.0, 0.0, 1.0]])
 
 
 def _nerfstudio_lens(what: str, values: Mapping[str, Any]) -> Lens:
     def number(name: str, default: float | None = None) -> float:
-        value = values.get(name, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ScanError(f"{what}: {name} is {quoted(value)}, must be a number")
-        return float(value)
+        return _number(what, values, name, default)
 
     width, height = number("w"), number("h")
     focal = (
@@ -157,7 +180,7 @@ def _colmap(folder: Path, model: Path, longest: int) -> Photographs:
         T[:3, 3] = shift
         items.append((name, Photograph(_image(images, folder, name), lenses[camera], invert(T))))
     warning = "COLMAP's scale is arbitrary: the mesh must have the same scale, and the scene is as large as that says"
-    return Photographs(folder, "colmap", tuple(item for _, item in sorted(items, key=lambda pair: pair[0])), longest, (warning,))
+    return posed(folder, "colmap", [item for _, item in sorted(items, key=lambda pair: pair[0])], longest, (warning,))
 
 
 def _image(images: Path, folder: Path, name: str) -> Path:

@@ -58,6 +58,8 @@ class Photographs:
     """Longest side that pictures are reduced to, pixels; 0 = they stay as they are."""
     warnings: tuple[str, ...] = ()
     """Omissions and assumptions, one line each."""
+    applied: F64 | None = None
+    """(4, 4): nerfstudio's ``applied_transform``, by which it turned the world that the poses were found in; None = there is none."""
 
     def __post_init__(self) -> None:
         if not self.items:
@@ -134,9 +136,37 @@ class Photographs:
         """Returns the same photographs at other poses, (N, 4, 4)."""
         return replace(self, items=tuple(replace(item, T_world_camera=T) for item, T in zip(self.items, poses, strict=True)))
 
-    def only(self, numbers: Sequence[int]) -> Photographs:
+    def times(self, scale: float) -> Photographs:
+        """Returns the same photographs at positions that are larger by a factor."""
+        poses = self.poses
+        poses[:, :3, 3] *= scale
+        return self.at(poses)
+
+    def only(self, numbers: Sequence[int] | NDArray[np.integer]) -> Photographs:
         """Returns some of the photographs."""
         return replace(self, items=tuple(self.items[k] for k in numbers))
+
+
+def posed(
+    folder: Path, layout: str, items: Sequence[Photograph], longest: int, warnings: tuple[str, ...] = (), applied: F64 | None = None
+) -> Photographs:  # fmt: skip
+    """Returns a set of photographs without those whose poses were lost: scanning apps write NaN while they do not know where they are.
+
+    Raises:
+        ScanError: no pose is left, or a matrix is no pose.
+    """
+    kept = tuple(item for item in items if np.isfinite(item.T_world_camera).all())
+    if not kept and items:
+        raise ScanError(
+            f"{folder}: all {len(items)} poses hold a NaN or an infinity: the camera was lost; scan again, more slowly"
+        )
+    if len(kept) < len(items):
+        first = next(item for item in items if not np.isfinite(item.T_world_camera).all())
+        text = (
+            f"{len(items) - len(kept)} of {len(items)} poses hold a NaN or an infinity, first that of {first.file.name}: left out"
+        )
+        warnings = (*warnings, text)
+    return Photographs(folder, layout, kept, longest, warnings, applied)
 
 
 def _undistortion(lens: Lens) -> tuple[F32, F32]:

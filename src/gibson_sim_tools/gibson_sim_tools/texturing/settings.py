@@ -9,6 +9,20 @@ from gibson_sim.settings import check_settings, setting
 LARGEST_PAGE = 8192
 """Longest side of a texture, pixels: what every graphics card can load."""
 
+AS_READ, AUTO = "as-read", "auto"
+"""Conventions of poses: that of the layout, and the one in which photographs agree best."""
+POSE_CONVENTIONS = {
+    "opencv": "camera-to-world, cameras look along z with y down",
+    "opengl": "camera-to-world, cameras look along -z with y up",
+    "opencv-world-to-camera": "world-to-camera, cameras look along z with y down",
+    "opengl-world-to-camera": "world-to-camera, cameras look along -z with y up",
+    "y-up": "of a world with y up, while the mesh is z up",
+    "before-applied-transform": "of nerfstudio's world, while the mesh is in the one before its applied_transform",
+}
+"""Conventions by name, and what each is."""
+MOST_PHOTOGRAPHS = 600
+"""Photographs that are used, unless asked for more: memory and time grow with them."""
+
 
 @dataclass(frozen=True, slots=True)
 class TextureSettings:

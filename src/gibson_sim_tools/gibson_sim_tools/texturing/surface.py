@@ -36,6 +36,10 @@ class Surface:
         """(F, 3, 3), metres."""
         return np.asarray(self.vertices[self.triangles])
 
+    def times(self, scale: float) -> Surface:
+        """Returns the surface, larger by a factor."""
+        return Surface(self.vertices * scale, self.triangles, self.colors)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjacency:

@@ -9,12 +9,13 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
+from gibson_sim_tools.texturing import solving
 from gibson_sim_tools.texturing.exposure import estimate_exposures, no_exposures
 from gibson_sim_tools.texturing.filling import fill_vertices
 from gibson_sim_tools.texturing.outliers import inliers
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import LINEAR, Views, joined, sampled, views_of
-from gibson_sim_tools.texturing.solving import solve
+from gibson_sim_tools.texturing.solving import relax, solve
 from gibson_sim_tools.texturing.surface import project
 from gibson_sim_tools.texturing.visibility import SeenFaces, seen_faces
 from support.painted_wall import CAMERA, moved, painted_wall, photographed, row_of_cameras
@@ -90,6 +91,24 @@ def test_conjugate_gradients_solve_all_columns():
     matrix = sparse.csr_matrix(np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 1.0], [0.0, 1.0, 5.0]]))
     wanted = np.array([[1.0, -2.0], [0.5, 4.0], [3.0, 0.0]])
     np.testing.assert_allclose(solve(matrix, matrix @ wanted, tolerance=1e-10), wanted, atol=1e-8)
+
+
+def test_a_membrane_between_two_sides_is_straight_compiled_or_not(monkeypatch):
+    # Nine pixels in a row between 0 and 1; the last neighbour of each is none.
+    row = np.arange(9)
+    neighbours = np.stack(
+        [np.where(row > 0, row - 1, 9), np.where(row < 8, row + 1, 10), row * 0 - 1, row * 0 - 1], axis=1
+    ).astype(np.int32)
+    given = np.zeros((11, 2), np.float32)
+    given[10] = 1.0, -0.5
+    found = given.copy()
+    relax(found, neighbours, row % 2 == 0, 9)
+    np.testing.assert_allclose(found[:9, 0], np.arange(1, 10) / 10, atol=0.01)
+    assert found[9:].tolist() == given[9:].tolist()
+    monkeypatch.setattr(solving, "CAN_COMPILE", not solving.CAN_COMPILE)
+    other = given.copy()
+    relax(other, neighbours, row % 2 == 0, 9)
+    np.testing.assert_array_equal(other, found)
 
 
 def test_unknown_colours_are_smooth_between_known_ones():

@@ -102,3 +102,71 @@ def test_a_photograph_of_another_size_than_its_camera_is_refused(folder):
     colmap_text(folder, "1 PINHOLE 61 40 50 51 30 20\n")
     with pytest.raises(ScanError, match="has 60x40 pixels, its camera 61x40"):
         open_photographs(folder).picture(0)
+
+
+def test_nerfstudios_frames_may_have_cameras_and_depths_of_their_own_and_lost_poses(folder):
+    cv2.imwrite(str(folder / "d.png"), np.full((20, 30), 500, np.uint16))
+    matrix = (T_WORLD_CAMERA @ np.diag([1, -1, -1, 1])).tolist()
+    lost = [[float("nan")] * 4] * 4
+    frames = [
+        {"file_path": "images/a.png", "transform_matrix": matrix, "fl_x": 70, "depth_file_path": "d.png"},
+        {"file_path": "images/b.png", "transform_matrix": lost},
+        {"file_path": "images/b.png", "transform_matrix": matrix},
+    ]
+    values = {"w": 60, "h": 40, "fl_x": 50, "fl_y": 50, "depth_unit_scale_factor": 0.01, "frames": frames}
+    values["applied_transform"] = np.eye(4)[[1, 2, 0]].tolist()
+    (folder / "transforms.json").write_text(json.dumps(values))
+    found = open_photographs(folder)
+    assert [found.intrinsics(k).fx for k in (0, 1)] == [70.0, 50.0] and found.applied[0].tolist() == [0.0, 1.0, 0.0, 0.0]
+    assert "1 of 3 poses hold a NaN or an infinity, first that of b.png" in found.warnings[0]
+    # 500 hundredths of a metre; the depth image has half as many pixels a side.
+    depth = found.depth(0)
+    assert depth.shape == (40, 60) and (depth == 5.0).all() and found.depth(1) is None
+    (folder / "transforms.json").write_text(json.dumps({**values, "frames": frames[1:2]}))
+    with pytest.raises(ScanError, match="all 1 poses hold a NaN"):
+        open_photographs(folder)
+
+
+def test_polycams_poses_are_rows_of_camera_to_world_of_opengl(tmp_path):
+    for name in ("corrected_cameras", "corrected_images", "depth"):
+        (tmp_path / "keyframes" / name).mkdir(parents=True)
+    opengl = T_WORLD_CAMERA @ np.diag([1, -1, -1, 1])
+    values = {f"t_{r}{c}": opengl[r, c] for r in range(3) for c in range(4)}
+    values |= {"width": 60, "height": 40, "fx": 50, "fy": 51, "cx": 30, "cy": 20}
+    for stem in ("10", "9"):
+        (tmp_path / "keyframes" / "corrected_cameras" / f"{stem}.json").write_text(json.dumps(values))
+        cv2.imwrite(str(tmp_path / "keyframes" / "corrected_images" / f"{stem}.jpg"), np.zeros((40, 60, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "keyframes" / "depth" / "9.png"), np.full((10, 15), 2500, np.uint16))
+    found = open_photographs(tmp_path)
+    assert found.layout == "polycam" and [item.file.name for item in found.items] == ["9.jpg", "10.jpg"]
+    np.testing.assert_allclose(found.poses[1], T_WORLD_CAMERA, atol=1e-12)
+    assert found.intrinsics(0).cx == 29.5 and found.depth(0)[39, 59] == 2.5 and found.depth(1) is None
+    del values["t_03"]
+    (tmp_path / "keyframes" / "corrected_cameras" / "9.json").write_text(json.dumps(values))
+    with pytest.raises(ScanError, match="t_03 is None, must be a number"):
+        open_photographs(tmp_path)
+
+
+def test_record3ds_matrix_is_by_columns_and_its_quaternions_end_with_w(tmp_path):
+    (tmp_path / "rgb").mkdir()
+    for k in (0, 2, 10):
+        cv2.imwrite(str(tmp_path / "rgb" / f"{k}.jpg"), np.zeros((40, 60, 3), np.uint8))
+    # A quarter turn about y: the camera, along -z in its frame, looks along -x of the world.
+    turned = [0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5), 1.0, 2.0, 3.0]
+    values = {"w": 60, "h": 40, "K": [50, 0, 0, 0, 51, 0, 30, 20, 1], "poses": [turned, turned, [float("nan")] * 7]}
+    (tmp_path / "metadata.json").write_text(json.dumps(values))
+    found = open_photographs(tmp_path)
+    assert found.layout == "record3d" and [item.file.name for item in found.items] == ["0.jpg", "2.jpg"]
+    np.testing.assert_allclose(found.poses[0][:, 2], (-1.0, 0.0, 0.0, 0.0), atol=1e-12)
+    assert found.poses[0][:3, 3].tolist() == [1.0, 2.0, 3.0] and "first that of 10.jpg" in found.warnings[0]
+    k = found.intrinsics(0)
+    assert (k.fx, k.fy, k.cx, k.cy) == (50.0, 51.0, 29.5, 19.5)
+    (tmp_path / "metadata.json").write_text(json.dumps({**values, "poses": [turned]}))
+    with pytest.raises(ScanError, match="1 poses for 3 photographs"):
+        open_photographs(tmp_path)
+
+
+def test_who_gives_a_bag_is_told_how_to_get_photographs_of_it(tmp_path):
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:")
+    with pytest.raises(ScanError, match=r"is a bag; .* gibson-sim export .* --to nerfstudio"):
+        open_photographs(tmp_path)

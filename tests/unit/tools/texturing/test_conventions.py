@@ -1,0 +1,100 @@
+"""Poses in another convention, and depths of another scale, are found out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gibson_sim.formats.mesh import TO_Z_UP
+from gibson_sim.geometry.transforms import invert
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.texturing.choosing import choose_photographs
+from gibson_sim_tools.texturing.conventions import agreement, checked, in_convention
+from gibson_sim_tools.texturing.surface import Surface
+from support.painted_wall import painted_wall, photographed, row_of_cameras
+
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory):
+    """The wall, photographs of it at their true poses, and depth images."""
+    wall = painted_wall()
+    found = photographed(
+        tmp_path_factory.mktemp("wall"), wall, row_of_cameras(6, np.random.default_rng(2)), [1.0, 1.3, 0.8, 1.1, 0.7, 1.2]
+    )
+    for item in found.items:
+        cv2.imwrite(str(item.file.with_suffix(".depth.png")), wall.depth(item.T_world_camera, 1000.0))
+    return wall, replace(found, items=tuple(replace(item, depth=item.file.with_suffix(".depth.png")) for item in found.items))
+
+
+def test_right_poses_are_taken_as_they_are(taken):
+    wall, photographs = taken
+    found = agreement(wall.surface, photographs)
+    assert found.share > 0.7 and found.likeness > 0.9
+    same, text = checked(wall.surface, photographs)
+    assert same is photographs and text == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("opengl", lambda T: T @ OPENGL),
+        ("opencv-world-to-camera", invert),
+        ("opengl-world-to-camera", lambda T: invert(T @ OPENGL)),
+        ("y-up", lambda T: np.block([[TO_Z_UP["y"].T, np.zeros((3, 1))], [0.0, 0.0, 0.0, 1.0]]) @ T),
+    ],
+)
+def test_another_convention_is_named_and_taken_when_asked(taken, name, written):
+    wall, photographs = taken
+    given = photographs.at(np.stack([written(T) for T in photographs.poses]))
+    with pytest.raises(ScanError, match=f"poses that are {name} .* give --pose-convention {name}, or auto"):
+        checked(wall.surface, given)
+    mended, text = checked(wall.surface, given, "auto")
+    np.testing.assert_allclose(mended.poses, photographs.poses, atol=1e-12)
+    assert text.startswith(f"poses are taken as {name}")
+    np.testing.assert_allclose(checked(wall.surface, given, name)[0].poses, photographs.poses, atol=1e-12)
+
+
+def test_conventions_are_those_of_the_file_whatever_its_layout(taken):
+    photographs = taken[1]
+    # nerfstudio's layout was read as OpenGL: what the file holds is the pose with y and z turned.
+    nerfstudio = replace(photographs, layout="nerfstudio")
+    np.testing.assert_allclose(in_convention(nerfstudio, "opencv").poses, photographs.poses @ OPENGL)
+    np.testing.assert_allclose(in_convention(nerfstudio, "opengl").poses, photographs.poses)
+    colmap = replace(photographs, layout="colmap")
+    np.testing.assert_allclose(in_convention(colmap, "opencv").poses[1], invert(photographs.poses[1]))
+
+
+def test_poses_before_nerfstudios_applied_transform(taken):
+    wall, photographs = taken
+    applied = np.eye(4)[[1, 2, 0, 3]]
+    given = replace(photographs.at(applied @ photographs.poses), applied=applied)
+    np.testing.assert_allclose(checked(wall.surface, given, "auto")[0].poses, photographs.poses, atol=1e-12)
+    with pytest.raises(ScanError, match="has no applied_transform"):
+        in_convention(photographs, "before-applied-transform")
+
+
+def test_depths_tell_that_mesh_and_poses_have_another_scale(taken):
+    wall, photographs = taken
+    poses = photographs.poses
+    poses[:, :3, 3] /= 2.5
+    small = Surface(wall.surface.vertices / 2.5, wall.surface.triangles)
+    with pytest.raises(ScanError, match=r"2.5 times as far as in the mesh; .* give --unit 2.5"):
+        checked(small, photographs.at(poses))
+    checked(wall.surface, photographs)
+
+
+def test_photographs_are_chosen_that_together_show_the_wall(taken):
+    wall, photographs = taken
+    # Three times the same view from the left, one from the right: of two, each side is one.
+    few = photographs.only([0, 0, 0, 5])
+    assert 3 in choose_photographs(wall.surface, few, 2).tolist()
+    assert choose_photographs(wall.surface, few, 4).tolist() == [0, 1, 2, 3]
+    # A photograph of the back of the wall shows nothing of it.
+    behind = few.poses
+    behind[3] = np.diag([1.0, 1.0, -1.0, 1.0]) @ behind[3] @ np.diag([-1.0, 1.0, 1.0, 1.0])
+    assert 3 not in choose_photographs(wall.surface, few.at(behind), 2).tolist()
