@@ -37,9 +37,9 @@ def room_poses() -> F64:
     return out
 
 
-def room_image(T_world_camera: F64) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Returns the photograph (H, W, 3), BGR, and the depth (H, W), millimetres."""
-    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+def room_image(T_world_camera: F64, part: int = 1) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """Returns the photograph (H, W, 3), BGR, and the depth (H, W), millimetres; ``part``: of their sides."""
+    v, u = (np.mgrid[: HEIGHT // part, : WIDTH // part] + 0.5) * part - 0.5
     rays = (
         np.stack([(u - (WIDTH - 1) / 2) / FOCAL, (v - (HEIGHT - 1) / 2) / FOCAL, np.ones_like(u)], axis=-1)
         @ T_world_camera[:3, :3].T
@@ -117,4 +117,33 @@ def write_colmap(folder: Path) -> Path:
         lines.append(f"{k + 1} {w} {x} {y} {z} {shift} 1 {k:04d}.png\n\n")
     (folder / "sparse/0/images.txt").write_text("".join(lines))
     (folder / "sparse/0/cameras.txt").write_text(f"1 PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}\n")
+    return folder
+
+
+T_ARKIT_WORLD = np.array([[1.0, 0, 0, -2], [0, 0, 1, -1.2], [0, -1, 0, 1.5], [0, 0, 0, 1]])
+"""Takes the frame of the room to one of a phone: y is up, the origin is its first place."""
+
+
+def write_polycam(folder: Path) -> Path:
+    """Writes raw data as Polycam exports them, photographed in portrait, with depth of half the size, and returns the folder."""
+    for name in ("images", "cameras", "depth"):
+        (folder / "keyframes" / name).mkdir(parents=True)
+    upright = np.eye(4)
+    upright[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    for k, T in enumerate(room_poses() @ upright):
+        color, depth = room_image(T)[0], room_image(T, 2)[1]
+        cv2.imwrite(str(folder / f"keyframes/images/{k}.png"), color)
+        cv2.imwrite(str(folder / f"keyframes/depth/{k}.png"), depth)
+        opengl = T_ARKIT_WORLD @ T @ np.diag([1.0, -1.0, -1.0, 1.0])
+        pose = {f"t_{row}{column}": float(opengl[row, column]) for row in range(3) for column in range(4)}
+        camera = {
+            "width": WIDTH,
+            "height": HEIGHT,
+            "fx": FOCAL,
+            "fy": FOCAL,
+            "cx": WIDTH / 2,
+            "cy": HEIGHT / 2,
+            "blur_score": 9.0,
+        }
+        (folder / f"keyframes/cameras/{k}.json").write_text(json.dumps({**camera, **pose}))
     return folder

@@ -48,8 +48,8 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
         raise ConfigError("--mesh names a mesh and --fuse makes one: give one of them")
     output = args.output or Path(f"{args.source.resolve().name}_scene")
     found = find(args.source, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
-    if scale is not None and found.mesh is None:
-        raise ConfigError("--unit is for poses without depth: depth images say how large the room is; leave it out")
+    if scale is not None and any(item.depth is not None for item in found.photographs.items):
+        raise ConfigError("--unit is for photographs without depth: depth images say how large the room is; leave it out")
     up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")
     job = Import(found, output, settings, args.name or output.resolve().name, up, scale)
     for warning in dict.fromkeys((*found.photographs.warnings, *(found.rgbd.warnings if found.rgbd is not None else ()))):
@@ -76,7 +76,7 @@ def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callabl
         TimeRemainingColumn(),
     )  # fmt: skip
     total, ended = sum(weights), [0]
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bars:
+    with Progress(*columns, console=errors, transient=True, refresh_per_second=4, disable=not errors.is_terminal) as bars:
         whole = bars.add_task("all stages", total=total)
 
         @contextmanager

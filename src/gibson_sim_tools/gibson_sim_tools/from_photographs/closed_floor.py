@@ -28,6 +28,8 @@ _LEVEL, _SAME = 0.95, 0.05
 """Least z component of the normal of a floor, and its largest distance from z = 0, metres."""
 _LOW, _HIGH = -0.15, 2.0
 """Heights between which the scan says how far the room reaches; a level surface below is a stairwell, which stays open; metres."""
+_STOOD = 0.4
+"""Radius of the place of who held a camera, metres."""
 _WELL = 0.25
 """Least area of a level surface below, square metres; less is noise."""
 _COLOR = (0.55, 0.55, 0.55, 1.0)
@@ -51,7 +53,9 @@ def closed_floor(vertices: F64, triangles: NDArray[np.integer], eyes: F64) -> Cl
         eyes: (N, 3), places of the cameras, below which there was floor.
     """
     near = (vertices[:, 2] > _LOW) & (vertices[:, 2] < _HIGH)
-    points = np.concatenate([vertices[near, :2], eyes[(eyes[:, 2] > 0.0) & (eyes[:, 2] < _HIGH), :2]])
+    turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    stood = eyes[(eyes[:, 2] > 0.0) & (eyes[:, 2] < _HIGH), None, :2] + _STOOD * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    points = np.concatenate([vertices[near, :2], stood.reshape(-1, 2)])
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.reading import is_file, is_folder
+from gibson_sim_tools.from_photographs.depth_frames import depth_frames
 from gibson_sim_tools.importing.sources import USD_SUFFIXES
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
@@ -18,10 +19,21 @@ from gibson_sim_tools.texturing.photographs import Photographs
 _IMAGES = (".jpg", ".jpeg", ".png")
 _UNREADABLE = (".heic", ".heif", ".dng", ".mov", ".mp4")
 """What phones write beside JPEG."""
-_IMAGE_FOLDERS = ("", "images", "image", "color", "rgb", "keyframes/images", "keyframes/corrected_images", "dense/images")
+_IMAGE_FOLDERS = (
+    "",
+    "images",
+    "image",
+    "color",
+    "rgb",
+    "rgbd",
+    "EXR_RGBD/rgb",
+    "keyframes/images",
+    "keyframes/corrected_images",
+    "dense/images",
+)
 _SIGNS = (
     "transforms.json", "sparse", "dense/sparse", "colmap/sparse", "cameras.txt", "cameras.bin", "images.txt", "images.bin", "keyframes",
-    "trajectory.log", "groundtruth.txt", "scan.json",
+    "trajectory.log", "groundtruth.txt", "scan.json", "rgb", "rgbd", "EXR_RGBD",
 )  # fmt: skip
 """Files and folders of poses: what has one is a folder of photographs, although a mesh lies beside them."""
 _MESH_FOLDERS = ("", "dense", "dense/0", "mesh", "meshes", "exports", "exports/mesh")
@@ -43,7 +55,7 @@ class Found:
 
     photographs: Photographs
     rgbd: PosedRgbd | None
-    """The same with depth; None = there is no depth, or a mesh is used instead."""
+    """What is to be fused; None = a mesh is there."""
     mesh: Path | None
     """The mesh to texture; None = it is to be fused from depth."""
 
@@ -54,7 +66,8 @@ class Found:
         )
         size = ", ".join(f"{w}x{h}" for w, h in sizes[:_SHOWN]) + (", ..." if len(sizes) > _SHOWN else "")
         count = len(self.photographs)
-        depth = "with depth" if self.rgbd is not None else "depth is not used" if self.mesh is not None else "without depth"
+        deep = sum(item.depth is not None for item in self.photographs.items)
+        depth = "without depth" if not deep else "with depth" if deep == count else f"{deep} of them with depth"
         first = f"{count} photograph{'' if count == 1 else 's'} of {size} pixels, with poses, {depth} (layout: {self.photographs.layout})"
         return [first, "no mesh: it will be fused from depth" if self.mesh is None else f"mesh: {self.mesh}"]
 
@@ -96,12 +109,14 @@ def find(folder: Path, mesh: Path | None, *, fuse: bool, longest: int, leave_out
         if not is_file(chosen):
             raise ScanError(f"--mesh {chosen}: is no file; give the mesh of the scan")
         return Found(photographs, None, chosen)
-    if not any(layout.looks_like(folder) for layout in LAYOUTS):
+    known = any(layout.looks_like(folder) for layout in LAYOUTS)
+    rgbd = open_posed_rgbd(folder) if known else depth_frames(photographs)
+    if rgbd is None:
         raise ScanError(
             f"{folder}: has {len(photographs)} photographs with poses ({photographs.layout}), but neither depth images that can be fused nor a "
             "mesh; export the mesh, too, or make one (colmap poisson_mesher, ns-export poisson), and give it with --mesh FILE"
         )
-    return Found(photographs, open_posed_rgbd(folder), None)
+    return Found(photographs, rgbd, None)
 
 
 def _images(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:

@@ -42,8 +42,10 @@ from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplified
 from gibson_sim_tools.scanning.planes import snapped
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import FuseSettings
+from gibson_sim_tools.texturing.choosing import choose_photographs
+from gibson_sim_tools.texturing.conventions import checked
 from gibson_sim_tools.texturing.photographs import Photographs
-from gibson_sim_tools.texturing.settings import TextureSettings
+from gibson_sim_tools.texturing.settings import AUTO, MOST_PHOTOGRAPHS, TextureSettings
 from gibson_sim_tools.texturing.surface import Surface, surface_of
 from gibson_sim_tools.texturing.texture import texture
 from gibson_sim_tools.texturing.textured_scene import mesh_of
@@ -61,6 +63,8 @@ _FUSED, _MESH, _TEXTURED = f"{WORK}/fused.ply", f"{WORK}/mesh.ply", f"{WORK}/tex
 _FACTS = {name: f"{WORK}/{name}.json" for name in ("fused", "level", "texture", "check", "likeness")}
 _LEVEL_DEG, _AT_FLOOR = 0.1, 0.02
 """A scan that is level within this, degrees, is not turned, and not moved if its floor is so near to z = 0, metres."""
+_UP: dict[str, Vec3] = {"polycam": (0.0, 1.0, 0.0), "record3d": (0.0, 1.0, 0.0)}
+"""Rough direction of up in the frame of layouts that know gravity; phones are held any way."""
 _EDGES = (0.005, 0.05)
 """Range of the edges of triangles, metres, that count as voxels of a mesh that was given."""
 _MOST_BYTES = 256 * 2**20
@@ -115,24 +119,21 @@ class Import:
         work.open()
         work.run(self.stages(), bar, say)
 
-    @property
-    def held_out(self) -> range:
-        """Numbers of the photographs that are compared."""
-        return range(0, len(self.found.photographs), self.settings.hold_out) if self.settings.hold_out else range(0)
-
     def _inputs(self) -> Any:
         """Returns what tells whether the photographs changed."""
-        photographs, rgbd = self.found.photographs, self.found.rgbd
+        photographs = self.found.photographs
         lenses = [(item.lens.intrinsics, item.lens.distortion, item.lens.fisheye) for item in photographs.items]
-        depth = [] if rgbd is None else [_state(files.depth) for files in rgbd.files]
-        scale = None if rgbd is None else rgbd.depth_scale
-        return [_state(item.file) for item in photographs.items], photographs.poses, lenses, depth, scale, self.unit_m
+        files = [_state(file) for file in self._files()]
+        return files, photographs.poses, lenses, [item.depth_scale for item in photographs.items], self.unit_m
+
+    def _files(self) -> list[Path]:
+        items = self.found.photographs.items
+        return [item.file for item in items] + [item.depth for item in items if item.depth is not None]
 
     def _check(self, progress: Progress) -> Sequence[str]:
-        rgbd = self.found.rgbd
-        files = [item.file for item in self.found.photographs.items] + ([] if rgbd is None else [f.depth for f in rgbd.files])
+        files = self._files()
         total = check_pictures(files, progress)
-        aside = f"; {len(self.held_out)} are kept aside to be compared" if self.settings.hold_out else ""
+        aside = f"; one photograph in {self.settings.hold_out} is kept aside" if self.settings.hold_out else ""
         return [f"{len(files)} images are whole, {size_text(total)}{aside}"]
 
     def _fuse(self, progress: Progress) -> Sequence[str]:
@@ -140,7 +141,7 @@ class Import:
         settings = FuseSettings(voxel=self.settings.voxel, depth_max=self.settings.depth_max, snap=0.0)
         fusion = fuse_scan(self.found.rgbd, settings, progress)
         write_ply(self.output / _FUSED, fusion.mesh)
-        self._write("fused", {"voxel": fusion.voxel, "coloured": True})
+        self._write("fused", {"voxel": fusion.voxel, "coloured": True, "T_scan_camera": self.found.photographs.poses.tolist()})
         lines = [f"{len(fusion.mesh.triangles)} triangles, {fusion.mesh.area:.1f} m^2"]
         return lines if fusion.selected is None else [*lines, fusion.selected.text(settings.memory)]
 
@@ -148,17 +149,20 @@ class Import:
         assert self.found.mesh is not None
         mesh, coloured, text = given_mesh(self.found.mesh, self.found.photographs, progress)
         mesh = replace(mesh, vertices=mesh.vertices * np.float32(self.unit_m or 1.0))
+        surface = Surface(mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64))
+        posed, said = checked(surface, self.found.photographs.times(self.unit_m or 1.0), AUTO)
         corners = mesh.vertices[mesh.triangles[:: max(len(mesh.triangles) // 100_000, 1)]]
         edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
         write_ply(self.output / _FUSED, mesh)
-        self._write("fused", {"voxel": min(max(edge, _EDGES[0]), _EDGES[1]), "coloured": coloured})
-        return [text]
+        voxel = min(max(edge, _EDGES[0]), _EDGES[1])
+        self._write("fused", {"voxel": voxel, "coloured": coloured, "T_scan_camera": posed.poses.tolist()})
+        return [text, said] if said else [text]
 
     def _planes(self, progress: Progress) -> Sequence[str]:
         mesh, lines = self._read_mesh(_FUSED), []
         if self.settings.snap:
             mesh, report = snapped(mesh, float(self._read("fused")["voxel"]), self.settings.snap)
-            lines.append(report.text())
+            lines.append(report.text() if report.planes else "no large plane whose noise could be removed")
         progress(0.5)
         most, count = self.settings.triangles, len(mesh.triangles)
         if most and count > most:
@@ -169,12 +173,9 @@ class Import:
 
     def _level(self, progress: Progress) -> Sequence[str]:
         mesh = self._read_mesh(_MESH)
+        up = self.up or _UP.get(self.found.photographs.layout)
         try:
-            T = (
-                level_transform(mesh, self.found.photographs.poses)
-                if self.up is None
-                else level_transform_near(mesh, np.asarray(self.up))
-            )
+            T = level_transform(mesh, self.found.photographs.poses) if up is None else level_transform_near(mesh, np.asarray(up))
         except ScanError as error:
             raise ScanError(
                 "the mesh has no floor: no level surface of it faces up, by the cameras, which are taken as roughly upright; say with --up-axis "
@@ -198,12 +199,21 @@ class Import:
         colors = mesh.colors if self._read("fused")["coloured"] else None
         surface = Surface(transform_points(T, mesh.vertices), mesh.triangles.astype(np.int64), colors)
         photographs = self._level_photographs(T)
+        numbers = choose_photographs(surface, photographs, MOST_PHOTOGRAPHS, lambda part: progress(0.1 * part))
+        photographs = photographs.only(numbers)
         settings = TextureSettings(longest_side=self.settings.longest_side)
-        textured = texture(surface, photographs, settings, progress, held_out=self.held_out)
+        held_out = range(0, len(photographs), self.settings.hold_out) if self.settings.hold_out else range(0)
+        textured = texture(surface, photographs, settings, lambda part: progress(0.1 + 0.9 * part), held_out=held_out)
         (self.output / WORK).mkdir(exist_ok=True)
         write_glb(self.output / _TEXTURED, mesh_of(textured))
-        self._write("texture", {**textured.report.as_dict(), "T_world_camera": textured.photographs.poses.tolist()})
-        return textured.report.lines()
+        poses = textured.photographs.poses.tolist()
+        facts = {"numbers": numbers.tolist(), "held_out": list(held_out), "T_world_camera": poses}
+        self._write("texture", {**textured.report.as_dict(), **facts})
+        chosen = len(numbers) < len(self.found.photographs)
+        return [
+            *([f"{len(numbers)} of {len(self.found.photographs)} photographs are used"] if chosen else []),
+            *textured.report.lines(),
+        ]
 
     def _scene(self, progress: Progress) -> Sequence[str]:
         textured = self.output / _TEXTURED
@@ -262,9 +272,9 @@ class Import:
         return lines
 
     def _compare(self, progress: Progress) -> Sequence[str]:
-        poses = np.array(self._read("texture")["T_world_camera"])
-        photographs = self._level_photographs(self._T_level_scan()).at(poses)
-        drawn = draw_photographs(load_scene(self.output), photographs, self.held_out, UNSEEN_FLOOR, progress)
+        facts = self._read("texture")
+        photographs = self.found.photographs.only(facts["numbers"]).at(np.array(facts["T_world_camera"]))
+        drawn = draw_photographs(load_scene(self.output), photographs, facts["held_out"], UNSEEN_FLOOR, progress)
         alike = likeness(photographs, drawn)
         share = alike.pixels / sum(picture.seen.size for picture in drawn.values())
         write_picture(self.output / SHEET, contact_sheet(photographs, drawn)[:, :, ::-1])
@@ -278,9 +288,7 @@ class Import:
         return np.array(self._read("level")["T_level_scan"])
 
     def _level_photographs(self, T_level_scan: F64) -> Photographs:
-        poses = self.found.photographs.poses.copy()
-        poses[:, :3, 3] *= self.unit_m or 1.0
-        return self.found.photographs.at(T_level_scan @ poses)
+        return self.found.photographs.at(T_level_scan @ np.array(self._read("fused")["T_scan_camera"]))
 
     def _read_mesh(self, name: str) -> ColouredMesh:
         path = self.output / name

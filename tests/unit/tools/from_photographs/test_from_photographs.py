@@ -23,15 +23,20 @@ from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.work import RECORD, Stage, Work
 from gibson_sim_tools.scanning.coloured_mesh import moved
 from gibson_sim_tools.scanning.fusion import Fusion
-from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.texturing.photograph_layouts import open_photographs
 from support.photographed_room import (
     COUNT,
+    T_ARKIT_WORLD,
     T_FIRST_WORLD,
+    WIDTH,
+    room_image,
     room_mesh,
     room_poses,
     write_colmap,
     write_mesh,
     write_nerfstudio,
+    write_polycam,
     write_rgbd,
 )
 
@@ -59,12 +64,14 @@ def room(tmp_path):
     return folder
 
 
-def test_a_folder_becomes_a_level_scene_whose_floor_is_closed(room, tmp_path):
+def test_a_folder_becomes_a_level_scene_once_and_its_floor_is_closed(room, tmp_path):
     job = opened(room, tmp_path / "out")
     assert job.found.lines() == [
-        f"{COUNT} photographs of 64x48 pixels, with poses, depth is not used (layout: open3d)", f"mesh: {room}/mesh.ply",
+        f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: open3d)", f"mesh: {room}/mesh.ply",
     ]  # fmt: skip
-    assert not any(made(job).values())
+    stages = made(job)
+    assert list(stages) == ["photographs", "mesh", "planes", "level", "texture", "scene", "collision", "floor map", "check"]
+    assert not any(stages.values())
     scene = load_scene(tmp_path / "out")
     assert [visual.name for visual in scene.visuals] == ["room", UNSEEN_FLOOR]
     # The floor of the room is at y = 1.2 of the frame of the first camera, which looks along its y.
@@ -77,11 +84,6 @@ def test_a_folder_becomes_a_level_scene_whose_floor_is_closed(room, tmp_path):
     report = json.loads((tmp_path / "out/import/check.json").read_text())
     # The whole floor, 4 x 3 m, less a rim of the robot's radius and half a cell's diagonal.
     assert report["free_floor_m2"] == pytest.approx(3.5 * 2.5, abs=0.7)
-
-
-def test_stages_that_ended_are_not_made_again(room, tmp_path):
-    job = opened(room, tmp_path / "out")
-    assert list(made(job)) == ["photographs", "mesh", "planes", "level", "texture", "scene", "collision", "floor map", "check"]
     assert all(made(opened(room, tmp_path / "out")).values())
 
 
@@ -190,10 +192,50 @@ def test_depth_is_fused_where_no_mesh_is_there(tmp_path, monkeypatch):
         return Fusion(moved(room_mesh(), T_FIRST_WORLD), 0.02, None, None, None)
 
     monkeypatch.setattr(importing, "fuse_scan", fuse_scan)
-    monkeypatch.setattr(importing, "open3d", lambda: None)
     job = opened(folder, tmp_path / "out", settings=replace(SETTINGS, depth_max=3.0))
     assert job.found.lines()[1] == "no mesh: it will be fused from depth"
-    assert "fuse" in made(job) and given == [(COUNT, 3.0, 0.0)]
+    assert [stage.name for stage in job.stages()][1] == "fuse"
+    job._fuse(lambda part: None)
+    assert given == [(COUNT, 3.0, 0.0)] and len(job._read_mesh("import/fused.ply").triangles) == len(room_mesh().triangles)
+
+
+def test_raw_data_of_polycam_are_fused_at_the_size_of_their_depth(tmp_path):
+    job = opened(write_polycam(tmp_path / "phone"), tmp_path / "out")
+    assert job.found.lines()[0] == f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: polycam)"
+    rgbd = job.found.rgbd
+    assert rgbd is not None and (len(rgbd), rgbd.intrinsics) == (COUNT, Intrinsics(32, 24, 20.0, 20.0, 15.5, 11.5))
+    frame = rgbd[3]
+    # A quarter turn to portrait: the camera's x is down.
+    T_world_camera = np.linalg.inv(T_ARKIT_WORLD) @ frame.T_world_camera
+    assert T_world_camera[2, 0] < -0.8
+    color, depth = room_image(T_world_camera, 2)
+    np.testing.assert_allclose(frame.depth, depth / 1000.0, atol=1e-6)
+    assert np.abs(frame.rgb[:, :, ::-1].astype(int) - color).max() <= 3
+
+
+def test_up_is_that_of_the_phone_however_it_was_held(tmp_path):
+    job = opened(write_polycam(tmp_path / "phone"), tmp_path / "out", write_mesh(tmp_path / "room.ply", T_ARKIT_WORLD))
+    (tmp_path / "out").mkdir()
+    job._given(lambda part: None)
+    job._planes(lambda part: None)
+    assert job._level(lambda part: None) == ["turned by 90.00 degrees: z is up and the floor is at z = 0"]
+    np.testing.assert_allclose((job._T_level_scan() @ T_ARKIT_WORLD)[2], [0, 0, 1, 0], atol=1e-3)
+
+
+def test_frames_of_cameras_that_differ_are_drawn_as_one_camera_sees_them(tmp_path):
+    folder = write_polycam(tmp_path / "phone")
+    for k in range(3):
+        camera = json.loads((folder / f"keyframes/cameras/{k}.json").read_text())
+        (folder / f"keyframes/cameras/{k}.json").write_text(json.dumps({**camera, "cx": WIDTH / 2 + 4.0}))
+    rgbd = opened(folder, tmp_path / "out").found.rgbd
+    assert rgbd is not None and rgbd.intrinsics == Intrinsics(32, 24, 20.0, 20.0, 15.5, 11.5)
+    # The image of the camera whose middle is 2 pixels of depth further right is moved to the left.
+    depth = room_image(room_poses()[0], 2)[1]
+    moved_depth = rgbd[0].depth
+    assert np.isnan(moved_depth[:, -2:]).all() and depth.shape == moved_depth.shape
+    own = open_photographs(folder).depth(0)
+    assert own is not None
+    np.testing.assert_allclose(moved_depth[:, :-2], own[::2, ::2][:, 2:], atol=1e-6)
 
 
 @pytest.mark.parametrize(("write", "layout"), [(write_nerfstudio, "nerfstudio"), (write_colmap, "colmap")])
@@ -288,7 +330,9 @@ def test_cut_images_are_named_before_the_work_begins(room, tmp_path, capsys):
         (room / name).write_bytes((room / name).read_bytes()[:-20])
     assert fails(room, "--output", tmp_path / "out") == 1
     error = capsys.readouterr().err.splitlines()[-1]
-    assert "000002.png: was cut short, its end is missing; copy the photographs again" in error
+    assert (
+        "000002.png: was cut short, its end is missing, and 1 more of 24 images are broken; copy the photographs again" in error
+    )
 
 
 def test_a_jpeg_is_cut_if_its_end_is_missing_although_its_preview_has_one():
