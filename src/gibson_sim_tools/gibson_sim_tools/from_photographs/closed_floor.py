@@ -30,6 +30,8 @@ _LOW, _HIGH = -0.15, 2.0
 """Heights between which the scan says how far the room reaches; a level surface below is a stairwell, which stays open; metres."""
 _STOOD = 0.4
 """Radius of the place of who held a camera, metres."""
+_REACH = 1.0
+"""Distance from floor that was seen, and from such places, up to which it is closed, metres: not whole rooms."""
 _WELL = 0.25
 """Least area of a level surface below, square metres; less is noise."""
 _COLOR = (0.55, 0.55, 0.55, 1.0)
@@ -68,6 +70,12 @@ def closed_floor(vertices: F64, triangles: NDArray[np.integer], eyes: F64) -> Cl
     level = corners[unit_normals(corners)[:, 2] > _LEVEL]
     height = level[:, :, 2].mean(axis=1)
     seen = np.isfinite(grid.heights(level[np.abs(height) < _SAME], np.maximum))
+    known = seen.copy()
+    column, row = ((stood.reshape(-1, 2) - np.asarray(grid.origin)) / _CELL).astype(np.int64).T
+    known[row, column] = True
+    if not known.any():
+        return None
+    inside &= ndimage.distance_transform_edt(~known) * _CELL <= _REACH
     lacking = inside & ~seen & ~_wells(np.isfinite(grid.heights(level[height < _LOW], np.maximum)))
     if not lacking.any():
         return None

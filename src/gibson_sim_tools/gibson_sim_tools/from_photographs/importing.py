@@ -239,7 +239,7 @@ class Import:
 
     def _collision(self, progress: Progress) -> Sequence[str]:
         scene = load_scene(self.output)
-        return [f"{len(scene.collisions)} shapes; floors at {', '.join(f'{z:.2f}' for z in scene.floors)} m", *scene.warnings]
+        return [f"{len(scene.collisions)} shapes; floors at {', '.join(f'{round(z, 2) + 0.0:.2f}' for z in scene.floors)} m", *scene.warnings]
 
     def _map(self, progress: Progress) -> Sequence[str]:
         scene = load_scene(self.output)

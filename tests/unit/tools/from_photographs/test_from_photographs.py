@@ -287,6 +287,19 @@ def test_the_floor_is_closed_within_the_outline_and_not_over_a_stairwell():
     assert stairs is None or stairs.area < 0.1
 
 
+def test_the_floor_is_closed_near_what_was_seen_and_not_in_rooms_that_nobody_entered():
+    # A ceiling of 8 x 2 m, and floor that was seen below its first metre.
+    ceiling = np.array([[0, 0, 1.9], [0, 2, 1.9], [8, 2, 1.9], [8, 0, 1.9]])
+    floor = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]])
+    square = np.array([[0, 1, 2], [0, 2, 3]])
+    boards = closed_floor(
+        np.concatenate([ceiling, floor]).astype(float), np.concatenate([square, 4 + square]), np.array([[0.5, 1.0, 1.2]])
+    )
+    # One metre from the floor, and from the rim of the camera's place at x = 0.9.
+    assert boards is not None and boards.area == pytest.approx(1.0 * 2.0, abs=0.15)
+    assert boards.mesh.bounds[1, 0] == pytest.approx(2.0, abs=0.06)
+
+
 def test_a_folder_with_a_mesh_and_its_textures_is_no_folder_of_photographs(tmp_path):
     write_mesh(tmp_path / "shop.ply")
     (tmp_path / "wood.png").write_bytes(b"")
