@@ -76,6 +76,8 @@ _ACROSS = 0.4
 """Largest distance of their middles from it, metres."""
 _FURNITURE = 10
 """Most pieces of furniture that a shard has besides those of its scene."""
+_FURNITURE_ROOM = 0.35
+"""Least distance of such a piece from all paths, metres."""
 _CLOSE = 0.4
 """Probability that a later view, on a path with such things, is one from which one of them is near."""
 
@@ -469,8 +471,9 @@ def _furniture(floor: FloorMap, rng: np.random.Generator, keep_off: F64) -> list
         corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
         away = np.linalg.norm(corners[:, None, :2] - keep_off[::4, :2], axis=2).min()
         size = np.linalg.norm(np.ptp(corners[:, :2], axis=0))
-        # Between two corners it may be nearer than at them.
-        if away > 0.35 and np.linalg.norm(keep_off[:, :2] - pose.position[:2], axis=1).min() > 0.35 + size / 3.0:
+        # A side may be nearer than its two corners.
+        middle = np.linalg.norm(keep_off[:, :2] - pose.position[:2], axis=1).min()
+        if away > _FURNITURE_ROOM and middle > _FURNITURE_ROOM + size / 3.0:
             bodies.append(body)
     return bodies
 
