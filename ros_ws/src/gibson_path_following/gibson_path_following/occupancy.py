@@ -42,9 +42,9 @@ class OccupancySettings:
     """Largest evidence of one view for free floor, log odds before the weight."""
     limit: float = 5.0
     """Largest evidence for a thing that a cell keeps, log odds."""
-    free_limit: float = 2.0
-    """Largest log odds for free floor to which views can bring a cell, the recorded path counted in: what stands there next, or is seen
-    there only from near, must soon outweigh it."""
+    free_limit: float = 1.5
+    """Largest evidence for free floor that a cell keeps, log odds: what stands there next, or is seen there only from near, must soon
+    outweigh it."""
     path_width: float = 0.35
     """Distance from the recorded path within which the floor was free once, metres."""
     path_prior: float = -2.0
@@ -135,8 +135,7 @@ class OccupancyMap:
         if self._corner is None:
             self.centre(float(camera[0]), float(camera[1]))
         cells, told = self._told(camera, bearings, self._evidence_by_distance(edges, hit))
-        least = np.minimum(0.0, -self.settings.free_limit - self._prior[cells])
-        self._evidence[cells] = np.clip(self._evidence[cells] + told, least, self.settings.limit)
+        self._evidence[cells] = np.clip(self._evidence[cells] + told, -self.settings.free_limit, self.settings.limit)
         self._away = None
 
     def expect(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
