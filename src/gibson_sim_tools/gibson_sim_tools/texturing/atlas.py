@@ -144,6 +144,11 @@ def face_pages(atlas: Atlas) -> list[I32]:
         rows = np.flatnonzero(atlas.page[atlas.patch] == number)
         image = draw_flat(atlas.corners[rows], width, height)
         cover = np.where(image >= 0, rows[image], -1).astype(np.int32)
+        # Triangles that cover no centre of a pixel: the pixels at their corners are theirs, unless they are of others.
+        missing = rows[np.bincount(image[image >= 0], minlength=len(rows)) == 0]
+        x, y = np.rint(atlas.corners[missing].reshape(-1, 2)).astype(np.int64).T
+        free = cover[y, x] < 0
+        cover[y[free], x[free]] = np.repeat(missing, 3)[free]
         away, (row, column) = distance_transform_edt(cover < 0, return_indices=True)
         out.append(np.where(away <= _RIM_PX, cover[row, column], -1).astype(np.int32))
     return out

@@ -32,7 +32,7 @@ _ALONG = 7
 """Points on a seam edge at which both sides are compared."""
 _MOST_ALONG = 65
 """Most points on a seam edge at which the local levelling compares."""
-_EVEN = 0.3
+_EVEN = 0.1
 """Weight of the evenness of a correction within a patch, relative to a seam."""
 _ZERO = 0.03
 """Weight of the correction itself: exposures are known already, so that corrections are small."""
@@ -80,6 +80,11 @@ def colors_along(seams: Seams, atlas: Atlas, pages: list[F16], steps: int = _ALO
 def mean_step(colors: F32) -> float:
     """Returns the mean difference of both sides of the seams, (S, 2, T, 3), over points and channels, in steps of 8 bits."""
     return float(np.abs(np.clip(colors[:, 0], 0, 1) - np.clip(colors[:, 1], 0, 1)).mean() * 255.0) if len(colors) else 0.0
+
+
+def mean_edge_step(colors: F32) -> float:
+    """Returns the same of the mean colours of each edge: without noise and what is finer than an edge, which global levelling cannot change."""
+    return mean_step(colors.mean(axis=2, keepdims=True))
 
 
 def global_levelling(atlas: Atlas, triangles: I64, seams: Seams, colors: F32) -> F32:

@@ -27,13 +27,14 @@ from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.quality import SAMPLES, Views, intrinsics_radius, sampled
 from gibson_sim_tools.texturing.surface import Surface, project, scaled
 
+F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 _ROUNDS = 20
-_LARGEST = 1000
-"""Longest side of the images that are aligned, pixels."""
+_LARGEST = 800
+"""Longest side of the images that are aligned, pixels. All are held in memory, as half floats."""
 _BLUR_PX = (2.5, 1.0)
 """Standard deviation of their filter, pixels: in the first half of the rounds and in the second."""
 _POINTS = 4
@@ -88,7 +89,7 @@ def refine_poses(
     for number in range(len(photographs)):
         camera, image = _luma(photographs, number, exposures)
         cameras.append(camera)
-        images.append(image)
+        images.append(image.astype(np.float16))
         depths.append(_depth(photographs, number, camera))
         progress(0.3 * (number + 1) / len(photographs))
     given = photographs.poses
@@ -97,8 +98,8 @@ def refine_poses(
     for turn in range(_ROUNDS):
         blur = _BLUR_PX[turn >= _ROUNDS // 2]
         if turn in (0, _ROUNDS // 2):
-            soft = [np.asarray(cv2.GaussianBlur(image, (0, 0), blur), dtype=np.float32) for image in images]
-        values = [_values(soft[k], points[rows[k]], cameras[k], poses[k]) for k in range(len(poses))]
+            soft = [np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), blur), dtype=np.float16) for image in images]
+        values = [_values(soft[k].astype(np.float32), points[rows[k]], cameras[k], poses[k]) for k in range(len(poses))]
         total, count = np.zeros(len(points)), np.zeros(len(points))
         for row, value in zip(rows, values, strict=True):
             good = np.isfinite(value)
@@ -111,7 +112,7 @@ def refine_poses(
                 continue
             others = (total[row[good]] - value[good]) / (count[row[good]] - 1.0)
             rest = value[good] - others
-            system = _by_colour(soft[k], points[row[good]], rest, cameras[k], poses[k])
+            system = _by_colour(soft[k].astype(np.float32), points[row[good]], rest, cameras[k], poses[k])
             depth = depths[k]
             if depth is not None:
                 measured = _by_depth(depth, points[row], normals[row // _POINTS], cameras[k], poses[k])
@@ -158,12 +159,12 @@ def _values(image: F32, points: F64, camera: Intrinsics, T_world_camera: F64) ->
     return out
 
 
-def _depth(photographs: Photographs, number: int, camera: Intrinsics) -> F32 | None:
+def _depth(photographs: Photographs, number: int, camera: Intrinsics) -> F16 | None:
     """Returns the measured depth (H, W) at the pixels of a camera, metres, NaN = unknown; None = not measured."""
     depth = photographs.depth(number)
-    if depth is None or depth.shape == (camera.height, camera.width):
-        return depth
-    return np.asarray(cv2.resize(depth, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+    if depth is None:
+        return None
+    return np.asarray(cv2.resize(depth, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST), dtype=np.float16)
 
 
 def _by_colour(image: F32, points: F64, rest: F64, camera: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
@@ -183,7 +184,7 @@ def _by_colour(image: F32, points: F64, rest: F64, camera: Intrinsics, T_world_c
     return (J * weights[:, None]).T @ J, -(J.T @ (weights * rest))
 
 
-def _by_depth(depth: F32, points: F64, normals: F64, camera: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
+def _by_depth(depth: F16, points: F64, normals: F64, camera: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
     """Returns the normal equations of the motion that brings points (N, 3) with normals (N, 3), world frame, to the depth (H, W)."""
     p, uv = _seen_at(points, camera, T_world_camera)
     with np.errstate(invalid="ignore"):

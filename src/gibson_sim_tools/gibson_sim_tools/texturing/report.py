@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim_tools.texturing.levelling import mean_edge_step, mean_step
+
 
 @dataclass(slots=True)
 class TextureReport:
@@ -31,12 +36,19 @@ class TextureReport:
     seam_edges: int = 0
     seam_steps: dict[str, float] = field(default_factory=dict)
     """Mean step over the seams, 8-bit steps: ``before``, ``global``, ``local``."""
+    edge_steps: dict[str, float] = field(default_factory=dict)
+    """The same of the mean colours of each edge, without noise and fine detail."""
     page_sizes: tuple[tuple[int, int], ...] = ()
+
+    def add_steps(self, name: str, colors: NDArray[np.float32]) -> None:
+        """Enters the steps between the colours (S, 2, T, 3) of both sides of the seams."""
+        self.seam_steps[name], self.edge_steps[name] = mean_step(colors), mean_edge_step(colors)
 
     def lines(self) -> list[str]:
         """Returns the report for people."""
         share = 100.0 * self.unseen / max(self.triangles, 1)
         steps = ", ".join(f"{value:.2f} {name}" for name, value in self.seam_steps.items())
+        edges = ", ".join(f"{value:.2f} {name}" for name, value in self.edge_steps.items())
         pages = ", ".join(f"{w}x{h}" for w, h in self.page_sizes)
         poses = (
             f"poses: median correction {self.moved_mm:.1f} mm, {self.turned_deg:.2f} degrees; {self.kept_poses} beyond the limits"
@@ -47,7 +59,7 @@ class TextureReport:
             f"no photograph shows {share:.1f} % of the triangles",
             f"{self.patches} patches ({self.best_patches} if each triangle had its best photograph) for {100.0 * self.quality_loss:.1f} % of "
             f"the quality; textures {pages}",
-            f"{self.seam_edges} seam edges; mean step over them, of 255: {steps}",
+            f"{self.seam_edges} seam edges; mean step over them, of 255: {steps}; of the means of edges: {edges}",
         ]
 
     def as_dict(self) -> dict[str, Any]:

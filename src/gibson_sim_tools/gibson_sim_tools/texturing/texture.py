@@ -13,7 +13,7 @@ from gibson_sim_tools.texturing import atlas as atlases
 from gibson_sim_tools.texturing.exposure import Exposures, estimate_exposures, no_exposures
 from gibson_sim_tools.texturing.filling import fill_vertices
 from gibson_sim_tools.texturing.labelling import Candidates, best_labels, candidates_of, choose_labels, patches_of, quality_loss
-from gibson_sim_tools.texturing.levelling import colors_along, find_seams, global_levelling, local_levelling, mean_step
+from gibson_sim_tools.texturing.levelling import colors_along, find_seams, global_levelling, local_levelling
 from gibson_sim_tools.texturing.outliers import inliers
 from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
@@ -157,14 +157,14 @@ def finish(
     seams = find_seams(plan, surface.triangles, beside)
     report.seam_edges = len(seams.rows)
     colors = colors_along(seams, plan, pages)
-    report.seam_steps["before"] = mean_step(colors)
+    report.add_steps("before", colors)
     if settings.levelling != "none":
         atlases.add_at_corners(plan, pages, covers, global_levelling(plan, surface.triangles, seams, colors))
-        report.seam_steps["global"] = mean_step(colors_along(seams, plan, pages))
+        report.add_steps("global", colors_along(seams, plan, pages))
     progress(0.6)
     if settings.levelling == "both":
         local_levelling(seams, plan, pages, covers)
-        report.seam_steps["local"] = mean_step(colors_along(seams, plan, pages))
+        report.add_steps("local", colors_along(seams, plan, pages))
     progress(0.9)
     atlases.fill_padding(plan, pages, covers)
     report.page_sizes = plan.pages
