@@ -13,6 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from gibson_sim.bags.progress import progress_bar
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.errors import ConfigError
@@ -39,19 +40,26 @@ def add_photograph_options(parser: argparse.ArgumentParser) -> None:
 def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCode:
     """Makes a scene of a folder of photographs, or what is missing of it; ``scale``: metres per unit of poses and mesh."""
     # Loaded here: the other sub-commands need none of it.
+    from gibson_sim_tools.from_photographs.archive import unpacked
     from gibson_sim_tools.from_photographs.found import find
-    from gibson_sim_tools.from_photographs.importing import SHEET, Import
+    from gibson_sim_tools.from_photographs.importing import SHEET, WORK, Import
+    from gibson_sim_tools.from_photographs.work import Work
     from gibson_sim_tools.importing.checks.gravity import direction
 
     settings = settings_from_args(PhotographSettings, args)
     if args.mesh is not None and args.fuse:
         raise ConfigError("--mesh names a mesh and --fuse makes one: give one of them")
-    output = args.output or Path(f"{args.source.resolve().name}_scene")
-    found = find(args.source, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
+    output = args.output or Path(f"{args.source.resolve().name.removesuffix('.zip')}_scene")
+    folder, source = args.source, str(args.source.resolve())
+    if not folder.is_dir():
+        Work(output, source).open()  # before anything is written into its folder
+        with progress_bar(f"unpacking {folder.name}"):
+            folder = unpacked(folder, output / WORK / "photographs")
+    found = find(folder, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
     if scale is not None and any(item.depth is not None for item in found.photographs.items):
         raise ConfigError("--unit is for photographs without depth: depth images say how large the room is; leave it out")
     up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")
-    job = Import(found, output, settings, args.name or output.resolve().name, up, scale)
+    job = Import(found, output, settings, args.name or output.resolve().name, up, scale, source)
     for warning in dict.fromkeys((*found.photographs.warnings, *(found.rgbd.warnings if found.rgbd is not None else ()))):
         print(f"warning: {args.source}: {warning}", file=sys.stderr)
     print(f"{args.source}: " + f"\n{_INDENT}".join(found.lines()))

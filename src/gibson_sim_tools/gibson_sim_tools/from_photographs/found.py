@@ -132,7 +132,8 @@ def _mesh_in(folder: Path, leave_out: Path) -> Path | None:
         ScanError: there are several.
     """
     places = [folder / name for name in _MESH_FOLDERS if is_folder(folder / name)]
-    places = [p for p in places if not p.resolve().is_relative_to(leave_out.resolve())]
+    if not folder.resolve().is_relative_to(leave_out.resolve()):
+        places = [p for p in places if not p.resolve().is_relative_to(leave_out.resolve())]
     for place in places:
         for name in _FIRST:
             if is_file(place / name) and _has_triangles(place / name):

@@ -84,6 +84,8 @@ class Import:
     """Rough direction of up in the frame of the poses; None = that of the cameras."""
     unit_m: float | None = None
     """Metres per unit of the poses and the mesh; None = metres."""
+    source: str = ""
+    """What the scene is made from; empty = the folder of the photographs."""
 
     def stages(self) -> list[Stage]:
         """Returns all stages in their order."""
@@ -115,7 +117,7 @@ class Import:
         """
         if self.found.mesh is None:
             open3d()  # before any work
-        work = Work(self.output, str(self.found.photographs.folder.resolve()))
+        work = Work(self.output, self.source or str(self.found.photographs.folder.resolve()))
         work.open()
         work.run(self.stages(), bar, say)
 
@@ -239,7 +241,10 @@ class Import:
 
     def _collision(self, progress: Progress) -> Sequence[str]:
         scene = load_scene(self.output)
-        return [f"{len(scene.collisions)} shapes; floors at {', '.join(f'{round(z, 2) + 0.0:.2f}' for z in scene.floors)} m", *scene.warnings]
+        return [
+            f"{len(scene.collisions)} shapes; floors at {', '.join(f'{round(z, 2) + 0.0:.2f}' for z in scene.floors)} m",
+            *scene.warnings,
+        ]
 
     def _map(self, progress: Progress) -> Sequence[str]:
         scene = load_scene(self.output)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from gibson_sim.cli.command_line import run
 from gibson_sim.errors import SceneError
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs import importing
+from gibson_sim_tools.from_photographs.archive import is_archive_of_photographs
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
 from gibson_sim_tools.from_photographs.found import find, is_of_photographs
 from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, Import
@@ -310,13 +312,13 @@ def test_a_folder_with_a_mesh_and_its_textures_is_no_folder_of_photographs(tmp_p
     assert not is_of_photographs(tmp_path)
 
 
-def fails(*words: object) -> int:
+def exit_code(*words: object) -> int:
     return run(["scene", "import", *map(str, words)])
 
 
 def test_bad_folders_are_one_line_each(room, tmp_path, capsys):
     def message(*words):
-        assert fails(*words, "--output", tmp_path / "out") == 1
+        assert exit_code(*words, "--output", tmp_path / "out") == 1
         text = capsys.readouterr().err
         assert text.count("\n") == 1
         return text
@@ -338,10 +340,26 @@ def test_bad_folders_are_one_line_each(room, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_zip_of_an_app_is_unpacked_once(tmp_path, monkeypatch, capsys):
+    folder = write_polycam(tmp_path / "phone/room")
+    write_mesh(folder / "raw.ply", T_ARKIT_WORLD)
+    shutil.make_archive(str(tmp_path / "room"), "zip", tmp_path / "phone")
+    skip_work(monkeypatch)
+    for _ in range(2):
+        assert exit_code(tmp_path / "room.zip", "--output", tmp_path / "out", "--hold-out", 0) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0].endswith(f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: polycam)")
+    assert all("made before" in line for line in lines if "/9 " in line)
+    assert (tmp_path / "out/import/photographs/room/keyframes").is_dir()
+    assert not is_archive_of_photographs(
+        Path(shutil.make_archive(str(tmp_path / "mesh"), "zip", tmp_path / "phone/room", "raw.ply"))
+    )
+
+
 def test_cut_images_are_named_before_the_work_begins(room, tmp_path, capsys):
     for name in ("color/000002.png", "depth/000005.png"):
         (room / name).write_bytes((room / name).read_bytes()[:-20])
-    assert fails(room, "--output", tmp_path / "out") == 1
+    assert exit_code(room, "--output", tmp_path / "out") == 1
     error = capsys.readouterr().err.splitlines()[-1]
     assert (
         "000002.png: was cut short, its end is missing, and 1 more of 24 images are broken; copy the photographs again" in error
@@ -370,5 +388,5 @@ def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
 
 def test_options_of_photographs_are_refused_for_other_sources(tmp_path, capsys):
     write_mesh(tmp_path / "shop.ply")
-    assert fails(tmp_path / "shop.ply", "--triangles", 9, "--output", tmp_path / "out") == 1
+    assert exit_code(tmp_path / "shop.ply", "--triangles", 9, "--output", tmp_path / "out") == 1
     assert "--triangles: is for a folder of photographs, which" in capsys.readouterr().err
