@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.console import CONSOLE, Console
+from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.quiet import quiet
+from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError
+from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 
 _NEEDED = ("torch", "onnx", "onnxruntime")
 """Packages of the extra ``learn`` that a training cannot do without."""
@@ -57,6 +60,51 @@ def add_parser(subparsers: Any) -> None:
     )
     goggles.add_argument("--seed", type=int, default=0, metavar="N", help="of pairs and training (default: 0)")
     goggles.set_defaults(run=run_goggles)
+    _add_filler(kinds)
+
+
+def _add_filler(kinds: Any) -> None:
+    filler = kinds.add_parser(
+        "filler",
+        help="train the network that fills holes of scans",
+        description="Three steps in one folder; each goes on where it was interrupted. docs/filler_training.md",
+    )
+    steps = filler.add_subparsers(dest="step", required=True, metavar="STEP")
+    folder = argparse.ArgumentParser(add_help=False)
+    folder.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("out/filler"),
+        metavar="DIR",
+        help="where scans, pairs and training are put (default: out/filler)",
+    )
+    pairs = steps.add_parser(
+        "pairs",
+        parents=[folder],
+        help="scan the scenes and draw what cameras see in the scans and in the scenes",
+        description="Needs gibson_sim_tools with its extra scanning.",
+    )
+    add_settings(pairs, PairsSettings, ("shards", "frames", "triangles", "seed"))
+    pairs.set_defaults(run=run_filler_pairs)
+    train = steps.add_parser("train", parents=[folder], help="train with these pairs; writes training/filler.onnx")
+    add_settings(
+        train,
+        TrainingSettings,
+        ("iterations", "batch", "crop", "learning_rate", "weight_decay", "evaluate_every", "seed"),
+    )
+    train.set_defaults(run=run_filler_training)
+    judged = steps.add_parser(
+        "evaluate",
+        parents=[folder],
+        help="compare a network with fillers that need no training",
+        description="By default in the held-out scenes; whoever chooses a parameter does so with --validation.",
+    )
+    judged.add_argument("--model", type=Path, metavar="FILE", help="the network (default: training/filler.onnx of the folder)")
+    judged.add_argument("--validation", action="store_true", help="in the validation scenes")
+    add_settings(judged, EvaluationSettings, ("every", "drive", "seed"))
+    judged.add_argument("--sheet", type=Path, metavar="FILE", help="picture of examples: scan, push-pull, network, truth")
+    judged.add_argument("--report", type=Path, metavar="FILE", help="write what was found as JSON")
+    judged.set_defaults(run=run_filler_evaluation)
 
 
 @quiet()
@@ -93,6 +141,63 @@ def run_goggles(args: argparse.Namespace) -> int:
         CONSOLE.status("")
     print("\n".join(learned.scores))
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; examples: {args.folder / 'sheet.png'}")
+    return 0
+
+
+@quiet()
+def run_filler_pairs(args: argparse.Namespace) -> int:
+    """Draws pairs for the filler, and prints where they are."""
+    from gibson_sim_learn.filler.pipeline import PAIRS, make_all_pairs
+
+    settings = settings_from_args(PairsSettings, args)
+    progress = _Progress(CONSOLE)
+    try:
+        shards = make_all_pairs(args.folder, settings, progress.tell)
+    finally:
+        CONSOLE.status("")
+    print(f"{args.folder / PAIRS}: {shards} shards for training; next: gibson-sim learn filler train --folder {args.folder}")
+    return 0
+
+
+@quiet()
+def run_filler_training(args: argparse.Namespace) -> int:
+    """Trains the filler, and prints what it reaches and where it is."""
+    settings = settings_from_args(TrainingSettings, args)
+    require_learning()
+    from gibson_sim_learn.filler.pipeline import train
+
+    progress = _Progress(CONSOLE)
+    try:
+        trained = train(args.folder, settings, progress.tell)
+    finally:
+        CONSOLE.status("")
+    print(trained.summary)
+    print(f"{trained.model}: {trained.size / 1e6:.1f} MB; card: {trained.card}; curve: {trained.card.with_name('curve.png')}")
+    return 0
+
+
+@quiet()
+def run_filler_evaluation(args: argparse.Namespace) -> int:
+    """Compares fillers, and prints a table."""
+    from gibson_sim_learn.filler.pipeline import MODEL, TRAINED, evaluate
+    from gibson_sim_learn.path_following.split import HELD_OUT, VALIDATION
+
+    settings = settings_from_args(EvaluationSettings, args)
+    model = args.folder / TRAINED / MODEL if args.model is None else args.model
+    progress = _Progress(CONSOLE)
+    try:
+        found = evaluate(
+            args.folder,
+            VALIDATION if args.validation else HELD_OUT,
+            model,
+            settings,
+            sheet_file=args.sheet,
+            progress=progress.tell,
+        )
+    finally:
+        CONSOLE.status("")
+    print("\n".join(found.lines))
+    write_json(args.report, found.values)
     return 0
 
 

@@ -1,0 +1,178 @@
+"""What fillers reach on scenes that they were not trained in: scores of single views, flicker on drives, and a sheet of examples.
+
+Learned fillers run as in the simulator, through ``gibson_sim.filling``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.filling.fillers import open_filler
+from gibson_sim.filling.inputs import filled_colour
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.maps.paths import PathPlanner
+from gibson_sim.types import Frame
+from gibson_sim_learn.filler.pairs import Pairs, Places, camera_at, depth_of, drawn_pairs, is_hole, normals_of
+from gibson_sim_learn.filler.scoring import Score, Scoring, warped
+from gibson_sim_learn.path_following.data import ROBOT_RADIUS, DataSettings, draw_path
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+Way = Callable[[U8, F32, F32, U8], U8]
+"""Fills: colours (H, W, 3), depth (H, W), normals (H, W, 3), hole (H, W), as of ``Frame``, to colours."""
+
+CLASSICAL = ("telea", "navier_stokes", "push_pull")
+"""Ways to fill that need no training."""
+_INPAINT_PX = 3.0
+"""Radius of OpenCV's two."""
+_HEIGHT, _FOV = 0.46, 1.2
+"""Of the camera of a drive: metres above the floor, radians."""
+_ROWS = 10
+"""Rows of a sheet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """How much pictures change from one to the next beyond what moves in them, of 255: mean absolute difference."""
+
+    all: float
+    holes: float
+    """In holes of the later picture."""
+
+
+def ways_of(model: Path) -> dict[str, Way]:
+    """Returns by name what is compared: ``nothing`` leaves a picture as it is, ``learned`` is a network in a file.
+
+    Raises:
+        ConfigError: the model is none.
+    """
+
+    def inpainted(method: int) -> Way:
+        def way(colour: U8, depth: F32, normals: F32, hole: U8) -> U8:
+            return np.asarray(cv2.inpaint(colour, is_hole(hole).astype(np.uint8), _INPAINT_PX, method), dtype=np.uint8)
+
+        return way
+
+    filler = open_filler(str(model))
+    return {
+        "nothing": lambda colour, depth, normals, hole: colour,
+        "telea": inpainted(cv2.INPAINT_TELEA),
+        "navier_stokes": inpainted(cv2.INPAINT_NS),
+        "push_pull": lambda colour, depth, normals, hole: filled_colour(colour, hole),
+        "learned": lambda colour, depth, normals, hole: filler.fill(colour, depth, normals, hole, with_depth=False).colour,
+    }
+
+
+def scores_of(
+    pairs: Sequence[Pairs], ways: Mapping[str, Way], every: int = 1, progress: Callable[[str], None] = lambda text: None
+) -> dict[str, Score]:
+    """Returns the score of each way on all views of some shards, or on one of so many."""
+    gathered = {name: Scoring() for name in ways}
+    for number, part in enumerate(pairs):
+        for k in range(0, len(part.hole), every):
+            colour, depth, normals, hole = view_of(part, k)
+            for name, way in ways.items():
+                gathered[name].add(way(colour, depth, normals, hole), part.truth[k], is_hole(hole))
+            progress(f"scores: view {k + 1} of {len(part.hole)}, shard {number + 1} of {len(pairs)}")
+    return {name: scoring.score() for name, scoring in gathered.items()}
+
+
+def flicker_of(places: Places, ways: Mapping[str, Way], seed: int, frames: int) -> dict[str, Flicker]:
+    """Returns the flicker of each way, and of the true pictures, ``truth``, on a drive of 5 cm from picture to picture.
+
+    The picture before is warped by the true depth, where both show the same surface.
+    """
+    rng = np.random.default_rng(
+        int.from_bytes(hashlib.sha256(f"drive {seed} {places.scene.name}".encode()).digest()[:8], "little")
+    )
+    path = draw_path(places.floor, PathPlanner(places.floor, ROBOT_RADIUS + 0.08), rng, DataSettings())[:frames]
+    cameras = [
+        camera_at(pose_from_xyz_rpy((x, y, places.scene.floor_z), (0.0, 0.0, yaw)), _HEIGHT, 0.0, _FOV)
+        for x, y, yaw in path.tolist()
+    ]
+    names = (*ways, "truth")
+    sums = {name: np.zeros(2) for name in names}
+    counts = np.zeros(2)
+    before: tuple[Frame, dict[str, U8]] | None = None
+    for scan, clean in drawn_pairs(places, cameras):
+        assert scan.rgb is not None and scan.depth is not None and scan.normal is not None and scan.hole is not None
+        assert clean.rgb is not None and clean.depth is not None
+        pictures = {name: way(scan.rgb, scan.depth, scan.normal, scan.hole) for name, way in ways.items()} | {"truth": clean.rgb}
+        if before is not None:
+            last, others = before
+            assert last.depth is not None
+            for name in names:
+                moved, known = warped(
+                    others[name], clean.T_world_camera, clean.camera.intrinsics(), clean.depth, last.T_world_camera, last.depth
+                )
+                change = np.abs(moved.astype(np.float64) - pictures[name]).mean(axis=2)
+                regions = (known, known & is_hole(scan.hole))
+                sums[name] += [change[region].sum() for region in regions]
+            counts += [region.sum() for region in regions]
+        before = clean, pictures
+    return {name: Flicker(*(sums[name] / np.maximum(counts, 1)).tolist()) for name in names}
+
+
+def sheet(pairs: Sequence[Pairs], ways: Mapping[str, Way], seed: int) -> U8:
+    """Returns a picture, RGB: in each row a view of the scan, filled by push-pull, by the network, and the truth; views by the seed."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for part in itertools.islice(itertools.cycle(pairs), _ROWS):
+        k = int(rng.integers(len(part.hole)))
+        given = view_of(part, k)
+        chosen = [ways[name](*given) for name in ("nothing", "push_pull", "learned")]
+        rows.append(np.concatenate([*chosen, part.truth[k]], axis=1))
+    return np.concatenate(rows)
+
+
+def view_of(part: Pairs, k: int) -> tuple[U8, F32, F32, U8]:
+    """Returns colours, depth, normals and hole of a view, as of ``Frame``."""
+    return np.array(part.drawn[k]), depth_of(part.depth_mm[k]), normals_of(part.normals[k]), np.array(part.hole[k])
+
+
+def table(scores: Mapping[str, Score], flicker: Mapping[str, Flicker] | None = None) -> list[str]:
+    """Returns the lines of a Markdown table."""
+    flicker = {} if flicker is None else flicker
+    lines = [
+        "| | holes: PSNR, SSIM | seen: PSNR, SSIM | GMSD | flicker, of 255: all, holes |",
+        "|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys((*scores, *flicker)):
+        s, f = scores.get(name), flicker.get(name)
+        cells = (
+            ("-", "-", "-")
+            if s is None
+            else (f"{s.hole_psnr:.2f} dB, {s.hole_ssim:.3f}", f"{s.seen_psnr:.2f} dB, {s.seen_ssim:.3f}", f"{s.gmsd:.3f}")
+        )
+        lines.append(f"| `{name}` | {' | '.join(cells)} | {'-' if f is None else f'{f.all:.2f}, {f.holes:.2f}'} |")
+    return lines
+
+
+def mean_flicker(found: Sequence[Mapping[str, Flicker]]) -> dict[str, Flicker]:
+    """Returns the mean over scenes."""
+    return {
+        name: Flicker(*(float(np.mean([getattr(one[name], part) for one in found])) for part in ("all", "holes")))
+        for name in found[0]
+    }
+
+
+def is_worth(scores: Mapping[str, Score]) -> bool:
+    """Returns whether the network beats every classical way in holes, and nothing at all where the scan is seen, by PSNR."""
+    learned = scores["learned"]
+    return (
+        learned.hole_psnr > max(scores[name].hole_psnr for name in CLASSICAL) and learned.seen_psnr > scores["nothing"].seen_psnr
+    )
+
+
+def as_json(values: Mapping[str, Score] | Mapping[str, Flicker]) -> dict[str, Any]:
+    """Returns scores or flicker as plain values."""
+    return {name: {key: round(number, 4) for key, number in asdict(value).items()} for name, value in values.items()}

@@ -1,0 +1,125 @@
+"""Writes the trained filler as ONNX, and its card. Needs PyTorch and onnx.
+
+Input: ``input`` (N, 9, H, W), float32, as ``gibson_sim.filling.inputs`` makes it, H and W multiples of 16. Output: ``image`` (N, 3, H, W),
+float32, sRGB, 0 to 1.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from gibson_sim.filling.inputs import CHANNELS
+from gibson_sim.filling.network import VERSION
+from gibson_sim.writing import write_file
+from gibson_sim_learn.filler.network import FillerNetwork, multiplications, parameter_count
+from gibson_sim_learn.filler.settings import TrainingSettings
+from gibson_sim_learn.filler.training import CurvePoint
+from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+
+_OPSET = 17
+
+
+def command_of(settings: TrainingSettings) -> str:
+    """Returns the command that trains such a network."""
+    return f"gibson-sim learn filler train --iterations {settings.iterations} --seed {settings.seed}"
+
+
+def export_network(network: FillerNetwork, file: Path, settings: TrainingSettings, data: str, iteration: int) -> int:
+    """Writes a network as ONNX; returns the size of the file, bytes.
+
+    Args:
+        network: the network.
+        file: where.
+        settings: of the training.
+        data: hash of the pairs.
+        iteration: until which it was trained.
+    """
+    buffer: Any = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter that PyTorch recommends instead needs further packages
+        torch.onnx.export(
+            _Exported(network).eval(),
+            (torch.zeros(1, CHANNELS, 48, 80),),
+            buffer,
+            input_names=["input"],
+            output_names=["image"],
+            dynamic_axes={name: {0: "pictures", 2: "height", 3: "width"} for name in ("input", "image")},
+            opset_version=_OPSET,
+            dynamo=False,
+        )
+    model = onnx.load_from_string(buffer.getvalue())
+    for key, value in {
+        "gibson_filler": VERSION,
+        "data": data,
+        "command": command_of(settings),
+        "seed": str(settings.seed),
+        "iteration": str(iteration),
+        "license": "Apache-2.0",
+    }.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    onnx.checker.check_model(model)
+    content = model.SerializeToString()
+    write_file(file, content)
+    return len(content)
+
+
+def write_card(
+    file: Path,
+    settings: TrainingSettings,
+    network: FillerNetwork,
+    point: CurvePoint,
+    pairs: int,
+    data: str,
+    results: Sequence[str] = (),
+) -> None:
+    """Writes the card of a network, Markdown.
+
+    Args:
+        file: where.
+        settings: of the training.
+        network: the network.
+        point: the last point of its curve.
+        pairs: number of pairs that it was trained on.
+        data: their hash.
+        results: further lines on what it reaches.
+    """
+    lines = [
+        "# Card of the filler",
+        "",
+        "- **What for**: closing the holes of indoor scans in pictures that the simulator draws, and mending their blur.",
+        "- **Not for**: measuring, or finding things: what is in a hole is invented.",
+        f"- **Size**: {parameter_count(network)} weights, float32; {multiplications(network, 256) / 1e9:.2f} billion multiplications for a picture "
+        "of 256x256 pixels.",
+        f"- **Trained in**: {', '.join(TRAINING)}. **Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
+        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{data}`; drawn by Gibson Sim, no "
+        "photograph of the world.",
+        f"- **Command**: `gibson-sim learn filler pairs`, `{command_of(settings)}`",
+        f"- **Training**: {point.iteration} of {settings.iterations} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
+        "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in asdict(settings).items()),
+        f"- **On the validation scenes**: holes {point.hole_psnr:.2f} dB, seen {point.seen_psnr:.2f} dB, GMSD {point.gmsd:.3f}.",
+        "- **Licence**: Apache-2.0, as Gibson Sim.",
+        "",
+        *results,
+    ]
+    write_file(file, "\n".join(lines).rstrip() + "\n")
+
+
+class _Exported(nn.Module):
+    """The network with a clipped picture."""
+
+    def __init__(self, network: FillerNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, values: Tensor) -> Tensor:
+        return torch.clamp(self.network(values), 0.0, 1.0)

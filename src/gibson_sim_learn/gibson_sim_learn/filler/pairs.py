@@ -1,0 +1,288 @@
+"""Pairs of images to learn filling from: what a camera sees in a scan of a scene, and in the scene itself, from the same pose.
+
+A *shard* is one folder of memory-mapped arrays of one scene. Everything is drawn from the seed, the scene and the number of the shard: an
+interrupted run goes on with the shards that are missing, and equal seeds, scans and software give equal pairs. Views from which little of
+the scan is seen, or that look at something very near, are left out: nobody could say what is in their holes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.digests import digest_of
+from gibson_sim.errors import ConfigError
+from gibson_sim.filling.holes import BACK_FACE, NOTHING
+from gibson_sim.filling.inputs import filled_colour
+from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy, quat_from_rpy
+from gibson_sim.maps.bodies import link_transforms
+from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.free_poses import random_free_poses
+from gibson_sim.reading import read_file
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.spec import SceneSpec, drawn_scene
+from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
+from gibson_sim_learn.path_following.data import BODY_HEIGHT, ROBOT_RADIUS, with_bodies
+
+F32 = NDArray[np.float32]
+I8 = NDArray[np.int8]
+U8 = NDArray[np.uint8]
+U16 = NDArray[np.uint16]
+
+SIDE = 256
+"""Edge of a view, pixels."""
+VIEWS = 128
+"""Views of a shard."""
+HEIGHTS = (0.2, 1.5)
+"""Of the camera above the floor, metres."""
+FIELDS_OF_VIEW = (math.radians(35.0), math.radians(100.0))
+"""Narrow ones are like parts of larger images."""
+_PITCHES = (math.radians(-25.0), math.radians(25.0))
+_MOST_HOLE = 0.7
+"""Views with a larger share of holes are left out."""
+_NEAREST = 0.25
+"""Views are left out that see something nearer than this in more than a tenth of their pixels, metres."""
+_TOGETHER = 16
+"""Images that are drawn side by side."""
+_ROUNDS = 12
+"""Batches of poses that are tried, each of the size of a shard."""
+_NORMAL_STEPS = 127.0
+_DIGEST = "digest.txt"
+_T_CAMERA_OPTICAL = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(-math.pi / 2.0, 0.0, -math.pi / 2.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """The pairs of one shard; arrays may be memory-mapped."""
+
+    drawn: U8
+    """(N, H, W, 3), RGB: the scan as it is drawn."""
+    filled: U8
+    """(N, H, W, 3), RGB: the same with its holes closed by push-pull."""
+    depth_mm: U16
+    """(N, H, W), depth of the scan, millimetres, 0 = nothing, 65535 = that or more."""
+    normals: I8
+    """(N, H, W, 3), in the optical frame, 127 = 1."""
+    hole: U8
+    """(N, H, W), as ``Frame.hole``."""
+    truth: U8
+    """(N, H, W, 3), RGB: the scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """A scene, its scan, and where cameras may be."""
+
+    scene: SceneSpec
+    """Without robots."""
+    scan: SceneSpec
+    floor: FloorMap
+    """Of the scene's main storey, with cells of 5 cm."""
+
+    @classmethod
+    def load(cls, name: str, scan: Path) -> Places:
+        """Returns a scene by name, with the scan in a folder."""
+        scene = replace(load_scene(name), robots=())
+        floor = scene_floor_map(scene, robot_height=BODY_HEIGHT)
+        return cls(scene, load_scene(str(scan)), with_bodies(scene, floor, scene.bodies))
+
+
+def shard_name(scene: str, number: int) -> str:
+    """Returns the name of a shard's folder."""
+    return f"{scene}-{number:03d}"
+
+
+def make_pairs(
+    folder: Path, scene: str, scan: Path, count: int, seed: int, progress: Callable[[str], None] = lambda text: None
+) -> None:
+    """Draws the shards of a scene that are missing.
+
+    Args:
+        folder: where they are put.
+        scene: its name.
+        scan: folder of the scene that its scan is.
+        count: number of shards.
+        seed: of the views.
+        progress: called with one line before each shard.
+    """
+    missing = [number for number in range(count) if not (folder / shard_name(scene, number)).is_dir()]
+    if not missing:
+        return
+    places = Places.load(scene, scan)
+    for number in missing:
+        progress(f"pairs: {shard_name(scene, number)}, {count} shards of this scene")
+        save_pairs(folder / shard_name(scene, number), draw_pairs(places, seed, number))
+
+
+def draw_pairs(places: Places, seed: int, number: int, *, views: int = VIEWS) -> Pairs:
+    """Returns a shard; equal arguments give equal pairs.
+
+    Raises:
+        ConfigError: too few views see enough of the scan.
+    """
+    digest = hashlib.sha256(f"filler {seed} {places.scene.name} {number}".encode()).digest()
+    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    kept: list[tuple[Frame, Frame]] = []
+    for _ in range(_ROUNDS):
+        cameras = _cameras(places, rng, views)
+        kept += [pair for pair in drawn_pairs(places, cameras) if _is_useful(*pair)]
+        if len(kept) >= views:
+            return _packed(kept[:views])
+    raise ConfigError(
+        f"scene {places.scene.name}: only {len(kept)} of {_ROUNDS * views} views see enough of its scan; scan it with more frames"
+    )
+
+
+def drawn_pairs(places: Places, cameras: Sequence[CameraSpec]) -> Iterator[tuple[Frame, Frame]]:
+    """Yields for each camera its frame of the scan and that of the scene: colours, depth, normals and holes of both."""
+    scene = drawn_scene(places.scene, tuple(f"{body.name}/{link}" for body in places.scene.bodies for link in body.links))
+    state, still = _standing(places.scene, scene.links), SceneState.still()
+    with Renderer(scene, cache=default_folder()) as clean, Renderer(drawn_scene(places.scan, ()), cache=default_folder()) as scan:
+        for first in range(0, len(cameras), _TOGETHER):
+            some = cameras[first : first + _TOGETHER]
+            yield from zip(scan.render(still, some), clean.render(state, some), strict=True)
+
+
+def camera_at(pose: Pose, height: float, pitch: float, fov: float, side: int = SIDE) -> CameraSpec:
+    """Returns a square camera above a pose on the floor.
+
+    Args:
+        pose: T_world_base.
+        height: above the floor, metres.
+        pitch: down is positive, radians.
+        fov: radians.
+        side: pixels.
+    """
+    T_base_camera = matrix_from_pose(pose_from_xyz_rpy((0.0, 0.0, height), (0.0, pitch, 0.0)))
+    T = matrix_from_pose(pose) @ T_base_camera @ _T_CAMERA_OPTICAL
+    return CameraSpec("camera", "", pose_from_matrix(T), side, side, fov, near=0.02, outputs=("rgb", "depth", "normal", "hole"))
+
+
+def save_pairs(folder: Path, pairs: Pairs) -> None:
+    """Writes a shard and its digest; the folder is there whole or not at all."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
+    try:
+        for item in fields(Pairs):
+            np.save(part / f"{item.name}.npy", getattr(pairs, item.name))
+        (part / _DIGEST).write_text(f"{digest_of(pairs):016x}\n", encoding="utf-8")
+        part.rename(folder)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def load_pairs(folder: Path, scenes: Sequence[str]) -> list[Pairs]:
+    """Returns all shards of some scenes, memory-mapped.
+
+    Raises:
+        ConfigError: one cannot be read, or a scene has none.
+    """
+    return [load_shard(shard) for shard in shards_of(folder, scenes)]
+
+
+def load_shard(folder: Path) -> Pairs:
+    """Returns a shard, memory-mapped.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return Pairs(*(np.load(folder / f"{item.name}.npy", mmap_mode="r") for item in fields(Pairs)))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: holds no pairs: {error}; delete it, and run gibson-sim learn filler pairs again") from error
+
+
+def data_hash(folder: Path, scenes: Sequence[str]) -> str:
+    """Returns a hash of all pairs of some scenes, made of the digests that were taken when they were written.
+
+    Raises:
+        ConfigError: as for ``load_pairs``.
+    """
+    digest = hashlib.sha256()
+    for shard in shards_of(folder, scenes):
+        try:
+            digest.update(f"{shard.name} ".encode() + read_file(shard / _DIGEST))
+        except OSError as error:
+            raise ConfigError(f"{shard / _DIGEST}: {error.strerror}; delete {shard}, and draw it again") from error
+    return digest.hexdigest()[:16]
+
+
+def shards_of(folder: Path, scenes: Sequence[str]) -> list[Path]:
+    """Returns the folders of all shards of some scenes, in the order of the scenes and of their numbers.
+
+    Raises:
+        ConfigError: a scene has none.
+    """
+    found = []
+    for scene in scenes:
+        shards = sorted(folder.glob(f"{scene}-[0-9][0-9][0-9]"))
+        if not shards:
+            raise ConfigError(f"{folder}: holds no pairs of {scene}; run gibson-sim learn filler pairs")
+        found += shards
+    return found
+
+
+def depth_of(depth_mm: U16) -> F32:
+    """Returns metres, +inf = nothing, of an image of ``Pairs.depth_mm``."""
+    return np.where(depth_mm == 0, np.float32(np.inf), depth_mm.astype(np.float32) / np.float32(1000.0))
+
+
+def normals_of(normals: I8) -> F32:
+    """Returns normals of an image of ``Pairs.normals``."""
+    return np.asarray(normals.astype(np.float32) / np.float32(_NORMAL_STEPS))
+
+
+def is_hole(hole: U8) -> NDArray[np.bool_]:
+    """Returns where a filler fills."""
+    return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
+
+
+def _cameras(places: Places, rng: np.random.Generator, count: int) -> list[CameraSpec]:
+    poses = random_free_poses(places.floor, count, rng, clearance=ROBOT_RADIUS)
+    return [camera_at(pose, rng.uniform(*HEIGHTS), rng.uniform(*_PITCHES), rng.uniform(*FIELDS_OF_VIEW)) for pose in poses]
+
+
+def _is_useful(scan: Frame, clean: Frame) -> bool:
+    assert scan.hole is not None and clean.depth is not None and clean.hole is not None
+    inside = bool((clean.hole == BACK_FACE).mean() < 0.02)  # a camera within furniture sees its back faces
+    return inside and float(is_hole(scan.hole).mean()) <= _MOST_HOLE and float((clean.depth < _NEAREST).mean()) <= 0.1
+
+
+def _packed(frames: Sequence[tuple[Frame, Frame]]) -> Pairs:
+    def stacked(name: str, which: int) -> NDArray[Any]:
+        return np.stack([getattr(pair[which], name) for pair in frames])
+
+    drawn, hole, depth = stacked("rgb", 0), stacked("hole", 0), stacked("depth", 0)
+    mm = np.where(np.isfinite(depth), np.clip(np.rint(1000.0 * depth), 1.0, 65535.0), 0.0)
+    return Pairs(
+        drawn=drawn.astype(np.uint8),
+        filled=np.stack([filled_colour(colour, mask) for colour, mask in zip(drawn, hole, strict=True)]),
+        depth_mm=mm.astype(np.uint16),
+        normals=np.rint(_NORMAL_STEPS * stacked("normal", 0)).astype(np.int8),
+        hole=hole.astype(np.uint8),
+        truth=stacked("rgb", 1).astype(np.uint8),
+    )
+
+
+def _standing(scene: SceneSpec, links: tuple[str, ...]) -> SceneState:
+    """Returns the state in which all bodies stand where they are at load, as the scanner saw them."""
+    poses = [
+        pose_from_matrix(matrices[link]) for body in scene.bodies for matrices in (link_transforms(body),) for link in body.links
+    ]
+    return replace(
+        SceneState.still(links=links),
+        positions=np.array([pose.position for pose in poses]).reshape(-1, 3),
+        quats_xyzw=np.array([pose.quat_xyzw for pose in poses]).reshape(-1, 4),
+    )

@@ -1,0 +1,145 @@
+"""The three steps of the filler in one folder: pairs, training, evaluation. Training needs PyTorch and onnx.
+
+The folder holds ``scans/`` (a folder for each scene), ``pairs/`` (shards) and ``training/`` (checkpoint, curve, network, card).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.picture_files import write_picture
+from gibson_sim_learn.filler.evaluation import (
+    Flicker,
+    as_json,
+    flicker_of,
+    is_worth,
+    mean_flicker,
+    scores_of,
+    sheet,
+    table,
+    ways_of,
+)
+from gibson_sim_learn.filler.pairs import Places, data_hash, load_pairs, make_pairs
+from gibson_sim_learn.filler.scans import TEXTURED, make_scan
+from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
+from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
+
+SCANS, PAIRS, TRAINED = "scans", "pairs", "training"
+"""Folders of a filler's folder."""
+MODEL, CARD = "filler.onnx", "filler.md"
+_JUDGED_SHARDS = 2
+"""Shards of scenes that judge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What a training left."""
+
+    model: Path
+    card: Path
+    size: int
+    """Of the model, bytes."""
+    summary: str
+    """How near its pictures are to the truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """What an evaluation found."""
+
+    lines: Sequence[str]
+    """A Markdown table."""
+    values: dict[str, Any]
+    """The same for JSON."""
+
+
+def make_all_pairs(folder: Path, settings: PairsSettings, progress: Callable[[str], None] = lambda text: None) -> int:
+    """Scans all scenes and draws the pairs, as far as that is not done; returns the number of shards for training.
+
+    Raises:
+        GibsonSimError: nothing can be drawn here, a stage failed, or the folder holds scans of other settings.
+    """
+    for scene in (*TRAINING, *VALIDATION, *HELD_OUT):
+        progress(f"scanning {scene}")
+        scan = make_scan(scene, folder / SCANS / scene, settings)
+        count = settings.shards if scene in TRAINING else _JUDGED_SHARDS
+        make_pairs(folder / PAIRS, scene, scan, count, settings.seed, progress)
+    return settings.shards * len(TRAINING)
+
+
+def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], None] = lambda text: None) -> Trained:
+    """Trains with the pairs of a folder, or goes on there, and writes the network at each point of the curve.
+
+    Raises:
+        ConfigError: the folder holds no pairs, or another training.
+    """
+    # Loaded here: pairs and evaluation do not need PyTorch.
+    from gibson_sim_learn.filler.export import export_network, write_card
+    from gibson_sim_learn.filler.training import Training
+
+    data = data_hash(folder / PAIRS, TRAINING)
+    pairs = load_pairs(folder / PAIRS, TRAINING)
+    place = folder / TRAINED
+    training = Training(place, settings, data)
+
+    def export() -> int:
+        size = export_network(training.network, place / MODEL, settings, data, training.iteration)
+        write_card(place / CARD, settings, training.network, training.curve[-1], sum(len(part.hole) for part in pairs), data)
+        return size
+
+    training.run(pairs, load_pairs(folder / PAIRS, VALIDATION), progress, export)
+    size, point = export(), training.curve[-1]
+    return Trained(
+        place / MODEL,
+        place / CARD,
+        size,
+        f"validation scenes: holes {point.hole_psnr:.2f} dB, seen {point.seen_psnr:.2f} dB, GMSD {point.gmsd:.3f}",
+    )
+
+
+def evaluate(
+    folder: Path,
+    scenes: Sequence[str],
+    model: Path,
+    settings: EvaluationSettings,
+    *,
+    sheet_file: Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Evaluated:
+    """Compares a network with what needs no training.
+
+    Args:
+        folder: with scans and pairs.
+        scenes: that judge.
+        model: the network.
+        settings: on how much.
+        sheet_file: picture of examples; None = none.
+        progress: called with one line now and then.
+
+    Raises:
+        GibsonSimError: the model is none, pairs are missing, or nothing can be drawn here.
+    """
+    ways = ways_of(model)
+    pairs = load_pairs(folder / PAIRS, scenes)
+    scores = scores_of(pairs, ways, settings.every, progress)
+    flicker: dict[str, Flicker] = {}
+    if settings.drive:
+        found = []
+        for scene in scenes:
+            progress(f"flicker: {scene}")
+            found.append(flicker_of(Places.load(scene, folder / SCANS / scene / TEXTURED), ways, settings.seed, settings.drive))
+        flicker = mean_flicker(found)
+    if sheet_file is not None:
+        write_picture(sheet_file, sheet(pairs, ways, settings.seed)[..., ::-1])
+    values: dict[str, Any] = {
+        "scenes": list(scenes),
+        "views": sum(len(range(0, len(part.hole), settings.every)) for part in pairs),
+        "data": data_hash(folder / PAIRS, scenes),
+        "scores": as_json(scores),
+        "flicker": as_json(flicker),
+        "worth": is_worth(scores),
+    }
+    return Evaluated(table(scores, flicker), values)

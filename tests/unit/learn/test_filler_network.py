@@ -1,0 +1,96 @@
+"""Network, training and export of the filler. They need PyTorch, which ``make setup`` does not install."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.filling.fillers import open_filler
+from gibson_sim_learn.filler.pairs import Pairs
+from gibson_sim_learn.filler.settings import TrainingSettings
+
+torch = pytest.importorskip("torch")  # "could not import 'torch'"
+SETTINGS = TrainingSettings(iterations=4, batch=2, crop=32, evaluate_every=2)
+
+
+def pairs() -> Pairs:
+    rng = np.random.default_rng(0)
+    shape = (4, 64, 64)
+    hole = (rng.random(shape) < 0.3).astype(np.uint8)
+    colours = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    normals = rng.integers(-127, 128, (*shape, 3)).astype(np.int8)
+    return Pairs(colours, colours, rng.integers(0, 5000, shape).astype(np.uint16), normals, hole, colours)
+
+
+def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    from gibson_sim_learn.filler.training import Training
+
+    whole = Training(tmp_path / "whole", SETTINGS, "data")
+    whole.run([pairs()], [pairs()])
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupt() -> None:
+        raise Interrupted
+
+    first = Training(tmp_path / "parts", SETTINGS, "data")
+    with pytest.raises(Interrupted):
+        first.run([pairs()], [pairs()], after_point=interrupt)
+    second = Training(tmp_path / "parts", SETTINGS, "data")
+    assert second.iteration == 2
+    second.run([pairs()], [pairs()])
+    for one, other in zip(whole.network.state_dict().values(), second.network.state_dict().values(), strict=True):
+        torch.testing.assert_close(one, other)
+    assert [point.iteration for point in second.curve] == [2, 4]
+
+
+def test_training_with_other_pairs_or_settings_is_refused(tmp_path: Path) -> None:
+    from gibson_sim_learn.filler.training import Training
+
+    Training(tmp_path, SETTINGS, "data").run([pairs()], [pairs()])
+    with pytest.raises(ConfigError, match=r"other pairs \(data, here other\); choose another --folder"):
+        Training(tmp_path, SETTINGS, "other")
+    with pytest.raises(ConfigError, match=r"another batch \(2\); choose another --folder"):
+        Training(tmp_path, TrainingSettings(iterations=4, batch=3, crop=32, evaluate_every=2), "data")
+
+
+def test_a_mirrored_cutting_has_mirrored_normals() -> None:
+    from gibson_sim_learn.filler.training import batch_of
+
+    part = pairs()
+    # Normals that point to where in the picture they are: -127 on the left, 127 on the right; nothing is a hole.
+    across = np.linspace(-127, 127, 64).round().astype(np.int8)
+    normals = np.zeros_like(part.normals)
+    normals[..., 0] = across
+    given = Pairs(part.drawn, part.filled, part.depth_mm, normals, np.zeros_like(part.hole), part.truth)
+    values, truth = batch_of([given], np.random.default_rng(0), 16, 64)
+    # A mirrored picture of a normal that points to the right at the right: to the left at the left, so the order is the same.
+    assert np.allclose(values[:, 4, 0], across / 127.0, atol=1e-6)
+    # Input and truth are equal here, and stay so whatever is done to their colours.
+    assert np.allclose(values[:, :3], truth, atol=1e-5) and (values[:, 7] == 0.0).all()
+    assert len({picture.tobytes() for picture in truth}) > 4
+
+
+def test_exported_network_runs_in_the_simulator_and_gives_what_the_network_gives(tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="could not import 'torch' with its exporter onnx")
+    from gibson_sim.filling.inputs import network_input
+    from gibson_sim_learn.filler.export import export_network
+    from gibson_sim_learn.filler.network import FillerNetwork, multiplications
+
+    torch.manual_seed(0)
+    network = FillerNetwork().eval()
+    torch.nn.init.normal_(network.exit.weight, std=0.02)
+    size = export_network(network, tmp_path / "filler.onnx", SETTINGS, "data", 4)
+    assert size < 5_000_000 and 0.25e9 < multiplications(network, 256) < 1e9
+    rng = np.random.default_rng(1)
+    colour, hole = rng.integers(0, 256, (64, 96, 3)).astype(np.uint8), (rng.random((64, 96)) < 0.2).astype(np.uint8)
+    depth, normals = rng.uniform(0.5, 4.0, (64, 96)).astype(np.float32), np.zeros((64, 96, 3), np.float32)
+    found = open_filler(str(tmp_path / "filler.onnx")).fill(colour, depth, normals, hole, with_depth=False).colour
+    with torch.inference_mode():
+        expected = network(torch.from_numpy(network_input(colour, depth, normals, hole)))[0].permute(1, 2, 0).numpy()
+    difference = np.abs(found - 255.0 * np.clip(expected, 0.0, 1.0))
+    assert difference.max() <= 0.51 and np.abs(found.astype(int) - colour)[hole == 0].max() > 3
