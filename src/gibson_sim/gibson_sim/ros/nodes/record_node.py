@@ -225,7 +225,7 @@ class RecordNode(Node):
         """Notes the images that the cameras of a scene publish."""
         for camera in deserialize_message(data, Scene).cameras:
             topics = names.camera_topics(camera.name)
-            for output in camera.outputs:
+            for output in (name for name in camera.outputs if name in topics):  # others say how holes are filled
                 topic = self.resolve_topic_name(topics[output])
                 self._streams[topic] = ImageStream(output, camera.width, camera.height, camera.rate)
 
