@@ -10,6 +10,7 @@ import pytest
 from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import Mesh
+from gibson_sim.formats.ply import read_ply_tables
 from support.gltf import Gltf
 from support.plys import COLORS, CORNERS, ply
 
@@ -101,3 +102,12 @@ def test_a_number_that_its_type_does_not_hold_is_refused(tmp_path: Path, value: 
     text = header + faces + f"0 0 0 {value}\n1 0 0 1\n0 1 0 1\n3 0 1 2\n"
     with pytest.raises(MeshError, match=r"'red' is .*, must be 0 to 255"):
         _read(tmp_path, text.encode())
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"), [("1 abc", "x has something that is no number"), ("many 1", "the length of 'x' is 'many', no whole")]
+)
+def test_a_word_that_is_no_number_is_refused_in_one_line(rows: str, message: str) -> None:
+    text = f"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n{rows}\n"
+    with pytest.raises(MeshError, match=message):
+        read_ply_tables(Path("a.ply"), text.encode())

@@ -113,6 +113,8 @@ def test_a_file_that_is_cut_is_refused_in_one_line(kind: int, kept: float) -> No
         (gzip.compress(b"NGSP" + bytes([2, 0, 0, 0, 0, 0, 0, 0, 0, 12, 0, 0])), "holds no splats"),
         (splats_ply(random_splats(3, 1)).replace(b"f_rest_8", b"f_best_8"), "has 8 columns f_rest_, must have 0, 9, 24, 45"),
         (splats_ply(random_splats(3)).replace(b"rot_2", b"rat_2"), "have no rot_2"),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n\xf71\n", r"vertex has something that is no number \(.*xf71"),
+        (compressed_ply(random_splats(300)).replace(b"element chunk 2", b"element chunk 1"), "300 splats are in 2 chunks, the file has 1"),
         (splats_ply(random_splats(3)).replace(b"element vertex 3", b"element vertex 4000000000"), "do not fit"),
     ],
 )  # fmt: skip

@@ -337,13 +337,34 @@ def _as_kind(path: Path, what: str, column: NDArray[np.float64], kind: np.dtype[
         return column.astype(kind)
 
 
+def _numbers(path: Path, what: str, words: list[bytes]) -> NDArray[np.float64]:
+    """Returns the numbers that words (N,) of a text file are.
+
+    Raises:
+        MeshError: one is none.
+    """
+    try:
+        return np.array(words, dtype=np.float64)
+    except ValueError as e:
+        raise MeshError(f"{path}: {what} has something that is no number ({e}); the PLY is broken") from e
+
+
+def _count(path: Path, what: str, word: bytes) -> int:
+    try:
+        return int(word)
+    except ValueError as e:
+        raise MeshError(
+            f"{path}: the length of {quoted(what)} is {quoted(word.decode('utf-8', 'replace'))}, no whole number; the PLY is broken"
+        ) from e
+
+
 def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> tuple[dict[str, Any], int]:
     lists = any(p.count_kind for p in element.properties)
     width = len(element.properties)
     if len(words) - at < element.count * width:
         raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
     if not lists:
-        values = np.array(words[at : at + element.count * width], dtype=np.float64).reshape(element.count, width)
+        values = _numbers(path, element.name, words[at : at + element.count * width]).reshape(element.count, width)
         table = {p.name: _as_kind(path, p.name, values[:, k], np.dtype(p.kind)) for k, p in enumerate(element.properties)}
         return table, at + element.count * width
     out: dict[str, Any] = {p.name: [] for p in element.properties}
@@ -352,7 +373,7 @@ def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> t
         for p in element.properties:
             size = 1
             if p.count_kind:
-                size, at = (int(words[at]) if at < len(words) else -1), at + 1
+                size, at = (_count(path, p.name, words[at]) if at < len(words) else -1), at + 1
             if size < 0 or at + size > len(words):
                 raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
             out[p.name] += words[at : at + size]
@@ -360,6 +381,6 @@ def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> t
             at += size
     done: dict[str, Any] = {}
     for p in element.properties:
-        column = _as_kind(path, p.name, np.array(out[p.name], dtype=np.float64), np.dtype(p.kind))
+        column = _as_kind(path, p.name, _numbers(path, p.name, out[p.name]), np.dtype(p.kind))
         done[p.name] = (column, np.array(sizes[p.name], dtype=np.int64)) if p.count_kind else column
     return done, at

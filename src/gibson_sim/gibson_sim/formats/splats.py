@@ -234,7 +234,8 @@ def _from_compressed(path: Path, chunk: Table, vertex: Table, rest: Table) -> Sp
 
     def between(parts: F32, names: list[str]) -> F32:
         low, high = (_columns(path, chunk, [f"{end}_{name}" for name in names])[row] for end in ("min", "max"))
-        return np.asarray(low * (1.0 - parts) + high * parts, dtype=np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(low * (1.0 - parts) + high * parts, dtype=np.float32)
 
     position, rotation, scale, color = packed
     colors = np.stack([_bits(color, shift, 8) for shift in (24, 16, 8, 0)], axis=1)
@@ -246,7 +247,8 @@ def _from_compressed(path: Path, chunk: Table, vertex: Table, rest: Table) -> Sp
         # Bytes of 256 steps from -4 to 4; the first and the last one mean the ends.
         parts = np.where(higher == 0.0, 0.0, np.where(higher == 255.0, 1.0, (higher + 0.5) / 256.0))
         higher = np.asarray((parts - 0.5) * 8.0, dtype=np.float32)
-    sh = np.concatenate([((rgb - 0.5) / SH_DC)[:, None], higher], axis=1).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused by _checked
+        sh = np.concatenate([((rgb - 0.5) / SH_DC)[:, None], higher], axis=1).astype(np.float32)
     return Splats(
         between(_bits_11_10_11(position), list("xyz")),
         _exp(between(_bits_11_10_11(scale), ["scale_x", "scale_y", "scale_z"])),
