@@ -94,7 +94,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.texturing.conventions import checked
     from gibson_sim_tools.texturing.measure import contact_sheet, held_out_likeness
     from gibson_sim_tools.texturing.photograph_layouts import open_photographs
-    from gibson_sim_tools.texturing.surface import surface_of
+    from gibson_sim_tools.texturing.surface import split_long_edges, surface_of
     from gibson_sim_tools.texturing.texture import texture
     from gibson_sim_tools.texturing.textured_scene import write_textured_scene
 
@@ -116,6 +116,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     for warning in photographs.warnings:
         print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
     surface = surface_of(load_mesh(args.mesh, [args.mesh.resolve().parent])).times(scale)
+    surface = split_long_edges(surface, settings.longest_edge)
     photographs, text = checked(surface, photographs.times(scale), args.pose_convention)
     if text:
         print(text)

@@ -14,7 +14,7 @@ from gibson_sim_tools.texturing.exposure import Exposures, estimate_exposures, n
 from gibson_sim_tools.texturing.filling import fill_vertices
 from gibson_sim_tools.texturing.labelling import Candidates, best_labels, candidates_of, choose_labels, patches_of, quality_loss
 from gibson_sim_tools.texturing.levelling import colors_along, find_seams, global_levelling, local_levelling
-from gibson_sim_tools.texturing.outliers import inliers
+from gibson_sim_tools.texturing.outliers import inliers, judged_together
 from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import Views, intrinsics_radius, joined, sampled, views_of
@@ -84,12 +84,12 @@ def texture(
     views = views.subset(~np.isin(views.photograph, list(held_out)))
     views = corrected_views(views, exposures)
     report.views = len(views)
+    beside = adjacency(surface.triangles)
     if settings.outliers:
-        kept = inliers(views, views.srgb)
+        kept = judged_together(views, inliers(views, views.srgb), beside)
         report.outliers = int((~kept).sum())
         views = views.subset(kept)
     progress(0.65)
-    beside = adjacency(surface.triangles)
     candidates = candidates_of(views, len(surface.triangles))
     labels = choose_labels(candidates, beside, settings.smoothness) if settings.smoothness else best_labels(candidates)
     _report_labels(report, labels, candidates, beside)

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from gibson_sim_tools.texturing import solving
 from gibson_sim_tools.texturing.exposure import estimate_exposures, no_exposures
 from gibson_sim_tools.texturing.filling import fill_vertices
-from gibson_sim_tools.texturing.outliers import inliers
+from gibson_sim_tools.texturing.outliers import inliers, judged_together
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import LINEAR, Views, joined, sampled, views_of
 from gibson_sim_tools.texturing.solving import relax, solve
-from gibson_sim_tools.texturing.surface import project
+from gibson_sim_tools.texturing.surface import Adjacency, project
 from gibson_sim_tools.texturing.visibility import SeenFaces, seen_faces
 from support.painted_wall import CAMERA, moved, painted_wall, photographed, row_of_cameras
 
@@ -80,6 +80,24 @@ def test_a_person_in_a_tenth_of_the_photographs_disappears_and_nothing_else_does
     colors[ghost] += 0.25
     kept = inliers(views(face, photograph, colors), colors.astype(np.float32))
     assert not kept[ghost].any() and kept[~ghost].mean() > 0.99
+
+
+def test_what_few_views_cannot_tell_is_told_by_neighbours_in_the_same_photograph():
+    # A strip of ten triangles, each beside the next. Three photographs show the first six, two the others; a person is in the second one.
+    beside = Adjacency(np.stack([np.arange(9), np.arange(1, 10)], axis=1), np.zeros((9, 2), np.int64))
+    face = np.concatenate([np.repeat(np.arange(6), 3), np.repeat(np.arange(6, 10), 2)])
+    photograph = np.concatenate([np.tile([0, 1, 2], 6), np.tile([0, 1], 4)])
+    colors = np.where((photograph == 1)[:, None], 0.8, 0.2).astype(np.float32) * np.ones((1, 3), np.float32)
+    # In the third photograph, one triangle alone has another colour.
+    colors[5] = 0.25
+    table = views(face, photograph, colors)
+    first = inliers(table, colors)
+    assert first[photograph == 1].tolist() == [False] * 6 + [True] * 4
+    kept = judged_together(table, first, beside)
+    assert not kept[photograph == 1].any() and kept[photograph != 1].all()
+    # Who alone shows a triangle is heard.
+    alone = table.subset(photograph == 1)
+    assert judged_together(alone, np.zeros(10, bool), beside).all()
 
 
 def test_two_views_that_differ_are_both_kept():

@@ -194,3 +194,17 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
         main(words)
     assert end.value.code != 0
     assert "is there already and not empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--known-length", "0,2"], "0,2: must be two numbers above 0"),
+        (["--known-length", "1,2", "--unit", "cm"], "--unit and --known-length both say"),
+        (["--most-photographs", "1"], "--most-photographs 1: must be 2 or more"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(tmp_path, capsys, words, said):
+    with pytest.raises(SystemExit) as end:
+        main(["scene", "texture", str(tmp_path), "wall.ply", "--output", str(tmp_path / "made"), *words])
+    assert end.value.code != 0 and said in capsys.readouterr().err
