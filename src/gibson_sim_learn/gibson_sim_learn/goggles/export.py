@@ -69,7 +69,7 @@ def write_card(
         network: the network.
         point: the last point of its curve.
         pairs: number of pairs that it was trained on.
-        scores: name of a domain -> name of what brings images to the simulator's look -> how near that is.
+        scores: pairs, as domain and size -> name of what brings images to the simulator's look -> how near that is.
     """
     lines = [
         "# Card of Goggles",

@@ -67,9 +67,9 @@ class Pairs:
     """The pairs of one shard; arrays may be memory-mapped."""
 
     clean: U8
-    """(N, 64, 96, 3), RGB: the simulator's own images."""
+    """(N, H, W, 3), RGB: the simulator's own images."""
     seen: U8
-    """(N, K, 64, 96, 3): the same views in other light, by other cameras."""
+    """(N, K, H, W, 3): the same views in other light, by other cameras."""
 
 
 def shard_name(scene: str, number: int) -> str:
@@ -88,9 +88,11 @@ def make_pairs(
     count: int,
     seed: int,
     *,
+    views: int = VIEWS,
     shots: int = 4,
     domains: Sequence[str] = DRAWN_FROM,
     recoloured: bool = True,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Draws the shards that are missing.
@@ -100,9 +102,11 @@ def make_pairs(
         scenes: names of the scenes.
         count: shards of each scene.
         seed: of all that is drawn.
+        views: views of a shard.
         shots: lights and cameras in which each view is seen.
         domains: that these are drawn from.
         recoloured: whether shards that are not ``is_original`` have other colours and textures than their scene.
+        size: width and height of an image, pixels.
         progress: called with one line before each shard.
     """
     worlds: dict[str, World] = {}
@@ -114,7 +118,14 @@ def make_pairs(
         save_pairs(
             folder / shard_name(scene, number),
             draw_pairs(
-                worlds[scene], seed, number, shots=shots, domains=domains, recolour=recoloured and not is_original(number)
+                worlds[scene],
+                seed,
+                number,
+                views=views,
+                shots=shots,
+                domains=domains,
+                recolour=recoloured and not is_original(number),
+                size=size,
             ),
         )
 
@@ -165,6 +176,7 @@ def draw_pairs(
     shots: int = 4,
     domains: Sequence[str] = DRAWN_FROM,
     recolour: bool = False,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> Pairs:
     """Returns a shard; equal arguments give equal pairs. Arguments as of ``make_pairs``.
 
@@ -176,13 +188,15 @@ def draw_pairs(
         shots: lights and cameras in which each of them is seen.
         domains: that these are drawn from.
         recolour: whether the scene gets other colours and textures.
+        size: width and height of an image, pixels.
     """
     digest = hashlib.sha256(f"goggles {seed} {world.scene.name} {number}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     poses = _poses(world, rng, views)
-    clean = np.empty((views, HEIGHT, WIDTH, 3), np.uint8)
-    seen = np.empty((views, shots, HEIGHT, WIDTH, 3), np.uint8)
-    for k, frame in enumerate(_drawn(world, rng, poses, recolour)):
+    width, height = size
+    clean = np.empty((views, height, width, 3), np.uint8)
+    seen = np.empty((views, shots, height, width, 3), np.uint8)
+    for k, frame in enumerate(_drawn(world, rng, poses, recolour, size)):
         assert frame.rgb is not None
         clean[k] = frame.rgb
         for shot in range(shots):
@@ -210,7 +224,7 @@ def _poses(world: World, rng: np.random.Generator, count: int) -> F64:
     return rng.permutation(camera_poses(np.concatenate([on_drives, anywhere]), CAMERA_X))
 
 
-def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool) -> Iterator[Frame]:
+def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool, size: tuple[int, int]) -> Iterator[Frame]:
     """Yields a frame for each pose, in the scene with random things in it."""
     floor_z = world.scene.floor_z
     places = random_free_poses(world.coarse, int(rng.integers(_THINGS + 1)), rng, clearance=0.25)
@@ -222,7 +236,7 @@ def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool) -
         scene = randomise(scene, int(rng.integers(2**31)), _RECOLOURED)
     lenses = [draw(LENS, rng) for _ in poses]
     specs = [
-        replace(camera_at(x, y, yaw, floor_z, each), outputs=("rgb", "normal_world", "position"))
+        replace(camera_at(x, y, yaw, floor_z, each), width=size[0], height=size[1], outputs=("rgb", "normal_world", "position"))
         for (x, y, yaw), each in zip(poses.tolist(), lenses, strict=True)
     ]
     with Renderer(scene, cache=None if recolour else default_folder()) as renderer:

@@ -8,23 +8,42 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_path_following.goggles import Goggles, GreyWorldGoggles, HistogramGoggles, LearnedGoggles, Look
+from gibson_path_following.goggles import Goggles, GreyWorldGoggles, HistogramGoggles, LearnedGoggles, Look, make_goggles
 from gibson_sim.picture_files import write_picture
 from gibson_sim.writing import write_file
 from gibson_sim_learn.goggles.export import export_network, score_table, write_card
-from gibson_sim_learn.goggles.pairs import U8, Pairs, is_original, load_pairs, load_shard, make_pairs, shard_name
-from gibson_sim_learn.goggles.scoring import score
+from gibson_sim_learn.goggles.pairs import U8, VIEWS, Pairs, is_original, load_pairs, load_shard, make_pairs, shard_name
+from gibson_sim_learn.goggles.scoring import mean_of, score
 from gibson_sim_learn.goggles.settings import GogglesSettings
 from gibson_sim_learn.goggles.training import CurvePoint, Training
+from gibson_sim_learn.path_following.data import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
 
 MODEL, CARD, LOOK, SHEET = "goggles.onnx", "goggles.md", "simulator_look.csv", "sheet.png"
 """Files of a training's folder: the network, its card, how often each level is in the simulator's images, and examples."""
-CHOSEN_BY = "development"
-"""Domain of the validation scenes that the curve is measured in, and parameters are chosen by."""
-JUDGED_IN = (CHOSEN_BY, "reality")
-"""Domains of the validation scenes that the card has scores of."""
-_VALIDATION_SHOTS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """Pairs of the validation scenes."""
+
+    domain: str
+    views: int = VIEWS
+    shots: int = 2
+    size: tuple[int, int] = (WIDTH, HEIGHT)
+    """Width and height of an image, pixels."""
+    every: int = 4
+    """One of so many views is scored."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.domain}-{self.size[0]}x{self.size[1]}"
+
+
+CHOSEN_BY = _Judged("development")
+"""What the curve is measured in, and parameters are chosen by."""
+JUDGED_IN = (CHOSEN_BY, _Judged("reality"), _Judged("reality", views=12, shots=1, size=(640, 480), every=1))
+"""What the card has scores of."""
 _ROWS = 10
 """Rows of the sheet."""
 
@@ -55,19 +74,21 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
     """
     training, drawn = Training(folder, settings), folder / "pairs"
     make_pairs(drawn / "training", TRAINING, settings.shards, settings.seed, shots=settings.shots, progress=progress)
-    for domain in JUDGED_IN:
+    for one in JUDGED_IN:
         make_pairs(
-            drawn / domain,
+            drawn / one.name,
             VALIDATION,
             1,
             settings.seed,
-            shots=_VALIDATION_SHOTS,
-            domains=(domain,),
+            views=one.views,
+            shots=one.shots,
+            domains=(one.domain,),
             recoloured=False,
+            size=one.size,
             progress=progress,
         )
     data = load_pairs(drawn / "training")
-    training.run(data, load_pairs(drawn / CHOSEN_BY), progress)
+    training.run(data, load_pairs(drawn / CHOSEN_BY.name), progress)
     size = export_network(training.network, folder / MODEL)
     originals = [
         load_shard(drawn / "training" / shard_name(scene, number))
@@ -79,13 +100,14 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
     write_file(folder / LOOK, look.as_text())
     ways = ways_of(folder / MODEL, look)
     scores: dict[str, dict[str, str]] = {}
-    for domain in JUDGED_IN:
-        judged = load_pairs(drawn / domain)
-        scores[domain] = {}
-        for name, bring in ways.items():
-            progress(f"scores: {domain}, {name}")
-            scores[domain][name] = str(score(judged, bring))
-    write_picture(folder / SHEET, sheet(load_pairs(drawn / CHOSEN_BY), ways)[..., ::-1])
+    for one in JUDGED_IN:
+        progress(f"scores: {one.name}")
+        judged = load_pairs(drawn / one.name)
+        scores[one.name] = {name: str(score(judged, bring, one.every)) for name, bring in ways.items()}
+        for mode in ("grey_world", "histogram"):
+            brought = [score([part], make_goggles(mode, look=Look.of_images(part.clean)), one.every) for part in judged]
+            scores[one.name][f"{mode}, the scene's own images as reference"] = str(mean_of(brought))
+    write_picture(folder / SHEET, sheet(load_pairs(drawn / CHOSEN_BY.name), ways)[..., ::-1])
     point = training.curve[-1]
     count = sum(part.seen.shape[0] * part.seen.shape[1] for part in data)
     write_card(folder / CARD, settings, training.network, point, count, scores)

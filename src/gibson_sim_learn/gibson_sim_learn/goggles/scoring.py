@@ -37,7 +37,7 @@ def score(pairs: Sequence[Pairs], bring: Callable[[U8], U8], every: int = 1) -> 
 
     Args:
         pairs: shards.
-        bring: returns an image (64, 96, 3) of what a camera saw.
+        bring: returns an image (H, W, 3) of what a camera saw.
         every: only one of so many images is looked at.
     """
     found = []
@@ -48,6 +48,16 @@ def score(pairs: Sequence[Pairs], bring: Callable[[U8], U8], every: int = 1) -> 
                 found.append((psnr(image, part.clean[k]), ssim(image, part.clean[k])))
     means = np.mean(found, axis=0)
     return Score(float(means[0]), float(means[1]), len(found))
+
+
+def mean_of(scores: Sequence[Score]) -> Score:
+    """Returns the mean over all images of some scores."""
+    images = [one.images for one in scores]
+
+    def mean(values: list[float]) -> float:
+        return float(np.average(values, weights=images))
+
+    return Score(mean([one.psnr for one in scores]), mean([one.ssim for one in scores]), sum(images))
 
 
 def psnr(a: U8, b: U8) -> float:

@@ -1,0 +1,52 @@
+"""Goggles: scores by hand, shards that are there whole or not at all, settings that cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import ConfigError
+from gibson_sim_learn.goggles.pairs import Pairs, load_pairs, save_pairs
+from gibson_sim_learn.goggles.scoring import Score, mean_of, psnr, score, ssim
+from gibson_sim_learn.goggles.settings import GogglesSettings
+
+
+def flat(level: int) -> np.ndarray:
+    return np.full((8, 12, 3), level, np.uint8)
+
+
+def test_psnr_by_hand() -> None:
+    # An error of 8 everywhere: 10 log10(255^2 / 64) = 30.07 dB.
+    assert psnr(flat(100), flat(108)) == pytest.approx(30.07, abs=0.01)
+    assert psnr(flat(100), flat(100)) == 60.0
+
+
+def test_ssim_of_flat_images_by_hand() -> None:
+    # No structure: (2 100 200 + 6.5025) / (100^2 + 200^2 + 6.5025) = 0.80003.
+    assert ssim(flat(100), flat(200)) == pytest.approx(0.80003, abs=1e-4)
+    assert ssim(flat(100), flat(100)) == pytest.approx(1.0)
+
+
+def test_a_score_is_the_mean_over_all_shots_of_the_views_that_are_looked_at() -> None:
+    part = Pairs(np.stack([flat(100), flat(100)]), np.stack([[flat(100), flat(108)], [flat(0), flat(0)]]))
+    found = score([part], lambda image: image, every=2)
+    assert (found.images, found.psnr) == (2, pytest.approx((60.0 + 30.07) / 2, abs=0.01))
+    assert mean_of([Score(10.0, 0.5, 3), Score(30.0, 0.9, 1)]) == Score(15.0, pytest.approx(0.6), 4)
+
+
+def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds no pairs; run gibson-sim learn goggles"):
+        load_pairs(tmp_path)
+    save_pairs(tmp_path / "room-000", Pairs(flat(1)[None], flat(2)[None, None]))
+    (found,) = load_pairs(tmp_path)
+    assert (found.clean == 1).all() and (found.seen == 2).all()
+    (tmp_path / "room-000" / "seen.npy").write_bytes(b"cut")
+    with pytest.raises(ConfigError, match=r"room-000: holds no pairs: .*; delete it, and run the command again"):
+        load_pairs(tmp_path)
+
+
+def test_settings_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ConfigError, match="batch is 0, must be 1 to 4096"):
+        GogglesSettings(batch=0)
