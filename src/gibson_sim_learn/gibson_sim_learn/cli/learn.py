@@ -85,6 +85,9 @@ def _add_filler(kinds: Any) -> None:
         description="Needs gibson_sim_tools with its extra scanning.",
     )
     add_settings(pairs, PairsSettings, ("shards", "frames", "triangles", "seed"))
+    pairs.add_argument(
+        "--scenes", metavar="NAMES", help="only these, with commas; several processes may work on different scenes (default: all)"
+    )
     pairs.set_defaults(run=run_filler_pairs)
     train = steps.add_parser("train", parents=[folder], help="train with these pairs; writes training/filler.onnx")
     add_settings(
@@ -147,15 +150,15 @@ def run_goggles(args: argparse.Namespace) -> int:
 @quiet()
 def run_filler_pairs(args: argparse.Namespace) -> int:
     """Draws pairs for the filler, and prints where they are."""
-    from gibson_sim_learn.filler.pipeline import PAIRS, make_all_pairs
+    from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
 
     settings = settings_from_args(PairsSettings, args)
     progress = _Progress(CONSOLE)
     try:
-        shards = make_all_pairs(args.folder, settings, progress.tell)
+        make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), progress.tell)
     finally:
         CONSOLE.status("")
-    print(f"{args.folder / PAIRS}: {shards} shards for training; next: gibson-sim learn filler train --folder {args.folder}")
+    print(f"{args.folder / PAIRS} holds the pairs; next: gibson-sim learn filler train --folder {args.folder}")
     return 0
 
 

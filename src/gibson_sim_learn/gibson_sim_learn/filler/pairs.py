@@ -55,8 +55,8 @@ _NEAREST = 0.25
 """Views are left out that see something nearer than this in more than a tenth of their pixels, metres."""
 _TOGETHER = 16
 """Images that are drawn side by side."""
-_ROUNDS = 12
-"""Batches of poses that are tried, each of the size of a shard."""
+_MOST_TRIED = 12
+"""Poses that are tried for each view of a shard, at most."""
 _NORMAL_STEPS = 127.0
 _DIGEST = "digest.txt"
 _T_CAMERA_OPTICAL = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(-math.pi / 2.0, 0.0, -math.pi / 2.0)))
@@ -134,14 +134,16 @@ def draw_pairs(places: Places, seed: int, number: int, *, views: int = VIEWS) ->
     digest = hashlib.sha256(f"filler {seed} {places.scene.name} {number}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     kept: list[tuple[Frame, Frame]] = []
-    for _ in range(_ROUNDS):
-        cameras = _cameras(places, rng, views)
+    tried = 0
+    while len(kept) < views:
+        if tried >= _MOST_TRIED * views:
+            raise ConfigError(
+                f"scene {places.scene.name}: only {len(kept)} of {tried} views see enough of its scan; scan it with more frames"
+            )
+        cameras = _cameras(places, rng, max(_TOGETHER, views - len(kept)))
         kept += [pair for pair in drawn_pairs(places, cameras) if _is_useful(*pair)]
-        if len(kept) >= views:
-            return _packed(kept[:views])
-    raise ConfigError(
-        f"scene {places.scene.name}: only {len(kept)} of {_ROUNDS * views} views see enough of its scan; scan it with more frames"
-    )
+        tried += len(cameras)
+    return _packed(kept[:views])
 
 
 def drawn_pairs(places: Places, cameras: Sequence[CameraSpec]) -> Iterator[tuple[Frame, Frame]]:

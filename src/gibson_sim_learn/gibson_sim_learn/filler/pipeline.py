@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gibson_sim.errors import ConfigError
 from gibson_sim.picture_files import write_picture
+from gibson_sim.quoting import quoted
 from gibson_sim_learn.filler.evaluation import (
     Flicker,
     as_json,
@@ -30,6 +32,7 @@ from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 SCANS, PAIRS, TRAINED = "scans", "pairs", "training"
 """Folders of a filler's folder."""
 MODEL, CARD = "filler.onnx", "filler.md"
+SCENES = (*TRAINING, *VALIDATION, *HELD_OUT)
 _JUDGED_SHARDS = 2
 """Shards of scenes that judge."""
 
@@ -56,18 +59,25 @@ class Evaluated:
     """The same for JSON."""
 
 
-def make_all_pairs(folder: Path, settings: PairsSettings, progress: Callable[[str], None] = lambda text: None) -> int:
-    """Scans all scenes and draws the pairs, as far as that is not done; returns the number of shards for training.
+def make_all_pairs(
+    folder: Path,
+    settings: PairsSettings,
+    scenes: Sequence[str] = SCENES,
+    progress: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Scans scenes and draws their pairs, as far as that is not done.
 
     Raises:
-        GibsonSimError: nothing can be drawn here, a stage failed, or the folder holds scans of other settings.
+        GibsonSimError: a scene is unknown, nothing can be drawn here, a stage failed, or the folder holds scans of other settings.
     """
-    for scene in (*TRAINING, *VALIDATION, *HELD_OUT):
+    for scene in scenes:
+        if scene not in SCENES:
+            raise ConfigError(f"scene {quoted(scene)} is none of the filler's, must be one of {', '.join(SCENES)}")
+    for scene in scenes:
         progress(f"scanning {scene}")
         scan = make_scan(scene, folder / SCANS / scene, settings)
         count = settings.shards if scene in TRAINING else _JUDGED_SHARDS
         make_pairs(folder / PAIRS, scene, scan, count, settings.seed, progress)
-    return settings.shards * len(TRAINING)
 
 
 def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], None] = lambda text: None) -> Trained:

@@ -37,14 +37,14 @@ def stages(scene: str, folder: Path, settings: PairsSettings) -> dict[str, tuple
     """
     scan, mesh, textured = folder / "scan", folder / "mesh.ply", folder / TEXTURED
     width, height = _SIZE
-    options = {
+    options: dict[str, list[object]] = {
         "scan": [scene, "--preset", "kinect", "--frames", settings.frames, "--width", width, "--height", height, "--seed", settings.seed + 1],
         "fuse": [scan, "--voxel", _VOXEL, "--triangles", settings.triangles],
         "texture": [scan, mesh],
     }  # fmt: skip
     outputs = {"scan": scan, "fuse": mesh, "texture": textured}
     return {
-        stage: (["scene", stage, *map(str, given), "--output", str(outputs[stage])], outputs[stage])
+        stage: (["scene", stage, *(str(word) for word in given), "--output", str(outputs[stage])], outputs[stage])
         for stage, given in options.items()
     }
 

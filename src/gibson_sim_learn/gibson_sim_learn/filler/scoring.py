@@ -68,11 +68,11 @@ class Scoring:
 
     def score(self) -> Score:
         """Returns the score of all pictures so far, at least one; NaN for what they have no pixels of."""
-        psnr, ssim = [], []
-        for pixels, error, alike in self._sums.tolist():
-            psnr.append(_psnr(error / pixels) if pixels else math.nan)
-            ssim.append(alike / pixels if pixels else math.nan)
-        return Score(*psnr, *ssim, float(np.mean(self._gmsd)))
+        (hole_psnr, hole_ssim), (seen_psnr, seen_ssim) = (
+            (_psnr(error / pixels), alike / pixels) if pixels else (math.nan, math.nan)
+            for pixels, error, alike in self._sums.tolist()
+        )
+        return Score(hole_psnr, seen_psnr, hole_ssim, seen_ssim, float(np.mean(self._gmsd)))
 
 
 def ssim_map(a: U8, b: U8) -> F64:
