@@ -91,6 +91,7 @@ sys.exit(0 if display and any(initialize(display(kind, native, None), None, None
 COMPILED = tuple(
     ROOT / "src" / "gibson_sim" / "gibson_sim" / file
     for file in (
+        "filling/inputs.py",
         "physics/frames.py",
         "render/lod/lod_selection.py",
         "render/culling/occlusion_culling.py",
@@ -103,9 +104,11 @@ FIRST_IMAGE = """
 import gibson_sim as gs
 with gs.Simulation("linden_flat") as sim:
     sim.step(seconds=0.1)
-    sim.render("camera", outputs=["rgb", "depth"])
+    sim.render("camera", outputs=["rgb", "depth", "hole"])
 import numpy as np
+from gibson_sim.filling.inputs import packed
 from gibson_sim.geometry.compiling import fixed
+packed(np.zeros((1, 1, 3), np.uint8), np.ones((1, 1), np.float32), np.zeros((1, 1, 3), np.float32), np.zeros((1, 1), np.uint8))
 from gibson_sim.render.draw.splat_raster import COLUMNS, blend_tiles, place_in_tiles
 tiled = place_in_tiles(fixed(np.ones((1, COLUMNS), np.float32)), 16, 16)
 blend_tiles(*tiled, fixed(np.zeros((16, 16), np.float32)), np.zeros((16, 16, 4), np.float32), 0, 1)

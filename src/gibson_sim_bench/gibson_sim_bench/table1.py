@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,8 @@ from gibson_sim.physics.engine import pybullet
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.context import gl as GL
 from gibson_sim.render.draw.hole_filling import HoleFilling
-from gibson_sim.render.readback.frames import Readback
+from gibson_sim.render.draw.target import RenderTarget
+from gibson_sim.render.readback.frames import Readback, TargetImage
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import scene_roots
@@ -98,9 +99,9 @@ class RendererPair:
         self.plain = stack.enter_context(Renderer(scene, **options))
         self.clock: Clock = stack.enter_context(opengl_calls())
         self._timed = stack.enter_context(Renderer(scene, **options))
-        self._fill = stack.enter_context(calls_of(HoleFilling, "fill"))
         self._readback = Readback(self._timed.context)
         self._finish = GL.Gl(self._timed.context).glFinish
+        self._fill = stack.enter_context(filling(self._finish))
         self.triangles = int(self.plain.info["triangles"])
 
     def apart(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, dict[str, float]]:
@@ -115,6 +116,20 @@ class RendererPair:
         (frame,) = self._readback.frames(target, shots)
         values |= {"draw": (drawn - began) / 1e6 - filling, "read back": (time.perf_counter_ns() - drawn) / 1e6}
         return frame, values | ({"fill": filling} if camera.fill else {})
+
+
+@contextmanager
+def filling(finish: Callable[[], None]) -> Iterator[Clock]:
+    """Times all filling of holes inside the block; ``finish`` waits for what is drawn before, which filling would wait for."""
+    with calls_of(HoleFilling, "fill") as clock:
+        timed = HoleFilling.fill
+
+        def fill(self: HoleFilling, target: RenderTarget, image: TargetImage) -> None:
+            finish()
+            timed(self, target, image)
+
+        HoleFilling.fill = fill  # type: ignore[method-assign]
+        yield clock
 
 
 def _with_physics(
