@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim_tools.cli.importing import unit_m
 
 if TYPE_CHECKING:
@@ -42,6 +43,11 @@ def add_parser(subparsers: Any) -> None:
         help="--fix: approximate up direction of the scene, if it is not found: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
     )  # fmt: skip
     check.add_argument("--unit", metavar="UNIT", help="--fix: unit of the scene: m, cm, mm, inch, foot, km, or metres per unit")
+    check.add_argument(
+        "--align-splats",
+        action="store_true",
+        help="find pose and scale at which the splats lie on the mesh, and write them into scene.yaml",
+    )
     check.set_defaults(run=_check)
 
 
@@ -80,8 +86,14 @@ def _check(args: argparse.Namespace) -> ExitCode:
         raise ConfigError("--up turns the scene and --no-level leaves it as it is: give one of them")
     if not 64 <= args.max_texture <= 16384:
         raise ConfigError(f"--max-texture is {args.max_texture}, must be 64 to 16384 pixels")
+    if args.align_splats and args.fix:
+        raise ConfigError(
+            "--align-splats changes scene.yaml, and --fix writes a copy, with splats aligned if they need it: give one of them"
+        )
     factor = unit_m(args.unit)
     up = _up(args.up)
+    if args.align_splats:
+        _align_splats(args.scene, args.json)
     report = _report(args.scene)
     if not args.fix:
         _print(report, args.json)
@@ -96,6 +108,26 @@ def _check(args: argparse.Namespace) -> ExitCode:
         print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'mended'}: {file}")
     _print(mended, args.json)
     return ExitCode.OK if mended.clean else ExitCode.ERROR
+
+
+@quiet()
+def _align_splats(name: str, as_json: bool) -> None:
+    """Writes where the splats of a scene lie on its mesh into its scene.yaml."""
+    import numpy as np
+
+    from gibson_sim.scenes.load import DESCRIPTION, load_scene
+    from gibson_sim_tools.importing.checks.facts import scene_geometry
+    from gibson_sim_tools.importing.checks.splat_alignment import align_splats
+    from gibson_sim_tools.importing.checks.splats_in_yaml import write_visual
+
+    scene = load_scene(name)
+    if scene.splats is None:
+        raise SceneError(f"scene {quoted(scene.name)} has no splats to align: name their file under visual in its {DESCRIPTION}")
+    geometry = scene_geometry(scene)
+    aligned = align_splats(scene.splats, geometry.vertices[geometry.triangles], np.random.default_rng(0))
+    line = write_visual(scene.root / DESCRIPTION, aligned.spec)
+    if not as_json:
+        print(f"{aligned.text()}\n{scene.root / DESCRIPTION}: {line}")
 
 
 def _up(text: str | None) -> Vec3 | None:

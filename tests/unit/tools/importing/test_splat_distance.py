@@ -66,12 +66,22 @@ def test_faint_splats_do_not_count_and_without_solid_ones_nothing_is_near(tmp_pa
     assert found.median == np.inf
 
 
-def test_check_reports_an_error_above_three_centimetres_and_nothing_is_mended(tmp_path: Path) -> None:
+def test_check_reports_an_error_above_three_centimetres(tmp_path: Path) -> None:
     (tmp_path / "s.ply").write_bytes(splats_ply(_splats(tmp_path)))
     (tmp_path / "scene.yaml").write_text(f"{FLOOR}visual: {{splats: s.ply, pose: {{xyz: [0, 0, 0.3]}}}}\n")
-    report = check_path(tmp_path)
-    (finding,) = [f for f in report.findings if f.what.startswith("splats")]
-    assert (finding.what, finding.level) == ("splats-apart", "error")
+    (finding,) = [f for f in check_path(tmp_path).findings if f.what.startswith("splats")]
+    assert (finding.what, finding.level, finding.fixable) == ("splats-apart", "error", True)
     assert "splats of degree 0: half of the solid ones are within" in finding.text and "at most 3 cm are allowed" in finding.text
-    with pytest.raises(SceneError, match="has splats, which a mended copy would lose"):
-        fix_scene(report, tmp_path / "mended", FixOptions())
+
+
+@pytest.mark.parametrize(("visual", "before"), [("", "splats"), (", pose: {xyz: [0, 0, 0.3]}, scale: 2", "splats-apart")])
+def test_a_mended_copy_has_the_splats_where_its_mesh_is(tmp_path: Path, visual: str, before: str) -> None:
+    (tmp_path / "s.ply").write_bytes(splats_ply(_splats(tmp_path)))
+    (tmp_path / "scene.yaml").write_text(f"{FLOOR}visual: {{splats: s.ply{visual}}}\n")
+    report = check_path(tmp_path)
+    assert before in {f.what for f in report.findings}
+    file, mended = fix_scene(report, tmp_path / "mended", FixOptions(unit_m=0.5))
+    spec = load_scene(file).splats
+    assert spec is not None and Path(spec.file) == (tmp_path / "mended" / "assets" / "s.ply").resolve()
+    assert spec.scale == pytest.approx(0.5, abs=1e-3) and spec.pose.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    assert "splats" in {f.what for f in mended.findings}

@@ -24,7 +24,7 @@ from gibson_sim_tools.importing.checks.facts import DrawnGeometry, SceneFacts, f
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
 from gibson_sim_tools.importing.checks.islands import islands
-from gibson_sim_tools.importing.checks.splats import splat_distance
+from gibson_sim_tools.importing.checks.splats import SPLATS_APART, splat_distance
 from gibson_sim_tools.importing.document import ASSETS
 from gibson_sim_tools.importing.left_out import read_left_out
 from gibson_sim_tools.importing.scans import SCAN_FROM, SCAN_SHARE
@@ -37,8 +37,6 @@ MAX_MEMORY_MB = 2048.0
 """Memory limit of all textures, MB."""
 HOLE_FROM = 0.3
 """Least boundary length of a reported hole, metres."""
-SPLATS_APART = 0.03
-"""Median distance of splats from the mesh, metres, above which pictures and depth show two different rooms."""
 VIEW_HOLES_FROM, VIEW_HOLES_WARNED = 0.001, 0.02
 """Share of a robot's views that is hole from which it is reported, and from which it is a warning in a scan."""
 NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date", "view-holes"}
@@ -321,13 +319,14 @@ def _splats(scene: SceneSpec, geometry: DrawnGeometry) -> Iterator[SceneFinding]
         return
     found = splat_distance(scene.splats, geometry.vertices[geometry.triangles], np.random.default_rng(0))
     if found.median > SPLATS_APART:
-        remedy = "give the pose, scale and up_axis of the splats under visual in scene.yaml, or splats of this room"
+        remedy = "--align-splats finds pose and scale (--fix does so for a copy); or give them under visual in scene.yaml"
         yield SceneFinding(
             "splats-apart",
             "error",
             f"{found.text()}; at most {100.0 * SPLATS_APART:g} cm are allowed",
             remedy,
-            amount=found.median,
+            True,
+            found.median,
         )
     else:
         yield SceneFinding("splats", "note", found.text(), amount=found.median)

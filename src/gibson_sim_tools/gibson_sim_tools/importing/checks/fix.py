@@ -22,13 +22,16 @@ from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import scene_roots
-from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.scenes.spec import SceneSpec, SplatsSpec
 from gibson_sim.types import Pose, Vec3
+from gibson_sim.writing import cannot_write, write_file
 from gibson_sim_tools.importing.checks.check import MAX_SIDE, NEED_UPRIGHT, SceneReport, check_path, left_out
 from gibson_sim_tools.importing.checks.facts import former_up, is_told
 from gibson_sim_tools.importing.checks.faults import find_faults
 from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
-from gibson_sim_tools.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
+from gibson_sim_tools.importing.checks.splat_alignment import align_splats, moved_splats
+from gibson_sim_tools.importing.checks.splats_in_yaml import visual_line, write_visual
+from gibson_sim_tools.importing.document import ASSETS, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.importers import UNSEEN, assigned, light_document
 from gibson_sim_tools.importing.labels import some_triangles
 
@@ -67,13 +70,14 @@ _AMOUNTS = {
     "non-manifold": _Amount("non-manifold edges"),
     "holes": _Amount("open rims", "m", 0.01, 0.3),
     "view-holes": _Amount("holes in the views of a robot", "%", 0.05, 0.01),
+    "splats-apart": _Amount("distance of half of the splats from the mesh", "m", 0.05, 0.005),
     "missing": _Amount("missing files"),
     "missing-texture": _Amount("missing textures"),
     "huge-texture": _Amount("textures that are too large"),
     "textures-memory": _Amount("memory of all textures", "MB", 0.0, 1.0),
 }
 """What the amount of each kind of finding means."""
-_METRIC = {"holes"}
+_METRIC = {"holes", "splats-apart"}
 """Findings whose amount is meaningless unless the scene is in metres."""
 _COUNTED, _FEW = {"degenerate", "inverted", "non-manifold"}, 0.001
 """Findings that rounding of coordinates may cause, and the share of all triangles that it may."""
@@ -115,10 +119,6 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
         raise SceneError(f"the scene cannot be read, so nothing can be mended: {report.findings[0].text}")
     if report.scene.bodies:
         raise SceneError(f"scene {quoted(report.scene.name)} has bodies that move; mend the meshes that it is made of one by one")
-    if report.scene.splats is not None:
-        raise SceneError(
-            f"scene {quoted(report.scene.name)} has splats, which a mended copy would lose: mend it without `visual`, then add that again"
-        )
     scene = report.scene
     matrix = np.eye(4)
     if fix.level:
@@ -149,7 +149,11 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
         Omission(f.text, OmissionKind.UP_UNCLEAR) for f in report.findings if f.what == "up-unclear" and fix.up is None
     ]
     file = write_scene(out, output)
+    if scene.splats is not None:
+        _carry_splats(scene.splats, matrix, file)
     mended = check_path(file)
+    if scene.splats is not None and any(finding.what == "splats-apart" for finding in mended.findings):
+        mended = _aligned(mended, file)
     worse = made_worse(report, mended)
     if worse:
         shutil.rmtree(output, ignore_errors=True)
@@ -233,6 +237,31 @@ def _level_height(about: float, heights: F64, areas: F64) -> float:
     order = np.argsort(heights[near])
     sums = np.cumsum(areas[near][order])
     return float(heights[near][order][int(np.searchsorted(sums, sums[-1] / 2))])
+
+
+def _carry_splats(splats: SplatsSpec, matrix: F64, file: Path) -> None:
+    """Copies the splats of a scene into a mended copy, in which everything was transformed by ``matrix``."""
+    copy = file.parent / ASSETS / Path(splats.file).name
+    try:
+        copy.parent.mkdir(exist_ok=True)
+        shutil.copyfile(splats.file, copy)
+    except OSError as e:
+        shutil.rmtree(file.parent, ignore_errors=True)
+        raise cannot_write(copy, e) from e
+    line = visual_line(moved_splats(splats, matrix), copy.relative_to(file.parent).as_posix())
+    write_file(file, f"{file.read_text(encoding='utf-8')}{line}\n")
+
+
+def _aligned(report: SceneReport, file: Path) -> SceneReport:
+    """Returns the report on a mended copy after its splats are brought onto its mesh; the same one if no pose is found."""
+    if report.scene is None or report.scene.splats is None or report.geometry is None:
+        return report
+    g = report.geometry
+    try:
+        write_visual(file, align_splats(report.scene.splats, g.vertices[g.triangles], np.random.default_rng(0)).spec)
+    except SceneError:
+        return report
+    return check_path(file)
 
 
 def _start(name: str, pose: Pose, matrix: F64) -> dict[str, object]:

@@ -17,6 +17,8 @@ from gibson_sim.scenes.spec import SplatsSpec
 F64 = NDArray[np.float64]
 SOLID = 0.5
 """Least opacity of a splat that counts: fainter ones are haze and reflections."""
+SPLATS_APART = 0.03
+"""Median distance of splats from the mesh, metres, above which pictures and depth show two different rooms."""
 _SPLATS = 20_000
 """Splats that are measured, of all that count."""
 _SPACING = 0.02
@@ -45,6 +47,33 @@ class SplatDistance:
         )
 
 
+class Surface:
+    """The surface of a mesh as points with normals.
+
+    Args:
+        corners: (F, 3, 3), corners of its triangles, metres; with an area.
+        rng: places the points.
+        most: number of points at most.
+    """
+
+    def __init__(self, corners: F64, rng: np.random.Generator, most: int = _MOST_POINTS) -> None:
+        area = float(areas_of(corners).sum())
+        self.points, which = spread_over(corners, min(round(area / _SPACING**2) + 1000, most), rng)
+        """(N, 3), metres."""
+        self.normals: F64 = unit_normals(corners)[which]
+        """(N, 3)."""
+        self._tree = cKDTree(self.points)
+        # Beside a point of the surface the surface itself is nearer than that point, up to where the next point lies.
+        self._reach = 2.0 * (area / len(self.points)) ** 0.5
+
+    def nearest(self, positions: F64) -> tuple[F64, NDArray[np.int64]]:
+        """Returns the distances (N,), metres, of positions (N, 3) from the surface, and the nearest points."""
+        far, nearest = self._tree.query(positions)
+        across = np.abs(((positions - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
+        distances = np.where(np.sqrt(np.maximum(far**2 - across**2, 0.0)) <= self._reach, across, far)
+        return distances, np.asarray(nearest, dtype=np.int64)
+
+
 def splat_distance(spec: SplatsSpec, corners: F64, rng: np.random.Generator) -> SplatDistance:
     """Returns how far the splats and the mesh of a scene lie apart; infinitely if there is no mesh, or no solid splat.
 
@@ -58,18 +87,25 @@ def splat_distance(spec: SplatsSpec, corners: F64, rng: np.random.Generator) -> 
     """
     splats = load_splats(Path(spec.file))
     positions = solid_positions(spec, splats)
-    if len(positions) > _SPLATS:
-        positions = positions[rng.choice(len(positions), _SPLATS, replace=False)]
-    area = float(areas_of(corners).sum()) if len(corners) else 0.0
-    if not len(positions) or not area > 0.0:
+    if not len(positions) or not has_area(corners):
         return SplatDistance(len(splats), splats.degree, np.inf, np.inf)
-    points, which = spread_over(corners, min(round(area / _SPACING**2) + 1000, _MOST_POINTS), rng)
-    far, nearest = cKDTree(points).query(positions)
-    # Beside a point of the surface the surface itself is nearer than that point, up to where the next point lies.
-    across = np.abs(((positions - points[nearest]) * unit_normals(corners)[which[nearest]]).sum(axis=1))
-    reach = 2.0 * (area / len(points)) ** 0.5
-    distances = np.where(np.sqrt(np.maximum(far**2 - across**2, 0.0)) <= reach, across, far)
+    return measured(splats, some_of(positions, rng), Surface(corners, rng))
+
+
+def some_of(positions: F64, rng: np.random.Generator) -> F64:
+    """Returns as many of the positions (N, 3) as are measured."""
+    return positions[rng.choice(len(positions), _SPLATS, replace=False)] if len(positions) > _SPLATS else positions
+
+
+def measured(splats: Splats, positions: F64, surface: Surface) -> SplatDistance:
+    """Returns the distance of splats, of which solid ones are at ``positions`` (N, 3), from a surface."""
+    distances, _ = surface.nearest(positions)
     return SplatDistance(len(splats), splats.degree, float(np.median(distances)), float(np.quantile(distances, 0.9)))
+
+
+def has_area(corners: F64) -> bool:
+    """Returns whether triangles (F, 3, 3) have any area."""
+    return bool(len(corners) and areas_of(corners).sum() > 0.0)
 
 
 def solid_positions(spec: SplatsSpec, splats: Splats) -> F64:

@@ -1,0 +1,65 @@
+"""Writes where the splats of a scene are into its scene.yaml; all its other lines stay as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from gibson_sim.errors import SceneError, TextError
+from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.reading import parse_yaml, read_file
+from gibson_sim.scenes.spec import SplatsSpec
+from gibson_sim.writing import write_file
+from gibson_sim_tools.importing.document import rpy_deg
+
+_KEY = "visual"
+
+
+def visual_line(spec: SplatsSpec, name: str) -> str:
+    """Returns the line of a scene.yaml for splats; ``name``: path of their file from there."""
+    visual = {
+        "splats": name,
+        "up_axis": "z",
+        "pose": {"xyz": [round(c, 5) + 0.0 for c in spec.pose.position], "rpy_deg": rpy_deg(matrix_from_pose(spec.pose))},
+        "scale": float(f"{spec.scale:.7g}"),
+    }
+    return (
+        f"{_KEY}: {yaml.safe_dump(visual, default_flow_style=True, sort_keys=False, allow_unicode=True, width=10_000)}".rstrip()
+    )
+
+
+def write_visual(file: Path, spec: SplatsSpec) -> str:
+    """Writes the pose and the scale of splats into a scene.yaml that has them, and returns the new line.
+
+    Raises:
+        SceneError: the file cannot be read, or its layout is such that no line can stand in for the old ones.
+        WriteError: it cannot be written.
+    """
+    try:
+        text = read_file(file).decode("utf-8")
+    except OSError as e:
+        raise SceneError(f"{file}: cannot be read: {e.strerror or e}") from e
+    before = parse_yaml(text)
+    line = visual_line(spec, before[_KEY]["splats"])
+    document = yaml.compose(text, yaml.SafeLoader)
+    pairs: list[tuple[yaml.Node, yaml.Node]] = [] if document is None else document.value
+    key, value = next(pair for pair in pairs if pair[0].value == _KEY)
+    changed = text[: key.start_mark.index] + line + text[_end(value) :]
+    try:
+        alike = parse_yaml(changed) == {**before, **parse_yaml(line)}
+    except TextError:
+        alike = False
+    if not alike:
+        raise SceneError(f"{file}: `{_KEY}` is written in a way that cannot be replaced; write instead: {line}")
+    write_file(file, changed)
+    return line
+
+
+def _end(node: yaml.Node) -> int:
+    """Returns the index after the last character of a node; a mapping of several lines would end where the next key begins."""
+    if isinstance(node, yaml.MappingNode) and not node.flow_style:
+        return _end(node.value[-1][1])
+    if isinstance(node, yaml.SequenceNode) and not node.flow_style:
+        return _end(node.value[-1])
+    return int(node.end_mark.index)
