@@ -13,6 +13,7 @@ from gibson_sim_tools.from_photographs.depth_frames import depth_frames
 from gibson_sim_tools.importing.sources import USD_SUFFIXES
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
+from gibson_sim_tools.texturing.phone_layouts import record3d_images
 from gibson_sim_tools.texturing.photograph_layouts import open_photographs
 from gibson_sim_tools.texturing.photographs import Photographs
 
@@ -33,17 +34,13 @@ _IMAGE_FOLDERS = (
 )
 _SIGNS = (
     "transforms.json", "sparse", "dense/sparse", "colmap/sparse", "cameras.txt", "cameras.bin", "images.txt", "images.bin", "keyframes",
-    "trajectory.log", "groundtruth.txt", "scan.json", "rgb", "rgbd", "EXR_RGBD",
+    "trajectory.log", "groundtruth.txt", "scan.json",
 )  # fmt: skip
 """Files and folders of poses: what has one is a folder of photographs, although a mesh lies beside them."""
 _MESH_FOLDERS = ("", "dense", "dense/0", "mesh", "meshes", "exports", "exports/mesh")
 """Where programs put the mesh."""
 _FIRST = ("mesh.ply", "mesh.glb", "mesh.obj", "raw.glb", "poisson_mesh.ply", "meshed-poisson.ply", "meshed-delaunay.ply")
 """Names that are taken before others."""
-_MADE_WITH = (
-    "COLMAP finds poses (colmap automatic_reconstructor), nerfstudio does (ns-process-data), and apps for scanning export them "
-    "(Polycam, Record3D, Scaniverse)"
-)
 _FACES = re.compile(rb"element\s+face\s+(\d+)")
 _HEADER_BYTES = 64 * 1024
 _SHOWN = 6
@@ -78,6 +75,8 @@ def is_of_photographs(folder: Path) -> bool:
         return False
     if any((folder / sign).exists() for sign in _SIGNS) or any(layout.looks_like(folder) for layout in LAYOUTS):
         return True
+    if record3d_images(folder) is not None:
+        return True
     known = (*MESH_SUFFIXES, *USD_SUFFIXES, ".world", ".sdf", ".dmd.yaml")
     if any(p.name.lower().endswith(known) for p in folder.iterdir()):
         return False
@@ -109,8 +108,8 @@ def find(folder: Path, mesh: Path | None, *, fuse: bool, longest: int, leave_out
         if not is_file(chosen):
             raise ScanError(f"--mesh {chosen}: is no file; give the mesh of the scan")
         return Found(photographs, None, chosen)
-    known = any(layout.looks_like(folder) for layout in LAYOUTS)
-    rgbd = open_posed_rgbd(folder) if known else depth_frames(photographs)
+    is_rgbd = photographs.layout in {layout.name for layout in LAYOUTS}
+    rgbd = open_posed_rgbd(folder) if is_rgbd else depth_frames(photographs)
     if rgbd is None:
         raise ScanError(
             f"{folder}: has {len(photographs)} photographs with poses ({photographs.layout}), but neither depth images that can be fused nor a "
