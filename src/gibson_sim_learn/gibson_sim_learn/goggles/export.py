@@ -81,7 +81,7 @@ def write_card(
         f"- **Trained in**: {', '.join(TRAINING)}, light and cameras of the domains {', '.join(f'`{name}`' for name in DRAWN_FROM)}. "
         f"**Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
         f"- **Data**: {pairs} pairs of 96x64 pixels; drawn by Gibson Sim, no photograph of the world.",
-        f"- **Command**: `gibson-sim learn goggles --seed {settings.seed}`",
+        f"- **Command**: `gibson-sim learn goggles --seed {settings.seed} --iterations {settings.iterations}`",
         f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
         "- **Licence**: Apache-2.0, as Gibson Sim.",

@@ -17,6 +17,8 @@ _MAPS = 4
 """Maps of gains that are chosen among."""
 _DETAIL = 24
 """Channels of the layers that see every pixel."""
+_LEAK = 0.1
+"""Slope below 0 of the layers that see every pixel: nothing normalises them, and with none a whole layer died."""
 _LARGEST_GAIN = 3.0
 """Natural logarithm of the largest factor on a colour as it is in the file (not linear)."""
 
@@ -31,13 +33,13 @@ class GogglesNetwork(nn.Module):
         self.whole = nn.Sequential(nn.Linear(64 + 6, 64), nn.ReLU(), nn.Linear(64, 64))
         self.back = nn.Conv2d(64, 32, 1)
         self.maps = nn.Sequential(_Residual(32), nn.Conv2d(32, 3 * _MAPS, 1))
-        self.detail = nn.Sequential(nn.Conv2d(12, _DETAIL, 3, padding=1), nn.ReLU())
+        self.detail = nn.Sequential(nn.Conv2d(12, _DETAIL, 3, padding=1), nn.LeakyReLU(_LEAK))
         self.choice = nn.Conv2d(_DETAIL, 4 * _MAPS, 1)
         self.residual = nn.Sequential(
             nn.Conv2d(_DETAIL + 12, _DETAIL, 3, padding=1),
-            nn.ReLU(),
+            nn.LeakyReLU(_LEAK),
             nn.Conv2d(_DETAIL, _DETAIL, 3, padding=1),
-            nn.ReLU(),
+            nn.LeakyReLU(_LEAK),
             nn.Conv2d(_DETAIL, 12, 3, padding=1),
         )
         # Untrained, it returns its input.

@@ -74,21 +74,9 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
     """
     training, drawn = Training(folder, settings), folder / "pairs"
     make_pairs(drawn / "training", TRAINING, settings.shards, settings.seed, shots=settings.shots, progress=progress)
-    for one in JUDGED_IN:
-        make_pairs(
-            drawn / one.name,
-            VALIDATION,
-            1,
-            settings.seed,
-            views=one.views,
-            shots=one.shots,
-            domains=(one.domain,),
-            recoloured=False,
-            size=one.size,
-            progress=progress,
-        )
+    chosen_by = _drawn(CHOSEN_BY, drawn, settings.seed, progress)
     data = load_pairs(drawn / "training")
-    training.run(data, load_pairs(drawn / CHOSEN_BY.name), progress)
+    training.run(data, chosen_by, progress)
     size = export_network(training.network, folder / MODEL)
     originals = [
         load_shard(drawn / "training" / shard_name(scene, number))
@@ -101,13 +89,13 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
     ways = ways_of(folder / MODEL, look)
     scores: dict[str, dict[str, str]] = {}
     for one in JUDGED_IN:
+        judged = _drawn(one, drawn, settings.seed, progress)
         progress(f"scores: {one.name}")
-        judged = load_pairs(drawn / one.name)
         scores[one.name] = {name: str(score(judged, bring, one.every)) for name, bring in ways.items()}
         for mode in ("grey_world", "histogram"):
             brought = [score([part], make_goggles(mode, look=Look.of_images(part.clean)), one.every) for part in judged]
             scores[one.name][f"{mode}, the scene's own images as reference"] = str(mean_of(brought))
-    write_picture(folder / SHEET, sheet(load_pairs(drawn / CHOSEN_BY.name), ways)[..., ::-1])
+    write_picture(folder / SHEET, sheet(chosen_by, ways)[..., ::-1])
     point = training.curve[-1]
     count = sum(part.seen.shape[0] * part.seen.shape[1] for part in data)
     write_card(folder / CARD, settings, training.network, point, count, scores)
@@ -133,3 +121,20 @@ def sheet(pairs: Sequence[Pairs], ways: dict[str, Goggles]) -> U8:
         seen = np.ascontiguousarray(part.seen[view, 0])
         rows.append(np.concatenate([*(bring(seen) for bring in ways.values()), part.clean[view]], axis=1))
     return np.concatenate(rows).repeat(2, axis=0).repeat(2, axis=1)
+
+
+def _drawn(judged: _Judged, folder: Path, seed: int, progress: Callable[[str], None]) -> list[Pairs]:
+    """Returns pairs of the validation scenes, which are drawn if they are not there."""
+    make_pairs(
+        folder / judged.name,
+        VALIDATION,
+        1,
+        seed,
+        views=judged.views,
+        shots=judged.shots,
+        domains=(judged.domain,),
+        recoloured=False,
+        size=judged.size,
+        progress=progress,
+    )
+    return load_pairs(folder / judged.name)

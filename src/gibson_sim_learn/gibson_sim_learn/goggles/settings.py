@@ -24,7 +24,7 @@ class GogglesSettings:
     """Steps of the optimiser."""
     batch: int = 16
     """Pairs in a step."""
-    learning_rate: float = 0.003
+    learning_rate: float = 0.002
     """Largest step size; it rises at the start and falls to 0 along a cosine."""
     weight_decay: float = 0.01
     """Of AdamW."""

@@ -112,7 +112,7 @@ class Training:
         """Returns an image (H, W, 3) of even size, up to twice as high as ``SMALL``, in the simulator's look."""
         self.network.eval()
         with torch.inference_mode():
-            whole = torch.from_numpy(image)[None]
+            whole = torch.from_numpy(image.copy())[None]  # images of shards cannot be written to
             found = self.network(whole, whole)[0].permute(1, 2, 0).clamp(0.0, 1.0).mul(255.0).round()
         self.network.train()
         return np.asarray(found.to(torch.uint8).numpy())
