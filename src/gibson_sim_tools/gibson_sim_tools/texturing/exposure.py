@@ -21,8 +21,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
-_FACES = 30_000
-"""Most triangles that are used."""
+_MOST_VIEWS = 150_000
+"""Most views that are used, about."""
 _DARKEST, _BRIGHTEST = 0.004, 0.93
 """Range of linear light that is used: noise below, clipping above."""
 _SCALE = 0.08
@@ -108,8 +108,9 @@ def _chosen(views: Views, rng: np.random.Generator) -> I64:
         return np.zeros(0, dtype=np.int64)
     counts = np.bincount(views.face[good], minlength=int(views.face.max()) + 1)
     shared = np.flatnonzero(counts >= 2)
-    if len(shared) > _FACES:
-        shared = rng.choice(shared, _FACES, replace=False)
+    if int(counts[shared].sum()) > _MOST_VIEWS:
+        shared = rng.permutation(shared)
+        shared = shared[np.cumsum(counts[shared]) <= _MOST_VIEWS]
     taken = np.zeros(len(counts), dtype=bool)
     taken[shared] = True
     return np.flatnonzero(good & taken[views.face])
