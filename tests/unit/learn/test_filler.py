@@ -130,6 +130,7 @@ def test_a_finished_stage_is_not_run_again_and_other_settings_are_refused(tmp_pa
         make_scan("flat", tmp_path, PairsSettings(), failing_fuse)
     assert make_scan("flat", tmp_path, PairsSettings(), lambda arguments: ran.append(arguments[1])) == tmp_path / "textured"
     assert ran == ["scan", "fuse", "fuse", "texture"]
+    assert (tmp_path / "fuse.done").read_text() == "scene fuse scan --voxel 0.02 --triangles 150000 --output mesh.ply\n"
     with pytest.raises(ConfigError, match=r"scan.done: that stage was run with other settings; give another --folder"):
         make_scan("flat", tmp_path, PairsSettings(frames=60), lambda arguments: ran.append(arguments[1]))
 

@@ -63,8 +63,10 @@ def make_scan(scene: str, folder: Path, settings: PairsSettings, run: Callable[[
         GibsonSimError: a stage failed.
     """
     run = _run if run is None else run
+    # As if run in the folder, which may be moved, or named in another way.
+    lines = {stage: shlex.join(arguments) + "\n" for stage, (arguments, _) in stages(scene, Path(), settings).items()}
     for stage, (arguments, output) in stages(scene, folder, settings).items():
-        done, line = folder / f"{stage}.done", shlex.join(arguments) + "\n"
+        done, line = folder / f"{stage}.done", lines[stage]
         if done.is_file():
             if read_file(done, _MAX_BYTES).decode("utf-8", "replace") != line:
                 raise ConfigError(f"{done}: that stage was run with other settings; give another --folder, or delete {folder}")
