@@ -31,7 +31,7 @@ from gibson_sim_tools.from_photographs.found import Found
 from gibson_sim_tools.from_photographs.given_mesh import given_mesh
 from gibson_sim_tools.from_photographs.pictures import check_pictures
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
-from gibson_sim_tools.from_photographs.sheet import contact_sheet, draw_photographs, likeness
+from gibson_sim_tools.from_photographs.sheet import contact_sheet, photograph_renderer
 from gibson_sim_tools.from_photographs.work import Ended, Progress, Stage, Work
 from gibson_sim_tools.importing.checks.check import check_path
 from gibson_sim_tools.importing.document import ASSETS, BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
@@ -44,6 +44,7 @@ from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.texturing.choosing import choose_photographs
 from gibson_sim_tools.texturing.conventions import checked
+from gibson_sim_tools.texturing.measure import Drawn, compare
 from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.settings import AUTO, MOST_PHOTOGRAPHS, TextureSettings
 from gibson_sim_tools.texturing.surface import Surface, surface_of
@@ -279,13 +280,23 @@ class Import:
     def _compare(self, progress: Progress) -> Sequence[str]:
         facts = self._read("texture")
         photographs = self.found.photographs.only(facts["numbers"]).at(np.array(facts["T_world_camera"]))
-        drawn = draw_photographs(load_scene(self.output), photographs, facts["held_out"], UNSEEN_FLOOR, progress)
-        alike = likeness(photographs, drawn)
-        share = alike.pixels / sum(picture.seen.size for picture in drawn.values())
-        write_picture(self.output / SHEET, contact_sheet(photographs, drawn)[:, :, ::-1])
-        self._write("likeness", {"psnr": alike.psnr, "ssim": alike.ssim, "seen": share, "photographs": len(drawn)})
+        numbers, done = facts["held_out"], 0
+        pixels = sum(photographs.intrinsics(k).width * photographs.intrinsics(k).height for k in numbers)
+        with photograph_renderer(load_scene(self.output), photographs, UNSEEN_FLOOR) as draw:
+
+            def counted(number: int) -> Drawn:
+                nonlocal done
+                done += 1
+                progress(0.9 * done / len(numbers))
+                return draw(number)
+
+            alike = compare(photographs, counted, numbers=numbers)
+            sheet = contact_sheet(photographs, draw, numbers)
+        share = alike.pixels / pixels
+        write_picture(self.output / SHEET, sheet[:, :, ::-1])
+        self._write("likeness", {"psnr": alike.psnr, "ssim": alike.ssim, "seen": share, "photographs": len(numbers)})
         return [
-            f"{len(drawn)} photographs that were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, where the scene has a "
+            f"{len(numbers)} photographs that were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, where the scene has a "
             f"surface ({100.0 * share:.0f} % of their pixels)"
         ]
 

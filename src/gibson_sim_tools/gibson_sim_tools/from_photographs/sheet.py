@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, SceneState
 from gibson_sim_tools.scanning.clean_scene import still_scene
-from gibson_sim_tools.texturing.measure import Drawn, Likeness, compare, matched
+from gibson_sim_tools.texturing.measure import Drawn, matched
 from gibson_sim_tools.texturing.photographs import Photographs
 
 U8 = NDArray[np.uint8]
@@ -23,51 +24,39 @@ _PAIRS, _COLUMNS, _WIDTH, _GAP, _CAPTION = 6, 2, 400, 6, 20
 _PAPER, _INK = 250, (50, 50, 50)
 
 
-def draw_photographs(
-    scene: SceneSpec,
-    photographs: Photographs,
-    numbers: Sequence[int],
-    unseen: str,
-    progress: Callable[[float], None] = lambda _: None,
-) -> dict[int, Drawn]:
-    """Returns what a simulated camera sees at the places of some photographs, by their numbers.
+@contextmanager
+def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str) -> Iterator[Callable[[int], Drawn]]:
+    """Yields a function that draws what a simulated camera sees at the place of a photograph with a number; nothing is kept.
 
     Args:
         scene: in the frame of the poses.
         photographs: their poses are those of the cameras.
-        numbers: of the photographs.
         unseen: name of the object that no photograph shows; it is drawn, and does not count as seen.
-        progress: called with the fraction that is done, 0 to 1.
     """
-    out = {}
     still = still_scene(scene)
     others = [number for number, name in enumerate(still.instances) if number and name != unseen]
     with Renderer(still, cache=default_folder()) as renderer:
-        for done, number in enumerate(numbers):
+
+        def picture(number: int) -> Drawn:
             lens = photographs.intrinsics(number)
             pose = pose_from_matrix(photographs.items[number].T_world_camera)
             camera = CameraSpec(
-                "photograph", "", pose, lens.width, lens.height, matrix=tuple(lens.matrix.ravel().tolist()), outputs=("rgb", "instance"), samples=4,
+                "photograph", "", pose, lens.width, lens.height, matrix=tuple(lens.matrix.ravel().tolist()), outputs=("rgb", "instance"),
+                samples=4,
             )  # fmt: skip
             frame = renderer.render(SceneState.still(scene.revision), [camera])[0]
             assert frame.rgb is not None and frame.instance is not None
-            out[number] = Drawn((frame.rgb / 255.0).astype(np.float32), np.isin(frame.instance, others))
-            progress((done + 1) / len(numbers))
-    return out
+            return Drawn((frame.rgb / 255.0).astype(np.float32), np.isin(frame.instance, others))
+
+        yield picture
 
 
-def likeness(photographs: Photographs, drawn: dict[int, Drawn]) -> Likeness:
-    """Returns how alike photographs and their drawings are where the simulation shows a surface."""
-    return compare(photographs, drawn.__getitem__, numbers=list(drawn))
-
-
-def contact_sheet(photographs: Photographs, drawn: dict[int, Drawn]) -> U8:
-    """Returns pairs of a photograph and the simulation, (H, W, 3), sRGB; at most ``_PAIRS``, spread evenly."""
-    numbers = list(drawn)
+def contact_sheet(photographs: Photographs, drawn: Callable[[int], Drawn], numbers: Sequence[int]) -> U8:
+    """Returns pairs of a photograph and the simulation, (H, W, 3), sRGB; at most ``_PAIRS`` of the numbers, spread evenly."""
     shown = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _PAIRS).round().astype(int))]
     cells = []
     for number in shown:
-        truth, picture = photographs.picture(number), drawn[number]
+        truth, picture = photographs.picture(number), drawn(number)
         simulated = np.rint(np.clip(matched(picture.rgb, truth, picture.seen), 0.0, 1.0) * 255.0).astype(np.uint8)
         simulated[~picture.seen] = np.rint(picture.rgb[~picture.seen] * 255.0)
         cells.append(
