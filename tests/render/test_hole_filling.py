@@ -17,6 +17,7 @@ from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, ImageEffects, Pose
 from render.drawing import EYE, box, scene, state
+from support.filler_networks import our_network
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 
@@ -112,3 +113,23 @@ def test_a_hole_that_is_filled_is_nearer_to_the_closed_wall_than_one_that_is_not
 def test_a_network_that_is_not_there_is_named(renderer: Renderer, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cannot read '.*nothing\.onnx': No such file"):
         renderer.prepare([replace(FILLED, fill=str(tmp_path / "nothing.onnx"))])
+
+
+def test_depth_by_a_network_does_not_depend_on_the_other_outputs(renderer: Renderer, tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(our_network(depth=True))
+    camera = replace(FILLED, fill=str(file), fill_depth=True)
+    every = _see(renderer, camera)
+    # The inverse depth of the network is 0 + 0.5 where nothing is drawn.
+    assert np.allclose(every.depth[every.hole == 1], 2.0, atol=1e-5)
+    assert np.array_equal(_see(renderer, replace(camera, outputs=("depth",))).depth, every.depth)
+    assert np.array_equal(every.rgb, _see(renderer, FILLED).rgb), "this network returns what push-pull made"
+
+
+def test_pictures_with_a_shutter_are_filled() -> None:
+    camera = replace(FILLED, link="a", effects=ImageEffects(shutter_s=0.05, readout_s=0.02))
+    now, before = (state(("a",), [(0.0, y, 0.0)], stamp_ns=stamp) for y, stamp in ((0.05, 100_000_000), (0.0, 0)))
+    with Renderer(scene(LEFT, RIGHT, links=("a",))) as made:
+        filled, plain = (made.render(now, [one], before)[0] for one in (camera, replace(camera, fill="")))
+    assert np.array_equal(filled.hole, plain.hole) and (plain.hole == 1).any()
+    assert (plain.rgb[32, 10:54].max(axis=1) == 0).any() and (filled.rgb[32, 10:54].max(axis=1) > 0).all()

@@ -12,6 +12,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.filling import fillers, onnx_files
 from gibson_sim.filling.fillers import Filled, PushPull, open_filler
 from support import onnx_bytes as ox
+from support.filler_networks import generator, our_network, pipeline
 
 COLOUR = np.random.default_rng(0).integers(0, 256, (20, 36, 3), dtype=np.uint8)
 HOLE = np.zeros((20, 36), dtype=np.uint8)
@@ -19,46 +20,6 @@ HOLE[4:8, 10:20], HOLE[8:10, 10:20], HOLE[0, 0] = 1, 2, 3
 DEPTH = np.where(HOLE == 1, np.inf, 4.0).astype(np.float32)
 NORMALS = np.zeros((20, 36, 3), dtype=np.float32)
 IS_HOLE = (HOLE == 1) | (HOLE == 2)
-
-
-def _channels(first: int, last: int, output: str) -> tuple[bytes, dict[str, np.ndarray]]:
-    """Returns a node that cuts channels out of ``input``, and its constants."""
-    names = [f"{output}_{part}" for part in ("first", "last", "axis")]
-    values = (np.array([value]) for value in (first, last, 1))
-    return ox.node("Slice", ["input", *names], output), dict(zip(names, values, strict=True))
-
-
-def our_network(channels: int = 9, depth: bool = False, version: str = "1", nan: bool = False) -> bytes:
-    """Returns a network of our kind whose picture is its input's, and whose inverse depth is 0.5 more than its input's."""
-    cut, tensors = _channels(0, 3, "cut" if nan else "image")
-    nodes, outputs = [cut], [ox.value("image", "float32", [1, 3, "h", "w"])]
-    if nan:
-        nodes += [ox.node("Sub", ["cut", "two"], "below"), ox.node("Sqrt", ["below"], "image")]
-        tensors["two"] = np.float32(2.0)
-    if depth:
-        cut, more = _channels(3, 4, "inverse")
-        nodes += [cut, ox.node("Add", ["inverse", "half"], "inverse_depth")]
-        tensors = {**tensors, **more, "half": np.float32(0.5)}
-        outputs.append(ox.value("inverse_depth", "float32", [1, 1, "h", "w"]))
-    made = ox.model(nodes, [ox.value("input", "float32", [1, channels, "h", "w"])], outputs, tensors)
-    return made + ox.message(14, ox.message(1, "gibson_filler") + ox.message(2, version))
-
-
-def pipeline() -> bytes:
-    """Returns a network with the interface of MI-GAN's pipeline, which paints holes with 7."""
-    nodes = [ox.node("Cast", ["mask"], "known", to=9), ox.node("Where", ["known", "image", "seven"], "result")]
-    inputs = [ox.value("image", "uint8", ["n", 3, "h", "w"]), ox.value("mask", "uint8", ["n", 1, "h", "w"])]
-    return ox.model(
-        nodes, inputs, [ox.value("result", "uint8", ["n", 3, "h", "w"])], {"seven": np.full((1, 1, 1, 1), 7, np.uint8)}
-    )
-
-
-def generator() -> bytes:
-    """Returns a network with the interface of MI-GAN's generator: white where the mask says known, black where it says unknown."""
-    cut, tensors = _channels(0, 1, "half")
-    nodes = [cut, ox.node("Mul", ["half", "two"], "mask"), ox.node("Concat", ["mask", "mask", "mask"], "output", axis=1)]
-    shapes = ox.value("input", "float32", [1, 4, 32, 32]), ox.value("output", "float32", [1, 3, 32, 32])
-    return ox.model(nodes, [shapes[0]], [shapes[1]], {**tensors, "two": np.float32(2.0)})
 
 
 def fill(tmp_path: Path, content: bytes, *, with_depth: bool = False) -> Filled:

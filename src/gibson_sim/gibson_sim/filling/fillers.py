@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.filling.holes import BACK_FACE, NOTHING
+from gibson_sim.filling.holes import is_hole
 from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.filling.push_pull import push_pull_depth
 
@@ -53,8 +53,7 @@ class PushPull:
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """As in ``Filler``."""
-        is_hole = np.asarray((hole == NOTHING) | (hole == BACK_FACE))
-        return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole) if with_depth else None)
+        return Filled(filled_colour(colour, hole), push_pull_depth(depth, is_hole(hole)) if with_depth else None)
 
 
 def open_filler(fill: str) -> Filler:

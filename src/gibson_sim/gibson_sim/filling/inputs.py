@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.filling.holes import BACK_FACE, NOTHING, SURFACE
+from gibson_sim.filling.holes import BACK_FACE, NOTHING, SURFACE, is_hole
 from gibson_sim.filling.push_pull import push_pull
 from gibson_sim.geometry.compiling import CAN_COMPILE, compiled, fixed
 
@@ -27,7 +27,7 @@ def filled_colour(colour: U8, hole: U8) -> U8:
         colour: (H, W, 3), sRGB.
         hole: (H, W), as ``Frame.hole``.
     """
-    return push_pull(colour, (hole == NOTHING) | (hole == BACK_FACE), hole == SURFACE)
+    return push_pull(colour, is_hole(hole), hole == SURFACE)
 
 
 def network_input(colour: U8, depth: F32, normals: F32, hole: U8, *, loops: bool = CAN_COMPILE) -> F32:
@@ -56,9 +56,9 @@ def packed(filled: U8, depth: F32, normals: F32, hole: U8, *, loops: bool = CAN_
     seen = (depth > 0.0) & (depth < np.inf)
     np.divide(_ONE, depth, out=out[0, 3], where=seen)
     np.minimum(out[0, 3], _MOST, out=out[0, 3])
-    is_hole = (hole == NOTHING) | (hole == BACK_FACE)
-    np.copyto(out[0, 4:7], normals.transpose(2, 0, 1), where=~is_hole)
-    out[0, 7] = is_hole
+    holes = is_hole(hole)
+    np.copyto(out[0, 4:7], normals.transpose(2, 0, 1), where=~holes)
+    out[0, 7] = holes
     out[0, 8] = hole == BACK_FACE
     return out
 

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.fillers import Filled
-from gibson_sim.filling.holes import BACK_FACE, NOTHING, SURFACE, UNSEEN
+from gibson_sim.filling.holes import SURFACE, UNSEEN, is_hole
 from gibson_sim.filling.inputs import CHANNELS, filled_colour, packed
 from gibson_sim.filling.onnx_files import open_session, run
 from gibson_sim.filling.push_pull import push_pull_depth
 from gibson_sim.quoting import quoted
 
-Bools = NDArray[np.bool_]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 MULTIPLE = 16
@@ -91,11 +90,10 @@ class OurNetwork:
         np.copyto(out, colour, where=(hole == UNSEEN)[:, :, None])
         if not with_depth:
             return Filled(out)
-        is_hole = _is_hole(hole)
         if not self._has_depth:
-            return Filled(out, push_pull_depth(depth, is_hole))
+            return Filled(out, push_pull_depth(depth, is_hole(hole)))
         inverse = _planes(found[1], self._file, (1, 1, *values.shape[2:]))[0, 0, :height, :width]
-        return Filled(out, np.where(is_hole, np.float32(1.0) / np.maximum(inverse, _LEAST_INVERSE), depth))
+        return Filled(out, np.where(is_hole(hole), np.float32(1.0) / np.maximum(inverse, _LEAST_INVERSE), depth))
 
 
 class MiGanPipeline:
@@ -106,10 +104,9 @@ class MiGanPipeline:
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """As in ``Filler``."""
-        is_hole = _is_hole(hole)
 
         def painted() -> U8:
-            known = np.where(is_hole, 0, 255).astype(np.uint8)
+            known = np.where(is_hole(hole), 0, 255).astype(np.uint8)
             feeds = {"image": np.ascontiguousarray(colour.transpose(2, 0, 1))[None], "mask": known[None, None]}
             image = run(self._session, self._file, feeds)[0]
             if image.shape != (1, 3, *hole.shape) or image.dtype != np.uint8:
@@ -143,13 +140,9 @@ class MiGanGenerator:
 
 def _composed(painted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, with_depth: bool) -> Filled:
     """Returns a picture whose holes alone are painted; a picture without any is not."""
-    is_hole = _is_hole(hole)
-    out = np.where(is_hole[:, :, None], painted(), colour) if is_hole.any() else colour.copy()
-    return Filled(out, push_pull_depth(depth, is_hole) if with_depth else None)
-
-
-def _is_hole(hole: U8) -> Bools:
-    return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
+    holes = is_hole(hole)
+    out = np.where(holes[:, :, None], painted(), colour) if holes.any() else colour.copy()
+    return Filled(out, push_pull_depth(depth, holes) if with_depth else None)
 
 
 def _bytes(image: F32) -> U8:

@@ -407,7 +407,7 @@ class Renderer:
         )  # fmt: skip
         self._context = self._scene = self._camera_images = self._effects = self._shutter = self._pixel_buffers = (
             self._tensors
-        ) = self._splats = None
+        ) = self._splats = self._hole_filling = None
         if context is None:
             return
         try:

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.filling.fillers import Filler, open_filler
-from gibson_sim.filling.holes import BACK_FACE, NOTHING
+from gibson_sim.filling.holes import NOTHING, SURFACE, is_hole
 from gibson_sim.render.context import GlContext, gl as GL
 from gibson_sim.render.draw.target import ATTACHMENT, RenderTarget
 from gibson_sim.render.readback.frames import RAW_FORMATS, TargetImage, depth_of, hole_of, normals_of
 
-F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 
@@ -57,7 +56,7 @@ class HoleFilling:
             return
         raw_normals = self._read(target, image, "NORMALS")
         hole = hole_of(raw_normals)
-        if camera.fill == "push_pull" and not ((hole == NOTHING) | (hole == BACK_FACE)).any():
+        if camera.fill == "push_pull" and not is_hole(hole).any():
             return
         raw_color, raw_depth = self._read(target, image, "color"), self._read(target, image, "depth")
         depth, normals = depth_of(raw_depth, camera.near, camera.far), normals_of(raw_normals)
@@ -68,8 +67,7 @@ class HoleFilling:
             raw_color[:, :, :3] = filled.colour
             self._write(target, image, "color", raw_color)
         if filled.depth is not None:
-            is_hole = (hole == NOTHING) | (hole == BACK_FACE)
-            np.divide(np.float32(camera.near), filled.depth, out=raw_depth, where=is_hole)
+            np.divide(np.float32(camera.near), filled.depth, out=raw_depth, where=is_hole(hole))
             self._write(target, image, "depth", raw_depth)
 
     def _read(self, target: RenderTarget, image: TargetImage, name: str) -> NDArray[Any]:
@@ -93,7 +91,6 @@ class HoleFilling:
 def _widened(hole: U8) -> U8:
     """Returns a hole image whose holes are wider by one pixel, whose colours are partly those of the background."""
     out = hole.copy()
-    is_hole = ((hole == NOTHING) | (hole == BACK_FACE)).astype(np.uint8)
-    rim = (cv2.dilate(is_hole, _NEIGHBOURS) != 0) & (hole == 0)
+    rim = (cv2.dilate(is_hole(hole).astype(np.uint8), _NEIGHBOURS) != 0) & (hole == SURFACE)
     out[rim] = NOTHING
     return out
