@@ -22,12 +22,12 @@ F64 = NDArray[np.float64]
 
 _CELL = 0.05
 """Edge of a cell, metres."""
-_BELOW, _THICK = 0.004, 0.1
+_BELOW, _THICK = 0.008, 0.1
 """Top of the boards below the floor, so that they lie under what was seen, and their thickness, metres."""
 _LEVEL, _SAME = 0.95, 0.05
-"""Least z component of the normal of a floor, and its largest distance from z = 0, metres."""
+"""Least z component of the normal of a floor, and its largest distance from its height, metres."""
 _LOW, _HIGH = -0.15, 2.0
-"""Heights between which the scan says how far the room reaches; a level surface below is a stairwell, which stays open; metres."""
+"""Heights above the floor between which the scan says how far the room reaches; a level surface below is a stairwell, which stays open; metres."""
 _STOOD = 0.4
 """Radius of the place of who held a camera, metres."""
 _REACH = 1.0
@@ -46,14 +46,16 @@ class ClosedFloor:
     """Area that they close, square metres."""
 
 
-def closed_floor(vertices: F64, triangles: NDArray[np.integer], eyes: F64) -> ClosedFloor | None:
+def closed_floor(vertices: F64, triangles: NDArray[np.integer], eyes: F64, floor_z: float = 0.0) -> ClosedFloor | None:
     """Returns boards for the floor that a scan lacks within its outline; None if it lacks none.
 
     Args:
-        vertices: (V, 3), metres, z up, the floor at z = 0.
+        vertices: (V, 3), metres, z up.
         triangles: (F, 3).
         eyes: (N, 3), places of the cameras, below which there was floor.
+        floor_z: height of the floor, metres.
     """
+    vertices, eyes = vertices - (0.0, 0.0, floor_z), eyes - (0.0, 0.0, floor_z)
     near = (vertices[:, 2] > _LOW) & (vertices[:, 2] < _HIGH)
     turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     stood = eyes[(eyes[:, 2] > 0.0) & (eyes[:, 2] < _HIGH), None, :2] + _STOOD * np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -81,8 +83,8 @@ def closed_floor(vertices: F64, triangles: NDArray[np.integer], eyes: F64) -> Cl
         return None
     # Boards reach under the rim of what was seen.
     boards = ndimage.binary_dilation(lacking) & inside
-    parts = [_board(grid, *box) for box in _rectangles(boards)]
-    return ClosedFloor(Mesh((_joined(parts),)), float(lacking.sum()) * _CELL**2)
+    mesh = Mesh((_joined([_board(grid, *box) for box in _rectangles(boards)]),))
+    return ClosedFloor(mesh.transformed(matrix_from_pose(Pose((0.0, 0.0, floor_z)))), float(lacking.sum()) * _CELL**2)
 
 
 def _wells(below: Bools) -> Bools:

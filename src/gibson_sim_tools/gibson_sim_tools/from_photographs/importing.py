@@ -189,7 +189,7 @@ class Import:
             # The noise of measuring is no reason to turn a scan that is level.
             T = np.eye(4)
             T[2, 3] = 0.0 if abs(floor) <= _AT_FLOOR else -floor
-        self._write("level", {"T_level_scan": T.tolist()})
+        self._write("level", {"T_level_scan": T.tolist(), "floor_z": floor + float(T[2, 3]) if tilt <= _LEVEL_DEG else 0.0})
         return [
             f"the floor is level to {tilt:.2f} degrees, at z = {floor + 0.0:.3f} m"
             if tilt <= _LEVEL_DEG
@@ -227,7 +227,9 @@ class Import:
         scene.objects = [ImportedObject(self.name, textured, collision=collision)]
         lines = []
         eyes = self._level_photographs(self._T_level_scan()).poses[:, :3, 3]
-        boards = closed_floor(vertices, triangles, eyes) if self.settings.close_floor else None
+        # A scan that is level may keep its floor a little off z = 0.
+        floor_z = float(self._read("level")["floor_z"])
+        boards = closed_floor(vertices, triangles, eyes, floor_z) if self.settings.close_floor else None
         if boards is not None:
             scene.objects.append(ImportedObject(UNSEEN_FLOOR, boards.mesh, semantic_class="floor"))
             lines.append(

@@ -279,7 +279,10 @@ def test_the_floor_is_closed_within_the_outline_and_not_over_a_stairwell():
     boards = closed_floor(vertices, mesh.triangles, room_poses()[:, :3, 3])
     assert boards is not None and boards.area == pytest.approx(0.6 * 3.0, abs=0.2)
     low, high = boards.mesh.bounds
-    assert high[2] == pytest.approx(-0.004) and (low[:2] >= -0.051).all() and (high[:2] <= [0.71, 3.051]).all()
+    assert high[2] == pytest.approx(-0.008) and (low[:2] >= -0.051).all() and (high[:2] <= [0.71, 3.051]).all()
+    up = np.array([0.0, 0.0, 0.3])
+    raised = closed_floor(vertices + up, mesh.triangles, room_poses()[:, :3, 3] + up, 0.3)
+    assert raised is not None and raised.area == boards.area and raised.mesh.bounds[1, 2] == pytest.approx(0.292)
     # A landing 1.5 m below the part that is missing.
     steps = room_mesh().vertices[mesh.triangles].reshape(-1, 3)
     landing = np.array([[0, 0, -1.5], [0.6, 0, -1.5], [0.6, 3, -1.5], [0, 3, -1.5]])
