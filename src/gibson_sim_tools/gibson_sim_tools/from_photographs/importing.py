@@ -225,10 +225,11 @@ class Import:
         collision = SIMPLIFIED if len(triangles) >= SCAN_FROM else "same"
         scene = ImportedScene(self.name, "folder of photographs", (self.output / WORK).resolve(), light=BAKED_LIGHT)
         scene.objects = [ImportedObject(self.name, textured, collision=collision)]
-        lines = []
-        eyes = self._level_photographs(self._T_level_scan()).poses[:, :3, 3]
         # A scan that is level may keep its floor a little off z = 0.
         floor_z = float(self._read("level")["floor_z"])
+        scene.floors = (round(floor_z, 4) + 0.0,)
+        lines = []
+        eyes = self._level_photographs(self._T_level_scan()).poses[:, :3, 3]
         boards = closed_floor(vertices, triangles, eyes, floor_z) if self.settings.close_floor else None
         if boards is not None:
             scene.objects.append(ImportedObject(UNSEEN_FLOOR, boards.mesh, semantic_class="floor"))

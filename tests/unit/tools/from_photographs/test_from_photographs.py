@@ -80,7 +80,7 @@ def test_a_folder_becomes_a_level_scene_once_and_its_floor_is_closed(room, tmp_p
     np.testing.assert_allclose(
         json.loads((tmp_path / "out/import/level.json").read_text())["T_level_scan"][2], [0, -1, 0, 1.2], atol=1e-3
     )
-    assert len(scene.floors) == 1 and abs(scene.floors[0]) < 0.01
+    assert scene.floors == (0.0,) and not scene.floor_estimated
     area = yaml.safe_load((tmp_path / "out/maps/floor_0.yaml").read_text())
     assert area["resolution"] == 0.05 and (tmp_path / "out/free_poses.csv").is_file()
     report = json.loads((tmp_path / "out/import/check.json").read_text())
