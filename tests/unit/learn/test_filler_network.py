@@ -46,6 +46,8 @@ def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> N
     for one, other in zip(whole.network.state_dict().values(), second.network.state_dict().values(), strict=True):
         torch.testing.assert_close(one, other)
     assert [point.iteration for point in second.curve] == [2, 4]
+    for one, other in zip(whole.best.state_dict().values(), second.best.state_dict().values(), strict=True):
+        torch.testing.assert_close(one, other)
 
 
 def test_training_with_other_pairs_or_settings_is_refused(tmp_path: Path) -> None:
@@ -56,6 +58,27 @@ def test_training_with_other_pairs_or_settings_is_refused(tmp_path: Path) -> Non
         Training(tmp_path, SETTINGS, "other")
     with pytest.raises(ConfigError, match=r"another batch \(2\); choose another --folder"):
         Training(tmp_path, TrainingSettings(iterations=4, batch=3, crop=32, evaluate_every=2), "data")
+
+
+def test_best_weights_are_those_of_the_best_point_of_the_curve(tmp_path: Path) -> None:
+    from gibson_sim_learn.filler.export import write_card
+    from gibson_sim_learn.filler.training import Training
+
+    part, kept = pairs(), []
+    training = Training(tmp_path, SETTINGS, "data")
+    training.run(
+        [part], [part], after_point=lambda: kept.append({k: v.clone() for k, v in training.network.state_dict().items()})
+    )
+    first, second = training.curve
+    best = kept[0] if first.rank >= second.rank else kept[1]
+    assert training.best_point is (first if first.rank >= second.rank else second)
+    for one, other in zip(training.best.state_dict().values(), best.values(), strict=True):
+        torch.testing.assert_close(one, other)
+    write_card(tmp_path / "filler.md", SETTINGS, training, 4)
+    card = (tmp_path / "filler.md").read_text()
+    assert (
+        f"those of iteration {training.best_point.iteration}," in card and "4 of 4 iterations" in card and "hash `data`" in card
+    )
 
 
 def test_a_mirrored_cutting_has_mirrored_normals() -> None:

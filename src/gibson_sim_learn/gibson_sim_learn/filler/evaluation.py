@@ -6,7 +6,6 @@ Learned fillers run as in the simulator, through ``gibson_sim.filling``.
 from __future__ import annotations
 
 import hashlib
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -125,9 +124,10 @@ def flicker_of(places: Places, ways: Mapping[str, Way], seed: int, frames: int) 
 def sheet(pairs: Sequence[Pairs], ways: Mapping[str, Way], seed: int) -> U8:
     """Returns a picture, RGB: in each row a view of the scan, filled by push-pull, by the network, and the truth; views by the seed."""
     rng = np.random.default_rng(seed)
+    views = [(part, k) for part in pairs for k in range(len(part.hole))]
     rows = []
-    for part in itertools.islice(itertools.cycle(pairs), _ROWS):
-        k = int(rng.integers(len(part.hole)))
+    for number in rng.permutation(len(views))[:_ROWS].tolist():
+        part, k = views[number]
         given = view_of(part, k)
         chosen = [ways[name](*given) for name in ("nothing", "push_pull", "learned")]
         rows.append(np.concatenate([*chosen, part.truth[k]], axis=1))

@@ -22,7 +22,7 @@ from gibson_sim.filling.network import VERSION
 from gibson_sim.writing import write_file
 from gibson_sim_learn.filler.network import FillerNetwork, multiplications, parameter_count
 from gibson_sim_learn.filler.settings import TrainingSettings
-from gibson_sim_learn.filler.training import CurvePoint
+from gibson_sim_learn.filler.training import Training
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 
 _OPSET = 17
@@ -76,10 +76,8 @@ def export_network(network: FillerNetwork, file: Path, settings: TrainingSetting
 def write_card(
     file: Path,
     settings: TrainingSettings,
-    network: FillerNetwork,
-    point: CurvePoint,
+    training: Training,
     pairs: int,
-    data: str,
     results: Sequence[str] = (),
 ) -> None:
     """Writes the card of a network, Markdown.
@@ -87,26 +85,26 @@ def write_card(
     Args:
         file: where.
         settings: of the training.
-        network: the network.
-        point: the last point of its curve.
+        training: the training, with a point of its curve.
         pairs: number of pairs that it was trained on.
-        data: their hash.
         results: further lines on what it reaches.
     """
+    point, best = training.curve[-1], training.best_point
     lines = [
         "# Card of the filler",
         "",
         "- **What for**: closing the holes of indoor scans in pictures that the simulator draws, and mending their blur.",
         "- **Not for**: measuring, or finding things: what is in a hole is invented.",
-        f"- **Size**: {parameter_count(network)} weights, float32; {multiplications(network, 256) / 1e9:.2f} billion multiplications for a picture "
-        "of 256x256 pixels.",
+        f"- **Size**: {parameter_count(training.best)} weights, float32; {multiplications(training.best, 256) / 1e9:.2f} billion multiplications for "
+        "256x256 pixels.",
         f"- **Trained in**: {', '.join(TRAINING)}. **Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
-        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{data}`; drawn by Gibson Sim, no "
-        "photograph of the world.",
+        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{training.data}`; drawn by Gibson Sim, "
+        "no photograph of the world.",
         f"- **Command**: `gibson-sim learn filler pairs`, `{command_of(settings)}`",
-        f"- **Training**: {point.iteration} of {settings.iterations} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
+        f"- **Training**: {point.iteration} of {settings.iterations} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; "
+        f"the weights are those of iteration {best.iteration}, the best on the validation scenes.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in asdict(settings).items()),
-        f"- **On the validation scenes**: holes {point.hole_psnr:.2f} dB, seen {point.seen_psnr:.2f} dB, GMSD {point.gmsd:.3f}.",
+        f"- **On the validation scenes**: holes {best.hole_psnr:.2f} dB, seen {best.seen_psnr:.2f} dB, GMSD {best.gmsd:.3f}.",
         "- **Licence**: Apache-2.0, as Gibson Sim.",
         "",
         *results,

@@ -96,12 +96,12 @@ def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     training = Training(place, settings, data)
 
     def export() -> int:
-        size = export_network(training.network, place / MODEL, settings, data, training.iteration)
-        write_card(place / CARD, settings, training.network, training.curve[-1], sum(len(part.hole) for part in pairs), data)
+        size = export_network(training.best, place / MODEL, settings, data, training.best_point.iteration)
+        write_card(place / CARD, settings, training, sum(len(part.hole) for part in pairs))
         return size
 
     training.run(pairs, load_pairs(folder / PAIRS, VALIDATION), progress, export)
-    size, point = export(), training.curve[-1]
+    size, point = export(), training.best_point
     return Trained(
         place / MODEL,
         place / CARD,

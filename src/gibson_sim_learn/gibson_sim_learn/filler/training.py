@@ -68,6 +68,11 @@ class CurvePoint:
     processor_s: float
     """Processor time of the training so far, seconds."""
 
+    @property
+    def rank(self) -> float:
+        """By which the best point is chosen: the sum of both PSNRs, dB."""
+        return self.hole_psnr + self.seen_psnr
+
 
 class Training:
     """One training in one folder."""
@@ -88,6 +93,8 @@ class Training:
         self._network = FillerNetwork().to(memory_format=torch.channels_last)
         self.network = copy.deepcopy(self._network)
         """The mean of the weights of the last steps."""
+        self.best = copy.deepcopy(self._network)
+        """The same at the best point of the curve: a long training learns its scenes by heart."""
         self._optimiser = torch.optim.AdamW(
             self._network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
         )
@@ -103,6 +110,11 @@ class Training:
     def checkpoint(self) -> Path:
         """File of the newest checkpoint."""
         return self.folder / "checkpoint.pt"
+
+    @property
+    def best_point(self) -> CurvePoint:
+        """The point of the curve, which has one at least, with the best pictures of the validation scenes."""
+        return max(self.curve, key=lambda point: point.rank)
 
     def run(
         self,
@@ -143,6 +155,8 @@ class Training:
                         round(self._processor_s, 1),
                     )
                 )
+                if self.curve[-1] is self.best_point:
+                    self.best.load_state_dict(self.network.state_dict())
                 before, losses = time.process_time(), []
                 self._save()
                 progress(f"iteration {self.iteration}: {found}")
@@ -187,6 +201,7 @@ class Training:
             "data": self.data,
             "network": self._network.state_dict(),
             "mean": self.network.state_dict(),
+            "best": self.best.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "rng": self._rng.bit_generator.state,
             "iteration": self.iteration,
@@ -215,6 +230,7 @@ class Training:
             )
         self._network.load_state_dict(content["network"])
         self.network.load_state_dict(content["mean"])
+        self.best.load_state_dict(content["best"])
         self._optimiser.load_state_dict(content["optimiser"])
         self._rng.bit_generator.state = content["rng"]
         self.iteration = content["iteration"]
