@@ -52,8 +52,9 @@ _CELLS = 56
 """Cells of a floor plan along the longer side of the mesh."""
 _LEVELS = 50
 """Cells of its height."""
-_SCALE_STEP, _SCALE_RANGE = 1.06, 1.5
-"""Factor between scales that are tried, and how far they reach about those that the sizes of both suggest."""
+_SCALE_STEP, _SCALES_BELOW, _SCALES_ABOVE = 1.07, 12, 5
+"""Factor between scales that are tried, and how many there are below and above those that the sizes of both suggest: a capture of one
+storey of two has half the size of the mesh."""
 _STEEP = 0.7
 """z component of a unit normal above which a surface is a floor, not a wall."""
 _KEPT, _FINAL = 80, 6
@@ -64,7 +65,7 @@ _NEAR = 0.05
 """Distance from the mesh within which a splat fits, metres."""
 _BETTER = 0.001
 """By how much nearer the splats must be than before, metres."""
-_LEAST_SHARE, _LEAD = 0.8, 0.02
+_LEAST_SHARE, _LEAD = 0.88, 0.02
 """Share of the splats that must fit, and by how much it must exceed that of any other pose."""
 
 
@@ -291,9 +292,8 @@ class _Plans:
         """Returns the scales to try for points (N, 3) with z up."""
         low, high = _box(upright)
         tried: list[float] = []
-        steps = round(math.log(_SCALE_RANGE) / math.log(_SCALE_STEP))
         for ratio in (self._radius / max(_radius(upright), 1e-9), self._height / max(float(high[2] - low[2]), 1e-9)):
-            for scale in ratio * _SCALE_STEP ** np.arange(-steps, steps + 1):
+            for scale in ratio * _SCALE_STEP ** np.arange(-_SCALES_BELOW, _SCALES_ABOVE + 1):
                 if all(abs(math.log(scale / other)) > 0.5 * math.log(_SCALE_STEP) for other in tried):
                     tried.append(float(scale))
         return tried
