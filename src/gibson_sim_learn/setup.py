@@ -27,7 +27,7 @@ setup(
     packages=find_packages(include=[NAME, NAME + ".*"]),
     package_data={NAME: ["py.typed", "path_following/*.yaml"]},
     python_requires=">=3.10",
-    install_requires=["gibson_sim==0.1.0", "gibson_path_following==0.1.0", "numpy", "scipy"],
+    install_requires=["gibson_sim==0.1.0", "gibson_path_following==0.1.0", "numpy", "opencv-python-headless", "scipy"],
     extras_require={"learn": ["matplotlib>=3.8", "onnx>=1.17", "onnxruntime>=1.20", "torch>=2.3"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),

@@ -27,7 +27,7 @@ setup(
     packages=find_packages(include=[NAME, NAME + ".*"]),
     package_data={NAME: ["py.typed"]},
     python_requires=">=3.10",
-    install_requires=["gibson_sim==0.1.0", "numpy", "scipy", "opencv-python-headless", "PyYAML", "trimesh"],
+    install_requires=["gibson_sim==0.1.0", "numpy", "scipy", "opencv-python-headless", "PyYAML", "rich", "trimesh"],
     extras_require={
         "authoring": ["bpy"],
         "collision": ["coacd>=1.0.7"],
