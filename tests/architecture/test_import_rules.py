@@ -125,7 +125,7 @@ _MAY_WRITE = {
     "gibson_sim/bags/metadata.py", "gibson_sim/bags/mcap_file.py", "gibson_sim/bags/sqlite_file.py", "gibson_sim/bags/writer.py",
     "gibson_sim/trials/execution/stack_log.py",
     "gibson_sim/description/xacro.py", "gibson_sim/physics/convex_parts.py", "gibson_sim/physics/engine_files.py", "gibson_sim/render/cache.py",
-    "gibson_sim/scenes/collision/cache.py", "gibson_sim/scenes/collision/simplified.py", "gibson_sim_learn/path_following/data.py",
+    "gibson_sim/scenes/collision/cache.py", "gibson_sim/scenes/collision/simplified.py", "gibson_sim_learn/arrays.py",
     "gibson_sim_tools/importing/fetching/archives.py",
     "gibson_sim_tools/importing/fetching/download.py", "gibson_sim_tools/making/baking.py", "gibson_sim_tools/making/blender/__main__.py",
 }  # fmt: skip

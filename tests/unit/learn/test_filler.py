@@ -107,7 +107,7 @@ def test_shards_come_back_as_they_were_saved_and_what_is_none_is_refused(tmp_pat
     assert all(np.array_equal(getattr(found, item.name), getattr(pairs(), item.name)) for item in fields(Pairs))
     assert depth_of(found.depth_mm[0])[0].tolist() == [np.inf] * 8 + [2.0] * 8
     (tmp_path / "room-000" / "truth.npy").write_bytes(b"cut")
-    with pytest.raises(ConfigError, match=r"room-000: holds no pairs: .*; delete it"):
+    with pytest.raises(ConfigError, match=r"room-000: not a shard of data: .*; delete it"):
         load_pairs(tmp_path, ["room"])
 
 

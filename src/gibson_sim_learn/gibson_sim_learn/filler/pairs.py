@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -33,6 +31,7 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
+from gibson_sim_learn.arrays import load_arrays, save_arrays
 from gibson_sim_learn.path_following.data import BODY_HEIGHT, ROBOT_RADIUS, with_bodies
 
 F32 = NDArray[np.float32]
@@ -173,16 +172,8 @@ def camera_at(pose: Pose, height: float, pitch: float, fov: float, side: int = S
 
 def save_pairs(folder: Path, pairs: Pairs) -> None:
     """Writes a shard and its digest; the folder is there whole or not at all."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
-    try:
-        for item in fields(Pairs):
-            np.save(part / f"{item.name}.npy", getattr(pairs, item.name))
-        (part / _DIGEST).write_text(f"{digest_of(pairs):016x}\n", encoding="utf-8")
-        part.rename(folder)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
+    arrays = {item.name: getattr(pairs, item.name) for item in fields(Pairs)}
+    save_arrays(folder, arrays, {_DIGEST: f"{digest_of(pairs):016x}\n"})
 
 
 def load_pairs(folder: Path, scenes: Sequence[str]) -> list[Pairs]:
@@ -200,10 +191,7 @@ def load_shard(folder: Path) -> Pairs:
     Raises:
         ConfigError: it cannot be read.
     """
-    try:
-        return Pairs(*(np.load(folder / f"{item.name}.npy", mmap_mode="r") for item in fields(Pairs)))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{folder}: holds no pairs: {error}; delete it, and run gibson-sim learn filler pairs again") from error
+    return Pairs(*load_arrays(folder, [item.name for item in fields(Pairs)]))
 
 
 def data_hash(folder: Path, scenes: Sequence[str]) -> str:

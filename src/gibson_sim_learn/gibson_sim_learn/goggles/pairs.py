@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +28,7 @@ from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomi
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.tasks.episode import item_body
 from gibson_sim.types import Frame, SceneState
+from gibson_sim_learn.arrays import load_arrays, save_arrays
 from gibson_sim_learn.path_following.clutter import random_thing
 from gibson_sim_learn.path_following.data import (
     CAMERA_X,
@@ -148,23 +147,12 @@ def load_shard(folder: Path) -> Pairs:
     Raises:
         ConfigError: it cannot be read.
     """
-    try:
-        return Pairs(*(np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("clean", "seen")))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{folder}: holds no pairs: {error}; delete it, and run the command again") from error
+    return Pairs(*load_arrays(folder, ("clean", "seen")))
 
 
 def save_pairs(folder: Path, pairs: Pairs) -> None:
     """Writes a shard; the folder is there whole or not at all."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
-    try:
-        for name in ("clean", "seen"):
-            np.save(part / f"{name}.npy", getattr(pairs, name))
-        part.rename(folder)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
+    save_arrays(folder, {name: getattr(pairs, name) for name in ("clean", "seen")})
 
 
 def draw_pairs(

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.description.body import BodySpec
-from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy, quat_from_rpy
 from gibson_sim.maps.bodies import body_triangles, link_transforms
 from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
@@ -34,6 +32,7 @@ from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomi
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.tasks.episode import item_body
 from gibson_sim.types import CameraSpec, Output, Pose, SceneState
+from gibson_sim_learn.arrays import load_arrays, save_arrays
 from gibson_sim_learn.path_following.clutter import random_furniture, random_thing
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
 from gibson_sim_learn.path_following.photometry import Photometry, photographed, relit_linear
@@ -184,24 +183,13 @@ def load_shard(folder: Path) -> Shard:
     Raises:
         ConfigError: it cannot be read.
     """
-    try:
-        images, free, pairs = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("images", "free", "pairs"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{folder}: not a shard of data: {error}; delete it, and run the command again") from error
+    images, free, pairs = load_arrays(folder, ("images", "free", "pairs"))
     return Shard(images, free, pairs)
 
 
 def save_shard(folder: Path, shard: Shard) -> None:
     """Writes a shard; the folder is there whole or not at all."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
-    try:
-        for name in ("images", "free", "pairs"):
-            np.save(part / f"{name}.npy", getattr(shard, name))
-        part.rename(folder)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
+    save_arrays(folder, {name: getattr(shard, name) for name in ("images", "free", "pairs")})
 
 
 def missing_shards(folder: Path, scenes: Sequence[str], count: int) -> Iterator[tuple[str, int]]:
