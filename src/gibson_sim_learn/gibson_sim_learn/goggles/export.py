@@ -75,8 +75,9 @@ def write_card(
         "# Card of Goggles",
         "",
         "- **What for**: bringing images of a pinhole camera, indoors, to the look of Gibson Sim's own images: exposure, white balance, light, "
-        "vignette, noise, blur.",
-        "- **Not for**: seeing in the dark, colours that must be true, other lenses; what a clipped or black pixel showed is invented.",
+        "vignette.",
+        "- **Not for**: noise and blur, which hardly change, "
+        "seeing in the dark, colours that must be true, other lenses; what a clipped or black pixel showed is invented.",
         f"- **Size**: {parameter_count(network)} weights, float32.",
         f"- **Trained in**: {', '.join(TRAINING)}, light and cameras of the domains {', '.join(f'`{name}`' for name in DRAWN_FROM)}. "
         f"**Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
