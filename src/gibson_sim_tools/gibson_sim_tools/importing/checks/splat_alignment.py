@@ -163,7 +163,8 @@ def _best(file: str, cloud: _Cloud, surface: Surface, rng: np.random.Generator) 
     if best[1] < _LEAST_SHARE:
         raise SceneError(
             f"{file}: no pose and scale were found at which these splats are this mesh: at best {100.0 * best[1]:.0f} % of the solid ones are "
-            f"within {100.0 * _NEAR:g} cm of it, {100.0 * _LEAST_SHARE:g} % are needed; give splats of this room, or pose and scale by hand"
+            f"within {100.0 * _NEAR:g} cm of it, {100.0 * _LEAST_SHARE:g} % are needed; "
+            "give splats of this room, or a rough pose and scale in scene.yaml"
         )
     if found[0][1] > best[1] - _LEAD:
         return found[0][0]
