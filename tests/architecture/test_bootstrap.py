@@ -114,7 +114,9 @@ def test_packages_installed_in_place_are_put_into_the_ament_index(bootstrap: Mod
 
 def test_modules_whose_loops_the_set_up_compiles_are_all_that_have_some(bootstrap: ModuleType, root: Path) -> None:
     # Of what simulates; the loops of the tools are compiled when a tool first needs them.
-    found = {path for path in (root / "src" / "gibson_sim").rglob("*.py") if re.search(r"^@compiled$", path.read_text(), re.MULTILINE)}
+    found = {
+        path for path in (root / "src" / "gibson_sim").rglob("*.py") if re.search(r"^@compiled$", path.read_text(), re.MULTILINE)
+    }
     assert set(bootstrap.COMPILED) == found
     compile(bootstrap.FIRST_IMAGE, "first_image", "exec")
 

@@ -7,8 +7,8 @@ import pytest
 
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs.sheet import contact_sheet, photograph_renderer
+from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.texturing.measure import compare
-from gibson_sim_tools.texturing.photograph_layouts import open_photographs
 from support.photographed_room import HEIGHT, WIDTH, write_mesh, write_nerfstudio
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
+from gibson_sim_tools.photographs.photographs import Lens, Photograph, Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
-from gibson_sim_tools.texturing.photographs import Lens, Photograph, Photographs
 from gibson_sim_tools.texturing.quality import sampled
 from gibson_sim_tools.texturing.surface import Surface
 

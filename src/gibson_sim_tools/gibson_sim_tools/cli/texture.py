@@ -90,10 +90,10 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.picture_files import write_picture
     from gibson_sim_tools.cli.importing import unit_m
     from gibson_sim_tools.from_photographs.pictures import check_pictures
+    from gibson_sim_tools.photographs.layouts import open_photographs
     from gibson_sim_tools.texturing.choosing import choose_photographs
     from gibson_sim_tools.texturing.conventions import checked
     from gibson_sim_tools.texturing.measure import contact_sheet, held_out_likeness
-    from gibson_sim_tools.texturing.photograph_layouts import open_photographs
     from gibson_sim_tools.texturing.surface import split_long_edges, surface_of
     from gibson_sim_tools.texturing.texture import texture
     from gibson_sim_tools.texturing.textured_scene import write_textured_scene

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, RgbdFrame, ScanError, read_image
-from gibson_sim_tools.texturing.photographs import Photographs
-from gibson_sim_tools.texturing.surface import scaled
 
 _LEAST = 2
 """Least number of photographs with depth that are fused."""
@@ -62,7 +61,7 @@ def depth_frames(photographs: Photographs) -> DepthFrames | None:
     small = Photographs(small.folder, small.layout, small.items, longest=max(width, height))
     lenses = [small.intrinsics(k) for k in range(len(small))]
     fx, fy, cx, cy = np.median(
-        [(i.fx, i.fy, i.cx, i.cy) for i in (scaled(lens, width, height) for lens in lenses)], axis=0
+        [(i.fx, i.fy, i.cx, i.cy) for i in (lens.resized(width, height) for lens in lenses)], axis=0
     ).tolist()
     files = tuple(FrameFiles(item.file, item.depth, item.T_world_camera) for item in small.items if item.depth is not None)
     return DepthFrames(

@@ -11,11 +11,11 @@ from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.reading import is_file, is_folder
 from gibson_sim_tools.from_photographs.depth_frames import depth_frames
 from gibson_sim_tools.importing.sources import USD_SUFFIXES
+from gibson_sim_tools.photographs.layouts import open_photographs
+from gibson_sim_tools.photographs.phone_layouts import record3d_images
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
-from gibson_sim_tools.texturing.phone_layouts import record3d_images
-from gibson_sim_tools.texturing.photograph_layouts import open_photographs
-from gibson_sim_tools.texturing.photographs import Photographs
 
 _IMAGES = (".jpg", ".jpeg", ".png")
 _UNREADABLE = (".heic", ".heif", ".dng", ".mov", ".mp4")

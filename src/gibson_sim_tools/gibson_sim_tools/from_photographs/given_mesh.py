@@ -13,11 +13,11 @@ from gibson_sim.errors import MeshError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, thinned
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.texturing.drawing import draw
-from gibson_sim_tools.texturing.photographs import Photographs
-from gibson_sim_tools.texturing.surface import Surface, scaled, surface_of
+from gibson_sim_tools.texturing.surface import Surface, surface_of
 
 F64 = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def front_share(vertices: F64, triangles: NDArray[np.integer], photographs: Phot
     shares = []
     for number in np.unique(np.linspace(0, len(photographs) - 1, _VIEWS).round().astype(int)).tolist():
         full, pose = photographs.intrinsics(number), photographs.items[number].T_world_camera
-        small = scaled(full, _WIDTH, max(round(_WIDTH * full.height / full.width), 1))
+        small = full.resized(_WIDTH, max(round(_WIDTH * full.height / full.width), 1))
         face = draw(surface, small, pose).face
         seen = face[face >= 0]
         front = np.einsum("ij,ij->i", normals[seen], pose[:3, 3] - middles[seen]) > 0.0

@@ -37,6 +37,7 @@ from gibson_sim_tools.importing.checks.check import check_path
 from gibson_sim_tools.importing.document import ASSETS, BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.glb import write_glb
 from gibson_sim_tools.importing.scans import SCAN_FROM
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform, level_transform_near, thinned, write_ply
 from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplified
 from gibson_sim_tools.scanning.planes import snapped
@@ -45,7 +46,6 @@ from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.texturing.choosing import choose_photographs
 from gibson_sim_tools.texturing.conventions import checked
 from gibson_sim_tools.texturing.measure import Drawn, compare
-from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.settings import AUTO, MOST_PHOTOGRAPHS, TextureSettings
 from gibson_sim_tools.texturing.surface import Surface, surface_of
 from gibson_sim_tools.texturing.texture import texture

@@ -14,9 +14,9 @@ from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, SceneState
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.clean_scene import still_scene
 from gibson_sim_tools.texturing.measure import Drawn, matched
-from gibson_sim_tools.texturing.photographs import Photographs
 
 U8 = NDArray[np.uint8]
 

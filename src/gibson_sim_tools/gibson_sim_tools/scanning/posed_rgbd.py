@@ -59,6 +59,11 @@ class Intrinsics:
         """K, (3, 3), pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def resized(self, width: int, height: int) -> Intrinsics:
+        """Returns the intrinsics of the same picture at another size, pixels."""
+        x, y = width / self.width, height / self.height
+        return Intrinsics(width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFiles:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.texturing.drawing import draw
-from gibson_sim_tools.texturing.photographs import Photographs
-from gibson_sim_tools.texturing.surface import Surface, scaled
+from gibson_sim_tools.texturing.surface import Surface
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -46,7 +46,7 @@ def choose_photographs(
     shown = np.zeros((count, int(part.max()) + 1), dtype=np.float32)
     for number, item in enumerate(photographs.items):
         lens = photographs.intrinsics(number)
-        small = scaled(lens, _WIDTH, max(round(_WIDTH * lens.height / lens.width), 1))
+        small = lens.resized(_WIDTH, max(round(_WIDTH * lens.height / lens.width), 1))
         face = draw(coarse, small, item.T_world_camera).face
         faces, pixels = np.unique(face[face >= 0], return_counts=True)
         facing = np.einsum("ij,ij->i", normal[faces], item.T_world_camera[:3, 3] - corners[faces, 0]) > 0.0

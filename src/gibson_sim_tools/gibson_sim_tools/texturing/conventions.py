@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.transforms import invert
+from gibson_sim_tools.photographs.phone_layouts import OPTICAL_OPENGL
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.texturing.phone_layouts import OPTICAL_OPENGL
-from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.quality import Views, areas_px, joined, views_of
 from gibson_sim_tools.texturing.settings import AS_READ, AUTO, POSE_CONVENTIONS
 from gibson_sim_tools.texturing.surface import Surface

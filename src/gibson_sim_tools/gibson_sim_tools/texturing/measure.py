@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import srgb_from_linear
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.drawing import barycentric, draw, true_weights
-from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.quality import LINEAR, sampled
 from gibson_sim_tools.texturing.surface import Surface, project
 from gibson_sim_tools.texturing.texture import Textured

@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.transforms import invert
 from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.exposure import Exposures
-from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.quality import SAMPLES, Views, intrinsics_radius, sampled
-from gibson_sim_tools.texturing.surface import Surface, project, scaled
+from gibson_sim_tools.texturing.surface import Surface, project
 
 F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
@@ -144,7 +144,7 @@ def _luma(photographs: Photographs, number: int, exposures: Exposures) -> tuple[
     luma = cv2.cvtColor(corrected, cv2.COLOR_RGB2GRAY)
     share = _LARGEST / max(full.width, full.height)
     if share < 1.0:
-        full = scaled(full, round(full.width * share), round(full.height * share))
+        full = full.resized(round(full.width * share), round(full.height * share))
         luma = cv2.resize(luma, (full.width, full.height), interpolation=cv2.INTER_AREA)
     return full, np.asarray(luma, dtype=np.float32)
 

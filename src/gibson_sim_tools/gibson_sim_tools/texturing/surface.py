@@ -125,11 +125,3 @@ def project(points: F64, intrinsics: Intrinsics, T_world_camera: F64) -> tuple[F
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = np.where(z[:, None] > 0.0, p[:, :2] / z[:, None], np.nan)
     return plane * (intrinsics.fx, intrinsics.fy) + (intrinsics.cx, intrinsics.cy), z
-
-
-def scaled(intrinsics: Intrinsics, width: int, height: int) -> Intrinsics:
-    """Returns the intrinsics of the same picture at another size; pixel centres are at whole numbers."""
-    x, y = width / intrinsics.width, height / intrinsics.height
-    return Intrinsics(
-        width, height, intrinsics.fx * x, intrinsics.fy * y, (intrinsics.cx + 0.5) * x - 0.5, (intrinsics.cy + 0.5) * y - 0.5
-    )

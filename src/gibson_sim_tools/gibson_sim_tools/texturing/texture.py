@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.texturing import atlas as atlases
 from gibson_sim_tools.texturing.exposure import Exposures, estimate_exposures, no_exposures
@@ -15,7 +16,6 @@ from gibson_sim_tools.texturing.filling import fill_vertices
 from gibson_sim_tools.texturing.labelling import Candidates, best_labels, candidates_of, choose_labels, patches_of, quality_loss
 from gibson_sim_tools.texturing.levelling import colors_along, find_seams, global_levelling, local_levelling
 from gibson_sim_tools.texturing.outliers import inliers, judged_together
-from gibson_sim_tools.texturing.photographs import Photographs
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
 from gibson_sim_tools.texturing.quality import Views, intrinsics_radius, joined, sampled, views_of
 from gibson_sim_tools.texturing.report import TextureReport

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.drawing import NEAR, draw
-from gibson_sim_tools.texturing.surface import Surface, project, scaled
+from gibson_sim_tools.texturing.surface import Surface, project
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -68,7 +68,7 @@ def seen_faces(surface: Surface, intrinsics: Intrinsics, T_world_camera: F64) ->
 def visible_points(surface: Surface, points: F64, intrinsics: Intrinsics, T_world_camera: F64) -> Bools:
     """Returns which points (N, 3) of the surface, in front of the camera and within its image, the surface does not hide."""
     reduced = min(1.0, _LARGEST / max(intrinsics.width, intrinsics.height))
-    small = scaled(intrinsics, max(round(intrinsics.width * reduced), 1), max(round(intrinsics.height * reduced), 1))
+    small = intrinsics.resized(max(round(intrinsics.width * reduced), 1), max(round(intrinsics.height * reduced), 1))
     image = draw(surface, small, T_world_camera)
     uv, z = project(points, small, T_world_camera)
     limits = np.array([small.width - 1, small.height - 1])

@@ -23,10 +23,10 @@ from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, Import
 from gibson_sim_tools.from_photographs.pictures import is_cut
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.work import RECORD, Stage, Work
+from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.scanning.coloured_mesh import moved
 from gibson_sim_tools.scanning.fusion import Fusion
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
-from gibson_sim_tools.texturing.photograph_layouts import open_photographs
 from support.photographed_room import (
     COUNT,
     T_ARKIT_WORLD,

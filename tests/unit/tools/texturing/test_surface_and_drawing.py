@@ -7,7 +7,7 @@ import numpy as np
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing import drawing
 from gibson_sim_tools.texturing.drawing import barycentric, draw, draw_flat, true_weights
-from gibson_sim_tools.texturing.surface import Surface, adjacency, project, scaled, split_long_edges
+from gibson_sim_tools.texturing.surface import Surface, adjacency, project, split_long_edges
 from gibson_sim_tools.texturing.visibility import agreeing, seen_faces
 
 CAMERA = Intrinsics(101, 81, 100.0, 100.0, 50.0, 40.0)
@@ -36,7 +36,7 @@ def test_a_point_is_where_the_pinhole_projects_it():
 
 
 def test_half_the_size_keeps_the_corners_of_the_image():
-    half = scaled(Intrinsics(100, 80, 50.0, 50.0, 49.5, 39.5), 50, 40)
+    half = Intrinsics(100, 80, 50.0, 50.0, 49.5, 39.5).resized(50, 40)
     assert (half.fx, half.cx, half.cy) == (25.0, 24.5, 19.5)
 
 

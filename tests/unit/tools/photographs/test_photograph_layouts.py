@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.texturing.photograph_layouts import open_photographs
 
 # The camera is at x = 1, y = 2, z = 3, and looks along -x of the world with z up.
 T_WORLD_CAMERA = np.array([[0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, -1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0]])

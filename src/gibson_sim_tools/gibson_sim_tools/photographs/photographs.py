@@ -1,4 +1,4 @@
-"""Posed photographs as pictures of pinhole cameras without distortion, read one at a time. ``photograph_layouts`` finds them."""
+"""Posed photographs as pictures of pinhole cameras without distortion, read one at a time. ``layouts`` finds them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, check_pose, metres, read_image
-from gibson_sim_tools.texturing.surface import scaled
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -81,7 +80,7 @@ class Photographs:
         share = self.longest / max(full.width, full.height)
         if not self.longest or share >= 1.0:
             return full
-        return scaled(full, max(round(full.width * share), 1), max(round(full.height * share), 1))
+        return full.resized(max(round(full.width * share), 1), max(round(full.height * share), 1))
 
     def picture(self, number: int) -> U8:
         """Returns a picture (H, W, 3), sRGB, without distortion; row 0 is the top.
@@ -125,7 +124,7 @@ class Photographs:
                 "so that their sides must be in proportion"
             )
         if any(item.lens.distortion):
-            part = Lens(scaled(full, width, height), item.lens.distortion, item.lens.fisheye)
+            part = Lens(full.resized(width, height), item.lens.distortion, item.lens.fisheye)
             units = cv2.remap(units, *_undistortion(part), cv2.INTER_NEAREST)
         if (width, height) != (wanted.width, wanted.height):
             # Between two pixels there may be an edge: no depth lies between theirs.

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder
+from gibson_sim_tools.photographs.photographs import Lens, Photograph, Photographs, posed
 from gibson_sim_tools.scanning.layouts import read_json
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
-from gibson_sim_tools.texturing.photographs import Lens, Photograph, Photographs, posed
 
 F64 = NDArray[np.float64]
 
