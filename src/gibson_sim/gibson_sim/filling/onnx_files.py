@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import read_file
 
 MAX_BYTES = 256 << 20
@@ -45,7 +45,7 @@ def open_session(file: Path) -> Any:
     try:
         content = read_file(file, MAX_BYTES)
     except OSError as error:
-        raise ConfigError(f"cannot read {quoted(str(file))}: {error.strerror or error}; give an ONNX file") from error
+        raise ConfigError(f"cannot read '{clipped(str(file), 200)}': {error.strerror or error}; give an ONNX file") from error
     try:
         external = _has_external_data(memoryview(content), "model", 0)
     except (ValueError, IndexError) as error:

@@ -14,7 +14,7 @@ from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.formats.yaml_map import ROS_NAME, YamlMap, read_yaml_map
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import exists
 from gibson_sim.types import (
     DEFAULT_OUTPUTS,
@@ -139,7 +139,7 @@ def read_camera(settings: YamlMap, find_link: Callable[[str], str]) -> CameraSpe
         values["fill"] = settings.text("fill")
         if values["fill"].endswith(".onnx") and not exists(Path(values["fill"])):
             raise RobotError(
-                f"{settings.where}: fill: there is no file {quoted(values['fill'])}; give an ONNX file, push_pull or learned"
+                f"{settings.where}: fill: there is no file '{clipped(values['fill'], 200)}'; give an ONNX file, push_pull or learned"
             )
     values["fill_depth"] = settings.flag("fill_depth", False)
     if values["fill_depth"] and "hole" not in outputs:
