@@ -43,7 +43,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.egl]
 RENDER = RenderConfig(cache="none")
 EYE = """cameras:
   - {name: eye, link: robot/base, pose: {xyz: [0.1, 0, 0.3], rpy_deg: [0, 10, 5]}, width: 64, height: 48, rate_hz: 20,
-     outputs: [rgb, depth, semantic, instance, normal, normal_world, position, flow]}
+     outputs: [rgb, depth, semantic, instance, normal, normal_world, position, flow, hole]}
 """
 
 

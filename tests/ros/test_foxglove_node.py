@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import re
@@ -46,14 +47,18 @@ def simulation(ros_domain: int) -> Iterator[Launched]:
 @pytest.fixture(scope="module")
 def server(simulation: Launched) -> Iterator[Launched]:
     """The Foxglove server beside it."""
-    yield from _serve()
+    with _serve() as launched:
+        yield launched
 
 
+@contextlib.contextmanager
 def _serve(*options: str) -> Iterator[Launched]:
     launched = Launched("web", "--foxglove", "--port", "0", *options)
-    launched.wait_for_line("foxglove: ws://")
-    yield launched
-    launched.stop()
+    try:
+        launched.wait_for_line("foxglove: ws://")
+        yield launched
+    finally:
+        launched.stop()
 
 
 def _url(server: Launched) -> str:
@@ -251,8 +256,6 @@ def test_parameters_are_read_set_and_refused_with_a_reason(server: Launched) -> 
 
 def test_a_client_that_may_only_look_can_do_nothing_else(simulation: Launched, listener: Listener) -> None:
     commands = listener.collect(Twist, "/cmd_vel")
-    server = _serve("--no-commands")
-    launched = next(server)
 
     async def talk(client: FoxgloveClient) -> None:
         assert client.info["capabilities"] == ["time"]
@@ -265,15 +268,12 @@ def test_a_client_that_may_only_look_can_do_nothing_else(simulation: Launched, l
         await client.until(lambda: len(client.messages.get("/odom", ())) > 20, "odometry")
         assert client.services == {}
 
-    _talk(launched, talk)
+    with _serve("--no-commands") as launched:
+        _talk(launched, talk)
     assert not commands
-    with pytest.raises(StopIteration):
-        next(server)
 
 
 def test_topics_of_other_nodes_come_and_go(listener: Listener, ros_domain: int) -> None:
-    server = _serve()
-    launched = next(server)
     publisher = listener.node.create_publisher(JointState, "/robot/joints", 10)
 
     async def talk(client: FoxgloveClient) -> None:
@@ -288,9 +288,8 @@ def test_topics_of_other_nodes_come_and_go(listener: Listener, ros_domain: int) 
         listener.node.destroy_publisher(publisher)
         await client.until(lambda: "/robot/joints" not in client.channels, "end of the channel")
 
-    _talk(launched, talk)
-    with pytest.raises(StopIteration):
-        next(server)
+    with _serve() as launched:
+        _talk(launched, talk)
 
 
 def test_time_is_this_machines_where_there_is_no_clock(ros_domain: int) -> None:
@@ -363,11 +362,8 @@ def test_pages_of_other_sites_are_not_refused_and_that_is_said(server: Launched)
 
 
 def test_address_of_other_machines_is_warned_of(ros_domain: int) -> None:
-    server = _serve("--host", "0.0.0.0")
-    launched = next(server)
-    assert "every machine that reaches 0.0.0.0 port" in launched.wait_for_line("warning: ")
-    with pytest.raises(StopIteration):
-        next(server)
+    with _serve("--host", "0.0.0.0") as launched:
+        assert "every machine that reaches 0.0.0.0 port" in launched.wait_for_line("warning: ")
 
 
 def test_port_that_is_taken_is_one_line(server: Launched) -> None:
