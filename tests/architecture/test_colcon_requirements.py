@@ -36,7 +36,7 @@ WITHOUT = {
     "gibson_sim_learn.path_following.export": "onnx", "gibson_sim_learn.path_following.pipeline": "onnx",
     "gibson_sim_learn.filler.network": "torch", "gibson_sim_learn.filler.training": "torch", "gibson_sim_learn.filler.export": "onnx",
     "gibson_sim_learn.goggles.network": "torch", "gibson_sim_learn.goggles.training": "torch", "gibson_sim_learn.goggles.export": "onnx",
-    "gibson_sim_learn.goggles.pipeline": "onnx",
+    "gibson_sim_learn.goggles.pipeline": "onnx", "gibson_sim_learn.training": "torch",
 }  # fmt: skip
 """Modules, or folders of them, that need an optional package -> that package."""
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}

@@ -7,8 +7,6 @@ same kind of processor it gives what an uninterrupted one gives, up to the round
 from __future__ import annotations
 
 import copy
-import json
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -23,12 +21,11 @@ from torch.nn import functional
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.filling.inputs import packed
-from gibson_sim.writing import replacing, write_file
 from gibson_sim_learn.filler.network import FillerNetwork
 from gibson_sim_learn.filler.pairs import Pairs, depth_of, is_hole, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring
 from gibson_sim_learn.filler.settings import TrainingSettings
-from gibson_sim_learn.path_following.training import has_bfloat16
+from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -51,6 +48,13 @@ _REORDERED = 0.3
 """Probability that a cutting has its red, green and blue exchanged, for variety."""
 _MAY_CHANGE = ("iterations", "evaluate_every")
 """Settings by which a training can be made longer."""
+_PANELS = (
+    ("loss of training", ["loss"]),
+    ("holes, validation scenes, PSNR dB", ["hole_psnr"]),
+    ("seen, validation scenes, PSNR dB", ["seen_psnr"]),
+    ("GMSD, validation scenes", ["gmsd"]),
+)
+"""Of the curve: title and fields of its points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +138,7 @@ class Training:
         settings, losses, until = self.settings, [], self.settings.iterations
         began, before, start = time.monotonic(), time.process_time(), self.iteration
         while self.iteration < until:
-            rise = min(1.0, (self.iteration + 1) / _WARM_UP)
-            for group in self._optimiser.param_groups:
-                group["lr"] = settings.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * self.iteration / until))
+            set_step_size(self._optimiser, step_size(settings.learning_rate, self.iteration, until, _WARM_UP))
             losses.append(self._step(*batch_of(data, self._rng, settings.batch, settings.crop)))
             self.iteration += 1
             if self.iteration % 10 == 0:
@@ -195,7 +197,6 @@ class Training:
         return float(loss.detach())
 
     def _save(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
         content = {
             "settings": asdict(self.settings),
             "data": self.data,
@@ -208,22 +209,12 @@ class Training:
             "curve": [asdict(point) for point in self.curve],
             "processor_s": self._processor_s,
         }
-        with replacing(self.checkpoint) as draft:
-            torch.save(content, draft)
-        write_curve(self.folder, self.curve)
+        save_checkpoint(self.checkpoint, content)
+        write_curve(self.folder, self.curve, _PANELS)
 
     def _load(self) -> None:
-        try:
-            content = torch.load(self.checkpoint, weights_only=False)
-            settings, data = content["settings"], content["data"]
-        except Exception as error:
-            raise ConfigError(f"{self.checkpoint}: cannot be read: {error}; delete it to begin again") from error
-        here = asdict(self.settings)
-        other = [name for name in here if settings.get(name) != here[name] and name not in _MAY_CHANGE]
-        if other:
-            raise ConfigError(
-                f"{self.folder}: holds a training with another {other[0]} ({settings.get(other[0])}); choose another --folder"
-            )
+        content = load_checkpoint(self.checkpoint, asdict(self.settings), _MAY_CHANGE)
+        data = content.get("data")
         if data != self.data:
             raise ConfigError(
                 f"{self.folder}: holds a training with other pairs ({data}, here {self.data}); choose another --folder"
@@ -282,28 +273,3 @@ def loss_of(found: Tensor, truth: Tensor, hole: Tensor) -> Tensor:
         small = functional.avg_pool2d(error, scale) if scale > 1 else error
         loss = loss + _EDGES / len(_SCALES) * (small.diff(dim=2).abs().mean() + small.diff(dim=3).abs().mean())
     return loss
-
-
-def write_curve(folder: Path, curve: Sequence[CurvePoint]) -> None:
-    """Writes ``curve.json`` and, with Matplotlib, ``curve.png``."""
-    write_file(folder / "curve.json", json.dumps([asdict(point) for point in curve], indent=1) + "\n")
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return
-    figure = Figure(figsize=(12.0, 3.0), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = [
-        ("loss of training", "loss"),
-        ("holes, validation scenes, PSNR dB", "hole_psnr"),
-        ("seen, validation scenes, PSNR dB", "seen_psnr"),
-        ("GMSD, validation scenes", "gmsd"),
-    ]
-    for axis, (title, name) in zip(figure.subplots(1, 4).flat, panels, strict=True):
-        axis.plot([point.iteration for point in curve], [getattr(point, name) for point in curve])
-        axis.set_title(title, fontsize=9)
-        axis.set_xlabel("iteration", fontsize=8)
-        axis.grid(alpha=0.3)
-    with replacing(folder / "curve.png") as draft:
-        figure.savefig(draft, format="png")

@@ -6,8 +6,6 @@ same kind of processor it gives what an uninterrupted one gives, up to the round
 
 from __future__ import annotations
 
-import json
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -18,13 +16,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gibson_sim.errors import ConfigError
-from gibson_sim.writing import replacing, write_file
 from gibson_sim_learn.goggles.network import GogglesNetwork
 from gibson_sim_learn.goggles.pairs import U8, Pairs
 from gibson_sim_learn.goggles.scoring import score
 from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
-from gibson_sim_learn.path_following.training import has_bfloat16
+from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
 
 _WARM_UP = 100
 """Iterations in which the step size rises."""
@@ -34,6 +30,8 @@ _EDGES = 0.5
 """Weight of the differences from one pixel to the next, relative to that of the pixels themselves."""
 _MAY_CHANGE = ("iterations",)
 """Settings by which a training can be made longer."""
+_PANELS = (("loss of training", ["loss"]), ("PSNR, validation scenes, dB", ["psnr"]), ("SSIM, validation scenes", ["ssim"]))
+"""Of the curve: title and fields of its points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +89,7 @@ class Training:
         settings, losses, until = self.settings, [], self.settings.iterations
         began, before, start = time.monotonic(), time.process_time(), self.iteration
         while self.iteration < until:
-            rise = min(1.0, (self.iteration + 1) / _WARM_UP)
-            for group in self._optimiser.param_groups:
-                group["lr"] = settings.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * self.iteration / until))
+            set_step_size(self._optimiser, step_size(settings.learning_rate, self.iteration, until, _WARM_UP))
             losses.append(self._step(*_batch(data, self._rng, settings.batch)))
             self.iteration += 1
             if self.iteration % 10 == 0:
@@ -129,7 +125,6 @@ class Training:
         return float(loss.detach())
 
     def _save(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
         content = {
             "settings": as_dict(self.settings),
             "network": self.network.state_dict(),
@@ -139,48 +134,17 @@ class Training:
             "curve": [asdict(point) for point in self.curve],
             "processor_s": self._processor_s,
         }
-        with replacing(self.checkpoint) as draft:
-            torch.save(content, draft)
-        write_curve(self.folder, self.curve)
+        save_checkpoint(self.checkpoint, content)
+        write_curve(self.folder, self.curve, _PANELS)
 
     def _load(self) -> None:
-        try:
-            content = torch.load(self.checkpoint, weights_only=False)
-            settings = content["settings"]
-        except Exception as error:
-            raise ConfigError(f"{self.checkpoint}: cannot be read: {error}; delete it to begin again") from error
-        here = as_dict(self.settings)
-        other = [name for name in here if settings.get(name) != here[name] and name not in _MAY_CHANGE]
-        if other:
-            raise ConfigError(
-                f"{self.folder}: holds a training with another {other[0]} ({settings.get(other[0])}); choose another --folder"
-            )
+        content = load_checkpoint(self.checkpoint, as_dict(self.settings), _MAY_CHANGE)
         self.network.load_state_dict(content["network"])
         self._optimiser.load_state_dict(content["optimiser"])
         self._rng.bit_generator.state = content["rng"]
         self.iteration = content["iteration"]
         self.curve = [CurvePoint(**point) for point in content["curve"]]
         self._processor_s = content["processor_s"]
-
-
-def write_curve(folder: Path, curve: Sequence[CurvePoint]) -> None:
-    """Writes ``curve.json`` and, with Matplotlib, ``curve.png``."""
-    write_file(folder / "curve.json", json.dumps([asdict(point) for point in curve], indent=1) + "\n")
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return
-    figure = Figure(figsize=(9.0, 3.0), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = [("loss of training", "loss"), ("PSNR, validation scenes, dB", "psnr"), ("SSIM, validation scenes", "ssim")]
-    for axis, (title, name) in zip(figure.subplots(1, 3).flat, panels, strict=True):
-        axis.plot([point.iteration for point in curve], [getattr(point, name) for point in curve])
-        axis.set_title(title, fontsize=9)
-        axis.set_xlabel("iteration", fontsize=8)
-        axis.grid(alpha=0.3)
-    with replacing(folder / "curve.png") as draft:
-        figure.savefig(draft, format="png")
 
 
 def _batch(data: Sequence[Pairs], rng: np.random.Generator, count: int) -> tuple[U8, U8]:

@@ -6,7 +6,6 @@ same kind of processor it gives what an uninterrupted one gives, up to the round
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable
@@ -19,12 +18,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gibson_sim.errors import ConfigError
-from gibson_sim.writing import replacing, write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
+from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
 
 Progress = Callable[[str], None]
 _WARM_UP = 100
@@ -36,6 +34,15 @@ _NEAR = 1.0
 """Free distance below which something counts as near, metres."""
 _RATIO = 1.3
 """Ratio of distances from which a near thing counts as missed."""
+_PANELS = (
+    ("loss of training", ["loss"]),
+    ("error of the pose, m", ["ahead", "beside"]),
+    ("error of the heading, degrees", ["yaw_deg"]),
+    ("one place or not: share right", ["match"]),
+    ("error of free distances, m", ["free"]),
+    ("near, told as far; far, told as near: shares", ["too_far", "too_near"]),
+)
+"""Of the curve: title and fields of its points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +126,7 @@ class Training:
         began, before = time.monotonic(), time.process_time()
         start = self.iteration
         while self.iteration < until:
-            rate = self._rate(self.iteration - first, until - first)
-            for group in self._optimiser.param_groups:
-                group["lr"] = rate
+            set_step_size(self._optimiser, self._rate(self.iteration - first, until - first))
             losses.append(self._step(data.batch(self._rng, settings.later, settings.recorded)))
             self.iteration += 1
             if self.iteration % 10 == 0:
@@ -196,11 +201,9 @@ class Training:
         return present, estimate, self.network.free(present)
 
     def _rate(self, done: int, total: int) -> float:
-        rise = min(1.0, (done + 1) / _WARM_UP)
-        return self.settings.learning_rate * rise * 0.5 * (1.0 + math.cos(math.pi * done / max(1, total)))
+        return step_size(self.settings.learning_rate, done, total, _WARM_UP)
 
     def _save(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
         content = {
             "settings": as_dict(self.settings),
             "network": self.network.state_dict(),
@@ -212,22 +215,11 @@ class Training:
             "curve": [asdict(point) for point in self.curve],
             "processor_s": self._processor_s,
         }
-        with replacing(self.checkpoint) as draft:
-            torch.save(content, draft)
-        write_curve(self.folder, self.curve)
+        save_checkpoint(self.checkpoint, content)
+        write_curve(self.folder, self.curve, _PANELS, columns=3)
 
     def _load(self) -> None:
-        try:
-            content = torch.load(self.checkpoint, weights_only=False)
-            settings = content["settings"]
-        except Exception as error:
-            raise ConfigError(f"{self.checkpoint}: cannot be read: {error}; delete it to begin again") from error
-        here = as_dict(self.settings)
-        other = [name for name in here if settings.get(name) != here[name] and name not in _MAY_CHANGE]
-        if other:
-            raise ConfigError(
-                f"{self.folder}: holds a training with another {other[0]} ({settings.get(other[0])}); choose another --folder"
-            )
+        content = load_checkpoint(self.checkpoint, as_dict(self.settings), _MAY_CHANGE)
         self.network.load_state_dict(content["network"])
         self._optimiser.load_state_dict(content["optimiser"])
         self._rng.bit_generator.state = content["rng"]
@@ -247,44 +239,6 @@ _MAY_CHANGE = (
     "validation_shards",
 )
 """Settings by which a training can be made longer."""
-
-
-def has_bfloat16() -> bool:
-    """Returns whether the processor computes in bfloat16 by itself, as far as Linux tells."""
-    try:
-        return "avx512_bf16" in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
-
-
-def write_curve(folder: Path, curve: list[CurvePoint]) -> None:
-    """Writes ``curve.json`` and, with Matplotlib, ``curve.png``."""
-    write_file(folder / "curve.json", json.dumps([asdict(point) for point in curve], indent=1) + "\n")
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return
-    figure = Figure(figsize=(9.0, 5.0), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    panels: list[tuple[str, list[str]]] = [
-        ("loss of training", ["loss"]),
-        ("error of the pose, m", ["ahead", "beside"]),
-        ("error of the heading, degrees", ["yaw_deg"]),
-        ("one place or not: share right", ["match"]),
-        ("error of free distances, m", ["free"]),
-        ("near, told as far; far, told as near: shares", ["too_far", "too_near"]),
-    ]
-    for axis, (title, names) in zip(figure.subplots(2, 3).flat, panels, strict=True):
-        for name in names:
-            axis.plot([point.iteration for point in curve], [getattr(point, name) for point in curve], label=name)
-        axis.set_title(title, fontsize=9)
-        axis.set_xlabel("iteration", fontsize=8)
-        axis.grid(alpha=0.3)
-        if len(names) > 1:
-            axis.legend(fontsize=8)
-    with replacing(folder / "curve.png") as draft:
-        figure.savefig(draft, format="png")
 
 
 def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
