@@ -7,15 +7,12 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import replacing, write_file
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 COLUMNS = 4
 """Most panels of a curve beside each other."""
@@ -83,14 +80,12 @@ def load_checkpoint(file: Path, settings: Mapping[str, Any], may_change: Collect
     return content
 
 
-def write_curve(
-    folder: Path, curve: Sequence[DataclassInstance], panels: Sequence[tuple[str, Sequence[str]]], columns: int = COLUMNS
-) -> None:
+def write_curve(folder: Path, curve: Sequence[Any], panels: Sequence[tuple[str, Sequence[str]]], columns: int = COLUMNS) -> None:
     """Writes ``curve.json`` and, with Matplotlib, ``curve.png``.
 
     Args:
         folder: of the training.
-        curve: points with ``iteration`` and the fields of the panels.
+        curve: dataclasses, points with ``iteration`` and the fields of the panels.
         panels: title and fields of each.
         columns: panels beside each other.
     """
@@ -107,7 +102,7 @@ def write_curve(
     for axis, (title, names) in zip(figure.subplots(rows, columns).flat, panels, strict=True):
         for name in names:
             values = [getattr(point, name) for point in curve]
-            axis.plot([getattr(point, "iteration") for point in curve], values, label=name)  # noqa: B009
+            axis.plot([point.iteration for point in curve], values, label=name)
         axis.set_title(title, fontsize=9)
         axis.set_xlabel("iteration", fontsize=8)
         axis.grid(alpha=0.3)
