@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -119,11 +121,8 @@ def run(args: argparse.Namespace) -> int:
     require_learning()
     from gibson_sim_learn.path_following.pipeline import learn
 
-    progress = _Progress(CONSOLE)
-    try:
-        learned = learn(args.folder, settings, progress.tell)
-    finally:
-        CONSOLE.status("")
+    with _progress() as tell:
+        learned = learn(args.folder, settings, tell)
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; curve: {args.folder / 'curve.png'}")
     return 0
 
@@ -137,11 +136,8 @@ def run_goggles(args: argparse.Namespace) -> int:
     require_learning()
     from gibson_sim_learn.goggles.pipeline import learn
 
-    progress = _Progress(CONSOLE)
-    try:
-        learned = learn(args.folder, settings, progress.tell)
-    finally:
-        CONSOLE.status("")
+    with _progress() as tell:
+        learned = learn(args.folder, settings, tell)
     print("\n".join(learned.scores))
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; examples: {args.folder / 'sheet.png'}")
     return 0
@@ -153,11 +149,8 @@ def run_filler_pairs(args: argparse.Namespace) -> int:
     from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
 
     settings = settings_from_args(PairsSettings, args)
-    progress = _Progress(CONSOLE)
-    try:
-        make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), progress.tell)
-    finally:
-        CONSOLE.status("")
+    with _progress() as tell:
+        make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), tell)
     print(f"{args.folder / PAIRS} holds the pairs; next: gibson-sim learn filler train --folder {args.folder}")
     return 0
 
@@ -169,11 +162,8 @@ def run_filler_training(args: argparse.Namespace) -> int:
     require_learning()
     from gibson_sim_learn.filler.pipeline import train
 
-    progress = _Progress(CONSOLE)
-    try:
-        trained = train(args.folder, settings, progress.tell)
-    finally:
-        CONSOLE.status("")
+    with _progress() as tell:
+        trained = train(args.folder, settings, tell)
     print(trained.summary)
     print(f"{trained.model}: {trained.size / 1e6:.1f} MB; card: {trained.card}; curve: {trained.card.with_name('curve.png')}")
     return 0
@@ -187,18 +177,15 @@ def run_filler_evaluation(args: argparse.Namespace) -> int:
 
     settings = settings_from_args(EvaluationSettings, args)
     model = args.folder / TRAINED / MODEL if args.model is None else args.model
-    progress = _Progress(CONSOLE)
-    try:
+    with _progress() as tell:
         found = evaluate(
             args.folder,
             VALIDATION if args.validation else HELD_OUT,
             model,
             settings,
             sheet_file=args.sheet,
-            progress=progress.tell,
+            progress=tell,
         )
-    finally:
-        CONSOLE.status("")
     print("\n".join(found.lines))
     write_json(args.report, found.values)
     return 0
@@ -213,6 +200,15 @@ def require_learning() -> None:
     for name in _NEEDED:
         if importlib.util.find_spec(name) is None:
             raise ConfigError(f"learning needs {name}, which is not installed: pip install gibson_sim_learn[learn]")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """Yields what tells how it goes, and clears its line at the end."""
+    try:
+        yield _Progress(CONSOLE).tell
+    finally:
+        CONSOLE.status("")
 
 
 class _Progress:
