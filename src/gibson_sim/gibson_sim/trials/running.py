@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import logging
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,6 +13,7 @@ from typing import Any, Literal
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.jobs.units import LOG_SUFFIX, Backend, Context, Unit, UnitResult, run_units
+from gibson_sim.processes.folder_lock import locked_folder
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_file
 from gibson_sim.trials.records import Cause, Outcome, RunResult, RunSpec, Verdict
@@ -28,7 +27,6 @@ RUNS = "runs"
 RUN, RESULT = "run.json", "result.json"
 """Files in the folder of a run."""
 _FUNCTION = f"{__name__}:make_run"
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,24 +110,12 @@ def claimed(folder: Path, *, resume: bool) -> Iterator[None]:
         ConfigError: another trial is being made in it, or it cannot be used.
         WriteError: it cannot be made.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise cannot_write(folder, error) from error
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise ConfigError(
-                f"--output {quoted(str(folder))}: another trial is being made in the folder; wait for it, or give a new one"
-            ) from error
-        except OSError:  # the file system has no locks
-            _log.debug("no lock of %s", folder)
+    in_use = ConfigError(
+        f"--output {quoted(str(folder))}: another trial is being made in the folder; wait for it, or give a new one"
+    )
+    with locked_folder(folder, in_use):
         prepare(folder, resume=resume)
         yield
-    finally:
-        os.close(descriptor)
 
 
 def finished(folder: Path, runs: Iterable[RunSpec]) -> dict[int, RunResult]:

@@ -52,8 +52,8 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     output = args.output or Path(f"{args.source.resolve().name.removesuffix('.zip')}_scene")
     folder, source = args.source, str(args.source.resolve())
     if not folder.is_dir():
-        Work(output, source).open()  # before anything is written into its folder
-        with progress_bar(f"unpacking {folder.name}"):
+        # Opened before anything is written into its folder.
+        with Work(output, source).alone(), progress_bar(f"unpacking {folder.name}"):
             folder = unpacked(folder, output / WORK / "photographs")
     found = find(folder, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
     if scale is not None and any(item.depth is not None for item in found.photographs.items):

@@ -119,8 +119,8 @@ class Import:
         if self.found.mesh is None:
             open3d()  # before any work
         work = Work(self.output, self.source or str(self.found.photographs.folder.resolve()))
-        work.open()
-        work.run(self.stages(), bar, say)
+        with work.alone():
+            work.run(self.stages(), bar, say)
 
     def _inputs(self) -> Any:
         """Returns what tells whether the photographs changed."""

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.digests import digest_of
 from gibson_sim.errors import SceneError
+from gibson_sim.processes.folder_lock import locked_folder
 from gibson_sim.reading import read_file
 from gibson_sim.writing import write_file
 
@@ -64,6 +65,21 @@ class Work:
     source: str
     """What the job is made from; another job may not go on in the folder."""
     _stages: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Opens the folder as ``open`` does, and keeps other jobs out of it in a block.
+
+        Raises:
+            SceneError: another job is at work in it, or it holds something else.
+            WriteError: it cannot be written.
+        """
+        in_use = SceneError(
+            f"{self.folder}: another import is being made in the folder; wait until it ends, or give another folder with --output"
+        )
+        with locked_folder(self.folder, in_use):
+            self.open()
+            yield
 
     def open(self) -> None:
         """Creates the folder or reads its record.

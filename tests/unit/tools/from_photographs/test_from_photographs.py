@@ -389,6 +389,22 @@ def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
         made(opened(room, tmp_path / "out"))
 
 
+def test_two_imports_into_one_folder_at_a_time_are_refused_and_the_first_goes_on(room, tmp_path, monkeypatch, capsys):
+    skip_work(monkeypatch)
+    job = opened(room, tmp_path / "out")
+    codes = []
+
+    def second(_):
+        codes.append(exit_code(room, "--output", tmp_path / "out", "--hold-out", 0))
+
+    job.run(lambda number: nullcontext(lambda part: None), second)
+    errors = set(capsys.readouterr().err.splitlines())
+    assert set(codes) == {1} and errors == {
+        f"gibson-sim: error: {tmp_path}/out: another import is being made in the folder; wait until it ends, or give another folder with --output"
+    }
+    assert all(made(job).values())
+
+
 def test_options_of_photographs_are_refused_for_other_sources(tmp_path, capsys):
     write_mesh(tmp_path / "shop.ply")
     assert exit_code(tmp_path / "shop.ply", "--triangles", 9, "--output", tmp_path / "out") == 1

@@ -1,0 +1,51 @@
+"""Keeps two processes from making the same output folder at a time.
+
+The lock is one of the kernel on the folder itself (flock(2)): no file is left in it, and it ends with the process, however that ends.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.writing import cannot_write
+
+_log = logging.getLogger(__name__)
+
+
+@contextmanager
+def locked_folder(folder: Path, in_use: GibsonSimError) -> Iterator[None]:
+    """Creates a folder where it is missing, and keeps others that call this out of it in a block.
+
+    Args:
+        folder: to be locked. Where the file system has no locks, none is made.
+        in_use: raised if another process holds the lock.
+
+    Raises:
+        GibsonSimError: ``in_use``.
+        WriteError: the folder cannot be made.
+    """
+    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from error
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise in_use from error
+        except OSError as error:
+            _log.debug("no lock of %s: %s", folder, error)
+        yield
+    finally:
+        os.close(descriptor)
