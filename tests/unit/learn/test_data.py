@@ -13,10 +13,9 @@ from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.tasks.episode import item_body
-from gibson_sim_learn.path_following.clutter import FURNITURE, KINDS, random_furniture, random_thing
+from gibson_sim_learn.path_following.clutter import FURNITURE, KINDS, OBSTACLES, random_furniture, random_obstacle, random_thing
 from gibson_sim_learn.path_following.data import (
     FREE_EDGES,
-    HFOV,
     Shard,
     column_bearings,
     distance_labels,
@@ -30,7 +29,9 @@ from gibson_sim_learn.path_following.data import (
     save_shard,
     smooth_path,
 )
-from gibson_sim_learn.path_following.layout import THINGS
+from gibson_sim_learn.path_following.drawing import HFOV
+from gibson_sim_learn.path_following.layout import THINGS, ThingMaker
+from gibson_sim_learn.path_following.obstacles import views_around
 
 CELL = 0.05
 
@@ -114,18 +115,19 @@ def test_labels_of_a_distance_are_around_it_and_sum_to_one() -> None:
     assert labels[1, :, -1].tolist() == [1.0, 1.0], "as far as is looked: nothing is there"
 
 
-def test_random_things_stand_on_the_floor_and_are_none_of_table_2() -> None:
+@pytest.mark.parametrize(("make", "expected"), [(random_thing, KINDS), (random_obstacle, OBSTACLES)])
+def test_random_things_stand_on_the_floor_and_are_none_of_table_2(make: ThingMaker, expected: tuple[str, ...]) -> None:
     kinds = set()
-    for seed in range(40):
-        item = random_thing(np.random.default_rng(seed), f"thing_{seed}")
-        assert item.text == random_thing(np.random.default_rng(seed), f"thing_{seed}").text
+    for seed in range(80):
+        item = make(np.random.default_rng(seed), f"thing_{seed}")
+        assert item.text == make(np.random.default_rng(seed), f"thing_{seed}").text
         body = item_body(item)
         corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
         assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-4)
         assert 0.12 <= corners[:, 2].max() <= 2.0
         assert np.abs(corners[:, :2]).max() < 0.75
         kinds.add(item.model)
-    assert kinds == set(KINDS)
+    assert kinds == set(expected)
     assert kinds.isdisjoint(THINGS)
 
 
@@ -140,6 +142,20 @@ def test_random_furniture_stands_on_the_floor_and_is_none_of_table_2() -> None:
         kinds.add(item.model)
     assert kinds == set(FURNITURE)
     assert kinds.isdisjoint(THINGS)
+
+
+def test_obstacles_are_seen_from_where_the_robot_fits_and_not_through_walls() -> None:
+    place = np.array([[2.5, 1.0]])
+    poses = views_around(place, room(), room(), np.random.default_rng(0))
+    assert len(poses) > 20
+    assert (room().clearance(poses[:, :2]) >= 0.2).all()
+    beyond = poses[poses[:, 0] > 3.1]
+    crossing = 1.0 + (beyond[:, 1] - 1.0) * 0.6 / (beyond[:, 0] - 2.5)
+    assert (crossing > 2.9).all(), "the wall at x = 3.1 m hides it, but for its end at y = 3 m"
+    away = np.linalg.norm(place - poses[:, :2], axis=1)
+    assert away.min() >= 0.5 and away.max() <= 2.6
+    bearing = np.arctan2(*(place - poses[:, :2]).T[::-1]) - poses[:, 2]
+    assert abs(np.median((bearing + math.pi) % (2.0 * math.pi) - math.pi)) < 0.1
 
 
 def test_shards_come_back_as_they_were_saved(tmp_path: Path) -> None:

@@ -31,17 +31,14 @@ from gibson_sim.types import Frame, SceneState
 from gibson_sim_learn.arrays import load_arrays, save_arrays
 from gibson_sim_learn.path_following.clutter import random_thing
 from gibson_sim_learn.path_following.data import (
-    CAMERA_X,
-    HEIGHT,
     ROBOT_RADIUS,
-    WIDTH,
     DataSettings,
     World,
-    camera_at,
     camera_poses,
     draw_path,
 )
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
+from gibson_sim_learn.path_following.drawing import CAMERA_X, HEIGHT, WIDTH, camera_at
 from gibson_sim_learn.path_following.photometry import photographed, relit_linear
 
 U8 = NDArray[np.uint8]

@@ -16,7 +16,7 @@ from gibson_sim_learn.goggles.pairs import U8, VIEWS, Pairs, is_original, load_p
 from gibson_sim_learn.goggles.scoring import mean_of, score
 from gibson_sim_learn.goggles.settings import GogglesSettings
 from gibson_sim_learn.goggles.training import CurvePoint, Training
-from gibson_sim_learn.path_following.data import HEIGHT, WIDTH
+from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
 
 MODEL, CARD, LOOK, SHEET = "goggles.onnx", "goggles.md", "simulator_look.csv", "sheet.png"

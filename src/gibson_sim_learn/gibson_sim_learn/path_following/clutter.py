@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from gibson_sim.tasks.episode import Item
 
 KINDS = ("box", "cylinder", "container", "table", "chair", "person")
 """What a thing is, each equally likely."""
+OBSTACLES = (*KINDS, "seat", "barred_chair", "capsule", "tapered", "ball", "stack")
+"""What an obstacle is, each equally likely: also what has rungs, bars, and a base that is narrower than its body."""
 FURNITURE = ("block", "sofa", "shelf", "table", "chair", "container")
 """What a piece of furniture is, each equally likely."""
 _LOW_SHARE = 0.4
@@ -29,6 +31,11 @@ def random_thing(rng: np.random.Generator, name: str, x: float = 0.0, y: float =
         z: of the floor, metres.
     """
     return _made(KINDS[int(rng.integers(len(KINDS)))], rng, name, x, y, z)
+
+
+def random_obstacle(rng: np.random.Generator, name: str, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Item:
+    """Returns an obstacle that stands on the floor; arguments as of ``random_thing``."""
+    return _made(OBSTACLES[int(rng.integers(len(OBSTACLES)))], rng, name, x, y, z)
 
 
 def random_furniture(rng: np.random.Generator, name: str, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Item:
@@ -122,6 +129,95 @@ def _chair(rng: np.random.Generator) -> list[_Part]:
     return parts
 
 
+def _wood(rng: np.random.Generator) -> str:
+    """Returns a colour of wood, which floors and doors also have; or any other one."""
+    if rng.random() < 0.4:
+        return _look(rng)
+    bright, warm = rng.uniform(0.15, 0.9), rng.uniform(0.55, 0.9)
+    red, green, blue = bright, bright * warm, bright * warm**2 * rng.uniform(0.6, 1.0)
+    return f'<material name="m{rng.integers(10**9)}"><color rgba="{red:.3f} {green:.3f} {blue:.3f} 1"/></material>'
+
+
+def _legs(x: float, y: float, top: float, thick: float, wood: str, rungs: Sequence[float]) -> list[_Part]:
+    """Returns four legs under a seat of a size, and bars between them at some heights, metres."""
+    ends = [(i * (x - thick) / 2.0, j * (y - thick) / 2.0) for i in (-1.0, 1.0) for j in (-1.0, 1.0)]
+    parts: list[_Part] = [(_size(thick, thick, top), (px, py, top / 2.0), wood) for px, py in ends]
+    bar = 0.7 * thick
+    for height in rungs:
+        parts += [(_size(x - thick, bar, bar), (0.0, j * (y - thick) / 2.0, height), wood) for j in (-1.0, 1.0)]
+        parts += [(_size(bar, y - thick, bar), (i * (x - thick) / 2.0, 0.0, height + bar), wood) for i in (-1.0, 1.0)]
+    return parts
+
+
+def _seat(rng: np.random.Generator) -> list[_Part]:
+    """Returns a seat on four legs with rungs."""
+    width, top, thick = rng.uniform(0.26, 0.44), rng.uniform(0.28, 0.72), rng.uniform(0.018, 0.045)
+    wood = _wood(rng)
+    seat = _round(width / 2.0, 0.03) if rng.random() < 0.5 else _size(width, width, 0.03)
+    inside = width * rng.uniform(0.65, 1.0)
+    rungs = sorted(rng.uniform(0.1, 0.8, int(rng.integers(0, 3))) * top)
+    return [
+        (seat, (0.0, 0.0, top + 0.015), _wood(rng) if rng.random() < 0.3 else wood),
+        *_legs(inside, inside, top, thick, wood, rungs),
+    ]
+
+
+def _barred_chair(rng: np.random.Generator) -> list[_Part]:
+    """Returns a chair whose back has bars, with rungs between its legs, or without."""
+    depth, width = rng.uniform(0.34, 0.48, 2)
+    top, back, thick, wood = rng.uniform(0.38, 0.52), rng.uniform(0.3, 0.6), rng.uniform(0.02, 0.045), _wood(rng)
+    rungs = [top * rng.uniform(0.2, 0.7)] if rng.random() < 0.6 else []
+    parts = [(_size(depth, width, 0.03), (0.0, 0.0, top + 0.015), wood), *_legs(depth, width, top, thick, wood, rungs)]
+    behind, bars = -(depth - thick) / 2.0, int(rng.integers(2, 6))
+    if rng.random() < 0.5:  # upright bars under a rail
+        across = np.linspace(-(width - thick) / 2.0, (width - thick) / 2.0, bars)
+        parts += [(_size(0.6 * thick, 0.6 * thick, back), (behind, float(py), top + back / 2.0), wood) for py in across]
+        return [*parts, (_size(thick, width, 0.05), (behind, 0.0, top + back), wood)]
+    posts = [(_size(thick, thick, back), (behind, side * (width - thick) / 2.0, top + back / 2.0), wood) for side in (-1.0, 1.0)]
+    across = np.linspace(0.3 * back, back - 0.03, bars)
+    return [*parts, *posts, *((_size(0.5 * thick, width, 0.05), (behind, 0.0, top + float(pz)), wood) for pz in across)]
+
+
+def _capsule(rng: np.random.Generator) -> list[_Part]:
+    """Returns a post that is round at both ends."""
+    radius = rng.uniform(0.1, 0.32)
+    tall, look = rng.uniform(2.2 * radius, 2.0), _look(rng)
+    ball = f'<sphere radius="{radius:.4f}"/>'
+    middle = max(tall - 2.0 * radius, 0.01)
+    return [
+        (_round(radius, middle), (0.0, 0.0, tall / 2.0), look),
+        (ball, (0.0, 0.0, radius), look),
+        (ball, (0.0, 0.0, tall - radius), look),
+    ]
+
+
+def _tapered(rng: np.random.Generator) -> list[_Part]:
+    """Returns what is wider at its top than at its base, or narrower: a bin, a bucket, a pot."""
+    radius, tall, look = rng.uniform(0.09, 0.24), rng.uniform(0.2, 0.75), _look(rng)
+    ratio, layers = rng.uniform(0.55, 1.3), 8
+    parts: list[_Part] = []
+    for k in range(layers):
+        share = (k + 0.5) / layers
+        parts.append((_round(radius * (ratio + (1.0 - ratio) * share), tall / layers), (0.0, 0.0, tall * share), look))
+    return [*parts, (_round(0.9 * radius, 0.004), (0.0, 0.0, tall + 0.002), _look(rng))]
+
+
+def _ball(rng: np.random.Generator) -> list[_Part]:
+    radius = rng.uniform(0.1, 0.33)
+    return [(f'<sphere radius="{radius:.4f}"/>', (0.0, 0.0, radius), _look(rng))]
+
+
+def _stack(rng: np.random.Generator) -> list[_Part]:
+    """Returns up to three boxes one on the other, of the colour of cardboard and wood."""
+    parts: list[_Part] = []
+    bottom, (x, y) = 0.0, rng.uniform(0.2, 0.65, 2)
+    for _ in range(int(rng.integers(1, 4))):
+        tall = rng.uniform(0.1, 0.45)
+        parts.append((_size(x, y, tall), (0.0, 0.0, bottom + tall / 2.0), _wood(rng)))
+        bottom, x, y = bottom + tall, x * rng.uniform(0.6, 1.0), y * rng.uniform(0.6, 1.0)
+    return parts
+
+
 def _block(rng: np.random.Generator) -> list[_Part]:
     """Returns a cabinet: a body, often with a plinth or a plate of another colour."""
     x, y, z = (float(value) for value in rng.uniform((0.3, 0.25, 0.35), (1.6, 0.7, 2.0)))
@@ -191,4 +287,10 @@ _MAKERS: dict[str, Callable[[np.random.Generator], list[_Part]]] = {
     "block": _block,
     "sofa": _sofa,
     "shelf": _shelf,
+    "seat": _seat,
+    "barred_chair": _barred_chair,
+    "capsule": _capsule,
+    "tapered": _tapered,
+    "ball": _ball,
+    "stack": _stack,
 }

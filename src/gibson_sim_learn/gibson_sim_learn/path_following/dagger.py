@@ -18,7 +18,6 @@ from gibson_sim.errors import SceneError
 from gibson_sim_learn.path_following.cases import draw_cases
 from gibson_sim_learn.path_following.clutter import random_thing
 from gibson_sim_learn.path_following.data import (
-    HFOV,
     Shard,
     World,
     camera_poses,
@@ -30,6 +29,7 @@ from gibson_sim_learn.path_following.data import (
     with_bodies,
 )
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
+from gibson_sim_learn.path_following.drawing import HFOV
 from gibson_sim_learn.path_following.drives import Driver, PathSite, Recording, Trace, follow, record
 
 F64 = NDArray[np.float64]

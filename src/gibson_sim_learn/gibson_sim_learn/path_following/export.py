@@ -18,7 +18,10 @@ import torch
 from torch import Tensor, nn
 
 from gibson_sim.writing import write_file
-from gibson_sim_learn.path_following.data import FREE_EDGES, HEIGHT, HFOV, WIDTH
+from gibson_sim_learn.path_following.data import (
+    FREE_EDGES,
+)
+from gibson_sim_learn.path_following.drawing import HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION

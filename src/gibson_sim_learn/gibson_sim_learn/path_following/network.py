@@ -12,7 +12,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, HEIGHT, WIDTH
+from gibson_sim_learn.path_following.data import (
+    DIRECTIONS,
+    FREE_EDGES,
+)
+from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 
 _ROWS, _COLUMNS = HEIGHT // 4, WIDTH // 4
 """Size of the features."""

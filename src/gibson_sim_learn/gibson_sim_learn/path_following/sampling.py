@@ -12,7 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim_learn.path_following.data import HEIGHT, WIDTH, Shard, load_shard
+from gibson_sim_learn.path_following.data import (
+    Shard,
+    load_shard,
+)
+from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 
 F32 = NDArray[np.float32]
 _GAMMA = 1.35
