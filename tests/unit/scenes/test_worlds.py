@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 
 import pytest
 
+from gibson_sim.formats.splats import splats_ply
 from gibson_sim.scenes.worlds import WorldError, WorldFailure, find_worlds, load_world
 from support.scenes import write_room, write_square_obj, write_triangle_glb
+from support.splat_files import random_splats
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 BOX = "<link name='l'><visual name='v'><geometry><box><size>1 2 3</size></box></geometry></visual></link>"
@@ -108,6 +111,22 @@ def test_missing_and_broken_meshes_of_scene_yaml_are_told_apart(tmp_path: Path) 
     assert _error(str(path)).code is CODES.MISSING_ASSETS
     (tmp_path / "a.obj").write_text("v 1 x\n")
     assert _error(str(path)).code is CODES.UNSUPPORTED_ASSETS
+
+
+def test_splats_are_checked_to_the_last_number_before_a_world_counts_as_loaded(tmp_path: Path) -> None:
+    path = _write(tmp_path / "scene.yaml", "objects: [{box: [1, 1, 1]}]\nvisual: {splats: room.ply, up_axis: z}\n")
+    good = splats_ply(random_splats(3))
+    for data, message in (
+        (good[:-4], "do not fit into .* bytes; the file is cut"),
+        (good[:-4] + b"\xff\xff\xff\xff", "the rotation of 1 of 3 splats is NaN"),
+        (b"\xff\xd8\xff", "is no file of splats"),
+    ):
+        (tmp_path / "room.ply").write_bytes(data)
+        error = _error(str(path))
+        assert error.code is CODES.UNSUPPORTED_ASSETS and "splats" in error.public
+        assert re.search(message, str(error))
+    (tmp_path / "room.ply").write_bytes(good)
+    assert load_world(str(path), "").splats is not None
 
 
 def _house(folder: Path) -> str:

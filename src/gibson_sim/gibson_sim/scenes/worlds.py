@@ -11,6 +11,7 @@ from pathlib import Path
 from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.errors import MeshError, SceneError, SceneNotFoundError, TextError
 from gibson_sim.formats.load_mesh import MESH_SUFFIXES
+from gibson_sim.formats.splats import load_splats
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, parse_xml, yaml_texts
 from gibson_sim.resources import find_scene, known_scenes
@@ -47,7 +48,7 @@ _PUBLIC = {
     WorldFailure.NO_RESOURCE: "is not there, may not be read, or holds not exactly one world",
     WorldFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
     WorldFailure.MISSING_ASSETS: "names files that are not there",
-    WorldFailure.UNSUPPORTED_ASSETS: "names meshes or textures that cannot be used",
+    WorldFailure.UNSUPPORTED_ASSETS: "names meshes, textures or splats that cannot be used",
     WorldFailure.UNSUPPORTED_ELEMENTS: "has elements that are not simulated",
 }
 """Message for clients that may not see the file, unless the error has a public text of its own."""
@@ -162,6 +163,12 @@ def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore
         found = [line.removesuffix("; left out") for line in builder.warnings if line.kind is kind]
         if found:
             raise WorldError(code, f"{builder.name}: {'; '.join(found)}")
+    if builder.splats is not None:
+        # Physics does not need them, but whoever draws the world would fail after the client was told that it is loaded.
+        try:
+            load_splats(Path(builder.splats.file))
+        except MeshError as e:
+            raise WorldError(WorldFailure.UNSUPPORTED_ASSETS, str(e)) from e
     try:
         return finish(builder)
     except SceneError as e:
