@@ -156,7 +156,7 @@ def _check_depth(surface: Surface, photographs: Photographs) -> None:
         T = photographs.items[number].T_world_camera
         seen = seen_faces(surface, photographs.intrinsics(number), T)
         column, row = np.rint(seen.corners.mean(axis=1)).astype(np.int64).T
-        z = (surface.corners[seen.faces].mean(axis=1) - T[:3, 3]) @ T[:3, 2]
+        z = (surface.vertices[surface.triangles[seen.faces]].mean(axis=1) - T[:3, 3]) @ T[:3, 2]
         ratios.append(depth[row, column] / z)
     ratio = np.concatenate(ratios) if ratios else np.zeros(0)
     ratio = ratio[np.isfinite(ratio)]

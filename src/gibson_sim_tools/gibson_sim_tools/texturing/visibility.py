@@ -100,7 +100,7 @@ def agreeing(surface: Surface, seen: SeenFaces, depth: F32, T_world_camera: F64)
     farthest = maximum_filter(np.where(unknown, -np.inf, depth), size=size, mode="nearest")
     points = np.concatenate([seen.corners, seen.corners.mean(axis=1, keepdims=True)], axis=1)
     column, row = np.clip(np.rint(points), 0, (width - 1, height - 1)).astype(np.int64).transpose(2, 0, 1)
-    z = (surface.corners[seen.faces] - T_world_camera[:3, 3]) @ T_world_camera[:3, 2]
+    z = (surface.vertices[surface.triangles[seen.faces]] - T_world_camera[:3, 3]) @ T_world_camera[:3, 2]
     z = np.concatenate([z, z.mean(axis=1, keepdims=True)], axis=1)
     apart = _APART + _APART_SHARE * z
     other = np.isfinite(nearest[row, column]) & ((nearest[row, column] > z + apart) | (farthest[row, column] < z - apart))
