@@ -17,7 +17,16 @@ from gibson_sim.cli.options import add_settings, given, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError
-from gibson_sim_tools.scanning.settings import PRESETS, Defects, FuseSettings, ScanCamera, TourSettings
+from gibson_sim_tools.scanning.settings import (
+    AS_READ,
+    AUTO,
+    CAMERA_CONVENTIONS,
+    PRESETS,
+    Defects,
+    FuseSettings,
+    ScanCamera,
+    TourSettings,
+)
 
 _LEVEL_DEG = 0.5
 """Tilt below which a floor counts as level, degrees."""
@@ -66,6 +75,12 @@ def _add_fuse(subparsers: Any) -> None:
     parser.add_argument(
         "--depth-scale", type=float, metavar="X", help="units of the depth images per metre; replaces that of the layout"
     )
+    parser.add_argument(
+        "--pose-convention",
+        choices=(AS_READ, AUTO, *CAMERA_CONVENTIONS),
+        default=AS_READ,
+        help="how the file of the poses is to be taken: as its layout says; auto = as neighbouring depth images agree; or one by name",
+    )
     parser.add_argument("--compare", metavar="SCENE", help="compare the mesh with this scene, which was scanned")
     parser.add_argument("--report", metavar="FILE", help="write the comparison as JSON")
     add_settings(parser, FuseSettings, _names(FuseSettings))
@@ -98,6 +113,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.scanning.comparison import compare
     from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse_scan, open3d
     from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+    from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
     from gibson_sim_tools.scanning.robot_views import robot_view_holes
 
     output = Path(args.output)
@@ -110,6 +126,10 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     scene = load_scene(args.compare) if args.compare else None
     settings = settings_from_args(FuseSettings, args)
     frames = chosen_frames(rgbd, settings)
+    convention, text = agreeing_convention(rgbd, frames, settings.depth_max, args.pose_convention)
+    rgbd = rgbd.at(reread(rgbd.poses, rgbd.layout, convention))
+    if text:
+        print(text)
     named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
     with progress_bar(f"fusing {named} ({rgbd.layout})") as progress:
         fusion = fuse_scan(rgbd, settings, progress)

@@ -13,7 +13,8 @@ from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.errors import ConfigError
-from gibson_sim_tools.texturing.settings import AS_READ, AUTO, MOST_PHOTOGRAPHS, POSE_CONVENTIONS, TextureSettings
+from gibson_sim_tools.scanning.settings import AS_READ, AUTO
+from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, POSE_CONVENTIONS, TextureSettings
 
 
 def add_parser(subparsers: Any) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -40,6 +41,14 @@ class DepthFrames(PosedRgbd):
             cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")), dtype=np.float32
         )
         return RgbdFrame(number % len(self), rgb, nearest, self.photographs.items[number].T_world_camera.copy())
+
+    def at(self, poses: NDArray[np.float64]) -> DepthFrames:
+        """Returns the same frames at other poses, (N, 4, 4)."""
+        return replace(self, files=PosedRgbd.at(self, poses).files, photographs=self.photographs.at(poses))
+
+    def only(self, numbers: Sequence[int]) -> DepthFrames:
+        """Returns some of the frames."""
+        return replace(self, files=PosedRgbd.only(self, numbers).files, photographs=self.photographs.only(numbers))
 
 
 def depth_frames(photographs: Photographs) -> DepthFrames | None:

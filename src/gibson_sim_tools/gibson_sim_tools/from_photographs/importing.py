@@ -41,17 +41,19 @@ from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform, level_transform_near, thinned, write_ply
 from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplified
 from gibson_sim_tools.scanning.planes import snapped
+from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.scanning.settings import FuseSettings
+from gibson_sim_tools.scanning.settings import AUTO, FuseSettings
 from gibson_sim_tools.texturing.choosing import choose_photographs
 from gibson_sim_tools.texturing.conventions import checked
 from gibson_sim_tools.texturing.measure import Drawn, compare
-from gibson_sim_tools.texturing.settings import AUTO, MOST_PHOTOGRAPHS, TextureSettings
+from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, TextureSettings
 from gibson_sim_tools.texturing.surface import Surface, surface_of
 from gibson_sim_tools.texturing.texture import texture
 from gibson_sim_tools.texturing.textured_scene import mesh_of
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 WORK = "import"
 """Folder of what the stages leave for each other, in that of the scene."""
@@ -93,7 +95,7 @@ class Import:
         s, found = self.settings, self.found
         count = len(found.photographs)
         mesh = (
-            Stage("fuse", self._fuse, (_FUSED, _FACTS["fused"]), (s.voxel, s.depth_max), 0.08 * count)
+            Stage("fuse", self._fuse, (_FUSED, _FACTS["fused"]), (s.voxel, s.depth_max, s.hold_out), 0.08 * count)
             if found.mesh is None
             else Stage("mesh", self._given, (_FUSED, _FACTS["fused"]), _state(found.mesh), 10.0)
         )
@@ -133,6 +135,11 @@ class Import:
         items = self.found.photographs.items
         return [item.file for item in items] + [item.depth for item in items if item.depth is not None]
 
+    def _aside(self) -> I64:
+        """Returns the numbers of the photographs that are kept aside."""
+        every = self.settings.hold_out
+        return np.arange(0, len(self.found.photographs), every) if every else np.zeros(0, dtype=np.int64)
+
     def _check(self, progress: Progress) -> Sequence[str]:
         files = self._files()
         total = check_pictures(files, progress)
@@ -142,11 +149,17 @@ class Import:
     def _fuse(self, progress: Progress) -> Sequence[str]:
         assert self.found.rgbd is not None
         settings = FuseSettings(voxel=self.settings.voxel, depth_max=self.settings.depth_max, snap=0.0)
-        fusion = fuse_scan(self.found.rgbd, settings, progress)
+        photographs, rgbd = self.found.photographs, self.found.rgbd
+        # A surface that was made from a photograph would not show what the scene lacks when both are compared.
+        aside = {photographs.items[k].file for k in self._aside()}
+        rgbd = rgbd.only([k for k, files in enumerate(rgbd.files) if files.color not in aside])
+        convention, said = agreeing_convention(rgbd, range(len(rgbd)), settings.depth_max, AUTO)
+        fusion = fuse_scan(rgbd.at(reread(rgbd.poses, rgbd.layout, convention)), settings, progress)
         write_ply(self.output / _FUSED, fusion.mesh)
-        self._write("fused", {"voxel": fusion.voxel, "coloured": True, "T_scan_camera": self.found.photographs.poses.tolist()})
-        lines = [f"{len(fusion.mesh.triangles)} triangles, {fusion.mesh.area:.1f} m^2"]
-        return lines if fusion.selected is None else [*lines, fusion.selected.text(settings.memory)]
+        poses = reread(photographs.poses, photographs.layout, convention)
+        self._write("fused", {"voxel": fusion.voxel, "coloured": True, "T_scan_camera": poses.tolist()})
+        lines = [f"{len(fusion.mesh.triangles)} triangles, {fusion.mesh.area:.1f} m^2, from {len(rgbd)} depth images"]
+        return [*([said] if said else []), *lines, *([] if fusion.selected is None else [fusion.selected.text(settings.memory)])]
 
     def _given(self, progress: Progress) -> Sequence[str]:
         assert self.found.mesh is not None
@@ -178,7 +191,8 @@ class Import:
         mesh = self._read_mesh(_MESH)
         up = self.up or _UP.get(self.found.photographs.layout)
         try:
-            T = level_transform(mesh, self.found.photographs.poses) if up is None else level_transform_near(mesh, np.asarray(up))
+            poses = np.array(self._read("fused")["T_scan_camera"])
+            T = level_transform(mesh, poses) if up is None else level_transform_near(mesh, np.asarray(up))
         except ScanError as error:
             raise ScanError(
                 "the mesh has no floor: no level surface of it faces up, by the cameras, which are taken as roughly upright; say with --up-axis "
@@ -202,21 +216,31 @@ class Import:
         colors = mesh.colors if self._read("fused")["coloured"] else None
         surface = Surface(transform_points(T, mesh.vertices), mesh.triangles.astype(np.int64), colors)
         photographs = self._level_photographs(T)
-        numbers = choose_photographs(surface, photographs, MOST_PHOTOGRAPHS, lambda part: progress(0.1 * part))
+        numbers, held_out = self._used(surface, photographs, lambda part: progress(0.1 * part))
         photographs = photographs.only(numbers)
         settings = TextureSettings(longest_side=self.settings.longest_side)
-        held_out = range(0, len(photographs), self.settings.hold_out) if self.settings.hold_out else range(0)
         textured = texture(surface, photographs, settings, lambda part: progress(0.1 + 0.9 * part), held_out=held_out)
         (self.output / WORK).mkdir(exist_ok=True)
         write_glb(self.output / _TEXTURED, mesh_of(textured))
         poses = textured.photographs.poses.tolist()
-        facts = {"numbers": numbers.tolist(), "held_out": list(held_out), "T_world_camera": poses}
+        facts = {"numbers": numbers.tolist(), "held_out": held_out, "T_world_camera": poses}
         self._write("texture", {**textured.report.as_dict(), **facts})
-        chosen = len(numbers) < len(self.found.photographs)
+        fewer = len(numbers) < len(self.found.photographs)
         return [
-            *([f"{len(numbers)} of {len(self.found.photographs)} photographs are used"] if chosen else []),
+            *([f"{len(numbers)} of {len(self.found.photographs)} photographs are used"] if fewer else []),
             *textured.report.lines(),
         ]
+
+    def _used(self, surface: Surface, photographs: Photographs, progress: Progress) -> tuple[I64, list[int]]:
+        """Returns the numbers of the photographs that are textured from or kept aside, and which of these are kept aside."""
+        aside = self._aside()
+        others = np.setdiff1d(np.arange(len(photographs)), aside)
+        if self.settings.hold_out and len(photographs) > MOST_PHOTOGRAPHS:
+            few = min(len(aside), max(MOST_PHOTOGRAPHS // self.settings.hold_out, 1))
+            aside = aside[np.linspace(0, len(aside) - 1, few).round().astype(int)]
+        chosen = choose_photographs(surface, photographs.only(others), MOST_PHOTOGRAPHS - len(aside), progress)
+        numbers = np.sort(np.concatenate([others[chosen], aside]))
+        return numbers, np.flatnonzero(np.isin(numbers, aside)).tolist()
 
     def _scene(self, progress: Progress) -> Sequence[str]:
         textured = self.output / _TEXTURED

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.transforms import invert, matrix_from_quat
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_file
-from gibson_sim_tools.photographs.phone_layouts import OPTICAL_OPENGL, polycam, polycam_cameras, record3d, record3d_images
+from gibson_sim_tools.photographs.phone_layouts import polycam, polycam_cameras, record3d, record3d_images
 from gibson_sim_tools.photographs.photographs import Lens, Photograph, Photographs, posed
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd, read_json
+from gibson_sim_tools.scanning.pose_conventions import OPTICAL_OPENGL
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 
 F64 = NDArray[np.float64]

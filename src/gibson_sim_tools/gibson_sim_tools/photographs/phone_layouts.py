@@ -18,12 +18,11 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder
 from gibson_sim_tools.photographs.photographs import Lens, Photograph, Photographs, posed
 from gibson_sim_tools.scanning.layouts import read_json
+from gibson_sim_tools.scanning.pose_conventions import OPTICAL_OPENGL
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 
 F64 = NDArray[np.float64]
 
-OPTICAL_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""T_opengl_optical: cameras of OpenGL look along -z, y up; its own inverse."""
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 """Folders of cameras and photographs in ``keyframes``: after Polycam's own correction, and before."""
 _RECORD3D = ("rgb", "EXR_RGBD/rgb", "rgbd")

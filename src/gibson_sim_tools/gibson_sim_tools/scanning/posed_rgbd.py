@@ -8,8 +8,8 @@ first camera, with y down; our scans are in the frame of their scene, z up.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +142,14 @@ class PosedRgbd:
     def poses(self) -> NDArray[np.float64]:
         """T_world_camera of all frames, (N, 4, 4)."""
         return np.stack([f.T_world_camera for f in self.files])
+
+    def at(self, poses: NDArray[np.float64]) -> PosedRgbd:
+        """Returns the same frames at other poses, (N, 4, 4)."""
+        return replace(self, files=tuple(replace(file, T_world_camera=T) for file, T in zip(self.files, poses, strict=True)))
+
+    def only(self, numbers: Sequence[int]) -> PosedRgbd:
+        """Returns some of the frames."""
+        return replace(self, files=tuple(self.files[k] for k in numbers))
 
     def _check_size(self, path: Path, image: NDArray[Any]) -> None:
         height, width = image.shape[:2]

@@ -8,6 +8,16 @@ from typing import Any
 from gibson_sim.errors import ConfigError
 from gibson_sim.settings import check_settings, setting
 
+AS_READ, AUTO = "as-read", "auto"
+"""Conventions of poses: that of the layout, and the one in which images agree best."""
+CAMERA_CONVENTIONS = {
+    "opencv": "camera-to-world, cameras look along z with y down",
+    "opengl": "camera-to-world, cameras look along -z with y up",
+    "opencv-world-to-camera": "world-to-camera, cameras look along z with y down",
+    "opengl-world-to-camera": "world-to-camera, cameras look along -z with y up",
+}
+"""Conventions of poses in files by name, and what each is."""
+
 
 @dataclass(frozen=True, slots=True)
 class TourSettings:

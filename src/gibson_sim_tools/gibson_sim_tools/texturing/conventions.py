@@ -5,40 +5,24 @@ Right poses make photographs agree in what they show of the mesh. If they do not
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TO_Z_UP
-from gibson_sim.geometry.transforms import invert
-from gibson_sim_tools.photographs.phone_layouts import OPTICAL_OPENGL
 from gibson_sim_tools.photographs.photographs import Photographs
+from gibson_sim_tools.scanning.pose_conventions import reread
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.settings import AS_READ, AUTO
 from gibson_sim_tools.texturing.quality import Views, areas_px, joined, views_of
-from gibson_sim_tools.texturing.settings import AS_READ, AUTO, POSE_CONVENTIONS
+from gibson_sim_tools.texturing.settings import POSE_CONVENTIONS
 from gibson_sim_tools.texturing.surface import Surface
 from gibson_sim_tools.texturing.visibility import seen_faces
 
 F64 = NDArray[np.float64]
 
 _TO_Z_UP = np.block([[TO_Z_UP["y"], np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
-_READ: dict[str, Callable[[F64], F64]] = {
-    "opencv": lambda M: M,
-    "opengl": lambda M: M @ OPTICAL_OPENGL,
-    "opencv-world-to-camera": invert,
-    "opengl-world-to-camera": lambda M: invert(M) @ OPTICAL_OPENGL,
-}
-"""T_world_camera, optical frame, of the matrices of a file."""
-_WRITTEN: dict[str, Callable[[F64], F64]] = {
-    "opencv": lambda T: T,
-    "opengl": lambda T: T @ OPTICAL_OPENGL,
-    "opencv-world-to-camera": invert,
-    "opengl-world-to-camera": lambda T: invert(T @ OPTICAL_OPENGL),
-}
-_OF_LAYOUTS = {"nerfstudio": "opengl", "polycam": "opengl", "record3d": "opengl", "colmap": "opencv-world-to-camera"}
-"""Conventions of layouts; that of all others is opencv."""
 _PAIRS, _LONGEST = 6, 160
 """Pairs of neighbouring photographs that are compared, and the longest side that they are reduced to, pixels."""
 _GOOD, _BETTER = 0.25, 2.0
@@ -77,8 +61,7 @@ def in_convention(photographs: Photographs, name: str) -> Photographs:
                 f"{photographs.folder}: has no applied_transform, which only transforms.json of nerfstudio has; take {AS_READ}"
             )
         return photographs.at(np.linalg.inv(photographs.applied) @ photographs.poses)
-    written = _WRITTEN[_OF_LAYOUTS.get(photographs.layout, "opencv")]
-    return photographs.at(np.stack([_READ[name](written(T)) for T in photographs.poses]))
+    return photographs.at(reread(photographs.poses, photographs.layout, name))
 
 
 def agreement(surface: Surface, photographs: Photographs) -> Agreement:

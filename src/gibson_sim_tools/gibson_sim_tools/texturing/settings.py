@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gibson_sim.settings import check_settings, setting
+from gibson_sim_tools.scanning.settings import CAMERA_CONVENTIONS
 
 LARGEST_PAGE = 8192
 """Longest side of a texture, pixels: what every graphics card can load."""
 
-AS_READ, AUTO = "as-read", "auto"
-"""Conventions of poses: that of the layout, and the one in which photographs agree best."""
 POSE_CONVENTIONS = {
-    "opencv": "camera-to-world, cameras look along z with y down",
-    "opengl": "camera-to-world, cameras look along -z with y up",
-    "opencv-world-to-camera": "world-to-camera, cameras look along z with y down",
-    "opengl-world-to-camera": "world-to-camera, cameras look along -z with y up",
+    **CAMERA_CONVENTIONS,
     "y-up": "of a world with y up, while the mesh is z up",
     "before-applied-transform": "of nerfstudio's world, while the mesh is in the one before its applied_transform",
 }

@@ -14,6 +14,7 @@ import yaml
 
 from gibson_sim.cli.command_line import run
 from gibson_sim.errors import SceneError
+from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs import importing
 from gibson_sim_tools.from_photographs.archive import is_archive_of_photographs
@@ -27,6 +28,8 @@ from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.scanning.coloured_mesh import moved
 from gibson_sim_tools.scanning.fusion import Fusion
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
+from gibson_sim_tools.scanning.trajectories import write_trajectory_log
+from gibson_sim_tools.texturing.surface import surface_of
 from support.photographed_room import (
     COUNT,
     T_ARKIT_WORLD,
@@ -185,20 +188,64 @@ def test_a_stage_cut_off_with_new_options_does_not_count_as_made_with_the_former
     assert ran == ["old", "new", "old"] and (tmp_path / "out/file").read_text() == "old"
 
 
-def test_depth_is_fused_where_no_mesh_is_there(tmp_path, monkeypatch):
-    folder = write_rgbd(tmp_path / "phone")
+@pytest.fixture
+def fused(monkeypatch):
+    """What was given to the fusion, which is replaced: frames and settings."""
     given = []
 
     def fuse_scan(rgbd, settings, progress):
-        given.append((len(rgbd), settings.depth_max, settings.snap))
+        given.append((rgbd, settings))
         return Fusion(moved(room_mesh(), T_FIRST_WORLD), 0.02, None, None, None)
 
     monkeypatch.setattr(importing, "fuse_scan", fuse_scan)
-    job = opened(folder, tmp_path / "out", settings=replace(SETTINGS, depth_max=3.0))
+    return given
+
+
+def test_depth_is_fused_where_no_mesh_is_there(tmp_path, fused):
+    job = opened(write_rgbd(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, depth_max=3.0))
     assert job.found.lines()[1] == "no mesh: it will be fused from depth"
     assert [stage.name for stage in job.stages()][1] == "fuse"
     job._fuse(lambda part: None)
-    assert given == [(COUNT, 3.0, 0.0)] and len(job._read_mesh("import/fused.ply").triangles) == len(room_mesh().triangles)
+    ((rgbd, settings),) = fused
+    assert (len(rgbd), settings.depth_max, settings.snap) == (COUNT, 3.0, 0.0)
+    assert len(job._read_mesh("import/fused.ply").triangles) == len(room_mesh().triangles)
+
+
+@pytest.mark.parametrize("write", [write_rgbd, write_polycam])
+def test_photographs_that_are_kept_aside_are_not_fused(tmp_path, fused, write):
+    job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, hold_out=5))
+    assert job._fuse(lambda part: None)[0].endswith("from 9 depth images")
+    ((rgbd, _),) = fused
+    others = [1, 2, 3, 4, 6, 7, 8, 9, 11]
+    assert [int(files.color.stem) for files in rgbd.files] == others
+    np.testing.assert_array_equal(rgbd[5].T_world_camera, job.found.photographs.poses[7])
+    assert rgbd[5].depth.tolist() == job.found.rgbd[7].depth.tolist()
+
+
+def test_of_many_photographs_as_large_a_share_is_kept_aside(room, tmp_path, monkeypatch):
+    job = opened(room, tmp_path / "out", settings=replace(SETTINGS, hold_out=3))
+    surface, photographs = surface_of(load_mesh(room / "mesh.ply", [room])), job.found.photographs
+    numbers, aside = job._used(surface, photographs, lambda part: None)
+    assert (numbers.tolist(), aside) == (list(range(COUNT)), [0, 3, 6, 9])
+    monkeypatch.setattr(importing, "MOST_PHOTOGRAPHS", 7)
+    numbers, aside = job._used(surface, photographs, lambda part: None)
+    # Two of 0, 3, 6 and 9, and five of the others.
+    assert len(numbers) == 7 and numbers[aside].tolist() == [0, 9] and not {3, 6} & set(numbers.tolist())
+
+
+def test_depth_is_fused_at_poses_in_which_neighbouring_images_agree(tmp_path, fused):
+    folder = write_rgbd(tmp_path / "phone")
+    right = open_photographs(folder).poses
+    write_trajectory_log(folder / "trajectory.log", right @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    job = opened(folder, tmp_path / "out")
+    assert job._fuse(lambda part: None)[0].startswith(
+        "poses are taken as opengl: camera-to-world, cameras look along -z with y up"
+    )
+    np.testing.assert_allclose(fused[0][0].poses, right, atol=1e-6)
+    # Up is that of the cameras at these poses.
+    job._planes(lambda part: None)
+    job._level(lambda part: None)
+    np.testing.assert_allclose(job._T_level_scan()[2], [0, -1, 0, 1.2], atol=1e-3)
 
 
 def test_raw_data_of_polycam_are_fused_at_the_size_of_their_depth(tmp_path):

@@ -1,0 +1,84 @@
+"""Neighbouring depth images tell in which convention their poses were written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gibson_sim.cli.command_line import run
+from gibson_sim.geometry.transforms import invert
+from gibson_sim_tools.scanning import fusion
+from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
+from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
+from support.photographed_room import COUNT, write_rgbd
+
+F64 = NDArray[np.float64]
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> PosedRgbd:
+    return open_posed_rgbd(write_rgbd(tmp_path_factory.mktemp("scan") / "room"))
+
+
+def found(rgbd: PosedRgbd, convention: str = "as-read") -> tuple[str, str]:
+    return agreeing_convention(rgbd, range(len(rgbd)), 10.0, convention)
+
+
+@pytest.mark.parametrize("convention", ["as-read", "auto", "opencv"])
+def test_right_poses_are_taken_as_they_are(room: PosedRgbd, convention: str) -> None:
+    name, text = found(room, convention)
+    np.testing.assert_allclose(reread(room.poses, room.layout, name), room.poses)
+    assert text == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("opengl", lambda T: T @ OPENGL),
+        ("opencv-world-to-camera", invert),
+        ("opengl-world-to-camera", lambda T: invert(T @ OPENGL)),
+    ],
+)
+def test_another_convention_is_named_and_taken_when_asked(room: PosedRgbd, name: str, written: Callable[[F64], F64]) -> None:
+    wrong = room.at(np.stack([written(T) for T in room.poses]))
+    with pytest.raises(ScanError, match=f"agree if poses are {name} .* give --pose-convention {name}, or auto$"):
+        found(wrong)
+    taken, text = found(wrong, "auto")
+    assert taken == name and text.startswith(f"poses are taken as {name}: ")
+    np.testing.assert_allclose(reread(wrong.poses, wrong.layout, name), room.poses, atol=1e-9)
+    assert found(wrong, name) == (name, "")
+
+
+def test_a_wrong_convention_that_was_asked_for_is_refused(room: PosedRgbd) -> None:
+    with pytest.raises(ScanError, match="agree if poses are opencv "):
+        found(room, "opengl")
+
+
+def test_poses_that_are_right_in_no_convention_are_taken_as_they_are(room: PosedRgbd) -> None:
+    assert found(room.at(np.roll(room.poses, COUNT // 2 - 1, axis=0)[::-1])) == ("as-read", "")
+
+
+def test_frames_that_turned_alike_tell_nothing(room: PosedRgbd) -> None:
+    still = room.only([3, 3, 3])
+    assert found(still.at(still.poses @ OPENGL)) == ("as-read", "")
+    assert found(room.only([3])) == ("as-read", "")
+
+
+def test_scene_fuse_names_the_convention_before_it_fuses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fusion, "open3d", lambda: None)  # which is not reached
+    folder = write_rgbd(tmp_path / "scan", np.eye(4))
+    lines = (folder / "trajectory.log").read_text().splitlines()
+    for k in range(COUNT):
+        rows = np.array([line.split() for line in lines[5 * k + 1 : 5 * k + 5]], dtype=float) @ OPENGL
+        lines[5 * k + 1 : 5 * k + 5] = [" ".join(map(str, row)) for row in rows]
+    (folder / "trajectory.log").write_text("\n".join(lines))
+    assert run(["scene", "fuse", str(folder), "--output", str(tmp_path / "a.ply")]) == 1
+    assert "give --pose-convention opengl, or auto" in capsys.readouterr().err
