@@ -163,6 +163,30 @@ def test_what_moves_hides_splats_behind_it_and_is_hidden_by_those_before_it(tmp_
     assert red[1.0] < 0.02 and red[1.39] < 0.02 and red[2.0] > 0.7
 
 
+def test_splats_are_darker_beside_what_moves_by_what_its_box_takes_of_the_light(tmp_path: Path) -> None:
+    plain = scene(
+        box((2.5, 0.0, 0.0), GREEN, (1.0, 9.0, 9.0)), box((0.0, 0.0, 0.0), BLUE, (0.2, 0.2, 0.2), link="robot"), links=("robot",)
+    )
+    drawn = replace(plain, splats=_file(tmp_path, _red((2.0, 0.0, 0.0), size=0.5)))
+    # Pixel (31, 31) shows the wall at y = z = 0.5 px * 2 m / 32 px; the box of 0.2 m touches the wall, 0.05 m beside that point.
+    at = 0.5 * 2.0 / 32
+    beside, away = (
+        _rgb(_draw(drawn, EYE, positions=(position,))[0])[31, 31, 0] for position in ((1.9, at + 0.15, at), (1.9, 3.0, 0.0))
+    )
+    # 0.05, 0.125 and 0.25 m before the wall. Edges are round with 0.07 m: the first and the last are beside an edge.
+    gaps = (math.hypot(0.02, 0.12) - 0.07, 0.05, math.hypot(0.12, 0.12) - 0.07)
+    taken = sum(max(1.0 - gap / height, 0.0) for gap, height in zip(gaps, (0.05, 0.125, 0.25), strict=True)) / 3.0
+    assert away > 0.9 and beside / away == pytest.approx(1.0 - 0.6 * taken, abs=0.006)
+
+
+def test_splats_before_what_moves_and_far_from_it_are_as_bright_as_without_it(tmp_path: Path) -> None:
+    plain = scene(box((0.0, 0.0, 0.0), BLUE, (0.2, 0.2, 0.2), link="robot"), links=("robot",))
+    drawn = replace(plain, splats=_file(tmp_path, _red((1.5, 0.0, 0.0), (1.9, 0.8, 0.0), size=0.05)))
+    beside, away = (_rgb(_draw(drawn, EYE, positions=(position,))[0]) for position in ((1.9, 0.0, 0.0), (-3.0, 0.0, 0.0)))
+    assert away[31, 31, 0] > 0.8
+    np.testing.assert_array_equal(beside[..., 0], away[..., 0])
+
+
 @pytest.mark.parametrize("samples", [1, 4])
 def test_a_translucent_thing_that_moves_tints_the_splats_behind_it(tmp_path: Path, samples: int) -> None:
     pane = box((0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.5), (0.02, 1.0, 1.0), link="pane")

@@ -376,6 +376,10 @@ class GlScene:
         """Returns the bounding box of the scene, (2, 3), world frame, metres."""
         return self._visibility.bounds(T_world_links)
 
+    def link_boxes(self) -> tuple[F64, F64]:
+        """Returns the poses of all links, (L + 1, 4, 4), the world first, and the box of each in its frame, (L', 6), centre and half extents."""
+        return self._T_world_links, self._visibility.link_box
+
     def draw_moving_depth(self, pictures: Sequence[PinholePicture]) -> None:
         """Draws the depth of what belongs to links into the framebuffer that is bound; ``draw`` has drawn these pictures last."""
         plans = [plan.subset(self._moving[plan.batch] & (np.arange(len(plan.batch)) < plan.opaque)) for plan in self._plans]

@@ -25,6 +25,7 @@ from gibson_sim.render.culling.draw_plan import PinholePicture
 from gibson_sim.render.culling.splat_chunks import SplatChunks, projected_limits
 from gibson_sim.render.draw.gl_scene import GlScene
 from gibson_sim.render.draw.screen_pass import FULL_SCREEN, shader_text
+from gibson_sim.render.draw.splat_contacts import SplatContacts
 from gibson_sim.render.draw.splat_raster import COLUMNS, blend_tiles, place_in_tiles
 from gibson_sim.render.draw.target import RenderTarget
 
@@ -66,6 +67,7 @@ class SplatPass:
         self._thread_count = max(len(drawing_threads()), 1) if self._loops else 1
         self._layers: dict[tuple[int, int], _Layer] = {}
         self._programs: list[Any] = []
+        self._contacts: SplatContacts | None = None
         self._buffers: list[int] = []
         self._arrays: list[int] = []
         self.drawn = 0
@@ -91,6 +93,7 @@ class SplatPass:
         self._compute = ctx.compute_shader(shader_text("splats.comp", (f"SH_DEGREE {degree}",), ("splat_view.glsl",)))
         self._programs.append(self._compute)
         self._depth = self._screen("splat_depth.frag", ("splat_view.glsl",), "u_depth")
+        self._contacts = SplatContacts(self._context)
         self._blend = self._screen("splat_blend.frag", (), "u_splats")
         self._splat = ctx.program(vertex_shader=shader_text("splats.vert"), fragment_shader=shader_text("splats.frag"))
         self._programs.append(self._splat)
@@ -135,6 +138,10 @@ class SplatPass:
             gl.glBindFramebuffer(GL.FRAMEBUFFER, layer.framebuffer)
             gl.glClearBufferfv(GL.COLOR, 0, _NOTHING.ctypes.data)
             self._blend_splats(pictures, counts)
+        gl.glBindVertexArray(self._empty_array)
+        textures = (target.textures["depth"], layer.depth)
+        assert self._contacts is not None
+        self._contacts.darken(*scene.link_boxes(), pictures, textures, layer.framebuffer, self._bind_picture)
         self._put_over(target, layer, pictures)
 
     def _layer(self, width: int, height: int) -> _Layer:
@@ -262,6 +269,9 @@ class SplatPass:
         layers, self._layers = self._layers, {}
         for layer in layers.values():
             layer.close()
+        contacts, self._contacts = self._contacts, None
+        if contacts is not None:
+            contacts.close()
         while self._programs:
             self._programs.pop().release()
         while self._buffers:
@@ -276,11 +286,11 @@ class _Layer:
 
     def __init__(self, gl: GL.Gl, width: int, height: int) -> None:
         self._gl, self._width, self._height = gl, width, height
-        self.color, self._depth = (self._texture(form) for form in (GL.RGBA32F, GL.DEPTH_COMPONENT32F))
+        self.color, self.depth = (self._texture(form) for form in (GL.RGBA32F, GL.DEPTH_COMPONENT32F))
         self.framebuffer, self.depth_framebuffer = (gl.create("glCreateFramebuffers") for _ in range(2))
         gl.glNamedFramebufferTexture(self.framebuffer, GL.COLOR_ATTACHMENT0, self.color, 0)
         for framebuffer in (self.framebuffer, self.depth_framebuffer):
-            gl.glNamedFramebufferTexture(framebuffer, GL.DEPTH_ATTACHMENT, self._depth, 0)
+            gl.glNamedFramebufferTexture(framebuffer, GL.DEPTH_ATTACHMENT, self.depth, 0)
 
     def _texture(self, form: int) -> int:
         texture = self._gl.create("glCreateTextures", GL.TEXTURE_2D)
@@ -299,7 +309,7 @@ class _Layer:
         """Frees it."""
         for framebuffer in (self.framebuffer, self.depth_framebuffer):
             self._gl.delete("glDeleteFramebuffers", framebuffer)
-        for texture in (self.color, self._depth):
+        for texture in (self.color, self.depth):
             self._gl.delete("glDeleteTextures", texture)
 
 

@@ -1,0 +1,134 @@
+"""Darkens splats beside what moves: without it, a robot seems to float over a floor that splats show.
+
+Rooms are mostly lit from all around, and less of that light reaches the floor below a robot. What moves is taken as the box of each link, with
+round upright edges, so that the darkening does not depend on what a camera sees of the link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import invert
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.culling.draw_plan import PinholePicture
+from gibson_sim.render.draw.screen_pass import FULL_SCREEN, shader_text
+
+F64 = NDArray[np.float64]
+REACH_M = 0.25
+"""Distance from a box at which nothing is darker, metres."""
+DARKEST = 0.6
+"""Share of the light that is taken away where a box touches a surface."""
+_ROUND = 0.7
+"""Radius of the upright edges of a box, relative to the shorter horizontal half extent: most robots are round or have round corners."""
+_MOST_BOXES = 128
+"""Boxes of a picture, the nearest ones."""
+_BOX = np.dtype([("box_from_optical", "<f4", (4, 4)), ("half_size", "<f4", 4)])
+"""``Box`` of splat_contact.frag, the matrix by columns."""
+_ZERO, _SRC_COLOR = 0, 0x0300
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+
+
+class SplatContacts:
+    """The pass that darkens splats. The context must be current in every call."""
+
+    def __init__(self, context: GlContext) -> None:
+        self._gl, self._buffer = GL.Gl(context), 0
+        defines = (f"REACH {REACH_M:.6f}", f"DARKEST {DARKEST:.6f}")
+        fragment = shader_text("splat_contact.frag", defines, ("splat_view.glsl",))
+        self._program = context.gl.program(vertex_shader=FULL_SCREEN, fragment_shader=fragment)
+        self._program["u_depth"], self._program["u_hiding"] = 0, 1
+        self._buffer = self._gl.create("glCreateBuffers")
+
+    def darken(
+        self, T_world_links: F64, link_boxes: F64, pictures: Sequence[PinholePicture], textures: tuple[int, int], framebuffer: int,
+        bind: Callable[[PinholePicture, int], None],
+    ) -> None:  # fmt: skip
+        """Darkens the colours of splats.
+
+        Args:
+            T_world_links: (L + 1, 4, 4), the world first.
+            link_boxes: (L', 6), centre and half extents of the box of each link in its frame, the world first, metres; 0 = it has none.
+            pictures: in the target.
+            textures: the depth of all surfaces, and the depth that hides splats.
+            framebuffer: of the splats' colours.
+            bind: sets the viewport and the uniforms of a picture with a number. A vertex array without attributes must be bound.
+        """
+        gl, moving = self._gl, 1 + np.flatnonzero(link_boxes[1 : len(T_world_links), 3:].any(axis=1))
+        if not len(moving):
+            return
+        T_world_boxes = T_world_links[moving].copy()
+        T_world_boxes[:, :3, 3] += np.einsum("nij,nj->ni", T_world_boxes[:, :3, :3], link_boxes[moving, :3])
+        T_world_boxes, half = upright(T_world_boxes, link_boxes[moving, 3:])
+        seen = [
+            (k, *found) for k, picture in enumerate(pictures) if (found := boxes_in(picture, T_world_boxes, half)) is not None
+        ]
+        if not seen:
+            return
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, framebuffer)
+        gl.glDisable(GL.DEPTH_TEST)
+        gl.glEnable(GL.SCISSOR_TEST)
+        gl.glEnable(GL.BLEND)
+        gl.glBlendFunc(_ZERO, _SRC_COLOR)
+        for unit, texture in enumerate(textures):
+            gl.glBindSampler(unit, 0)
+            gl.glBindTextureUnit(unit, texture)
+        for number, boxes, (left, top, width, height) in seen:
+            gl.glNamedBufferData(self._buffer, boxes.nbytes, boxes.ctypes.data, GL.STREAM_DRAW)
+            gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, 0, self._buffer)
+            self._program["u_boxes"] = len(boxes)
+            gl.glUseProgram(self._program.glo)
+            bind(pictures[number], number)
+            gl.glScissor(left, top, width, height)
+            gl.glDrawArrays(GL.TRIANGLES, 0, 3)
+        gl.glDisable(GL.SCISSOR_TEST)
+
+    def close(self) -> None:
+        """Frees everything."""
+        self._program.release()
+        self._gl.delete("glDeleteBuffers", self._buffer)
+
+
+def upright(T_world_boxes: F64, half: F64) -> tuple[F64, F64]:
+    """Returns the same boxes, (N, 4, 4) and half extents (N, 3), with their most upright axis last."""
+    last = np.abs(T_world_boxes[:, 2, :3]).argmax(axis=1)
+    order = (last[:, None] + (1, 2, 3)) % 3
+    turned = T_world_boxes.copy()
+    turned[:, :3, :3] = np.take_along_axis(T_world_boxes[:, :3, :3], order[:, None], axis=2)
+    return turned, np.take_along_axis(half, order, axis=1)
+
+
+def boxes_in(
+    picture: PinholePicture, T_world_boxes: F64, half: F64
+) -> tuple[NDArray[np.void], tuple[int, int, int, int]] | None:  # fmt: skip
+    """Returns the boxes that may darken a picture, and the rectangle in which they do: left, top, width, height, pixels of the target.
+
+    Args:
+        picture: the picture.
+        T_world_boxes: (N, 4, 4), of their middles.
+        half: (N, 3), half extents, metres.
+    """
+    T_camera_boxes: F64 = invert(picture.T_world_camera) @ T_world_boxes
+    reach = _CORNERS * (half[:, None] + REACH_M)
+    corners = np.einsum("nij,nkj->nki", T_camera_boxes[:, :3, :3], reach) + T_camera_boxes[:, None, :3, 3]
+    k, size = picture.intrinsics, np.array([picture.width, picture.height])
+    low, high = np.zeros((len(half), 2)), np.tile(size.astype(np.float64), (len(half), 1))
+    # A box that reaches behind the eye may be anywhere in the picture.
+    ahead = corners[:, :, 2].min(axis=1) > picture.near
+    pixels = corners[ahead] @ k.T
+    pixels = pixels[:, :, :2] / pixels[:, :, 2:]
+    low[ahead], high[ahead] = np.floor(pixels.min(axis=1)).clip(0, size), (np.ceil(pixels.max(axis=1)) + 1.0).clip(0, size)
+    rows = np.flatnonzero((low < high).all(axis=1) & (corners[:, :, 2].max(axis=1) > picture.near))
+    if not len(rows):
+        return None
+    if len(rows) > _MOST_BOXES:
+        nearest = np.argsort(np.linalg.norm(T_camera_boxes[rows, :3, 3], axis=1), kind="stable")[:_MOST_BOXES]
+        rows = rows[np.sort(nearest)]
+    boxes = np.zeros(len(rows), dtype=_BOX)
+    boxes["box_from_optical"] = np.stack([invert(T) for T in T_camera_boxes[rows]]).transpose(0, 2, 1)
+    boxes["half_size"][:, :3], boxes["half_size"][:, 3] = half[rows], _ROUND * half[rows, :2].min(axis=1)
+    left, top = low[rows].min(axis=0).astype(int).tolist()
+    right, bottom = high[rows].max(axis=0).astype(int).tolist()
+    return boxes, (picture.x + left, picture.y + top, right - left, bottom - top)
