@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from gibson_path_following.learned import PathModel
 from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, PAIR, Shard
 from gibson_sim_learn.path_following.sampling import Sampler
-from gibson_sim_learn.path_following.settings import TrainingSettings
+from gibson_sim_learn.path_following.settings import DistanceSettings, TrainingSettings
 
 torch = pytest.importorskip("torch")  # "could not import 'torch'"
 SETTINGS = TrainingSettings(iterations=3, later=4, evaluate_every=2, bfloat16=False)
@@ -62,3 +63,45 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
     assert found.hit.shape == (DIRECTIONS, len(FREE_EDGES))
     np.testing.assert_allclose(model.edges, FREE_EDGES)
+
+
+def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path) -> None:
+    from gibson_sim_learn.path_following.distance_training import DistanceTraining
+
+    data = sampler()
+    settings = replace(SETTINGS, distances=DistanceSettings(iterations=4, images=4))
+    whole = DistanceTraining(tmp_path / "whole", settings)
+    whole.run(data, data, (data, data))
+    first = DistanceTraining(tmp_path / "parts", settings)
+    first.run(data, data, (data, data), until=2)
+    second = DistanceTraining(tmp_path / "parts", settings)
+    assert second.iteration == 2
+    second.run(data, data, (data, data))
+    for one, other in zip(whole.network.state_dict().values(), second.network.state_dict().values(), strict=True):
+        torch.testing.assert_close(one, other)
+    assert [point.iteration for point in second.curve] == [2, 4]
+
+
+def test_near_things_told_as_far_and_far_ones_as_near_are_counted() -> None:
+    from gibson_sim_learn.path_following.distance_training import near_and_far
+
+    free = np.array([[0.5, 0.8, 2.0, 3.0, 1.5]], np.float32)
+    # 0.5 m is told as twice as far; of the three that are free for 1 m, one is told as 0.7 m.
+    assert near_and_far(np.array([[1.0, 0.9, 0.7, 3.0, 0.8]]), free) == pytest.approx((0.5, 1.0 / 3.0))
+
+
+def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="could not import 'torch' with its exporter onnx")
+    from gibson_sim_learn.path_following.distance_network import DistanceNetwork
+    from gibson_sim_learn.path_following.export import export_network
+    from gibson_sim_learn.path_following.network import PathNetwork
+
+    torch.manual_seed(0)
+    network, distances = PathNetwork(), DistanceNetwork().eval()
+    assert export_network(network, tmp_path / "model.onnx", distances) < 10e6
+    assert network.training and not distances.training
+    images = np.random.default_rng(0).integers(0, 256, (1, 64, 96, 3)).astype(np.uint8)
+    found = PathModel(tmp_path / "model.onnx").estimate(images[0], images)
+    with torch.no_grad():
+        hit = torch.softmax(distances(torch.from_numpy(images))[0], dim=1)
+    np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)

@@ -62,6 +62,12 @@ def test_equal_generators_give_equal_batches() -> None:
     np.testing.assert_array_equal(first.recorded, second.recorded)
 
 
+def test_images_can_be_drawn_for_their_free_distances_alone() -> None:
+    batch = Sampler([shard()]).batch(np.random.default_rng(5), 8, 0)
+    assert batch.later.shape == (8, 64, 96, 3) and batch.recorded.shape == (8, 0, 64, 96, 3)
+    assert (batch.free.min(axis=1) == 1.0).all()
+
+
 def test_no_data_is_one_line() -> None:
     with pytest.raises(ConfigError, match="no data to train on"):
         Sampler([])

@@ -21,6 +21,8 @@ from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import (
     FREE_EDGES,
 )
+from gibson_sim_learn.path_following.distance_network import DistanceNetwork
+from gibson_sim_learn.path_following.distance_training import DistancePoint
 from gibson_sim_learn.path_following.drawing import HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
@@ -30,15 +32,22 @@ from gibson_sim_learn.path_following.training import CurvePoint
 _OPSET = 17
 
 
-def export_network(network: PathNetwork, file: Path) -> int:
-    """Writes a network as ONNX; returns the size of the file, bytes."""
-    was_training = network.training
+def export_network(network: PathNetwork, file: Path, distances: DistanceNetwork | None = None) -> int:
+    """Writes a network as ONNX; returns the size of the file, bytes.
+
+    Args:
+        network: tells poses.
+        file: where.
+        distances: tells free distances; None = ``network`` does, by its first estimate.
+    """
+    exported = _Exported(network, distances)
+    was_training = [part.training for part in (network, distances) if part is not None]
     arguments = (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8), torch.zeros(4, HEIGHT, WIDTH, 3, dtype=torch.uint8))
     buffer: Any = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter that PyTorch recommends instead needs further packages
         torch.onnx.export(
-            _Exported(network).eval(),
+            exported.eval(),
             arguments,
             buffer,
             input_names=["present", "recorded"],
@@ -47,7 +56,9 @@ def export_network(network: PathNetwork, file: Path) -> int:
             opset_version=_OPSET,
             dynamo=False,
         )
-    network.train(was_training)
+    for part, mode in zip((network, distances), was_training, strict=False):
+        if part is not None:
+            part.train(mode)
     model = onnx.load_from_string(buffer.getvalue())
     edges = ",".join(f"{edge:.4g}" for edge in FREE_EDGES)
     for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("free_edges", edges), ("license", "Apache-2.0")):
@@ -62,8 +73,8 @@ def export_network(network: PathNetwork, file: Path) -> int:
 def write_card(
     file: Path,
     settings: TrainingSettings,
-    network: PathNetwork,
-    point: CurvePoint,
+    networks: tuple[PathNetwork, DistanceNetwork],
+    points: tuple[CurvePoint, DistancePoint],
     data: Mapping[str, int],
     results: Sequence[str] = (),
 ) -> None:
@@ -72,23 +83,26 @@ def write_card(
     Args:
         file: where.
         settings: of the training.
-        network: the network.
-        point: the last point of its curve.
+        networks: what tells poses, and what tells free distances.
+        points: the last points of their curves.
         data: name of a quantity of the data -> number.
         results: further lines on how it drives.
     """
+    point, free = points
+    weights = [parameter_count(network) for network in networks]
     lines = [
         "# Card of the path-following network",
         "",
         "- **What for**: following a path that was recorded as images, with a pinhole camera about 0.46 m above the floor, indoors. "
         "Perception alone; geometry drives.",
         "- **Not for**: people's safety. Free distances are estimates of a small network: a robot needs a bumper or a scanner of its own.",
-        f"- **Size**: {parameter_count(network)} weights, float32.",
+        f"- **Size**: {weights[0]} weights tell poses, {weights[1]} free distances; float32.",
         f"- **Trained in**: {', '.join(TRAINING)}, domain `trained`. **Validated in**: {', '.join(VALIDATION)}. "
         f"**Never seen**: {', '.join(HELD_OUT)}.",
         f"- **Data**: {', '.join(f'{number} {name}' for name, number in data.items())}; drawn by Gibson Sim, no photograph of the world.",
         f"- **Command**: `gibson-sim learn path-following --seed {settings.seed}`",
-        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
+        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; of the free "
+        f"distances {free.iteration}, {free.processor_s / 60.0:.0f} minutes.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
         "- **Licence**: Apache-2.0, as Gibson Sim.",
         "",
@@ -98,9 +112,11 @@ def write_card(
         f"| beside, median | {point.beside:.3f} m |",
         f"| heading, median | {point.yaw_deg:.1f} degrees |",
         f"| one place or not, right | {100.0 * point.match:.1f} % |",
-        f"| free distance, median | {point.free:.3f} m |",
-        f"| within 1 m, told as 1.3 times as far or more | {100.0 * point.too_far:.1f} % of the directions |",
-        f"| free for 1 m, told as blocked within {1.0 / 1.3:.2f} m | {100.0 * point.too_near:.1f} % of the directions |",
+        f"| free distance, median | {free.free:.3f} m |",
+        f"| within 1 m, told as 1.3 times as far or more | {100.0 * free.too_far:.1f} % of the directions |",
+        f"| free for 1 m, told as blocked within {1.0 / 1.3:.2f} m | {100.0 * free.too_near:.1f} % of the directions |",
+        f"| the same two in images of obstacles from close by | {100.0 * free.obstacles_too_far:.1f} % and "
+        f"{100.0 * free.obstacles_too_near:.1f} % |",
         "",
         *results,
     ]
@@ -108,14 +124,15 @@ def write_card(
 
 
 class _Exported(nn.Module):
-    """The network as one function of two inputs."""
+    """The networks as one function of two inputs."""
 
-    def __init__(self, network: PathNetwork) -> None:
+    def __init__(self, network: PathNetwork, distances: DistanceNetwork | None) -> None:
         super().__init__()
-        self.network = network
+        self.network, self.distances = network, distances
 
     def forward(self, present: Tensor, recorded: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         here, there = self.network.encode(present), self.network.encode(recorded)
         estimate = self.network.compare(here.expand(there.shape[0], -1, -1, -1), there)
-        hit = torch.softmax(self.network.free(here)[0], dim=1)
+        told = self.network.free(here) if self.distances is None else self.distances(present)
+        hit = torch.softmax(told[0], dim=1)
         return estimate.pose, estimate.scale, torch.sigmoid(estimate.match), hit

@@ -1,7 +1,9 @@
 """The network that follows paths: where a recorded image is from here, whether it shows this place, and how far the floor ahead is free.
 
 One small encoder sees both images. Its features are compared everywhere with everywhere, which yields for each place of the present image
-where in the recorded one it is; a few convolutions turn that into a pose. Free distances come from the present image alone.
+where in the recorded one it is; a few convolutions turn that into a pose. Free distances come from the present image alone: a
+first estimate, by which the encoder learns what is near, and the robot drives in the rounds of DAgger; what it drives with afterwards is told
+by ``distance_network.py``.
 """
 
 from __future__ import annotations
@@ -61,8 +63,8 @@ class PathNetwork(nn.Module):
         if _COLUMNS != DIRECTIONS:
             raise AssertionError("one direction for each column of the features")
         self.encoder = nn.Sequential(
-            _convolution(3, c, kernel=8, stride=4, padding=2),
-            _Residual(_convolution(c, c), _convolution(c, c, active=False)),
+            convolution(3, c, kernel=8, stride=4, padding=2),
+            _Residual(convolution(c, c), convolution(c, c, active=False)),
             _Residual(_separable(c), _separable(c, active=False)),
         )
         self._compared = settings.compared
@@ -70,8 +72,8 @@ class PathNetwork(nn.Module):
         self.sharpness = nn.Parameter(torch.tensor(10.0))
         goals = (_ROWS // 2) * (_COLUMNS // 2)
         self.joint = nn.Sequential(
-            _convolution(goals + 3 + c + 2, joint, kernel=2, stride=2, padding=0),
-            _convolution(joint, joint * 3 // 2, stride=2),
+            convolution(goals + 3 + c + 2, joint, kernel=2, stride=2, padding=0),
+            convolution(joint, joint * 3 // 2, stride=2),
             nn.Flatten(),
             nn.Linear(joint * 3 // 2 * (_ROWS // 4) * (_COLUMNS // 4), settings.hidden),
             nn.ReLU(),
@@ -94,10 +96,7 @@ class PathNetwork(nn.Module):
 
     def encode(self, images: Tensor) -> Tensor:
         """Returns features (B, C, 16, 24) of images (B, 64, 96, 3), uint8 or float, RGB; exposure and colour of the light do not count."""
-        x = images.permute(0, 3, 1, 2).to(torch.float32)
-        mean = x.mean(dim=(2, 3), keepdim=True)
-        deviation = ((x - mean) ** 2).mean(dim=(2, 3), keepdim=True).sqrt()
-        features: Tensor = self.encoder((x - mean) / (deviation + 4.0))
+        features: Tensor = self.encoder(normalised(images))
         return features
 
     def compare(self, present: Tensor, recorded: Tensor) -> Estimate:
@@ -124,6 +123,14 @@ class PathNetwork(nn.Module):
         return columns[:, :, 0].transpose(1, 2)
 
 
+def normalised(images: Tensor) -> Tensor:
+    """Returns images (B, H, W, 3), 0 to 255, as (B, 3, H, W) of mean 0 and about deviation 1: neither exposure nor colour of the light counts."""
+    x = images.permute(0, 3, 1, 2).to(torch.float32)
+    mean = x.mean(dim=(2, 3), keepdim=True)
+    deviation = ((x - mean) ** 2).mean(dim=(2, 3), keepdim=True).sqrt()
+    return (x - mean) / (deviation + 4.0)
+
+
 def parameter_count(network: nn.Module) -> int:
     """Returns the number of weights."""
     return sum(parameter.numel() for parameter in network.parameters())
@@ -140,9 +147,10 @@ class _Residual(nn.Module):
         return functional.relu(x + self.layers(x))
 
 
-def _convolution(
+def convolution(
     inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1, padding: int = 1, active: bool = True
 ) -> nn.Sequential:
+    """Returns a convolution with its normalisation, and ReLU unless it is not ``active``."""
     layers: list[nn.Module] = [
         nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False),
         nn.BatchNorm2d(outputs),

@@ -1,4 +1,4 @@
-"""The whole training by one call: data, training, rounds of DAgger, the network as ONNX and its card. Needs PyTorch and onnx."""
+"""The whole training by one call: data, training, rounds of DAgger, free distances, the network as ONNX and its card. Needs PyTorch and onnx."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from gibson_path_following.localisation import Localiser, NodeMatcher
 from gibson_path_following.types import RecordedPath
 from gibson_sim_learn.path_following.dagger import drive_all
 from gibson_sim_learn.path_following.data import make_data
+from gibson_sim_learn.path_following.distance_training import DistancePoint, DistanceTraining
 from gibson_sim_learn.path_following.drives import FollowerDriver
 from gibson_sim_learn.path_following.export import export_network, write_card
+from gibson_sim_learn.path_following.obstacles import make_obstacle_data
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
@@ -30,7 +32,9 @@ class Learned:
     model: Path
     card: Path
     point: CurvePoint
-    """Errors of the network on the validation scenes."""
+    """Errors of its poses on the validation scenes."""
+    distances: DistancePoint
+    """Errors of its free distances there."""
     size: int
     """Of the model, bytes."""
 
@@ -64,11 +68,17 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
         until = settings.iterations + number * settings.dagger_iterations + steps
         training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, progress)
     every = Sampler.of_folders([data, *driven])
-    size = export_network(training.network, folder / MODEL)
-    point = training.curve[-1]
-    counts = {"images": every.image_count, "pairs": every.pair_count}
-    write_card(folder / CARD, settings, training.network, point, counts)
-    return Learned(folder / MODEL, folder / CARD, point, size)
+    obstacles, judged = folder / "data" / "obstacles", folder / "data" / "obstacles-validation"
+    make_obstacle_data(obstacles, TRAINING, settings.distances.obstacle_shards, settings.seed, told)
+    make_obstacle_data(judged, VALIDATION, settings.validation_shards, settings.seed, told)
+    close = Sampler.of_folders([obstacles])
+    distances = DistanceTraining(folder / "distances", settings)
+    distances.run(every, close, (judge, Sampler.of_folders([judged])), progress)
+    size = export_network(training.network, folder / MODEL, distances.network)
+    points = training.curve[-1], distances.curve[-1]
+    counts = {"images": every.image_count, "pairs": every.pair_count, "images of obstacles": close.image_count}
+    write_card(folder / CARD, settings, (training.network, distances.network), points, counts)
+    return Learned(folder / MODEL, folder / CARD, *points, size)
 
 
 def _drive(folder: Path, model: Path, training: Training, number: int, progress: Callable[[str], None]) -> None:

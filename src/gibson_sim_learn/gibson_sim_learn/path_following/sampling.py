@@ -96,7 +96,7 @@ class Sampler:
         Args:
             rng: random generator.
             later: number of later images.
-            recorded: recorded images for each.
+            recorded: recorded images for each; 0 = the batch is drawn for its free distances alone.
             augment: mirror half of the images, and change colours, contrast and noise.
         """
         chosen = self._images[rng.integers(0, len(self._images), later)]
@@ -139,6 +139,8 @@ class Sampler:
 def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
     """Returns images (L, ..., H, W, 3) with their colours times matrices (L, 3, 3)."""
     out = images.copy()
+    if not images.size:
+        return out
     for k in np.flatnonzero(np.abs(mix - np.eye(3, dtype=np.float32)).max(axis=(1, 2)) > 1e-3):
         out[k] = cv2.transform(images[k].reshape(-1, 1, 3), mix[k]).reshape(images[k].shape)
     return out

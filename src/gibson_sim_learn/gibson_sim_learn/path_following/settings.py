@@ -17,6 +17,35 @@ DEFAULT_CONFIG = Path(__file__).with_name("path_following.yaml")
 
 
 @dataclass(frozen=True, slots=True)
+class DistanceSettings:
+    """How the network of free distances is trained, after the other one."""
+
+    obstacle_shards: int = 30
+    """Shards of images of obstacles of each training scene, see ``obstacles.py``; each validation scene has ``validation_shards``."""
+    obstacle_share: float = 0.5
+    """Share of the images of a step that are of these."""
+    iterations: int = 14000
+    """Steps of the optimiser."""
+    images: int = 48
+    """Images in a step."""
+    learning_rate: float = 0.002
+    """Largest step size; it rises at the start and falls to 0 along a cosine."""
+    weight_decay: float = 0.02
+    """Of AdamW."""
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            ("obstacle_shards", 1, 1000),
+            ("obstacle_share", 0.0, 1.0),
+            ("iterations", 1, 10_000_000),
+            ("images", 2, 4096),
+            ("learning_rate", 1e-6, 1.0),
+            ("weight_decay", 0.0, 1.0),
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class TrainingSettings:
     """What is drawn, and how long and how the network is trained."""
 
@@ -50,10 +79,13 @@ class TrainingSettings:
     """Compute in bfloat16 where the processor has instructions for it (AVX512-BF16); elsewhere it would be slower."""
     data: DataSettings = field(default_factory=DataSettings)
     """How varied the data are."""
+    distances: DistanceSettings = field(default_factory=DistanceSettings)
+    """The network of free distances."""
 
     def __post_init__(self) -> None:
         check_seed("training", self.seed)
-        for name, least, most in (
+        _check(
+            self,
             ("shards", 1, 1000),
             ("validation_shards", 1, 1000),
             ("iterations", 1, 10_000_000),
@@ -66,18 +98,22 @@ class TrainingSettings:
             ("learning_rate", 1e-6, 1.0),
             ("weight_decay", 0.0, 1.0),
             ("evaluate_every", 1, 100_000),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise ConfigError(f"{name} is {value:g}, must be {least:g} to {most:g}")
+        )
+
+
+def _check(settings: object, *ranges: tuple[str, float, float]) -> None:
+    for name, least, most in ranges:
+        value = getattr(settings, name)
+        if not least <= value <= most:
+            raise ConfigError(f"{name} is {value:g}, must be {least:g} to {most:g}")
 
 
 def load_settings(path: Path | None, seed: int | None = None) -> TrainingSettings:
     """Returns the settings of a file.
 
     Args:
-        path: YAML file whose keys are the fields of ``TrainingSettings``, ``data`` a mapping with those of ``DataSettings``; None = the
-            configuration of the package.
+        path: YAML file whose keys are the fields of ``TrainingSettings``, ``data`` and ``distances`` mappings with those of ``DataSettings``
+            and ``DistanceSettings``; None = the configuration of the package.
         seed: takes the place of the file's; None = the file's.
 
     Raises:
@@ -86,14 +122,14 @@ def load_settings(path: Path | None, seed: int | None = None) -> TrainingSetting
     names = tuple(f.name for f in fields(TrainingSettings))
     top = read_yaml_map(path or DEFAULT_CONFIG, names, ConfigError)
     default = TrainingSettings()
-    values = {name: _value(top, name, getattr(default, name)) for name in names if name != "data"}
+    parts: dict[str, type[DataSettings] | type[DistanceSettings]] = {"data": DataSettings, "distances": DistanceSettings}
+    values = {name: _value(top, name, getattr(default, name)) for name in names if name not in parts}
     if seed is not None:
         values["seed"] = seed
-    if top.has("data"):
-        part = top.within(top.value("data"), "data", tuple(f.name for f in fields(DataSettings)))
-        values["data"] = DataSettings(
-            **{f.name: _value(part, f.name, getattr(default.data, f.name)) for f in fields(DataSettings)}
-        )
+    for key, kind in parts.items():
+        if top.has(key):
+            part = top.within(top.value(key), key, tuple(f.name for f in fields(kind)))
+            values[key] = kind(**{f.name: _value(part, f.name, getattr(getattr(default, key), f.name)) for f in fields(kind)})
     return TrainingSettings(**values)
 
 

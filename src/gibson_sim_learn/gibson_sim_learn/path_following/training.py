@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
+from gibson_sim_learn.path_following.distance_training import near_and_far
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
@@ -30,10 +31,6 @@ _WARM_UP = 100
 _EVALUATION = (320, 3)
 """Later images, and recorded ones for each, that a point of the curve is made of."""
 _FREE_WEIGHT, _MATCH_WEIGHT = 0.6, 1.0
-_NEAR = 1.0
-"""Free distance below which something counts as near, metres."""
-_RATIO = 1.3
-"""Ratio of distances from which a near thing counts as missed."""
 _PANELS = (
     ("loss of training", ["loss"]),
     ("error of the pose, m", ["ahead", "beside"]),
@@ -163,7 +160,6 @@ class Training:
                 free.append(median_distances(np.array(FREE_EDGES), torch.softmax(distances.float(), dim=2).double().numpy()))
         self.network.train()
         error, told, found = np.concatenate(errors), np.concatenate(rights), np.minimum(np.concatenate(free), MAX_FREE)
-        near, open_ = batch.free < _NEAR, batch.free >= _NEAR
         ahead, beside, yaw = np.median(error, axis=0).tolist()
         return CurvePoint(
             self.iteration,
@@ -173,8 +169,7 @@ class Training:
             math.degrees(yaw),
             float(told.mean()),
             float(np.median(np.abs(found - batch.free))),
-            float((found[near] > _RATIO * batch.free[near]).mean()) if near.any() else 0.0,
-            float((found[open_] < _NEAR / _RATIO).mean()) if open_.any() else 0.0,
+            *near_and_far(found, batch.free),
             round(self._processor_s, 1),
         )
 
@@ -237,8 +232,9 @@ _MAY_CHANGE = (
     "dagger_drives",
     "shards",
     "validation_shards",
+    "distances",
 )
-"""Settings by which a training can be made longer."""
+"""Settings by which a training can be made longer, or that are another one's."""
 
 
 def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
