@@ -33,8 +33,8 @@ WORTH_HAVING = {"numba", "meshoptimizer"}
 WITHOUT = {
     "gibson_sim.tasks.environments": "gymnasium", "gibson_sim.pytest": "pytest", "gibson_sim_tools.making.blender": "bpy",
     "gibson_sim_learn.path_following.network": "torch", "gibson_sim_learn.path_following.training": "torch",
-    "gibson_sim_learn.path_following.distance_network": "torch", "gibson_sim_learn.path_following.distance_training": "torch",
-    "gibson_sim_learn.path_following.export": "onnx", "gibson_sim_learn.path_following.pipeline": "onnx",
+    "gibson_sim_learn.path_following.distances.network": "torch", "gibson_sim_learn.path_following.distances.training": "torch",
+    "gibson_sim_learn.path_following.export": "onnx", "gibson_sim_learn.path_following.pipeline": "torch",
     "gibson_sim_learn.filler.network": "torch", "gibson_sim_learn.filler.training": "torch", "gibson_sim_learn.filler.export": "onnx",
     "gibson_sim_learn.goggles.network": "torch", "gibson_sim_learn.goggles.training": "torch", "gibson_sim_learn.goggles.export": "onnx",
     "gibson_sim_learn.goggles.pipeline": "onnx", "gibson_sim_learn.training": "torch",

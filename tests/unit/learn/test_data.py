@@ -29,9 +29,9 @@ from gibson_sim_learn.path_following.data import (
     save_shard,
     smooth_path,
 )
+from gibson_sim_learn.path_following.distances.obstacles import views_around
 from gibson_sim_learn.path_following.drawing import HFOV
 from gibson_sim_learn.path_following.layout import THINGS, ThingMaker
-from gibson_sim_learn.path_following.obstacles import views_around
 
 CELL = 0.05
 

@@ -66,7 +66,7 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
 
 
 def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path) -> None:
-    from gibson_sim_learn.path_following.distance_training import DistanceTraining
+    from gibson_sim_learn.path_following.distances.training import DistanceTraining
 
     data = sampler()
     settings = replace(SETTINGS, distances=DistanceSettings(iterations=4, images=4))
@@ -83,7 +83,7 @@ def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path
 
 
 def test_near_things_told_as_far_and_far_ones_as_near_are_counted() -> None:
-    from gibson_sim_learn.path_following.distance_training import near_and_far
+    from gibson_sim_learn.path_following.distances.training import near_and_far
 
     free = np.array([[0.5, 0.8, 2.0, 3.0, 1.5]], np.float32)
     # 0.5 m is told as twice as far; of the three that are free for 1 m, one is told as 0.7 m.
@@ -92,7 +92,7 @@ def test_near_things_told_as_far_and_far_ones_as_near_are_counted() -> None:
 
 def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="could not import 'torch' with its exporter onnx")
-    from gibson_sim_learn.path_following.distance_network import DistanceNetwork
+    from gibson_sim_learn.path_following.distances.network import DistanceNetwork
     from gibson_sim_learn.path_following.export import export_network
     from gibson_sim_learn.path_following.network import PathNetwork
 

@@ -21,8 +21,8 @@ from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import (
     FREE_EDGES,
 )
-from gibson_sim_learn.path_following.distance_network import DistanceNetwork
-from gibson_sim_learn.path_following.distance_training import DistancePoint
+from gibson_sim_learn.path_following.distances.network import DistanceNetwork
+from gibson_sim_learn.path_following.distances.training import DistancePoint
 from gibson_sim_learn.path_following.drawing import HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict

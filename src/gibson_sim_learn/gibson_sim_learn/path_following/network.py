@@ -3,7 +3,7 @@
 One small encoder sees both images. Its features are compared everywhere with everywhere, which yields for each place of the present image
 where in the recorded one it is; a few convolutions turn that into a pose. Free distances come from the present image alone: a
 first estimate, by which the encoder learns what is near, and the robot drives in the rounds of DAgger; what it drives with afterwards is told
-by ``distance_network.py``.
+by ``distances``.
 """
 
 from __future__ import annotations

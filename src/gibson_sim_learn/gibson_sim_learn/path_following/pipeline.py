@@ -12,10 +12,10 @@ from gibson_path_following.localisation import Localiser, NodeMatcher
 from gibson_path_following.types import RecordedPath
 from gibson_sim_learn.path_following.dagger import drive_all
 from gibson_sim_learn.path_following.data import make_data
-from gibson_sim_learn.path_following.distance_training import DistancePoint, DistanceTraining
+from gibson_sim_learn.path_following.distances.obstacles import make_obstacle_data
+from gibson_sim_learn.path_following.distances.training import DistancePoint, DistanceTraining
 from gibson_sim_learn.path_following.drives import FollowerDriver
 from gibson_sim_learn.path_following.export import export_network, write_card
-from gibson_sim_learn.path_following.obstacles import make_obstacle_data
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION

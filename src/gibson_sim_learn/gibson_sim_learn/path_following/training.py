@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
-from gibson_sim_learn.path_following.distance_training import near_and_far
+from gibson_sim_learn.path_following.distances.training import near_and_far
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict

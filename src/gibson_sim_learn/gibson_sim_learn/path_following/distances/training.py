@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
-from gibson_sim_learn.path_following.distance_network import DistanceNetwork
+from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
