@@ -324,7 +324,7 @@ class Import:
         self._write("likeness", {"psnr": alike.psnr, "ssim": alike.ssim, "seen": share, "photographs": len(numbers)})
         return [
             f"{len(numbers)} photographs that were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, where the scene has a "
-            f"surface ({100.0 * share:.0f} % of their pixels)"
+            f"surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 would use them, too"
         ]
 
     def _T_level_scan(self) -> F64:
