@@ -37,7 +37,7 @@ class SplatContacts:
     def __init__(self, context: GlContext) -> None:
         self._gl, self._buffer = GL.Gl(context), 0
         defines = (f"REACH {REACH_M:.6f}", f"DARKEST {DARKEST:.6f}")
-        fragment = shader_text("splat_contact.frag", defines, ("splat_view.glsl",))
+        fragment = shader_text("splat_contact.frag", defines, ("splat_view.glsl", "splat_surface.glsl"))
         self._program = context.gl.program(vertex_shader=FULL_SCREEN, fragment_shader=fragment)
         self._program["u_depth"], self._program["u_hiding"] = 0, 1
         self._buffer = self._gl.create("glCreateBuffers")

@@ -92,7 +92,7 @@ class SplatPass:
         self._room = 0
         self._compute = ctx.compute_shader(shader_text("splats.comp", (f"SH_DEGREE {degree}",), ("splat_view.glsl",)))
         self._programs.append(self._compute)
-        self._depth = self._screen("splat_depth.frag", ("splat_view.glsl",), "u_depth")
+        self._depth = self._screen("splat_depth.frag", ("splat_view.glsl", "splat_surface.glsl"), "u_depth")
         self._contacts = SplatContacts(self._context)
         self._blend = self._screen("splat_blend.frag", (), "u_splats")
         self._splat = ctx.program(vertex_shader=shader_text("splats.vert"), fragment_shader=shader_text("splats.frag"))

@@ -14,27 +14,14 @@ layout(location = 0) out vec4 out_factor;
 const int TAPS = 3;
 const float HEIGHTS[TAPS] = float[](0.2 * REACH, 0.5 * REACH, REACH);
 
-// Returns the slope between neighbours, that towards the flatter side: across an edge there is none.
-float slope(float before, float here, float after) {
-    float left = here - before, right = after - here;
-    return abs(left) < abs(right) ? left : right;
-}
-
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
-    ivec2 low = ivec2(place.zw), high = ivec2(place.zw + place.xy) - 1;
     float here = texelFetch(u_depth, at, 0).r;
     out_factor = vec4(1.0);
     // A surface that moves has light of its own.
     if (here <= 0.0 || texelFetch(u_hiding, at, 0).r > here * (1.0 - 1e-5)) return;
-    float du = slope(texelFetch(u_depth, max(at - ivec2(1, 0), low), 0).r, here, texelFetch(u_depth, min(at + ivec2(1, 0), high), 0).r);
-    float dv = slope(texelFetch(u_depth, max(at - ivec2(0, 1), low), 0).r, here, texelFetch(u_depth, min(at + ivec2(0, 1), high), 0).r);
-    vec2 ray = (vec2(at - low) - lens.zw) / lens.xy;
-    ray.x -= skew * ray.y / lens.x;
-    vec3 normal = vec3(lens.x * du, lens.y * dv + skew * du, 0.0);
-    normal.z = here - dot(ray, normal.xy);
-    normal = -normalize(normal);
-    vec3 point = vec3(ray, 1.0) * (eye.w / here);
+    vec3 normal = -normalize(normal_at(u_depth, at));
+    vec3 point = vec3(ray_at(at), 1.0) * (eye.w / here);
     float most = 0.0;
     for (int k = 0; k < u_boxes; ++k) {
         vec3 p = (boxes[k].box_from_optical * vec4(point, 1.0)).xyz, n = mat3(boxes[k].box_from_optical) * normal;
