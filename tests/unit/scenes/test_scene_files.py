@@ -63,6 +63,32 @@ def test_maps_and_poses_are_written_into_the_folder_and_fit_the_scene(furnished:
     assert on_rug and set(on_rug) == {0.01}
 
 
+def test_no_pose_lies_on_or_beside_a_bump_that_a_robot_drives_up(tmp_path: Path) -> None:
+    # A slab 8 cm high, and four sides of 15 degrees down to the floor: robots reach its top.
+    side, top = 0.7, 0.4
+    corners = [(c * x, c * y, z) for c, z in ((side, 0.0), (top, 0.08)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    faces = [
+        (4, 5, 6),
+        (4, 6, 7),
+        *((k, (k + 1) % 4, 4 + (k + 1) % 4) for k in range(4)),
+        *((k, 4 + (k + 1) % 4, 4 + k) for k in range(4)),
+    ]
+    (tmp_path / "room").mkdir()
+    lines = [
+        *("v {:g} {:g} {:g}".format(*corner) for corner in corners),
+        *("f {} {} {}".format(*(i + 1 for i in face)) for face in faces),
+    ]
+    (tmp_path / "room/bump.obj").write_text("\n".join(lines))
+    folder = write_room(tmp_path / "room", "  - {name: bump, mesh: ./bump.obj, collision: same}\n")
+    write_scene_files(folder)
+    scene = load_scene(folder)
+    # On the map the top is free.
+    picture = cv2.imread(str(folder / "floor_trav_0.png"), cv2.IMREAD_UNCHANGED)
+    assert picture is not None and picture[picture.shape[0] // 2, picture.shape[1] // 2] == 255
+    assert list(out_of_date(scene, USUAL_ROBOT.radius, USUAL_ROBOT.height)) == []
+    assert {pose.z for pose in scene_free_poses(scene)} == {0.0}
+
+
 def test_the_same_seed_gives_the_same_files_and_another_gives_other_poses(furnished: Path) -> None:
     first, again, other = ([path.read_bytes() for path in write_scene_files(furnished, seed=seed)] for seed in (0, 0, 1))
     assert first == again

@@ -53,7 +53,7 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
     floors = floor_maps(scene, robot, resolution=_RESOLUTION, floors=scene.floors)
     rng = np.random.default_rng(seed)
     triangles = scene_triangles(scene)
-    poses = [pose for number, floor in enumerate(floors) for pose in _poses(scene, number, floor, triangles, robot.radius, rng)]
+    poses = [pose for number, floor in enumerate(floors) for pose in _poses(scene, number, floor, triangles, robot, rng)]
     paths = write_gibson_maps(floors, folder)
     write_free_poses(folder / FREE_POSES, poses)
     # Maps of floors that the scene no longer has.
@@ -63,7 +63,7 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
 
 
 def _poses(
-    scene: SceneSpec, number: int, floor: FloorMap, triangles: F64, radius: float, rng: np.random.Generator
+    scene: SceneSpec, number: int, floor: FloorMap, triangles: F64, robot: RobotSize, rng: np.random.Generator
 ) -> list[FreePose]:
     """Returns the poses of one floor in random order: some in every room, and others anywhere.
 
@@ -72,10 +72,13 @@ def _poses(
         number: number of the floor.
         floor: its map.
         triangles: (F, 3, 3), collision shapes, world metres.
-        radius: radius of the robot, metres.
+        robot: its size.
         rng: source of randomness.
     """
-    clearance = radius + SPARE
+    clearance = robot.radius + SPARE
+    # The map has free cells on bumps and ramps that a robot drives up; it does not stand on them level, at the height of the floor.
+    vertices = triangles.reshape(-1, 3)
+    floor = floor.furnished(vertices, np.arange(len(vertices)).reshape(-1, 3), robot.height)
     region = floor.largest_free_region(clearance)
     poses = [
         pose
@@ -91,7 +94,7 @@ def _poses(
     for index in rng.permutation(len(poses)):
         # Rounded as in the file, so that the room is that of the rounded position.
         x, y = (round(c, 3) for c in poses[index].position[:2])
-        z = _height(floor, heights, (x, y), radius)
+        z = _height(floor, heights, (x, y), robot.radius)
         room = room_at(scene.rooms, x, y, number)
         yaw = 2.0 * math.atan2(poses[index].quat_xyzw[2], poses[index].quat_xyzw[3])
         out.append(FreePose(number, x, y, z, math.remainder(yaw, 2.0 * math.pi), "" if room is None else room.name))

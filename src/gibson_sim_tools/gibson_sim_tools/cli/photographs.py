@@ -17,6 +17,7 @@ from gibson_sim.bags.progress import progress_bar
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 
 PHOTOGRAPH_OPTIONS = ("mesh", "fuse", *(f.name for f in fields(PhotographSettings)))
@@ -56,6 +57,10 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
         with Work(output, source).alone(), progress_bar(f"unpacking {folder.name}"):
             folder = unpacked(folder, output / WORK / "photographs")
     found = find(folder, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
+    if settings.hold_out_depth and found.mesh is not None:
+        raise ConfigError(
+            f"--hold-out-depth is for depth that is fused, and the mesh is {quoted(str(found.mesh))}; leave it out, or give --fuse"
+        )
     if scale is not None and any(item.depth is not None for item in found.photographs.items):
         raise ConfigError("--unit is for photographs without depth: depth images say how large the room is; leave it out")
     up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")

@@ -95,7 +95,9 @@ class Import:
         s, found = self.settings, self.found
         count = len(found.photographs)
         mesh = (
-            Stage("fuse", self._fuse, (_FUSED, _FACTS["fused"]), (s.voxel, s.depth_max, s.hold_out), 0.08 * count)
+            Stage(
+                "fuse", self._fuse, (_FUSED, _FACTS["fused"]), (s.voxel, s.depth_max, s.hold_out, s.hold_out_depth), 0.08 * count
+            )
             if found.mesh is None
             else Stage("mesh", self._given, (_FUSED, _FACTS["fused"]), _state(found.mesh), 10.0)
         )
@@ -143,22 +145,24 @@ class Import:
     def _check(self, progress: Progress) -> Sequence[str]:
         files = self._files()
         total = check_pictures(files, progress)
-        aside = f"; one photograph in {self.settings.hold_out} is kept aside" if self.settings.hold_out else ""
-        return [f"{len(files)} images are whole, {size_text(total)}{aside}"]
+        return [f"{len(files)} images are whole, {size_text(total)}"]
 
     def _fuse(self, progress: Progress) -> Sequence[str]:
         assert self.found.rgbd is not None
         settings = FuseSettings(voxel=self.settings.voxel, depth_max=self.settings.depth_max, snap=0.0)
         photographs, rgbd = self.found.photographs, self.found.rgbd
-        # A surface that was made from a photograph would not show what the scene lacks when both are compared.
-        aside = {photographs.items[k].file for k in self._aside()}
-        rgbd = rgbd.only([k for k, files in enumerate(rgbd.files) if files.color not in aside])
+        files_aside = {photographs.items[k].file for k in self._aside()}
+        aside = [k for k, files in enumerate(rgbd.files) if files.color in files_aside]
+        if self.settings.hold_out_depth:
+            rgbd, aside = rgbd.only(np.setdiff1d(np.arange(len(rgbd)), aside).tolist()), []
         convention, said = agreeing_convention(rgbd, range(len(rgbd)), settings.depth_max, AUTO)
-        fusion = fuse_scan(rgbd.at(reread(rgbd.poses, rgbd.layout, convention)), settings, progress)
+        fusion = fuse_scan(rgbd.at(reread(rgbd.poses, rgbd.layout, convention)), settings, progress, depth_only=aside)
         write_ply(self.output / _FUSED, fusion.mesh)
         poses = reread(photographs.poses, photographs.layout, convention)
         self._write("fused", {"voxel": fusion.voxel, "coloured": True, "T_scan_camera": poses.tolist()})
         lines = [f"{len(fusion.mesh.triangles)} triangles, {fusion.mesh.area:.1f} m^2, from {len(rgbd)} depth images"]
+        if aside:
+            lines[0] += f", {len(aside)} of them without their colours"
         return [*([said] if said else []), *lines, *([] if fusion.selected is None else [fusion.selected.text(settings.memory)])]
 
     def _given(self, progress: Progress) -> Sequence[str]:
@@ -228,8 +232,13 @@ class Import:
         fewer = len(numbers) < len(self.found.photographs)
         return [
             *([f"{len(numbers)} of {len(self.found.photographs)} photographs are used"] if fewer else []),
+            *([f"the {self._unused()} of {len(held_out)} photographs are kept aside"] if held_out else []),
             *textured.report.lines(),
         ]
+
+    def _unused(self) -> str:
+        """Returns what of the photographs that are kept aside is not used."""
+        return "colours and depth" if self.settings.hold_out_depth else "colours"
 
     def _used(self, surface: Surface, photographs: Photographs, progress: Progress) -> tuple[I64, list[int]]:
         """Returns the numbers of the photographs that are textured from or kept aside, and which of these are kept aside."""
@@ -318,13 +327,13 @@ class Import:
                 return draw(number)
 
             alike = compare(photographs, counted, numbers=numbers)
-            sheet = contact_sheet(photographs, draw, numbers)
+            sheet = contact_sheet(photographs, draw, numbers, self._unused())
         share = alike.pixels / pixels
         write_picture(self.output / SHEET, sheet[:, :, ::-1])
         self._write("likeness", {"psnr": alike.psnr, "ssim": alike.ssim, "seen": share, "photographs": len(numbers)})
         return [
-            f"{len(numbers)} photographs that were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, where the scene has a "
-            f"surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 would use them, too"
+            f"{len(numbers)} photographs whose {self._unused()} were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, "
+            f"where the scene has a surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 would use them, too"
         ]
 
     def _T_level_scan(self) -> F64:

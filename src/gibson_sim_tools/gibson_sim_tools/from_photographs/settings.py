@@ -13,7 +13,13 @@ class PhotographSettings:
     """Settings of an import from photographs."""
 
     hold_out: int = setting(
-        10, "Every so many-th photograph is not used, but compared with the simulation; 0 = none", minimum=0, maximum=10_000
+        10,
+        "The colours of every so many-th photograph are not used, but compared with the simulation; 0 = all are used",
+        minimum=0,
+        maximum=10_000,
+    )
+    hold_out_depth: bool = setting(
+        False, "Fuse no depth of these photographs either: a strict comparison, but the scene lacks what they alone show"
     )
     voxel: float = setting(
         0.0, "Edge of a voxel of the fusion; 0 = as fine as the cameras resolve", unit="m", minimum=0.0, maximum=0.5
@@ -34,3 +40,8 @@ class PhotographSettings:
         check_settings(self)
         if self.hold_out == 1:
             raise ConfigError("setting 'hold_out' is 1, must be 0, or 2 or more, so that photographs are left")
+        if self.hold_out_depth and not self.hold_out:
+            raise ConfigError(
+                "setting 'hold_out_depth' leaves out the depth of photographs that are kept aside, and 'hold_out' is 0: none is; "
+                "give 'hold_out' 2 or more, or leave out 'hold_out_depth'"
+            )

@@ -51,8 +51,15 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
         yield picture
 
 
-def contact_sheet(photographs: Photographs, drawn: Callable[[int], Drawn], numbers: Sequence[int]) -> U8:
-    """Returns pairs of a photograph and the simulation, (H, W, 3), sRGB; at most ``_PAIRS`` of the numbers, spread evenly."""
+def contact_sheet(photographs: Photographs, drawn: Callable[[int], Drawn], numbers: Sequence[int], unused: str) -> U8:
+    """Returns pairs of a photograph and the simulation, (H, W, 3), sRGB; at most ``_PAIRS`` of the numbers, spread evenly.
+
+    Args:
+        photographs: at the poses that were found.
+        drawn: what the simulation shows at the place of a photograph.
+        numbers: of the photographs.
+        unused: what of these photographs the scene was not made from, for their captions.
+    """
     shown = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _PAIRS).round().astype(int))]
     cells = []
     for number in shown:
@@ -61,7 +68,11 @@ def contact_sheet(photographs: Photographs, drawn: Callable[[int], Drawn], numbe
         simulated[~picture.seen] = np.rint(picture.rgb[~picture.seen] * 255.0)
         cells.append(
             np.concatenate(
-                [_cell(f"photograph {photographs.items[number].file.name}", truth), _cell("simulation", simulated)], axis=1
+                [
+                    _cell(f"photograph ({unused} not used) {photographs.items[number].file.name}", truth),
+                    _cell("simulation", simulated),
+                ],
+                axis=1,
             )
         )
     height = max(len(cell) for cell in cells)

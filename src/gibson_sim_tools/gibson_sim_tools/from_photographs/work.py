@@ -25,7 +25,7 @@ Progress = Callable[[float], None]
 RECORD = "import.json"
 """File that marks the folder of a job."""
 _FORMAT = "gibson_sim import from photographs"
-_VERSION = 2
+_VERSION = 3
 """Version of what the stages do: another one makes all of them again."""
 _MOST_BYTES = 64 * 2**20
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.geometry.transforms import Mat4, invert
@@ -74,13 +75,16 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
     return fuse_scan(rgbd, settings, progress).mesh
 
 
-def fuse_scan(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> Fusion:
+def fuse_scan(
+    rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None, *, depth_only: Collection[int] = ()
+) -> Fusion:
     """Returns the surface in posed RGB-D, in its world frame (or levelled): the triangles of a truncated signed distance field.
 
     Args:
         rgbd: the frames.
         settings: settings of the fusion.
         progress: called with the fraction that is done, 0 to 1.
+        depth_only: numbers of frames whose colours are not used. Vertices that they alone show have the colour of the nearest other ones.
 
     Raises:
         EnvironmentProblemError: Open3D is not installed.
@@ -89,7 +93,8 @@ def fuse_scan(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lamb
     open3d()
     selected = None if settings.voxel else select_voxel_size(rgbd, settings, chosen_frames(rgbd, settings))
     settings = settings if selected is None else replace(settings, voxel=selected.voxel)
-    mesh = _surface(rgbd, settings, _FIRST_BLOCKS if selected is None else round(_SPARE * selected.blocks), progress)
+    blocks = _FIRST_BLOCKS if selected is None else round(_SPARE * selected.blocks)
+    mesh = _surface(rgbd, settings, blocks, frozenset(depth_only), progress)
     mesh, snap = snapped(mesh, settings.voxel, settings.snap) if settings.snap else (mesh, None)
     progress(0.98)
     if settings.triangles and len(mesh.triangles) > settings.triangles:
@@ -109,7 +114,9 @@ def _level(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
         return None
 
 
-def _surface(rgbd: PosedRgbd, settings: FuseSettings, blocks: int, progress: Progress) -> ColouredMesh:
+def _surface(
+    rgbd: PosedRgbd, settings: FuseSettings, blocks: int, depth_only: Collection[int], progress: Progress
+) -> ColouredMesh:
     """Returns the triangles of the distance field of all frames, without small parts; ``blocks`` are allocated at first."""
     o3d = open3d()
     core = o3d.core
@@ -120,8 +127,13 @@ def _surface(rgbd: PosedRgbd, settings: FuseSettings, blocks: int, progress: Pro
     # Open3D truncates projected points to pixels, so its pixel centres are at halves; ours are at whole numbers.
     K = core.Tensor(rgbd.intrinsics.matrix + np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]))
     reach = (rgbd.depth_scale, settings.depth_max, settings.truncation)
-    chosen = chosen_frames(rgbd, settings)
+    # Those without colours come last: what is there before them has the colours of the others alone.
+    chosen = sorted(chosen_frames(rgbd, settings), key=lambda number: number in depth_only)
+    with_colors = sum(number not in depth_only for number in chosen)
+    coloured: ColouredMesh | None = None
     for done, number in enumerate(chosen):
+        if done == with_colors:
+            coloured = _extracted(grid, settings)
         frame = rgbd[number]
         units = depth_units(frame.depth, rgbd.depth_scale)
         if (frame.depth <= settings.depth_max).any():
@@ -130,9 +142,10 @@ def _surface(rgbd: PosedRgbd, settings: FuseSettings, blocks: int, progress: Pro
             blocks = grid.compute_unique_block_coordinates(depth, K, T_camera_world, *reach)
             grid.integrate(blocks, depth, color, K, K, T_camera_world, *reach)
         progress(0.9 * (done + 1) / len(chosen))
-    if not grid.hashmap().size():
-        raise ScanError(_nothing(settings))
-    mesh = welded(_extracted(grid, settings), _WELD * settings.voxel)
+    mesh = _extracted(grid, settings)
+    if coloured is not None:
+        mesh = replace(mesh, colors=coloured.colors[cKDTree(coloured.vertices).query(mesh.vertices)[1]])
+    mesh = welded(mesh, _WELD * settings.voxel)
     if settings.min_part:
         mesh = without_small_parts(mesh, settings.min_part)
     if not len(mesh.triangles):
@@ -142,6 +155,8 @@ def _surface(rgbd: PosedRgbd, settings: FuseSettings, blocks: int, progress: Pro
 
 def _extracted(grid: Any, settings: FuseSettings) -> ColouredMesh:
     """Returns the triangles of a distance field."""
+    if not grid.hashmap().size():
+        raise ScanError(_nothing(settings))
     found = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # the threshold is exclusive
     if found.is_empty():
         raise ScanError(_nothing(settings))

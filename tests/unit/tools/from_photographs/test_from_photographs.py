@@ -118,6 +118,15 @@ def test_another_photograph_or_another_mesh_makes_all_that_follows_again(room, t
     assert not any(made(opened(room, tmp_path / "out", room / "other.ply")).values())
 
 
+def test_leaving_out_depth_fuses_again(tmp_path, monkeypatch):
+    folder, keep_aside = write_rgbd(tmp_path / "phone"), replace(SETTINGS, hold_out=5)
+    skip_work(monkeypatch)
+    monkeypatch.setattr(importing, "open3d", lambda: None)
+    made(opened(folder, tmp_path / "out", settings=keep_aside))
+    stages = made(opened(folder, tmp_path / "out", settings=replace(keep_aside, hold_out_depth=True)))
+    assert [name for name, reused in stages.items() if reused] == ["photographs"]
+
+
 def skip_work(monkeypatch):
     """Lets every stage write empty files and do nothing else."""
     stages = Import.stages
@@ -190,11 +199,11 @@ def test_a_stage_cut_off_with_new_options_does_not_count_as_made_with_the_former
 
 @pytest.fixture
 def fused(monkeypatch):
-    """What was given to the fusion, which is replaced: frames and settings."""
+    """What was given to the fusion, which is replaced: frames, settings, and which frames give their depth alone."""
     given = []
 
-    def fuse_scan(rgbd, settings, progress):
-        given.append((rgbd, settings))
+    def fuse_scan(rgbd, settings, progress, *, depth_only):
+        given.append((rgbd, settings, list(depth_only)))
         return Fusion(moved(room_mesh(), T_FIRST_WORLD), 0.02, None, None, None)
 
     monkeypatch.setattr(importing, "fuse_scan", fuse_scan)
@@ -206,16 +215,26 @@ def test_depth_is_fused_where_no_mesh_is_there(tmp_path, fused):
     assert job.found.lines()[1] == "no mesh: it will be fused from depth"
     assert [stage.name for stage in job.stages()][1] == "fuse"
     job._fuse(lambda part: None)
-    ((rgbd, settings),) = fused
-    assert (len(rgbd), settings.depth_max, settings.snap) == (COUNT, 3.0, 0.0)
+    ((rgbd, settings, depth_only),) = fused
+    assert depth_only == [] and (len(rgbd), settings.depth_max, settings.snap) == (COUNT, 3.0, 0.0)
     assert len(job._read_mesh("import/fused.ply").triangles) == len(room_mesh().triangles)
 
 
 @pytest.mark.parametrize("write", [write_rgbd, write_polycam])
-def test_photographs_that_are_kept_aside_are_not_fused(tmp_path, fused, write):
+def test_the_depth_of_photographs_that_are_kept_aside_is_fused_without_their_colours(tmp_path, fused, write):
     job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, hold_out=5))
+    assert job._fuse(lambda part: None)[0].endswith(f"from {COUNT} depth images, 3 of them without their colours")
+    ((rgbd, _, depth_only),) = fused
+    assert (len(rgbd), depth_only) == (COUNT, [0, 5, 10])
+
+
+@pytest.mark.parametrize("write", [write_rgbd, write_polycam])
+def test_neither_depth_nor_colours_of_photographs_that_are_kept_aside_are_fused_if_told_so(tmp_path, fused, write):
+    settings = replace(SETTINGS, hold_out=5, hold_out_depth=True)
+    job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=settings)
     assert job._fuse(lambda part: None)[0].endswith("from 9 depth images")
-    ((rgbd, _),) = fused
+    ((rgbd, _, depth_only),) = fused
+    assert depth_only == []
     others = [1, 2, 3, 4, 6, 7, 8, 9, 11]
     assert [int(files.color.stem) for files in rgbd.files] == others
     np.testing.assert_array_equal(rgbd[5].T_world_camera, job.found.photographs.poses[7])
@@ -383,6 +402,8 @@ def test_bad_folders_are_one_line_each(room, tmp_path, capsys):
     assert "has photographs but no poses; COLMAP finds them" in message(tmp_path / "unposed")
     assert "--mesh" in message(room, "--mesh", tmp_path / "none.ply")
     assert "must be 0, or 2 or more" in message(room, "--hold-out", 1)
+    assert "'hold_out' is 0: none is" in message(room, "--hold-out", 0, "--hold-out-depth")
+    assert f"--hold-out-depth is for depth that is fused, and the mesh is '{room}/mesh.ply'" in message(room, "--hold-out-depth")
     assert "give one of them" in message(room, "--mesh", room / "mesh.ply", "--fuse")
     write_mesh(room / "dense.ply")
     (room / "mesh.ply").rename(room / "sparse.ply")

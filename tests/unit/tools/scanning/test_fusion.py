@@ -13,7 +13,7 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.scanning.comparison import compare
-from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse
+from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse, fuse_scan
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import ScanError, depth_units
 from gibson_sim_tools.scanning.settings import FuseSettings
@@ -66,6 +66,17 @@ def test_a_board_is_fused_where_it_is_and_in_its_colour(board):
     assert np.percentile(off, 98) <= 2  # at the rim colours are mixed with nothing
     assert mesh.crosses()[:, 2].min() >= 0.0
     assert mesh.area > 1.0
+
+
+def test_frames_can_give_their_depth_without_their_colours(board):
+    picture = np.full((72, 96, 3), (255, 51, 51), np.uint8)
+    cv2.imwrite(str(board.folder / "color" / "2.png"), picture)  # blue
+    full, mesh = fuse(board, SETTINGS), fuse_scan(board, SETTINGS, depth_only=[2]).mesh
+    assert (full.colors[:, 2] > 60).any()
+    # The surface is that of all three, in the colour of two.
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), np.ptp(full.vertices, axis=0), atol=1e-4)
+    assert mesh.area == pytest.approx(full.area, rel=1e-3) and mesh.area > 1.05 * fuse(board.only([0, 1]), SETTINGS).area
+    assert mesh.colors[:, 2].max() <= 53
 
 
 def test_what_too_few_images_show_becomes_a_hole(board):
