@@ -87,5 +87,5 @@ def _cell(title: str, picture: U8) -> U8:
     height = max(round(picture.shape[0] * _WIDTH / picture.shape[1]), 1)
     out = np.full((height + _CAPTION + _GAP, _WIDTH + _GAP, 3), _PAPER, dtype=np.uint8)
     out[:height, :_WIDTH] = cv2.resize(picture, (_WIDTH, height), interpolation=cv2.INTER_AREA)
-    cv2.putText(out, title[:48], (3, height + _CAPTION - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
+    cv2.putText(out, title[:60], (3, height + _CAPTION - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
     return out
