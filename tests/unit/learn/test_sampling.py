@@ -7,7 +7,7 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim_learn.path_following.data import DIRECTIONS, PAIR, Shard
-from gibson_sim_learn.path_following.sampling import Sampler
+from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
 
 
 def shard() -> Shard:
@@ -66,6 +66,17 @@ def test_images_can_be_drawn_for_their_free_distances_alone() -> None:
     batch = Sampler([shard()]).batch(np.random.default_rng(5), 8, 0)
     assert batch.later.shape == (8, 64, 96, 3) and batch.recorded.shape == (8, 0, 64, 96, 3)
     assert (batch.free.min(axis=1) == 1.0).all()
+
+
+def test_another_lens_changes_each_image_by_itself_and_leaves_it_where_it_is() -> None:
+    images = shard().images.repeat(10, axis=0)
+    seen = through_another_lens(images, np.random.default_rng(0))
+    np.testing.assert_array_equal(seen, through_another_lens(images, np.random.default_rng(0)))
+    assert len({image.tobytes() for image in seen}) == len(seen)
+    bright, dark = seen[:, 16:48, 60:84].mean(axis=(1, 2, 3)), seen[:, 16:48, 12:36].mean(axis=(1, 2, 3))
+    expected = images[:, 0, 95, 0]
+    assert (dark < 5.0).all(), "the left half is black but for grain"
+    assert (bright > 0.55 * expected).all() and (bright <= np.minimum(1.45 * expected, 255.0)).all()
 
 
 def test_no_data_is_one_line() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,14 @@ _UNEVEN = 0.45
 """Largest change of brightness across an image, in natural logarithms: light that falls from elsewhere."""
 _NOISE = 4.0
 """Largest standard deviation of added noise, grey levels."""
+_BLUR, _BLURRED = 0.9, 0.5
+"""Largest standard deviation of another lens' blur, pixels, and the share of images that have it."""
+_VIGNETTE = 0.4
+"""Largest share of the light that another lens loses in the corners."""
+_SHIFT = 1.0
+"""Largest shift of an image up or down, pixels: 1.4 degrees of tilt."""
+_BURNT = 0.35
+"""Largest natural logarithm of a gain, after which bright parts are white."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +143,25 @@ class Sampler:
             images = _other_contrast(images, rng)
             others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng).reshape(others.shape)
         return Batch(images, others, pose, match, free, has)
+
+
+def through_another_lens(images: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Returns images (N, H, W, 3) with a drawn blur, vignette, tilt, gain and grain of each; free distances in them stay what they are."""
+    count, height, width, _ = images.shape
+    y, x = np.mgrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j].astype(np.float32)
+    corner = (x**2 + y**2)[..., None] / 2.0
+    out = np.empty_like(images)
+    for k in range(count):
+        image = images[k]
+        shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rng.uniform(-_SHIFT, _SHIFT)]])
+        image = cv2.warpAffine(image, shift, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        if rng.random() < _BLURRED:
+            image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.2, _BLUR))
+        gain = math.exp(rng.uniform(-_BURNT, _BURNT))
+        lit = image.astype(np.float32) * (gain * (1.0 - rng.uniform(0.0, _VIGNETTE) * corner))
+        grain = rng.standard_normal(image.shape, dtype=np.float32) * rng.uniform(0.0, _NOISE)
+        out[k] = np.clip(lit + grain, 0.0, 255.0)
+    return out
 
 
 def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:

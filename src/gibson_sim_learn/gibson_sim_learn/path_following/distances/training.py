@@ -19,7 +19,7 @@ from torch import Tensor
 
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
-from gibson_sim_learn.path_following.sampling import Sampler
+from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
 
@@ -37,8 +37,8 @@ _EVALUATE_EVERY = 1000
 _PANELS = (
     ("loss of training", ["loss"]),
     ("median error, m", ["free"]),
-    ("on ways: near, told as far; far, told as near", ["too_far", "too_near"]),
-    ("obstacles: near, told as far; far, told as near", ["obstacles_too_far", "obstacles_too_near"]),
+    ("on ways: shares told wrongly", ["too_far", "too_near"]),
+    ("obstacles: shares told wrongly", ["obstacles_too_far", "obstacles_too_near"]),
 )
 """Of the curve: title and fields of its points."""
 
@@ -121,7 +121,7 @@ class DistanceTraining:
                 data.batch(self._rng, count, 0) for data, count in ((ways, settings.images - close), (obstacles, close)) if count
             ]
             images, free = (np.concatenate([getattr(part, name) for part in parts]) for name in ("later", "free"))
-            losses.append(self._step(images, free))
+            losses.append(self._step(through_another_lens(images, self._rng), free))
             self.iteration += 1
             if self.iteration % 10 == 0:
                 left = (time.monotonic() - began) / (self.iteration - start) * (until - self.iteration) / 60.0
@@ -179,7 +179,7 @@ class DistanceTraining:
             "processor_s": self._processor_s,
         }
         save_checkpoint(self.checkpoint, content)
-        write_curve(self.folder, self.curve, _PANELS, columns=4)
+        write_curve(self.folder, self.curve, _PANELS, columns=2)
 
     def _load(self) -> None:
         content = load_checkpoint(self.checkpoint, self._kept, ("iterations",))
