@@ -20,7 +20,7 @@ def test_the_simulation_at_the_place_of_a_photograph_looks_like_it(tmp_path):
     (name,) = {visual.name for visual in scene.visuals}
     with photograph_renderer(scene, photographs, "unseen_floor") as draw:
         alike = compare(photographs, draw, numbers=[0, 4, 7])
-        sheet = contact_sheet(photographs, draw, [0, 4, 7])
+        sheet = contact_sheet(photographs, draw, [0, 4, 7], "colours")
     # Colours that are linear between vertices 0.2 m apart, of waves of 2 m.
     assert alike.psnr > 30.0 and alike.pixels > 0.9 * 3 * WIDTH * HEIGHT
     with photograph_renderer(scene, photographs, name) as draw:
