@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor, nn
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import replacing, write_file
@@ -42,6 +43,22 @@ def set_step_size(optimiser: torch.optim.Optimizer, rate: float) -> None:
     """Sets the step size of all weights."""
     for group in optimiser.param_groups:
         group["lr"] = rate
+
+
+def descend(network: nn.Module, optimiser: torch.optim.Optimizer, loss: Tensor, longest: float) -> float:
+    """Makes one step of an optimiser, and returns the loss.
+
+    Args:
+        network: whose gradients are shortened together, to a norm of ``longest``.
+        optimiser: of its weights.
+        loss: scalar.
+        longest: largest norm of the gradients.
+    """
+    optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    nn.utils.clip_grad_norm_(network.parameters(), longest)
+    optimiser.step()
+    return float(loss.detach())
 
 
 def save_checkpoint(file: Path, content: Mapping[str, Any]) -> None:

@@ -5,7 +5,6 @@ Learned fillers run as in the simulator, through ``gibson_sim.filling``.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from gibson_sim.maps.paths import PathPlanner
 from gibson_sim.types import Frame
 from gibson_sim_learn.filler.pairs import Pairs, Places, camera_at, depth_of, drawn_pairs, is_hole, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring, warped
-from gibson_sim_learn.path_following.data import ROBOT_RADIUS, DataSettings, draw_path
+from gibson_sim_learn.path_following.data import ROBOT_RADIUS, DataSettings, draw_path, shard_rng
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -90,9 +89,7 @@ def flicker_of(places: Places, ways: Mapping[str, Way], seed: int, frames: int) 
 
     The picture before is warped by the true depth, where both show the same surface.
     """
-    rng = np.random.default_rng(
-        int.from_bytes(hashlib.sha256(f"drive {seed} {places.scene.name}".encode()).digest()[:8], "little")
-    )
+    rng = shard_rng(f"drive {seed} {places.scene.name}")
     path = draw_path(places.floor, PathPlanner(places.floor, ROBOT_RADIUS + 0.08), rng, DataSettings())[:frames]
     cameras = [
         camera_at(pose_from_xyz_rpy((x, y, places.scene.floor_z), (0.0, 0.0, yaw)), _HEIGHT, 0.0, _FOV)

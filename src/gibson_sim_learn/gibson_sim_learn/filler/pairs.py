@@ -32,7 +32,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 from gibson_sim_learn.arrays import load_arrays, save_arrays
-from gibson_sim_learn.path_following.data import BODY_HEIGHT, ROBOT_RADIUS, with_bodies
+from gibson_sim_learn.path_following.data import BODY_HEIGHT, ROBOT_RADIUS, shard_rng, with_bodies
 
 F32 = NDArray[np.float32]
 I8 = NDArray[np.int8]
@@ -130,8 +130,7 @@ def draw_pairs(places: Places, seed: int, number: int, *, views: int = VIEWS) ->
     Raises:
         ConfigError: too few views see enough of the scan.
     """
-    digest = hashlib.sha256(f"filler {seed} {places.scene.name} {number}".encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    rng = shard_rng(f"filler {seed} {places.scene.name} {number}")
     kept: list[tuple[Frame, Frame]] = []
     tried = 0
     while len(kept) < views:

@@ -25,7 +25,15 @@ from gibson_sim_learn.filler.network import FillerNetwork
 from gibson_sim_learn.filler.pairs import Pairs, depth_of, is_hole, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring
 from gibson_sim_learn.filler.settings import TrainingSettings
-from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
+from gibson_sim_learn.training import (
+    descend,
+    has_bfloat16,
+    load_checkpoint,
+    save_checkpoint,
+    set_step_size,
+    step_size,
+    write_curve,
+)
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -186,15 +194,12 @@ class Training:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             found = self._network(inputs)
         loss = loss_of(found.float(), torch.from_numpy(truth), inputs[:, 7:8])
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
-        self._optimiser.step()
+        told = descend(self._network, self._optimiser, loss, 1.0)
         share = min(_MEAN, (1.0 + self.iteration) / (10.0 + self.iteration))
         with torch.no_grad():
             for mean, new in zip(self.network.parameters(), self._network.parameters(), strict=True):
                 mean.lerp_(new, 1.0 - share)
-        return float(loss.detach())
+        return told
 
     def _save(self) -> None:
         content = {

@@ -7,7 +7,6 @@ the same lens: what Goggles change is light, exposure, colours, noise and sharpn
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -36,6 +35,7 @@ from gibson_sim_learn.path_following.data import (
     World,
     camera_poses,
     draw_path,
+    shard_rng,
 )
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
 from gibson_sim_learn.path_following.drawing import CAMERA_X, HEIGHT, WIDTH, camera_at
@@ -175,8 +175,7 @@ def draw_pairs(
         recolour: whether the scene gets other colours and textures.
         size: width and height of an image, pixels.
     """
-    digest = hashlib.sha256(f"goggles {seed} {world.scene.name} {number}".encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    rng = shard_rng(f"goggles {seed} {world.scene.name} {number}")
     poses = _poses(world, rng, views)
     width, height = size
     clean = np.empty((views, height, width, 3), np.uint8)

@@ -20,7 +20,15 @@ from gibson_sim_learn.goggles.network import GogglesNetwork
 from gibson_sim_learn.goggles.pairs import U8, Pairs
 from gibson_sim_learn.goggles.scoring import score
 from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
-from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
+from gibson_sim_learn.training import (
+    descend,
+    has_bfloat16,
+    load_checkpoint,
+    save_checkpoint,
+    set_step_size,
+    step_size,
+    write_curve,
+)
 
 _WARM_UP = 100
 """Iterations in which the step size rises."""
@@ -118,11 +126,7 @@ class Training:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             found = self.network(image, image)
         loss = _loss(found.float(), truth)
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self._optimiser.step()
-        return float(loss.detach())
+        return descend(self.network, self._optimiser, loss, 1.0)
 
     def _save(self) -> None:
         content = {

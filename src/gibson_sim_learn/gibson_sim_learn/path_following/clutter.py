@@ -73,6 +73,11 @@ def _look(rng: np.random.Generator) -> str:
     """Returns a colour; half of them are nearly grey, as most furniture is."""
     value, away = rng.uniform(0.05, 0.95), rng.uniform(-0.35, 0.35, 3) * (rng.random() < 0.5) + rng.uniform(-0.06, 0.06, 3)
     red, green, blue = np.clip(value + away, 0.02, 1.0)
+    return _material(rng, red, green, blue)
+
+
+def _material(rng: np.random.Generator, red: float, green: float, blue: float) -> str:
+    """Returns a colour as URDF, under a name of its own."""
     return f'<material name="m{rng.integers(10**9)}"><color rgba="{red:.3f} {green:.3f} {blue:.3f} 1"/></material>'
 
 
@@ -135,7 +140,7 @@ def _wood(rng: np.random.Generator) -> str:
         return _look(rng)
     bright, warm = rng.uniform(0.15, 0.9), rng.uniform(0.55, 0.9)
     red, green, blue = bright, bright * warm, bright * warm**2 * rng.uniform(0.6, 1.0)
-    return f'<material name="m{rng.integers(10**9)}"><color rgba="{red:.3f} {green:.3f} {blue:.3f} 1"/></material>'
+    return _material(rng, red, green, blue)
 
 
 def _legs(x: float, y: float, top: float, thick: float, wood: str, rungs: Sequence[float]) -> list[_Part]:

@@ -192,8 +192,7 @@ def make_data(
     folder: Path,
     scenes: Sequence[str],
     count: int,
-    seed: int,
-    settings: DataSettings = DataSettings(),
+    draw_one: Callable[[World, int], Shard],
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> None:
     """Draws the shards that are missing.
@@ -202,8 +201,7 @@ def make_data(
         folder: where they are put.
         scenes: names of the scenes.
         count: shards of each scene.
-        seed: of all that is drawn.
-        settings: how much, how varied.
+        draw_one: draws the shard of a scene with a number.
         progress: called before each shard with its name, how many are there, and how many there will be.
     """
     worlds: dict[str, World] = {}
@@ -213,7 +211,12 @@ def make_data(
         progress(shard_name(scene, number), done, total)
         if scene not in worlds:
             worlds[scene] = World.load(scene)
-        save_shard(folder / shard_name(scene, number), draw_shard(worlds[scene], seed, number, settings))
+        save_shard(folder / shard_name(scene, number), draw_one(worlds[scene], number))
+
+
+def shard_rng(what: str) -> np.random.Generator:
+    """Returns the random generator of a shard, or of other data, which depends on what it is, in words."""
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(what.encode()).digest()[:8], "little"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,8 +242,7 @@ class World:
 
 def draw_shard(world: World, seed: int, number: int, settings: DataSettings = DataSettings()) -> Shard:
     """Returns a shard; equal arguments give equal data."""
-    digest = hashlib.sha256(f"{seed} {world.scene.name} {number}".encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    rng = shard_rng(f"{seed} {world.scene.name} {number}")
     planner = PathPlanner(world.coarse, ROBOT_RADIUS + 0.08)
     paths = [draw_path(world.coarse, planner, rng, settings) for _ in range(settings.paths)]
     drives = np.concatenate(paths)

@@ -18,9 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from gibson_sim.writing import write_file
-from gibson_sim_learn.path_following.data import (
-    FREE_EDGES,
-)
+from gibson_sim_learn.path_following.data import FREE_EDGES
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.distances.training import DistancePoint
 from gibson_sim_learn.path_following.drawing import HEIGHT, HFOV, WIDTH
@@ -40,14 +38,14 @@ def export_network(network: PathNetwork, file: Path, distances: DistanceNetwork 
         file: where.
         distances: tells free distances; None = ``network`` does, by its first estimate.
     """
-    exported = _Exported(network, distances)
-    was_training = [part.training for part in (network, distances) if part is not None]
+    parts: list[nn.Module] = [network] if distances is None else [network, distances]
+    was_training = [part.training for part in parts]
     arguments = (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8), torch.zeros(4, HEIGHT, WIDTH, 3, dtype=torch.uint8))
     buffer: Any = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter that PyTorch recommends instead needs further packages
         torch.onnx.export(
-            exported.eval(),
+            _Exported(network, distances).eval(),
             arguments,
             buffer,
             input_names=["present", "recorded"],
@@ -56,9 +54,8 @@ def export_network(network: PathNetwork, file: Path, distances: DistanceNetwork 
             opset_version=_OPSET,
             dynamo=False,
         )
-    for part, mode in zip((network, distances), was_training, strict=False):
-        if part is not None:
-            part.train(mode)
+    for part, mode in zip(parts, was_training, strict=True):
+        part.train(mode)
     model = onnx.load_from_string(buffer.getvalue())
     edges = ",".join(f"{edge:.4g}" for edge in FREE_EDGES)
     for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("free_edges", edges), ("license", "Apache-2.0")):

@@ -1,9 +1,8 @@
 """The network that follows paths: where a recorded image is from here, whether it shows this place, and how far the floor ahead is free.
 
 One small encoder sees both images. Its features are compared everywhere with everywhere, which yields for each place of the present image
-where in the recorded one it is; a few convolutions turn that into a pose. Free distances come from the present image alone: a
-first estimate, by which the encoder learns what is near, and the robot drives in the rounds of DAgger; what it drives with afterwards is told
-by ``distances``.
+where in the recorded one it is; a few convolutions turn that into a pose. It also makes a first
+estimate of free distances, from the present image alone, which the drives of DAgger use; the network of ``distances`` then takes its place.
 """
 
 from __future__ import annotations
@@ -14,10 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gibson_sim_learn.path_following.data import (
-    DIRECTIONS,
-    FREE_EDGES,
-)
+from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES
 from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 
 _ROWS, _COLUMNS = HEIGHT // 4, WIDTH // 4

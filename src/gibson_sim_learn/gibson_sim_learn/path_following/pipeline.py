@@ -11,8 +11,8 @@ from gibson_path_following.learned import LearnedPolicy, PathModel
 from gibson_path_following.localisation import Localiser, NodeMatcher
 from gibson_path_following.types import RecordedPath
 from gibson_sim_learn.path_following.dagger import drive_all
-from gibson_sim_learn.path_following.data import make_data
-from gibson_sim_learn.path_following.distances.obstacles import make_obstacle_data
+from gibson_sim_learn.path_following.data import Shard, World, draw_shard, make_data
+from gibson_sim_learn.path_following.distances.obstacles import draw_obstacle_shard
 from gibson_sim_learn.path_following.distances.training import DistancePoint, DistanceTraining
 from gibson_sim_learn.path_following.drives import FollowerDriver
 from gibson_sim_learn.path_following.export import export_network, write_card
@@ -55,8 +55,14 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     def told(name: str, done: int, total: int) -> None:
         progress(f"data: {name}, {done} of {total} shards")
 
-    make_data(data, TRAINING, settings.shards, settings.seed, settings.data, told)
-    make_data(validation, VALIDATION, settings.validation_shards, settings.seed, settings.data, told)
+    def on_ways(world: World, number: int) -> Shard:
+        return draw_shard(world, settings.seed, number, settings.data)
+
+    def of_obstacles(world: World, number: int) -> Shard:
+        return draw_obstacle_shard(world, settings.seed, number)
+
+    make_data(data, TRAINING, settings.shards, on_ways, told)
+    make_data(validation, VALIDATION, settings.validation_shards, on_ways, told)
     training, judge = Training(folder, settings), Sampler.of_folders([validation])
     training.run(Sampler.of_folders([data]), judge, settings.iterations, progress)
     driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
@@ -69,8 +75,8 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
         training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, progress)
     every = Sampler.of_folders([data, *driven])
     obstacles, judged = folder / "data" / "obstacles", folder / "data" / "obstacles-validation"
-    make_obstacle_data(obstacles, TRAINING, settings.distances.obstacle_shards, settings.seed, told)
-    make_obstacle_data(judged, VALIDATION, settings.validation_shards, settings.seed, told)
+    make_data(obstacles, TRAINING, settings.distances.obstacle_shards, of_obstacles, told)
+    make_data(judged, VALIDATION, settings.validation_shards, of_obstacles, told)
     close = Sampler.of_folders([obstacles])
     distances = DistanceTraining(folder / "distances", settings)
     distances.run(every, close, (judge, Sampler.of_folders([judged])), progress)

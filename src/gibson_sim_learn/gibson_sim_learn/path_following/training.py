@@ -23,7 +23,15 @@ from gibson_sim_learn.path_following.distances.training import near_and_far
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
-from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
+from gibson_sim_learn.training import (
+    descend,
+    has_bfloat16,
+    load_checkpoint,
+    save_checkpoint,
+    set_step_size,
+    step_size,
+    write_curve,
+)
 
 Progress = Callable[[str], None]
 _WARM_UP = 100
@@ -177,11 +185,7 @@ class Training:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             _, estimate, distances = self._forward(batch)
         loss = _loss(batch, estimate, distances)
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
-        self._optimiser.step()
-        return float(loss.detach())
+        return descend(self.network, self._optimiser, loss, 5.0)
 
     def _forward(self, batch: Batch) -> tuple[Tensor, Estimate, Tensor]:
         """Returns features of the later images, the estimates of L R pairs and then of L pairs of different images, and the distances."""

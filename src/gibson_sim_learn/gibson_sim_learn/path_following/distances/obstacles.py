@@ -6,10 +6,7 @@ pieces at a time, from 0.5 to 2.6 m, in the light and with the cameras of the do
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +23,8 @@ from gibson_sim_learn.path_following.data import (
     camera_poses,
     column_bearings,
     free_distances,
-    missing_shards,
-    save_shard,
     sees,
-    shard_name,
+    shard_rng,
     with_bodies,
 )
 from gibson_sim_learn.path_following.domains import TRAINED, draw
@@ -50,28 +45,9 @@ _TURNED = 0.35
 """Standard deviation of the angle between where it looks and where the obstacle is, radians."""
 
 
-def make_obstacle_data(
-    folder: Path,
-    scenes: Sequence[str],
-    count: int,
-    seed: int,
-    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
-) -> None:
-    """Draws the shards that are missing; arguments as of ``make_data``."""
-    worlds: dict[str, World] = {}
-    total = len(scenes) * count
-    todo = list(missing_shards(folder, scenes, count))
-    for done, (scene, number) in enumerate(todo, total - len(todo)):
-        progress(shard_name(scene, number), done, total)
-        if scene not in worlds:
-            worlds[scene] = World.load(scene)
-        save_shard(folder / shard_name(scene, number), draw_obstacle_shard(worlds[scene], seed, number))
-
-
 def draw_obstacle_shard(world: World, seed: int, number: int) -> Shard:
     """Returns a shard; equal arguments give equal data."""
-    digest = hashlib.sha256(f"obstacles {seed} {world.scene.name} {number}".encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    rng = shard_rng(f"obstacles {seed} {world.scene.name} {number}")
     images, free = [], []
     with Drawing(world.scene, rng, _RECOLOUR_CHANCE) as drawing:
         for _ in range(_ARRANGEMENTS):

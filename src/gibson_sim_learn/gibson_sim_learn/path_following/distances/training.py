@@ -21,7 +21,15 @@ from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
-from gibson_sim_learn.training import has_bfloat16, load_checkpoint, save_checkpoint, set_step_size, step_size, write_curve
+from gibson_sim_learn.training import (
+    descend,
+    has_bfloat16,
+    load_checkpoint,
+    save_checkpoint,
+    set_step_size,
+    step_size,
+    write_curve,
+)
 
 Progress = Callable[[str], None]
 _NEAR = 1.0
@@ -161,11 +169,7 @@ class DistanceTraining:
             told: Tensor = self.network(torch.from_numpy(images))
         share = torch.log_softmax(told.float(), dim=2)
         loss = -(torch.from_numpy(distance_labels(free)) * share).sum(dim=2).mean()
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
-        self._optimiser.step()
-        return float(loss.detach())
+        return descend(self.network, self._optimiser, loss, 5.0)
 
     def _save(self) -> None:
         content: dict[str, Any] = {
