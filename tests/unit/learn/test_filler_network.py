@@ -26,9 +26,9 @@ def pairs() -> Pairs:
 
 
 def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
-    from gibson_sim_learn.filler.training import Training
+    from gibson_sim_learn.filler.training import FillerTraining
 
-    whole = Training(tmp_path / "whole", SETTINGS, "data")
+    whole = FillerTraining(tmp_path / "whole", SETTINGS, "data")
     whole.run([pairs()], [pairs()])
 
     class Interrupted(Exception):
@@ -37,10 +37,10 @@ def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> N
     def interrupt() -> None:
         raise Interrupted
 
-    first = Training(tmp_path / "parts", SETTINGS, "data")
+    first = FillerTraining(tmp_path / "parts", SETTINGS, "data")
     with pytest.raises(Interrupted):
         first.run([pairs()], [pairs()], after_point=interrupt)
-    second = Training(tmp_path / "parts", SETTINGS, "data")
+    second = FillerTraining(tmp_path / "parts", SETTINGS, "data")
     assert second.iteration == 2
     second.run([pairs()], [pairs()])
     for one, other in zip(whole.network.state_dict().values(), second.network.state_dict().values(), strict=True):
@@ -51,24 +51,22 @@ def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> N
 
 
 def test_training_with_other_pairs_or_settings_is_refused(tmp_path: Path) -> None:
-    from gibson_sim_learn.filler.training import Training
+    from gibson_sim_learn.filler.training import FillerTraining
 
-    Training(tmp_path, SETTINGS, "data").run([pairs()], [pairs()])
+    FillerTraining(tmp_path, SETTINGS, "data").run([pairs()], [pairs()])
     with pytest.raises(ConfigError, match=r"other pairs \(data, here other\); choose another --folder"):
-        Training(tmp_path, SETTINGS, "other")
+        FillerTraining(tmp_path, SETTINGS, "other")
     with pytest.raises(ConfigError, match=r"another batch \(2\); choose another --folder"):
-        Training(tmp_path, TrainingSettings(iterations=4, batch=3, crop=32, evaluate_every=2), "data")
+        FillerTraining(tmp_path, TrainingSettings(iterations=4, batch=3, crop=32, evaluate_every=2), "data")
 
 
 def test_best_weights_are_those_of_the_best_point_of_the_curve(tmp_path: Path) -> None:
     from gibson_sim_learn.filler.export import write_card
-    from gibson_sim_learn.filler.training import Training
+    from gibson_sim_learn.filler.training import FillerTraining
 
     part, kept = pairs(), []
-    training = Training(tmp_path, SETTINGS, "data")
-    training.run(
-        [part], [part], after_point=lambda: kept.append({k: v.clone() for k, v in training.network.state_dict().items()})
-    )
+    training = FillerTraining(tmp_path, SETTINGS, "data")
+    training.run([part], [part], after_point=lambda: kept.append({k: v.clone() for k, v in training.mean.state_dict().items()}))
     first, second = training.curve
     best = kept[0] if first.rank >= second.rank else kept[1]
     assert training.best_point is (first if first.rank >= second.rank else second)

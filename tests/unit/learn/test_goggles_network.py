@@ -23,10 +23,10 @@ def pairs() -> list[Pairs]:
 
 
 def test_an_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
-    from gibson_sim_learn.goggles.training import Training
+    from gibson_sim_learn.goggles.training import GogglesTraining
 
     data = pairs()
-    whole = Training(tmp_path / "whole", SETTINGS)
+    whole = GogglesTraining(tmp_path / "whole", SETTINGS)
     whole.run(data, data)
 
     class Interrupted(Exception):
@@ -37,15 +37,15 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        Training(tmp_path / "parts", SETTINGS).run(data, data, interrupt)
-    again = Training(tmp_path / "parts", SETTINGS)
+        GogglesTraining(tmp_path / "parts", SETTINGS).run(data, data, interrupt)
+    again = GogglesTraining(tmp_path / "parts", SETTINGS)
     assert again.iteration == 2
     again.run(data, data)
     for name, weights in whole.network.state_dict().items():
         assert torch.equal(weights, again.network.state_dict()[name]), name
     assert [point.iteration for point in again.curve] == [2, 3]
     with pytest.raises(ConfigError, match="another batch"):
-        Training(tmp_path / "parts", GogglesSettings(iterations=3, batch=3, evaluate_every=2))
+        GogglesTraining(tmp_path / "parts", GogglesSettings(iterations=3, batch=3, evaluate_every=2))
 
 
 def test_an_untrained_network_leaves_images_of_any_size_as_they_are_in_its_file_too(tmp_path: Path) -> None:
@@ -57,3 +57,15 @@ def test_an_untrained_network_leaves_images_of_any_size_as_they_are_in_its_file_
     for size in ((64, 96), (31, 57)):
         image = np.random.default_rng(1).integers(0, 256, (*size, 3)).astype(np.uint8)
         assert np.array_equal(bring(image), image)
+
+
+def test_a_checkpoint_of_another_version_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    from gibson_sim_learn.goggles.training import GogglesTraining
+
+    GogglesTraining(tmp_path, SETTINGS).run(pairs(), pairs())
+    file = tmp_path / "checkpoint.pt"
+    content = torch.load(file, weights_only=False)
+    del content["torch_rng"]
+    torch.save(content, file)
+    with pytest.raises(ConfigError, match=r"is of another version \('torch_rng'\); delete it to begin again"):
+        GogglesTraining(tmp_path, SETTINGS)

@@ -25,15 +25,22 @@ def sampler() -> Sampler:
 
 
 def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
-    from gibson_sim_learn.path_following.training import Training
+    from gibson_sim_learn.path_following.training import PathTraining
 
     data = sampler()
-    whole = Training(tmp_path / "whole", SETTINGS)
+    whole = PathTraining(tmp_path / "whole", SETTINGS)
     whole.run(data, data, 4)
-    first = Training(tmp_path / "parts", SETTINGS)
-    first._rate = lambda done, total: whole._rate(done, 4)  # type: ignore[method-assign]
-    first.run(data, data, 2)
-    second = Training(tmp_path / "parts", SETTINGS)
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupt(text: str) -> None:
+        if text.startswith("iteration 2:"):
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        PathTraining(tmp_path / "parts", SETTINGS).run(data, data, 4, interrupt)
+    second = PathTraining(tmp_path / "parts", SETTINGS)
     assert second.iteration == 2
     second.run(data, data, 4)
     for one, other in zip(whole.network.state_dict().values(), second.network.state_dict().values(), strict=True):

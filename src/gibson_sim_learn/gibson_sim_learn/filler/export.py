@@ -22,7 +22,7 @@ from gibson_sim.filling.network import VERSION
 from gibson_sim.writing import write_file
 from gibson_sim_learn.filler.network import FillerNetwork, multiplications, parameter_count
 from gibson_sim_learn.filler.settings import TrainingSettings
-from gibson_sim_learn.filler.training import Training
+from gibson_sim_learn.filler.training import FillerTraining
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 
 _OPSET = 17
@@ -76,7 +76,7 @@ def export_network(network: FillerNetwork, file: Path, settings: TrainingSetting
 def write_card(
     file: Path,
     settings: TrainingSettings,
-    training: Training,
+    training: FillerTraining,
     pairs: int,
     results: Sequence[str] = (),
 ) -> None:

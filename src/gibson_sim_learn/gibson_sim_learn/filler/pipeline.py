@@ -88,12 +88,12 @@ def train(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     """
     # Loaded here: pairs and evaluation do not need PyTorch.
     from gibson_sim_learn.filler.export import export_network, write_card
-    from gibson_sim_learn.filler.training import Training
+    from gibson_sim_learn.filler.training import FillerTraining
 
     data = data_hash(folder / PAIRS, TRAINING)
     pairs = load_pairs(folder / PAIRS, TRAINING)
     place = folder / TRAINED
-    training = Training(place, settings, data)
+    training = FillerTraining(place, settings, data)
 
     def export() -> int:
         size = export_network(training.best, place / MODEL, settings, data, training.best_point.iteration)

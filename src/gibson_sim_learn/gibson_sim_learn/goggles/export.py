@@ -20,7 +20,7 @@ from gibson_sim.writing import write_file
 from gibson_sim_learn.goggles.network import SMALL, GogglesNetwork, parameter_count
 from gibson_sim_learn.goggles.pairs import DRAWN_FROM
 from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
-from gibson_sim_learn.goggles.training import CurvePoint
+from gibson_sim_learn.goggles.training import GogglesPoint
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
 
 _OPSET = 17
@@ -57,7 +57,7 @@ def write_card(
     file: Path,
     settings: GogglesSettings,
     network: GogglesNetwork,
-    point: CurvePoint,
+    point: GogglesPoint,
     pairs: int,
     scores: Mapping[str, Mapping[str, str]],
 ) -> None:

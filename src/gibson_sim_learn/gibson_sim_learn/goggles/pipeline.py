@@ -15,7 +15,7 @@ from gibson_sim_learn.goggles.export import export_network, score_table, write_c
 from gibson_sim_learn.goggles.pairs import U8, VIEWS, Pairs, is_original, load_pairs, load_shard, make_pairs, shard_name
 from gibson_sim_learn.goggles.scoring import mean_of, score
 from gibson_sim_learn.goggles.settings import GogglesSettings
-from gibson_sim_learn.goggles.training import CurvePoint, Training
+from gibson_sim_learn.goggles.training import GogglesPoint, GogglesTraining
 from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
 
@@ -54,7 +54,7 @@ class Learned:
 
     model: Path
     card: Path
-    point: CurvePoint
+    point: GogglesPoint
     size: int
     """Of the model, bytes."""
     scores: Sequence[str]
@@ -72,7 +72,7 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
     Raises:
         GibsonSimError: nothing can be drawn here, or the folder holds another training.
     """
-    training, drawn = Training(folder, settings), folder / "pairs"
+    training, drawn = GogglesTraining(folder, settings), folder / "pairs"
     make_pairs(drawn / "training", TRAINING, settings.shards, settings.seed, shots=settings.shots, progress=progress)
     chosen_by = _drawn(CHOSEN_BY, drawn, settings.seed, progress)
     data = load_pairs(drawn / "training")

@@ -1,13 +1,8 @@
-"""Trains the network of Goggles: steps of the optimiser, a curve on the validation scenes, checkpoints. Needs PyTorch.
-
-Everything lies in one folder. An interrupted training goes on from its last checkpoint; with the same settings, pairs and software on the
-same kind of processor it gives what an uninterrupted one gives, up to the rounding of sums.
-"""
+"""Trains the network of Goggles: batches, losses, scores on the validation scenes. Needs PyTorch."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -20,44 +15,27 @@ from gibson_sim_learn.goggles.network import GogglesNetwork
 from gibson_sim_learn.goggles.pairs import U8, Pairs
 from gibson_sim_learn.goggles.scoring import score
 from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
-from gibson_sim_learn.training import (
-    descend,
-    has_bfloat16,
-    load_checkpoint,
-    save_checkpoint,
-    set_step_size,
-    step_size,
-    write_curve,
-)
+from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
 
-_WARM_UP = 100
-"""Iterations in which the step size rises."""
 _EVERY = 5
 """A point of the curve is made of every so many views."""
 _EDGES = 0.5
 """Weight of the differences from one pixel to the next, relative to that of the pixels themselves."""
-_MAY_CHANGE = ("iterations",)
-"""Settings by which a training can be made longer."""
-_PANELS = (("loss of training", ["loss"]), ("PSNR, validation scenes, dB", ["psnr"]), ("SSIM, validation scenes", ["ssim"]))
-"""Of the curve: title and fields of its points."""
 
 
 @dataclass(frozen=True, slots=True)
-class CurvePoint:
-    """How near images are to the simulator's after some iterations, on the validation scenes."""
+class GogglesPoint(CurvePoint):
+    """How near images are to the simulator's."""
 
-    iteration: int
-    loss: float
-    """Mean loss of training since the point before."""
     psnr: float
     """dB."""
     ssim: float
-    processor_s: float
-    """Processor time of the training so far, seconds."""
 
 
-class Training:
+class GogglesTraining(Training[GogglesNetwork, GogglesPoint]):
     """One training in one folder."""
+
+    PANELS = (("loss of training", ["loss"]), ("PSNR, validation scenes, dB", ["psnr"]), ("SSIM, validation scenes", ["ssim"]))
 
     def __init__(self, folder: Path, settings: GogglesSettings) -> None:
         """Begins, or goes on from the checkpoint in the folder.
@@ -65,28 +43,19 @@ class Training:
         Raises:
             ConfigError: the checkpoint in the folder is of other settings, or cannot be read.
         """
-        self.folder, self.settings = folder, settings
-        torch.manual_seed(settings.seed)
-        self.network = GogglesNetwork().to(memory_format=torch.channels_last)
-        self._optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        self.settings = settings
+        descent = Descent(
+            settings.seed,
+            settings.learning_rate,
+            settings.weight_decay,
+            warm_up=100,
+            longest=1.0,
+            evaluate_every=settings.evaluate_every,
         )
-        self._rng = np.random.default_rng(settings.seed)
-        self._half = has_bfloat16()
-        self.iteration = 0
-        self.curve: list[CurvePoint] = []
-        self._processor_s = 0.0
-        if self.checkpoint.exists():
-            self._load()
+        super().__init__(folder, as_dict(settings), descent, GogglesNetwork)
+        self._resume(GogglesPoint)
 
-    @property
-    def checkpoint(self) -> Path:
-        """File of the newest checkpoint."""
-        return self.folder / "checkpoint.pt"
-
-    def run(
-        self, data: Sequence[Pairs], validation: Sequence[Pairs], progress: Callable[[str], None] = lambda text: None
-    ) -> None:
+    def run(self, data: Sequence[Pairs], validation: Sequence[Pairs], progress: Progress = lambda text: None) -> None:
         """Trains until the iteration of the settings, with a checkpoint and a point of the curve every so many.
 
         Args:
@@ -94,23 +63,15 @@ class Training:
             validation: what the curve is measured on.
             progress: called with one line after each tenth iteration.
         """
-        settings, losses, until = self.settings, [], self.settings.iterations
-        began, before, start = time.monotonic(), time.process_time(), self.iteration
-        while self.iteration < until:
-            set_step_size(self._optimiser, step_size(settings.learning_rate, self.iteration, until, _WARM_UP))
-            losses.append(self._step(*_batch(data, self._rng, settings.batch)))
-            self.iteration += 1
-            if self.iteration % 10 == 0:
-                left = (time.monotonic() - began) / (self.iteration - start) * (until - self.iteration)
-                progress(f"iteration {self.iteration} of {until}, loss {np.mean(losses[-50:]):.4f}, {left / 60.0:.0f} min left")
-            if self.iteration % settings.evaluate_every == 0 or self.iteration == until:
-                self._processor_s += time.process_time() - before
-                found = score(validation, self.bring, _EVERY)
-                point = CurvePoint(self.iteration, float(np.mean(losses)), found.psnr, found.ssim, round(self._processor_s, 1))
-                before, losses = time.process_time(), []
-                self.curve.append(point)
-                self._save()
-                progress(f"iteration {self.iteration}: {found}")
+
+        def loss() -> Tensor:
+            return self._loss(*_batch(data, self._rng, self.settings.batch))
+
+        def point(begun: CurvePoint) -> GogglesPoint:
+            found = score(validation, self.bring, _EVERY)
+            return GogglesPoint(**asdict(begun), psnr=found.psnr, ssim=found.ssim)
+
+        self._train(self.settings.iterations, loss, point, progress)
 
     def bring(self, image: U8) -> U8:
         """Returns an image (H, W, 3) of even size, up to twice as high as ``SMALL``, in the simulator's look."""
@@ -121,34 +82,14 @@ class Training:
         self.network.train()
         return np.asarray(found.to(torch.uint8).numpy())
 
-    def _step(self, seen: U8, clean: U8) -> float:
+    def _loss(self, seen: U8, clean: U8) -> Tensor:
         image, truth = torch.from_numpy(seen), torch.from_numpy(clean).permute(0, 3, 1, 2).to(torch.float32) / 255.0
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             found = self.network(image, image)
-        loss = _loss(found.float(), truth)
-        return descend(self.network, self._optimiser, loss, 1.0)
+        return _loss(found.float(), truth)
 
-    def _save(self) -> None:
-        content = {
-            "settings": as_dict(self.settings),
-            "network": self.network.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-            "rng": self._rng.bit_generator.state,
-            "iteration": self.iteration,
-            "curve": [asdict(point) for point in self.curve],
-            "processor_s": self._processor_s,
-        }
-        save_checkpoint(self.checkpoint, content)
-        write_curve(self.folder, self.curve, _PANELS)
-
-    def _load(self) -> None:
-        content = load_checkpoint(self.checkpoint, as_dict(self.settings), _MAY_CHANGE)
-        self.network.load_state_dict(content["network"])
-        self._optimiser.load_state_dict(content["optimiser"])
-        self._rng.bit_generator.state = content["rng"]
-        self.iteration = content["iteration"]
-        self.curve = [CurvePoint(**point) for point in content["curve"]]
-        self._processor_s = content["processor_s"]
+    def _told(self, point: GogglesPoint) -> str:
+        return f"{point.psnr:.2f} dB, SSIM {point.ssim:.4f}"
 
 
 def _batch(data: Sequence[Pairs], rng: np.random.Generator, count: int) -> tuple[U8, U8]:

@@ -25,7 +25,7 @@ from gibson_sim_learn.path_following.drawing import HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
-from gibson_sim_learn.path_following.training import CurvePoint
+from gibson_sim_learn.path_following.training import PathPoint
 
 _OPSET = 17
 
@@ -71,7 +71,7 @@ def write_card(
     file: Path,
     settings: TrainingSettings,
     networks: tuple[PathNetwork, DistanceNetwork],
-    points: tuple[CurvePoint, DistancePoint],
+    points: tuple[PathPoint, DistancePoint],
     data: Mapping[str, int],
     results: Sequence[str] = (),
 ) -> None:

@@ -19,7 +19,7 @@ from gibson_sim_learn.path_following.export import export_network, write_card
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
-from gibson_sim_learn.path_following.training import CurvePoint, Training
+from gibson_sim_learn.path_following.training import PathPoint, PathTraining
 
 MODEL, CARD = "path_following.onnx", "path_following.md"
 """Files of a training's folder: the network, and its card."""
@@ -31,7 +31,7 @@ class Learned:
 
     model: Path
     card: Path
-    point: CurvePoint
+    point: PathPoint
     """Errors of its poses on the validation scenes."""
     distances: DistancePoint
     """Errors of its free distances there."""
@@ -63,7 +63,7 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
 
     make_data(data, TRAINING, settings.shards, on_ways, told)
     make_data(validation, VALIDATION, settings.validation_shards, on_ways, told)
-    training, judge = Training(folder, settings), Sampler.of_folders([validation])
+    training, judge = PathTraining(folder, settings), Sampler.of_folders([validation])
     training.run(Sampler.of_folders([data]), judge, settings.iterations, progress)
     driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
     for number, drives in enumerate(driven):
@@ -87,7 +87,7 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     return Learned(folder / MODEL, folder / CARD, *points, size)
 
 
-def _drive(folder: Path, model: Path, training: Training, number: int, progress: Callable[[str], None]) -> None:
+def _drive(folder: Path, model: Path, training: PathTraining, number: int, progress: Callable[[str], None]) -> None:
     """Makes the drives of a round with the network as it is; an interrupted round goes on with the same network."""
     if not model.is_file():
         export_network(training.network, model)

@@ -1,14 +1,9 @@
-"""Trains the path-following network: data, steps of the optimiser, a curve on the validation scenes, rounds of DAgger. Needs PyTorch.
-
-Everything lies in one folder. An interrupted training goes on from its last checkpoint; with the same settings, seed, data and software on the
-same kind of processor it gives what an uninterrupted one gives, up to the rounding of sums.
-"""
+"""Trains the path-following network: losses, errors on the validation scenes, rounds of DAgger. Needs PyTorch."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,40 +18,17 @@ from gibson_sim_learn.path_following.distances.training import near_and_far
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
-from gibson_sim_learn.training import (
-    descend,
-    has_bfloat16,
-    load_checkpoint,
-    save_checkpoint,
-    set_step_size,
-    step_size,
-    write_curve,
-)
+from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
 
-Progress = Callable[[str], None]
-_WARM_UP = 100
-"""Iterations in which the step size rises."""
 _EVALUATION = (320, 3)
 """Later images, and recorded ones for each, that a point of the curve is made of."""
 _FREE_WEIGHT, _MATCH_WEIGHT = 0.6, 1.0
-_PANELS = (
-    ("loss of training", ["loss"]),
-    ("error of the pose, m", ["ahead", "beside"]),
-    ("error of the heading, degrees", ["yaw_deg"]),
-    ("one place or not: share right", ["match"]),
-    ("error of free distances, m", ["free"]),
-    ("near, told as far; far, told as near: shares", ["too_far", "too_near"]),
-)
-"""Of the curve: title and fields of its points."""
 
 
 @dataclass(frozen=True, slots=True)
-class CurvePoint:
-    """Errors on the validation scenes after some iterations."""
+class PathPoint(CurvePoint):
+    """The errors of poses, and of the first estimate of free distances."""
 
-    iteration: int
-    loss: float
-    """Mean loss of training since the point before."""
     ahead: float
     """Median absolute error of x, metres, of pairs that show one place."""
     beside: float
@@ -71,12 +43,30 @@ class CurvePoint:
     """Share of the directions with something within 1 m, of which it says that 1.3 times as much or more is free."""
     too_near: float
     """Share of the directions that are free for 1 m, of which it says that something stands within 1 / 1.3 of that."""
-    processor_s: float
-    """Processor time of the training so far, seconds."""
 
 
-class Training:
+class PathTraining(Training[PathNetwork, PathPoint]):
     """One training in one folder."""
+
+    PANELS = (
+        ("loss of training", ["loss"]),
+        ("error of the pose, m", ["ahead", "beside"]),
+        ("error of the heading, degrees", ["yaw_deg"]),
+        ("one place or not: share right", ["match"]),
+        ("error of free distances, m", ["free"]),
+        ("near, told as far; far, told as near: shares", ["too_far", "too_near"]),
+    )
+    COLUMNS = 3
+    MAY_CHANGE = (
+        "iterations",
+        "dagger_rounds",
+        "dagger_iterations",
+        "last_iterations",
+        "dagger_drives",
+        "shards",
+        "validation_shards",
+        "distances",
+    )
 
     def __init__(self, folder: Path, settings: TrainingSettings) -> None:
         """Begins, or goes on from the checkpoint in the folder.
@@ -84,25 +74,18 @@ class Training:
         Raises:
             ConfigError: the checkpoint in the folder is of other settings, or cannot be read.
         """
-        torch.set_num_threads(max(1, torch.get_num_threads()))
-        self.folder, self.settings = folder, settings
-        torch.manual_seed(settings.seed)
-        self.network = PathNetwork().to(memory_format=torch.channels_last)
-        self._optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        self.settings, self.round = settings, 0
+        descent = Descent(
+            settings.seed,
+            settings.learning_rate,
+            settings.weight_decay,
+            warm_up=100,
+            longest=5.0,
+            evaluate_every=settings.evaluate_every,
+            bfloat16=settings.bfloat16,
         )
-        self._rng = np.random.default_rng(settings.seed)
-        self._half = settings.bfloat16 and has_bfloat16()
-        self.iteration, self.round = 0, 0
-        self.curve: list[CurvePoint] = []
-        self._processor_s = 0.0
-        if self.checkpoint.exists():
-            self._load()
-
-    @property
-    def checkpoint(self) -> Path:
-        """File of the newest checkpoint."""
-        return self.folder / "checkpoint.pt"
+        super().__init__(folder, as_dict(settings), descent, PathNetwork)
+        self._resume(PathPoint)
 
     @property
     def first_of_round(self) -> int:
@@ -126,28 +109,17 @@ class Training:
             until: number of the last iteration.
             progress: called with one line after each tenth iteration.
         """
-        settings, losses = self.settings, []
-        first = self.first_of_round
-        began, before = time.monotonic(), time.process_time()
-        start = self.iteration
-        while self.iteration < until:
-            set_step_size(self._optimiser, self._rate(self.iteration - first, until - first))
-            losses.append(self._step(data.batch(self._rng, settings.later, settings.recorded)))
-            self.iteration += 1
-            if self.iteration % 10 == 0:
-                left = (time.monotonic() - began) / (self.iteration - start) * (until - self.iteration)
-                progress(f"iteration {self.iteration} of {until}, loss {np.mean(losses[-50:]):.3f}, {left / 60.0:.0f} min left")
-            if self.iteration % settings.evaluate_every == 0 or self.iteration == until:
-                self._processor_s += time.process_time() - before
-                before = time.process_time()
-                point = self.evaluate(validation, float(np.mean(losses)))
-                losses = []
-                self.curve.append(point)
-                self._save()
-                progress(_line(point))
 
-    def evaluate(self, validation: Sampler, loss: float = math.nan) -> CurvePoint:
-        """Returns the errors on data, always of the same images."""
+        def loss() -> Tensor:
+            return self._loss(data.batch(self._rng, self.settings.later, self.settings.recorded))
+
+        def point(begun: CurvePoint) -> PathPoint:
+            return self.evaluate(validation, begun)
+
+        self._train(until, loss, point, progress, first=self.first_of_round)
+
+    def evaluate(self, validation: Sampler, begun: CurvePoint) -> PathPoint:
+        """Returns a point with the errors on data, always of the same images."""
         rng = np.random.default_rng(0)
         batch = validation.batch(rng, *_EVALUATION, augment=False)
         self.network.eval()
@@ -169,23 +141,22 @@ class Training:
         self.network.train()
         error, told, found = np.concatenate(errors), np.concatenate(rights), np.minimum(np.concatenate(free), MAX_FREE)
         ahead, beside, yaw = np.median(error, axis=0).tolist()
-        return CurvePoint(
-            self.iteration,
-            loss,
-            ahead,
-            beside,
-            math.degrees(yaw),
-            float(told.mean()),
-            float(np.median(np.abs(found - batch.free))),
-            *near_and_far(found, batch.free),
-            round(self._processor_s, 1),
+        too_far, too_near = near_and_far(found, batch.free)
+        return PathPoint(
+            **asdict(begun),
+            ahead=ahead,
+            beside=beside,
+            yaw_deg=math.degrees(yaw),
+            match=float(told.mean()),
+            free=float(np.median(np.abs(found - batch.free))),
+            too_far=too_far,
+            too_near=too_near,
         )
 
-    def _step(self, batch: Batch) -> float:
+    def _loss(self, batch: Batch) -> Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             _, estimate, distances = self._forward(batch)
-        loss = _loss(batch, estimate, distances)
-        return descend(self.network, self._optimiser, loss, 5.0)
+        return _loss(batch, estimate, distances)
 
     def _forward(self, batch: Batch) -> tuple[Tensor, Estimate, Tensor]:
         """Returns features of the later images, the estimates of L R pairs and then of L pairs of different images, and the distances."""
@@ -199,46 +170,17 @@ class Training:
         estimate = self.network.compare(pairs, torch.cat([recorded, shifted]))
         return present, estimate, self.network.free(present)
 
-    def _rate(self, done: int, total: int) -> float:
-        return step_size(self.settings.learning_rate, done, total, _WARM_UP)
+    def _told(self, point: PathPoint) -> str:
+        return (
+            f"ahead {point.ahead:.3f} m, beside {point.beside:.3f} m, yaw {point.yaw_deg:.1f} degrees, match {point.match:.3f}, "
+            f"free {point.free:.3f} m, too far {point.too_far:.3f}, too near {point.too_near:.3f}"
+        )
 
-    def _save(self) -> None:
-        content = {
-            "settings": as_dict(self.settings),
-            "network": self.network.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-            "rng": self._rng.bit_generator.state,
-            "torch_rng": torch.get_rng_state(),
-            "iteration": self.iteration,
-            "round": self.round,
-            "curve": [asdict(point) for point in self.curve],
-            "processor_s": self._processor_s,
-        }
-        save_checkpoint(self.checkpoint, content)
-        write_curve(self.folder, self.curve, _PANELS, columns=3)
+    def _state(self) -> dict[str, Any]:
+        return {"round": self.round}
 
-    def _load(self) -> None:
-        content = load_checkpoint(self.checkpoint, as_dict(self.settings), _MAY_CHANGE)
-        self.network.load_state_dict(content["network"])
-        self._optimiser.load_state_dict(content["optimiser"])
-        self._rng.bit_generator.state = content["rng"]
-        torch.set_rng_state(content["torch_rng"])
-        self.iteration, self.round = content["iteration"], content["round"]
-        self.curve = [CurvePoint(**point) for point in content["curve"]]
-        self._processor_s = content["processor_s"]
-
-
-_MAY_CHANGE = (
-    "iterations",
-    "dagger_rounds",
-    "dagger_iterations",
-    "last_iterations",
-    "dagger_drives",
-    "shards",
-    "validation_shards",
-    "distances",
-)
-"""Settings by which a training can be made longer, or that are another one's."""
+    def _restore(self, content: Mapping[str, Any]) -> None:
+        self.round = content["round"]
 
 
 def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
@@ -263,10 +205,3 @@ def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
 
 def _part(batch: Batch, rows: slice) -> Batch:
     return Batch(*(getattr(batch, name)[rows] for name in ("later", "recorded", "pose", "match", "free", "has_pairs")))
-
-
-def _line(point: CurvePoint) -> str:
-    return (
-        f"iteration {point.iteration}: ahead {point.ahead:.3f} m, beside {point.beside:.3f} m, yaw {point.yaw_deg:.1f} degrees, "
-        f"match {point.match:.3f}, free {point.free:.3f} m, too far {point.too_far:.3f}, too near {point.too_near:.3f}"
-    )
