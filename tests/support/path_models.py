@@ -12,7 +12,12 @@ from support.onnx_bytes import message, model, node, value
 _FLOAT = 1
 OUTPUTS = ("pose", "scale", "match", "hit")
 EDGES = np.linspace(0.0, 3.0, 31)
-METADATA = {"hfov_deg": "100", "free_edges": ",".join(f"{edge:.1f}" for edge in EDGES)}
+METADATA = {
+    "hfov_deg": "100",
+    "free_edges": ",".join(f"{edge:.1f}" for edge in EDGES),
+    "offset_ratio": "1",
+    "offset_deviation": "0",
+}
 
 
 def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA, outputs: Sequence[str] = OUTPUTS) -> bytes:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gibson_path_following.learned import PathModel
+from gibson_path_following.pose_filter import OffsetTold
 from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, PAIR, Shard
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import DistanceSettings, TrainingSettings
@@ -55,7 +56,7 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
 
     torch.manual_seed(0)
     network = PathNetwork().eval()
-    size = export_network(network, tmp_path / "model.onnx")
+    size = export_network(network, tmp_path / "model.onnx", OffsetTold(0.25, 0.4))
     assert size < 10e6
     model = PathModel(tmp_path / "model.onnx")
     rng = np.random.default_rng(0)
@@ -70,6 +71,7 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
     assert found.hit.shape == (DIRECTIONS, len(FREE_EDGES))
     np.testing.assert_allclose(model.edges, FREE_EDGES)
+    assert model.offsets == OffsetTold(0.25, 0.4)
 
 
 def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path) -> None:
@@ -112,3 +114,12 @@ def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) 
     with torch.no_grad():
         hit = torch.softmax(distances(torch.from_numpy(images))[0], dim=1)
     np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
+
+
+def test_offsets_that_are_told_too_small_are_measured() -> None:
+    from gibson_sim_learn.path_following.training import offsets_told
+
+    rng = np.random.default_rng(0)
+    true = rng.normal(0.0, 0.2, 20_000)
+    found = offsets_told(0.25 * true + rng.normal(0.0, 0.1, true.shape), true)
+    assert (found.ratio, found.deviation) == pytest.approx((0.25, 0.4), rel=0.05)

@@ -12,9 +12,9 @@ from gibson_path_following.errors import ModelError, SettingError, ViewError
 from gibson_path_following.follower import PathFollower
 from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings, PathModel
 from gibson_path_following.occupancy import OccupancySettings
-from gibson_path_following.pose_filter import PoseFilter, node_poses, relative
+from gibson_path_following.pose_filter import OffsetTold, PoseFilter, node_poses, relative
 from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity, View
-from support.path_models import path_model
+from support.path_models import METADATA, path_model
 
 HFOV = math.radians(100.0)
 AHEAD = Velocity(0.4, 0.0)
@@ -90,19 +90,38 @@ def test_robot_on_the_path_drives_straight_at_the_recorded_speed(tmp_path: Path)
     assert velocity.angular == pytest.approx(0.0, abs=0.05)
 
 
-def driven(folder: Path, free: tuple[float, ...], views: int) -> tuple[LearnedPolicy, list[Velocity]]:
+def driven(folder: Path, free: tuple[float, ...], views: int, nearest: float = 0.35) -> tuple[LearnedPolicy, list[Velocity]]:
     """Returns a policy that stands at the start of a straight path and sees the same again and again, and its velocities."""
     images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
     # The network by hand sees the same things in all images, recorded ones too.
-    settings = LearnedSettings(occupancy=OccupancySettings(discount=0.0))
+    settings = LearnedSettings(occupancy=OccupancySettings(discount=0.0, nearest=nearest))
     policy = LearnedPolicy(path_of(images), model(folder, free), settings)
     return policy, [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(views)]
 
 
 def test_robot_stops_before_a_wall(tmp_path: Path) -> None:
     # The robot is 0.175 m in front of its middle, the camera 0.12 m: 0.245 m are left.
-    _, velocities = driven(tmp_path, (0.3,) * 24, 5)
+    _, velocities = driven(tmp_path, (0.3,) * 24, 5, nearest=0.2)
     assert velocities[-1] == STOP
+
+
+def test_robot_stands_for_a_while_before_what_seems_nearer_than_is_believed_and_then_creeps(tmp_path: Path) -> None:
+    policy, velocities = driven(tmp_path, (0.2,) * 24, 20)
+    assert policy.way is not None
+    assert policy.way.is_free
+    views = policy.settings.near_views
+    assert velocities[:views] == [STOP] * views
+    assert all(0.0 < velocity.linear <= policy.settings.slow + 1e-9 for velocity in velocities[views:])
+
+
+def test_one_view_of_a_thing_slows_the_robot_before_the_map_has_it(tmp_path: Path) -> None:
+    policy, velocities = driven(tmp_path, (0.7,) * 24, 1)
+    assert policy.way is not None
+    assert policy.way.is_free
+    assert velocities[0].linear == pytest.approx(policy.settings.slow)
+    # A thing beside the way does not.
+    beside = (0.7,) * 4 + (3.0,) * 20
+    assert driven(tmp_path, beside, 1)[1][0].linear == pytest.approx(0.4)
 
 
 def test_robot_is_slower_before_a_wall_that_is_farther_away(tmp_path: Path) -> None:
@@ -121,7 +140,7 @@ def test_robot_drives_round_a_thing_on_its_path(tmp_path: Path) -> None:
 
 
 def test_blocked_robot_backs_off_after_a_while(tmp_path: Path) -> None:
-    _, velocities = driven(tmp_path, (0.3,) * 24, 16)
+    _, velocities = driven(tmp_path, (0.3,) * 24, 16, nearest=0.2)
     assert any(velocity.linear < 0.0 for velocity in velocities)
 
 
@@ -153,10 +172,13 @@ def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"its outputs a, b, c, d; must be present, recorded and pose, scale, match, hit"):
         PathModel(file)
     file.write_bytes(path_model(FREE, metadata={}))
-    with pytest.raises(ModelError, match="its metadata lack hfov_deg or free_edges"):
+    with pytest.raises(ModelError, match="its metadata lack one of hfov_deg, free_edges, offset_ratio, offset_deviation"):
         PathModel(file)
-    file.write_bytes(path_model(FREE, metadata={"hfov_deg": "100", "free_edges": "0,1,3"}))
+    file.write_bytes(path_model(FREE, metadata={**METADATA, "free_edges": "0,1,3"}))
     with pytest.raises(ModelError, match="its free_edges are 3 numbers, must be 31 that grow from 0 m"):
+        PathModel(file)
+    file.write_bytes(path_model(FREE, metadata={**METADATA, "offset_ratio": "0"}))
+    with pytest.raises(ModelError, match=r"its offset_ratio is 0 and its offset_deviation 0, must be 0\.05 to 2 and 0 to 10 m"):
         PathModel(file)
     with pytest.raises(ModelError, match=r"nowhere\.onnx"):
         PathModel(tmp_path / "nowhere.onnx")
@@ -165,6 +187,8 @@ def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
 def test_settings_out_of_range_are_one_line() -> None:
     with pytest.raises(SettingError, match=r"ahead is 9, must be 0.05 to 3"):
         LearnedSettings(ahead=9.0)
+    with pytest.raises(SettingError, match=r"doubts is .*, must be two probabilities, the smaller one first"):
+        LearnedSettings(doubts=(0.6, 0.2))
 
 
 def test_nodes_lie_where_the_recorded_velocities_lead() -> None:
@@ -187,6 +211,20 @@ def test_filter_goes_where_exact_sightings_say() -> None:
     for node in (np.array([0.4, 0.0, 0.0]), np.array([0.8, 0.1, 0.2]), np.array([1.2, 0.2, 0.3])) * 3:
         assert found.correct(node, np.array(relative(truth, node)), np.full(3, 0.01))
     np.testing.assert_allclose(found.pose, truth, atol=0.02)
+
+
+def test_offsets_that_the_network_tells_too_small_do_not_draw_the_robot_to_the_path() -> None:
+    truth, told = np.array([0.0, 0.3, 0.0]), np.array([0.0, 0.25 * 0.3, 0.0])
+    poses = []
+    for offsets in (OffsetTold(), OffsetTold(0.25, 0.4)):
+        found = PoseFilter(offsets)
+        found.reset(np.zeros(3))
+        for k in range(60):
+            for node in (np.array([0.2, 0.0, 0.0]), np.array([0.6, 0.0, 0.0])):
+                assert found.correct(node, np.array(relative(told, node)), np.full(3, 0.05)), k
+        poses.append(found.pose)
+    assert poses[0][1] == pytest.approx(told[1], abs=0.02)
+    assert poses[1][1] == pytest.approx(truth[1], abs=0.06)
 
 
 def test_filter_refuses_a_sighting_that_cannot_be() -> None:

@@ -46,7 +46,7 @@ def test_thing_is_occupied_the_floor_before_it_free_and_what_is_behind_unknown()
     found = map_of([(ORIGIN, 1.0)] * 2)
     assert is_occupied(found, at(1.02))
     assert not is_occupied(found, at(0.7))
-    rows = [60 + round((x - 0.025) / 0.05) for x in (0.525, 1.525)]  # the map of 120 cells begins at -3 m
+    rows = [60 + round((x - 0.025) / 0.05) for x in (0.725, 1.525)]  # the map of 120 cells begins at -3 m
     before, behind = found.log_odds[rows, 60]
     assert before < -0.5
     assert behind == 0.0
@@ -61,6 +61,19 @@ def test_thing_stays_when_it_leaves_the_view() -> None:
 def test_cells_that_are_seen_free_are_cleared() -> None:
     found = map_of([(ORIGIN, 1.0)] * 3 + [(ORIGIN, None)] * 8)
     assert not is_occupied(found, at(1.02))
+
+
+def test_what_seems_nearer_than_is_believed_tells_nothing() -> None:
+    found = map_of([(ORIGIN, 0.2)] * 10)
+    assert not is_occupied(found, at(0.22))
+    assert np.abs(found.log_odds).max() < 1e-3
+    assert is_occupied(map_of([(ORIGIN, 0.2)] * 10, settings=OccupancySettings(nearest=0.0)), at(0.22))
+    # What is likely beyond is seen as before, as far as it is likely.
+    half = 0.5 * (hits(0.2) + hits(1.0))
+    found = OccupancyMap(FAR)
+    for _ in range(3):
+        found.see(ORIGIN, BEARINGS, EDGES, half)
+    assert is_occupied(found, at(1.02))
 
 
 def test_thing_counts_soon_where_the_floor_was_free_for_long() -> None:
@@ -142,3 +155,11 @@ def test_what_recorded_images_show_on_the_path_is_no_thing_there() -> None:
     for _ in range(12):
         found.see(ORIGIN, BEARINGS, EDGES, hits(1.5))
     assert is_occupied(found, at(1.52)), "the recorded images did not show this"
+
+
+def test_low_thing_stays_in_the_map_when_it_is_too_near_to_be_seen() -> None:
+    # Seen from 1 m, and then from 0.4 m, where the camera looks over it.
+    near = np.array([0.62, 0.0, 0.0])
+    views = [(ORIGIN, 1.0)] * 4 + [(near, None)] * 10
+    assert is_occupied(map_of(views), at(1.02))
+    assert not is_occupied(map_of(views, settings=OccupancySettings(blind=0.0)), at(1.02))

@@ -22,7 +22,7 @@ from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
 from gibson_path_following.occupancy import OccupancyMap, OccupancySettings
 from gibson_path_following.onnx_files import open_session, run
-from gibson_path_following.pose_filter import PoseFilter, moved, node_poses, relative
+from gibson_path_following.pose_filter import OffsetTold, PoseFilter, moved, node_poses, relative
 from gibson_path_following.recovery import Recovery, RecoverySettings
 from gibson_path_following.types import STOP, Image, Place, RecordedPath, Step, Velocity, View
 
@@ -53,6 +53,7 @@ _SLOW_AHEAD = 0.5
 """Distance along the path ahead whose clearance limits the speed, metres."""
 _INPUTS = ("present", "recorded")
 _OUTPUTS = ("pose", "scale", "match", "hit")
+_METADATA = ("hfov_deg", "free_edges", "offset_ratio", "offset_deviation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +89,19 @@ class PathModel:
             """Horizontal field of view that it was trained for, radians."""
             self.edges: F64 = np.array([float(edge) for edge in metadata["free_edges"].split(",")])
             """(B + 1,), edges of the bins of free distances, metres, from 0."""
+            self.offsets = OffsetTold(float(metadata["offset_ratio"]), float(metadata["offset_deviation"]))
+            """How the offsets that it tells relate to the true ones."""
         except (KeyError, ValueError) as error:
-            raise ModelError(f"{file}: its metadata lack hfov_deg or free_edges as numbers; export it anew") from error
+            raise ModelError(f"{file}: its metadata lack one of {', '.join(_METADATA)} as numbers; export it anew") from error
         count, bins = self._session.get_outputs()[3].shape
         if bins != len(self.edges) or self.edges[0] != 0.0 or not (np.diff(self.edges) > 0.0).all():
             raise ModelError(
                 f"{file}: its free_edges are {len(self.edges)} numbers, must be {bins} that grow from 0 m; export it anew"
+            )
+        if not (0.05 <= self.offsets.ratio <= 2.0 and 0.0 <= self.offsets.deviation <= 10.0):
+            raise ModelError(
+                f"{file}: its offset_ratio is {self.offsets.ratio:g} and its offset_deviation {self.offsets.deviation:g}, must be 0.05 to 2 "
+                "and 0 to 10 m; export it anew"
             )
         across = 1.0 - (np.arange(count) + 0.5) * 2.0 / count
         self.bearings: F64 = np.arctan(across * math.tan(self.hfov / 2.0))
@@ -183,7 +191,14 @@ class LearnedSettings:
     least_confidence: float = 0.6
     """Confidence of the localiser below which its place tells nothing."""
     slow: float = 0.12
-    """Speed where the way is as narrow as the robot can pass, m/s."""
+    """Speed where the way is as narrow as the robot can pass, or where the last view shows that something may stand on it, m/s."""
+    careful: float = 1.0
+    """Distance along the way ahead within which such a thing slows the robot, metres: the nearer it comes, the more views it has."""
+    doubts: tuple[float, float] = (0.25, 0.6)
+    """Probability of such a thing from which on the robot drives slower, and that at which it drives at ``slow``."""
+    near_views: int = 8
+    """Views in a row for which the robot stands before what seems nearer than ``OccupancySettings.nearest``: people walk on, and what the
+    network sees there is mostly nothing."""
     stop_before: float = 0.2
     """Distance to where the way is blocked at which the robot stops, metres."""
     occupancy: OccupancySettings = field(default_factory=OccupancySettings)
@@ -198,6 +213,8 @@ class LearnedSettings:
     def __post_init__(self) -> None:
         if not self.looked_for or not all(0.0 <= a <= 3.0 for a in self.looked_for):
             raise SettingError(f"looked_for is {quoted(self.looked_for)}, must be distances of 0 to 3 metres")
+        if not (len(self.doubts) == 2 and 0.0 <= self.doubts[0] <= self.doubts[1] <= 1.0):
+            raise SettingError(f"doubts is {quoted(self.doubts)}, must be two probabilities, the smaller one first")
         check_ranges(
             self,
             ("ahead", 0.05, 3.0),
@@ -213,7 +230,9 @@ class LearnedSettings:
             ("least_confidence", 0.0, 1.0),
             ("far_off", 0.1, 1000.0),
             ("far_off_views", 1, 1000),
+            ("near_views", 0, 1000),
             ("slow", 0.01, 10.0),
+            ("careful", 0.0, 10.0),
             ("stop_before", 0.0, 5.0),
         )
 
@@ -269,13 +288,15 @@ class LearnedPolicy:
             self.map.expect(self._camera(pose), self.model.bearings, self.model.edges, recorded.hit)
         self.way: Way | None = None
         """Where the robot wants to drive; None = it has not looked yet."""
-        self.filter = PoseFilter()
+        self.filter = PoseFilter(self.model.offsets)
         """Where beside the path the robot is."""
         self.sighting: Sighting | None = None
         """What the network told about the last view."""
         self._last_ns: int | None = None
         """Stamp of the last view, ns."""
         self._unseen = self._disagreed = 0
+        self._near = 0
+        """Views in which something seemed near, less those since in which nothing did."""
         self._since_match: int | None = None
         """Views since the network saw a recorded image; None = it saw none yet."""
         self._alone = 0
@@ -293,7 +314,7 @@ class LearnedPolicy:
         self._recovery.reset()
         self.map.clear()
         self.sighting, self.way, self._last_ns = None, None, None
-        self._unseen = self._disagreed = self._alone = 0
+        self._unseen = self._disagreed = self._alone = self._near = 0
         self._since_match = None
 
     @property
@@ -389,7 +410,11 @@ class LearnedPolicy:
             behind = self._clearance(np.array([[-0.1, 0.0], [-_BEHIND, 0.0]]))
             return self._recovery.blocked(here, seconds, can_back=bool((behind >= settings.lattice.room).all()))
         self._recovery.free(here)
-        limit = self._limit(way, here)
+        doubt, near = self._doubts(way)
+        self._near = self._near + 1 if near >= settings.doubts[1] else max(0, self._near - 1)
+        if near >= settings.doubts[1] and self._near <= settings.near_views:
+            return STOP
+        limit = self._limit(way, here, max(doubt, near))
         share = min(1.0, limit / max(abs(found.linear), 1e-6))
         return Velocity(share * found.linear, share * found.angular) if found.linear else found
 
@@ -436,17 +461,41 @@ class LearnedPolicy:
         goal = np.array([at[0] + more * math.cos(yaw), at[1] + more * math.sin(yaw), yaw + slope])
         return relative(self._pose, goal)
 
-    def _limit(self, way: Way, here: float) -> float:
-        """Returns the largest speed: the recorded one, or less where the way is narrow, or blocked farther on."""
+    def _limit(self, way: Way, here: float, doubt: float) -> float:
+        """Returns the largest speed: the recorded one, or less where the way is narrow, blocked farther on, or not surely free."""
         settings, lattice = self.settings, self.settings.lattice
         middles = 0.5 * (self._distances[1:] + self._distances[:-1])
         limit = max(settings.least_linear, settings.speed_ratio * float(np.interp(here, middles, self._speeds)))
         near = way.clearance[way.along <= here + _SLOW_AHEAD].min()
         share = min(1.0, max(0.0, (float(near) - lattice.room) / lattice.comfort))
         limit = min(limit, settings.slow + share * max(0.0, settings.arcs.max_linear - settings.slow))
+        low, high = settings.doubts
+        sure = 1.0 - min(1.0, max(0.0, (doubt - low) / max(high - low, 1e-6)))
+        limit = min(limit, settings.slow + sure * max(0.0, settings.arcs.max_linear - settings.slow))
         if not way.is_free:
             limit = min(limit, max(settings.slow, (way.free - settings.stop_before) / settings.arcs.braking))
         return limit
+
+    def _doubts(self, way: Way) -> tuple[float, float]:
+        """Returns two probabilities, by the last view: that something stands on the way ahead, and that something is nearer than is believed.
+
+        Each is that of the direction in which it is largest.
+        """
+        sighting, settings = self.sighting, self.settings
+        assert sighting is not None
+        x, y, yaw = self._camera(self.filter.pose)
+        at = np.arange(0.1, settings.careful + 0.3, 0.05)
+        angles = yaw + self.model.bearings
+        rays = np.stack([x + at * np.cos(angles)[:, None], y + at * np.sin(angles)[:, None]], axis=-1)  # (D, R, 2)
+        ahead = way.points[way.along <= way.along[0] + settings.careful]
+        inside = np.linalg.norm(rays[:, :, None] - ahead, axis=3).min(axis=2) < settings.lattice.room
+        crossing = np.flatnonzero(inside.any(axis=1))
+        if not len(crossing):
+            return 0.0, 0.0
+        reach = at[inside.shape[1] - 1 - inside[crossing, ::-1].argmax(axis=1)]
+        within, believed = self.map.credible(self.model.edges, sighting.hit[crossing])
+        found = [float(np.interp(r, self.model.edges, row)) for r, row in zip(reach, within, strict=True)]
+        return float((believed * found).max()), float((1.0 - believed).max())
 
     def _clearance(self, points: F64) -> F64:
         """Returns (...,): distances from points (..., 2) in the frame of the robot to the nearest thing, metres."""

@@ -36,6 +36,12 @@ class OccupancySettings:
     """Depth that a thing has at least, metres."""
     weight: float = 0.4
     """Share of a view's evidence that counts: views that follow each other are wrong alike."""
+    nearest: float = 0.35
+    """Distance below which a view is not believed, metres. The floor is below the image there; what seems so near is mostly an image with little
+    in it, and what truly is was seen before from farther off."""
+    blind: float = 0.55
+    """Distance up to which a view does not tell that the floor is free, metres: it is below the image there, and so is a low thing. What was seen
+    before stays in the map."""
     most_occupied: float = 2.5
     """Largest evidence of one view for a thing, log odds before the weight."""
     most_free: float = 2.0
@@ -65,6 +71,8 @@ class OccupancySettings:
             ("density", 0.001, 10.0),
             ("depth", 0.0, 2.0),
             ("weight", 0.01, 1.0),
+            ("nearest", 0.0, 5.0),
+            ("blind", 0.0, 5.0),
             ("most_occupied", 0.0, 20.0),
             ("most_free", 0.0, 20.0),
             ("limit", 0.1, 50.0),
@@ -187,7 +195,7 @@ class OccupancyMap:
     def _evidence_by_distance(self, edges: F64, hit: F64) -> F32:
         """Returns (D, R): log odds that a view adds to a cell in each direction, at each distance."""
         settings = self.settings
-        within = np.concatenate([np.zeros((len(hit), 1)), np.cumsum(hit[:, :-1], axis=1)], axis=1).clip(0.0, 1.0)
+        within, believed = self.credible(edges, hit)
         at = (np.arange(math.floor(edges[-1] / _RANGE_STEP)) + 0.5) * _RANGE_STEP
         front, back = at - settings.depth, at + 0.5 * settings.cell
         before, upto = (np.stack([np.interp(each, edges, row) for row in within]) for each in (front, back))
@@ -195,8 +203,21 @@ class OccupancyMap:
         hazard = ((upto - before) / np.maximum(reached, 1e-6)).clip(1e-6, 1.0 - 1e-6)
         usual = min(0.5, settings.density * (settings.depth + 0.5 * settings.cell))
         odds = np.log(hazard / (1.0 - hazard)) - math.log(usual / (1.0 - usual))
-        told = settings.weight * reached * np.clip(odds, -settings.most_free, settings.most_occupied)
+        told = settings.weight * believed[:, None] * reached * np.clip(odds, -settings.most_free, settings.most_occupied)
+        told[:, at < settings.blind] = told[:, at < settings.blind].clip(0.0)
         return np.asarray(told, dtype=np.float32)
+
+    def credible(self, edges: F64, hit: F64) -> tuple[F64, F64]:
+        """Returns what of a view is believed, see ``OccupancySettings.nearest``.
+
+        Returns:
+            (D, B + 1), probability that the first thing stands within each of the edges, if not nearer than that; (D,), probability that
+            it does not stand nearer.
+        """
+        within = np.concatenate([np.zeros((len(hit), 1)), np.cumsum(hit[:, :-1], axis=1)], axis=1).clip(0.0, 1.0)
+        near = np.array([np.interp(self.settings.nearest, edges, row) for row in within])
+        far = np.maximum(1.0 - near, 1e-6)
+        return ((within - near[:, None]) / far[:, None]).clip(0.0, 1.0), far
 
     def _path_prior(self) -> F32:
         """Returns (n, n): log odds of cells of which nothing is known."""

@@ -7,6 +7,7 @@ The frame of a path is that of its first node; its nodes lie where the recorded 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,28 @@ _COLUMNS_DEVIATION = 0.08
 """Standard deviation of a turn by columns, radians."""
 _COLUMNS_GATE = 9.0
 """Squared innovation, by its variance, beyond which a turn by columns counts as wrong."""
+_GATE = 9.0
+"""Squared innovation, by its variance, beyond which a turn by columns counts as wrong."""
+_OFFSET_RATIO = float(__import__("os").environ.get("OR", "0.22"))
+"""Ratio of what the network tells of how far beside a recorded image the robot is to what is true: in doubt it says that it is on the path."""
+_OFFSET_DEVIATION = float(__import__("os").environ.get("OD", "0.4"))
+"""Standard deviation of that distance, once it is divided by the ratio, metres."""
 _GATE = 25.0
 """Squared Mahalanobis distance beyond which a sighting counts as wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetTold:
+    """How what a network tells of the offset from a recorded image, to its side, relates to the true offset.
+
+    A network that is trained on squared or absolute errors tells what is likely: seldom is a robot far beside its path, so that in doubt it is
+    told nearer to it. Taken as a measurement, that would count the same again in every view.
+    """
+
+    ratio: float = 1.0
+    """Mean of what it tells, divided by what is true."""
+    deviation: float = 0.0
+    """Standard deviation of what it tells, once divided by the ratio, metres."""
 
 
 def node_poses(path: RecordedPath) -> F64 | None:
@@ -71,7 +92,13 @@ def moved(pose: tuple[float, float, float], distance: float, turn: float) -> tup
 class PoseFilter:
     """A pose and its covariance."""
 
-    def __init__(self) -> None:
+    def __init__(self, offsets: OffsetTold = OffsetTold()) -> None:
+        """Knows nothing.
+
+        Args:
+            offsets: of the network whose sightings it will have.
+        """
+        self._offsets = offsets
         self.pose: F64 = np.zeros(3)
         """x, y, yaw in the frame of the path, metres and radians."""
         self.covariance: F64 = np.zeros((3, 3))
@@ -111,10 +138,12 @@ class PoseFilter:
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = node[0] - x, node[1] - y
         expected = np.array([c * dx + s * dy, c * dy - s * dx, node[2] - yaw])
+        seen, across = _unbiased(seen, self._offsets.ratio)
         innovation = seen - expected
         innovation[2] = math.remainder(innovation[2], 2.0 * math.pi)
         jacobian = np.array([[-c, -s, expected[1]], [s, -c, -expected[0]], [0.0, 0.0, -1.0]])
-        noise = np.diag((np.square(_TRUST * error) + np.square(_FLOOR)) / (_NEW * weight))
+        told = np.diag(np.square(_TRUST * error) + np.square(_FLOOR))
+        noise = (told + self._offsets.deviation**2 * np.outer(across, across)) / (_NEW * weight)
         spread = jacobian @ self.covariance @ jacobian.T + noise
         if float(innovation @ np.linalg.solve(spread, innovation)) > _GATE:
             return False
@@ -157,6 +186,18 @@ class PoseFilter:
         gain = self.covariance @ jacobian / spread
         self.pose = self.pose + gain * innovation
         self.covariance = self.covariance - np.outer(gain, gain) * spread
+
+
+def offset_of(seen: F64) -> F64:
+    """Returns (...,): how far to the left of a node the robot is that sees it at poses (..., 3), in the node's frame, metres."""
+    x, y, yaw = np.moveaxis(seen, -1, 0)
+    return np.asarray(np.sin(yaw) * x - np.cos(yaw) * y)
+
+
+def _unbiased(seen: F64, ratio: float) -> tuple[F64, F64]:
+    """Returns the pose (3,) of a node in the frame of a robot whose offset from it is larger by 1 / ratio, and its change by that offset (3,)."""
+    across = np.array([math.sin(seen[2]), -math.cos(seen[2]), 0.0])
+    return seen + (1.0 / ratio - 1.0) * float(offset_of(seen)) * across, across
 
 
 def relative(frm: F64, to: F64) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from gibson_path_following.pose_filter import OffsetTold
 from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
@@ -30,12 +31,13 @@ from gibson_sim_learn.path_following.training import PathPoint
 _OPSET = 17
 
 
-def export_network(network: PathNetwork, file: Path, distances: DistanceNetwork | None = None) -> int:
+def export_network(network: PathNetwork, file: Path, offsets: OffsetTold, distances: DistanceNetwork | None = None) -> int:
     """Writes a network as ONNX; returns the size of the file, bytes.
 
     Args:
         network: tells poses.
         file: where.
+        offsets: how the offsets that it tells relate to the true ones; written into the metadata, for the robot.
         distances: tells free distances; None = ``network`` does, by its first estimate.
     """
     parts: list[nn.Module] = [network] if distances is None else [network, distances]
@@ -58,7 +60,14 @@ def export_network(network: PathNetwork, file: Path, distances: DistanceNetwork 
         part.train(mode)
     model = onnx.load_from_string(buffer.getvalue())
     edges = ",".join(f"{edge:.4g}" for edge in FREE_EDGES)
-    for key, value in (("hfov_deg", f"{math.degrees(HFOV):g}"), ("free_edges", edges), ("license", "Apache-2.0")):
+    metadata = {
+        "hfov_deg": f"{math.degrees(HFOV):g}",
+        "free_edges": edges,
+        "offset_ratio": f"{offsets.ratio:.3f}",
+        "offset_deviation": f"{offsets.deviation:.3f}",
+        "license": "Apache-2.0",
+    }
+    for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
     onnx.checker.check_model(model)
@@ -72,6 +81,7 @@ def write_card(
     settings: TrainingSettings,
     networks: tuple[PathNetwork, DistanceNetwork],
     points: tuple[PathPoint, DistancePoint],
+    offsets: OffsetTold,
     data: Mapping[str, int],
     results: Sequence[str] = (),
 ) -> None:
@@ -82,6 +92,7 @@ def write_card(
         settings: of the training.
         networks: what tells poses, and what tells free distances.
         points: the last points of their curves.
+        offsets: how the offsets that it tells relate to the true ones.
         data: name of a quantity of the data -> number.
         results: further lines on how it drives.
     """
@@ -107,6 +118,7 @@ def write_card(
         "|---|---|",
         f"| ahead, median | {point.ahead:.3f} m |",
         f"| beside, median | {point.beside:.3f} m |",
+        f"| offset from a recorded image, told by true | {offsets.ratio:.2f}, and {offsets.deviation:.2f} m of deviation once divided by that |",
         f"| heading, median | {point.yaw_deg:.1f} degrees |",
         f"| one place or not, right | {100.0 * point.match:.1f} % |",
         f"| free distance, median | {free.free:.3f} m |",

@@ -68,7 +68,7 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
     for number, drives in enumerate(driven):
         if training.round == number:
-            _drive(drives, folder / f"round-{number}.onnx", training, number, progress)
+            _drive(drives, folder / f"round-{number}.onnx", training, judge, number, progress)
             training.begin_round()
         steps = settings.last_iterations if number + 1 == len(driven) else settings.dagger_iterations
         until = settings.iterations + number * settings.dagger_iterations + steps
@@ -80,17 +80,20 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     close = Sampler.of_folders([obstacles])
     distances = DistanceTraining(folder / "distances", settings)
     distances.run(every, close, (judge, Sampler.of_folders([judged])), progress)
-    size = export_network(training.network, folder / MODEL, distances.network)
+    offsets = training.offsets(judge)
+    size = export_network(training.network, folder / MODEL, offsets, distances.network)
     points = training.curve[-1], distances.curve[-1]
     counts = {"images": every.image_count, "pairs": every.pair_count, "images of obstacles": close.image_count}
-    write_card(folder / CARD, settings, (training.network, distances.network), points, counts)
+    write_card(folder / CARD, settings, (training.network, distances.network), points, offsets, counts)
     return Learned(folder / MODEL, folder / CARD, *points, size)
 
 
-def _drive(folder: Path, model: Path, training: PathTraining, number: int, progress: Callable[[str], None]) -> None:
+def _drive(
+    folder: Path, model: Path, training: PathTraining, judge: Sampler, number: int, progress: Callable[[str], None]
+) -> None:
     """Makes the drives of a round with the network as it is; an interrupted round goes on with the same network."""
     if not model.is_file():
-        export_network(training.network, model)
+        export_network(training.network, model, training.offsets(judge))
     network, settings = PathModel(model), training.settings
 
     def driver_of(path: RecordedPath) -> FollowerDriver:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from gibson_path_following.pose_filter import OffsetTold, offset_of
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.training import near_and_far
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
@@ -22,6 +24,11 @@ from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
 
 _EVALUATION = (320, 3)
 """Later images, and recorded ones for each, that a point of the curve is made of."""
+_OFFSETS_OF, _OFFSETS_UP_TO = (1200, 3), 0.7
+"""Later images, and recorded ones for each, in which offsets are compared; how far apart they are at most, metres: from farther off, an
+offset is told by what the heading is."""
+_LEAST_RATIO = 0.1
+"""Least ratio of offsets that is believed: below it they tell nothing, and their deviation is large."""
 _FREE_WEIGHT, _MATCH_WEIGHT = 0.6, 1.0
 
 
@@ -153,6 +160,24 @@ class PathTraining(Training[PathNetwork, PathPoint]):
             too_near=too_near,
         )
 
+    def offsets(self, validation: Sampler) -> OffsetTold:
+        """Returns how the offsets from recorded images that the network tells relate to the true ones, in pairs up to ``_OFFSETS_UP_TO`` apart."""
+        batch = validation.batch(np.random.default_rng(1), *_OFFSETS_OF, augment=False)
+        self.network.eval()
+        told, true = [], []
+        with torch.inference_mode():
+            for k in range(0, _OFFSETS_OF[0], 40):
+                part = _part(batch, slice(k, k + 40))
+                _, estimate, _ = self._forward(part)
+                pose = part.pose.reshape(-1, 3).astype(np.float64)
+                found = estimate.pose[: len(pose)].double().numpy()
+                seen = (part.match & part.has_pairs[:, None]).ravel() & (estimate.match[: len(pose)] > 0.0).numpy()
+                near = seen & (np.hypot(pose[:, 0], pose[:, 1]) < _OFFSETS_UP_TO)
+                told.append(offset_of(found[near]))
+                true.append(offset_of(pose[near]))
+        self.network.train()
+        return offsets_told(np.concatenate(told), np.concatenate(true))
+
     def _loss(self, batch: Batch) -> Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             _, estimate, distances = self._forward(batch)
@@ -181,6 +206,13 @@ class PathTraining(Training[PathNetwork, PathPoint]):
 
     def _restore(self, content: Mapping[str, Any]) -> None:
         self.round = content["round"]
+
+
+def offsets_told(told: NDArray[np.float64], true: NDArray[np.float64]) -> OffsetTold:
+    """Returns how offsets (N,) that were told relate to true ones (N,), metres: the least squares fit through 0."""
+    power = float(true @ true)
+    ratio = max(_LEAST_RATIO, float(told @ true) / power) if power > 0.0 else 1.0
+    return OffsetTold(ratio, float(np.sqrt(np.mean(np.square(told - ratio * true)))) / ratio if len(true) else 0.0)
 
 
 def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
