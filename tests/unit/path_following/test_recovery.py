@@ -22,8 +22,8 @@ def test_robot_waits_backs_off_looks_to_both_sides_and_stops() -> None:
     assert found == [STOP, BACK, BACK, LEFT, LEFT, RIGHT, RIGHT, RIGHT, RIGHT, LEFT, LEFT, *[STOP] * 9]
 
 
-def test_robot_does_not_back_off_where_something_stands_behind_it() -> None:
-    assert acts(Recovery(SETTINGS), 3, can_back=False) == [STOP, STOP, STOP]
+def test_robot_looks_at_once_where_something_stands_behind_it() -> None:
+    assert acts(Recovery(SETTINGS), 9, can_back=False) == [STOP, LEFT, LEFT, RIGHT, RIGHT, RIGHT, RIGHT, LEFT, LEFT]
 
 
 def test_robot_waits_anew_when_it_was_free_in_between() -> None:

@@ -92,8 +92,9 @@ class Recovery:
         end = 0.0
         for duration, velocity in self._acts:
             end += duration
-            if self._time < end:
-                return velocity if can_back or velocity.linear >= 0.0 else STOP
+            if self._time < end and (can_back or velocity.linear >= 0.0):
+                return velocity
+            self._time = max(self._time, end)  # what it cannot do is left out
         self._time = 0.0
         self._tried += 1
         return STOP
