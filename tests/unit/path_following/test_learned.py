@@ -221,10 +221,18 @@ def test_offsets_that_the_network_tells_too_small_do_not_draw_the_robot_to_the_p
         found.reset(np.zeros(3))
         for k in range(60):
             for node in (np.array([0.2, 0.0, 0.0]), np.array([0.6, 0.0, 0.0])):
-                assert found.correct(node, np.array(relative(told, node)), np.full(3, 0.05)), k
+                assert found.correct(node, np.array(relative(told, node)), np.full(3, 0.05), level=np.zeros(3)), k
         poses.append(found.pose)
     assert poses[0][1] == pytest.approx(told[1], abs=0.02)
     assert poses[1][1] == pytest.approx(truth[1], abs=0.06)
+
+
+def test_a_node_behind_a_corner_does_not_push_a_robot_that_is_on_its_path() -> None:
+    node, found = np.array([0.6, 0.6, math.pi / 2.0]), PoseFilter(OffsetTold(0.25, 0.4))
+    found.reset(np.zeros(3))
+    for _ in range(20):
+        assert found.correct(node, np.array(relative(np.zeros(3), node)), np.full(3, 0.05), level=np.zeros(3))
+    np.testing.assert_allclose(found.pose, np.zeros(3), atol=1e-6)
 
 
 def test_filter_refuses_a_sighting_that_cannot_be() -> None:

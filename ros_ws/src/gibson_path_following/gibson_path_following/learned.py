@@ -349,8 +349,9 @@ class LearnedPolicy:
         nodes = np.unique([int(np.abs(self._distances - here - ahead).argmin()) for ahead in settings.looked_for])
         self.sighting = sighting = self.model.estimate(self.model.fitted(view[0], self._hfov), self._images[nodes])
         seen = np.flatnonzero(sighting.match >= settings.least_match)
+        level = self._at(here)
         fits = [
-            self.filter.correct(self._poses[nodes[k]], self._in_base(sighting.pose[k]), sighting.scale[k], 1.0 / len(seen))
+            self.filter.correct(self._poses[nodes[k]], self._in_base(sighting.pose[k]), sighting.scale[k], 1.0 / len(seen), level)
             for k in seen
         ]
         if any(fits):

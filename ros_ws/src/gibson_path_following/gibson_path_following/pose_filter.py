@@ -125,7 +125,7 @@ class PoseFilter:
         rotation = _rotation(self.pose[2])
         self.covariance = jacobian @ self.covariance @ jacobian.T + rotation @ np.diag(np.square(noise)) @ rotation.T
 
-    def correct(self, node: F64, seen: F64, error: F64, weight: float = 1.0) -> bool:
+    def correct(self, node: F64, seen: F64, error: F64, weight: float = 1.0, level: F64 | None = None) -> bool:
         """Corrects the pose by a node that was seen; returns whether the sighting was plausible.
 
         Args:
@@ -133,17 +133,23 @@ class PoseFilter:
             seen: (3,), its pose in the frame of the robot.
             error: (3,), mean absolute errors of that.
             weight: share of the information that counts: sightings in one image are alike wrong.
+            level: (3,), pose on the path that is level with the robot, from which offsets are told too small; None = those are not corrected.
         """
         x, y, yaw = self.pose
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = node[0] - x, node[1] - y
         expected = np.array([c * dx + s * dy, c * dy - s * dx, node[2] - yaw])
-        seen, across = _unbiased(seen, self._offsets.ratio)
+        noise = np.diag(np.square(_TRUST * error) + np.square(_FLOOR))
+        if level is not None:
+            position, rotation = _told_position(node, seen)
+            normal = np.array([-math.sin(level[2]), math.cos(level[2])])
+            across = np.append(-rotation.T @ normal, 0.0)
+            seen = seen + (1.0 / self._offsets.ratio - 1.0) * float((position - level[:2]) @ normal) * across
+            noise = noise + self._offsets.deviation**2 * np.outer(across, across)
+        noise = noise / (_NEW * weight)
         innovation = seen - expected
         innovation[2] = math.remainder(innovation[2], 2.0 * math.pi)
         jacobian = np.array([[-c, -s, expected[1]], [s, -c, -expected[0]], [0.0, 0.0, -1.0]])
-        told = np.diag(np.square(_TRUST * error) + np.square(_FLOOR))
-        noise = (told + self._offsets.deviation**2 * np.outer(across, across)) / (_NEW * weight)
         spread = jacobian @ self.covariance @ jacobian.T + noise
         if float(innovation @ np.linalg.solve(spread, innovation)) > _GATE:
             return False
@@ -194,10 +200,12 @@ def offset_of(seen: F64) -> F64:
     return np.asarray(np.sin(yaw) * x - np.cos(yaw) * y)
 
 
-def _unbiased(seen: F64, ratio: float) -> tuple[F64, F64]:
-    """Returns the pose (3,) of a node in the frame of a robot whose offset from it is larger by 1 / ratio, and its change by that offset (3,)."""
-    across = np.array([math.sin(seen[2]), -math.cos(seen[2]), 0.0])
-    return seen + (1.0 / ratio - 1.0) * float(offset_of(seen)) * across, across
+def _told_position(node: F64, seen: F64) -> tuple[F64, F64]:
+    """Returns where a robot is (2,) that sees a node at a pose (3,) in its frame, and the rotation (2, 2) of its frame into that of the path."""
+    yaw = float(node[2] - seen[2])
+    c, s = math.cos(yaw), math.sin(yaw)
+    rotation = np.array([[c, -s], [s, c]])
+    return node[:2] - rotation @ seen[:2], rotation
 
 
 def relative(frm: F64, to: F64) -> tuple[float, float, float]:
