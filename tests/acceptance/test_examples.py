@@ -42,6 +42,12 @@ def test_a_controller_in_lockstep_answers_every_scan(ros_domain: int, root: Path
         assert launched.wait() == 0, "\n".join(launched.lines)
     finally:
         controller.terminate()
-        said, _ = controller.communicate(timeout=PATIENCE_S)
-        launched.stop()
+        try:
+            said, _ = controller.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            controller.kill()  # else the tests after this one are told of a process that was left
+            controller.communicate()
+            raise
+        finally:
+            launched.stop()
     assert said == "answered 30 scans\n"
