@@ -54,6 +54,7 @@ _SLOW_AHEAD = 0.5
 _INPUTS = ("present", "recorded")
 _OUTPUTS = ("pose", "scale", "match", "hit")
 _METADATA = ("hfov_deg", "free_edges", "offset_ratio", "offset_deviation")
+"""Of the network's file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -469,10 +470,9 @@ class LearnedPolicy:
         limit = max(settings.least_linear, settings.speed_ratio * float(np.interp(here, middles, self._speeds)))
         near = way.clearance[way.along <= here + _SLOW_AHEAD].min()
         share = min(1.0, max(0.0, (float(near) - lattice.room) / lattice.comfort))
-        limit = min(limit, settings.slow + share * max(0.0, settings.arcs.max_linear - settings.slow))
         low, high = settings.doubts
         sure = 1.0 - min(1.0, max(0.0, (doubt - low) / max(high - low, 1e-6)))
-        limit = min(limit, settings.slow + sure * max(0.0, settings.arcs.max_linear - settings.slow))
+        limit = min(limit, settings.slow + min(share, sure) * max(0.0, settings.arcs.max_linear - settings.slow))
         if not way.is_free:
             limit = min(limit, max(settings.slow, (way.free - settings.stop_before) / settings.arcs.braking))
         return limit
