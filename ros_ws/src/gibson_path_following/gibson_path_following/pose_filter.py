@@ -36,12 +36,6 @@ _COLUMNS_DEVIATION = 0.08
 """Standard deviation of a turn by columns, radians."""
 _COLUMNS_GATE = 9.0
 """Squared innovation, by its variance, beyond which a turn by columns counts as wrong."""
-_GATE = 9.0
-"""Squared innovation, by its variance, beyond which a turn by columns counts as wrong."""
-_OFFSET_RATIO = float(__import__("os").environ.get("OR", "0.22"))
-"""Ratio of what the network tells of how far beside a recorded image the robot is to what is true: in doubt it says that it is on the path."""
-_OFFSET_DEVIATION = float(__import__("os").environ.get("OD", "0.4"))
-"""Standard deviation of that distance, once it is divided by the ratio, metres."""
 _GATE = 25.0
 """Squared Mahalanobis distance beyond which a sighting counts as wrong."""
 
