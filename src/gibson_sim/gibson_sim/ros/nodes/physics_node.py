@@ -195,7 +195,7 @@ class PhysicsNode(Node):
         reset = simulator.last_reset
         self._world_topics.publish_epoch(simulator.epoch, stamp_ns, reset.scope, rewound=reset.rewound)
         if reset.rewound:
-            self._ticks.publish_clock(stamp_ns)
+            self._ticks.update_clock(stamp_ns)
         self._stats.restart(stamp_ns)
 
     # Time
@@ -234,7 +234,7 @@ class PhysicsNode(Node):
 
     def _end_last_tick(self, executor: Executor) -> None:
         """Publishes the last clock; waits until the participants have done the last tick, and until subscribers have acknowledged it."""
-        self._ticks.end_clock(self._stamp_ns)
+        self._ticks.update_clock(self._stamp_ns)
         gate = self._gate
         while gate is not None and gate.core.stamp_ns is not None and not gate.may_step():
             if gate.failure is not None:

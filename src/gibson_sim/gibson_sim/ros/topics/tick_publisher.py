@@ -71,8 +71,8 @@ class TickPublisher:
         if self._clock_pub.get_subscription_count():
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
 
-    def end_clock(self, stamp_ns: int) -> None:
-        """Publishes /clock at the end of a run, unless it was published at that step."""
+    def update_clock(self, stamp_ns: int) -> None:
+        """Publishes /clock unless it was published at that step: at the end of a run, or when time was set back. Before time has begun it is not."""
         if stamp_ns != self._clock_ns:
             self.publish_clock(stamp_ns)
 
