@@ -237,11 +237,14 @@ class RobotInterface:
         message = self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist, *covariances)
         self._publish_state(self._odom_pub, message)
 
-    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
-        """Publishes transforms, true pose, joints and arms, with the stamp of the state; all of it is added to ``digests``."""
-        name, stamp = self.robot.name, state.stamp_ns
+    def publish_transforms(self, world: PhysicsWorld, state: SceneState) -> None:
+        """Publishes the transforms, with the stamp of the state; the odometry of the same step is published before."""
         if self._tf_pub.get_subscription_count():
-            self._publish_state(self._tf_pub, self._tf.serialize(stamp, self._transforms(world, state)))
+            self._publish_state(self._tf_pub, self._tf.serialize(state.stamp_ns, self._transforms(world, state)))
+
+    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
+        """Publishes true pose, joints and arms, with the stamp of the state; all of it is added to ``digests``."""
+        name, stamp = self.robot.name, state.stamp_ns
         if digests is not None or self._truth_pub.get_subscription_count():
             base, (linear, angular) = world.base_pose(name), world.base_twist(name)
             self._publish_state(self._truth_pub, self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular))

@@ -127,14 +127,14 @@ class TickPublisher:
         simulator = self._simulator
         self.publish_clock(world.stamp_ns)
         due = self._world_topics.due(tick)
-        # First what other processes need longest for: images if any are due, otherwise the answers of controllers.
-        if not due:
-            self._publish_odometry(world)
+        # First what controllers answer, and where the robot was: a small image is drawn and sent within a millisecond of the scene state.
+        for robot in self._robots.values():
+            robot.publish_odometry(world)
         # All links are read once, here; the sensors that are due at this step use the same state.
         state = world.state()
+        for robot in self._robots.values():
+            robot.publish_transforms(world, state)
         self._world_topics.publish_state(state, due, simulator.epoch, simulator.epoch_step)
-        if due:
-            self._publish_odometry(world)
         for robot in self._robots.values():
             robot.publish_state(world, state, self._digests)
         self._objects.publish(world, tick)
@@ -142,10 +142,6 @@ class TickPublisher:
         if self.images is not None:
             self.images.begin_tick(world.stamp_ns, self._world_topics.cameras, due)
         return state, tuple(self._world_topics.cameras[i] for i in due)
-
-    def _publish_odometry(self, world: PhysicsWorld) -> None:
-        for robot in self._robots.values():
-            robot.publish_odometry(world)
 
     def _publish_rest(self, step: _Step, measured: _Measured, begun: tuple[SceneState, tuple[CameraSpec, ...]] | None) -> None:
         if begun is None and (step.has_clock or step.applied or any(measured.values())):
