@@ -33,6 +33,8 @@ from gibson_sim.types import NS_PER_S
 
 DISCOVERY_S = 1.5
 """Wall time in which the nodes of a domain are discovered, s."""
+_LATE_DISCOVERY_S = 15.0
+"""The same on a busy machine, where a participant's announcement is lost and comes again after seconds, s."""
 PATIENCE_S = 5.0
 """Wall time for a name to appear, and for a service to answer, s."""
 _MORE_TYPES_S = 0.3
@@ -83,8 +85,9 @@ class Tool(Node):
     def discover(self) -> None:
         """Works until the nodes of the domain are discovered: for ``DISCOVERY_S``, and longer while it knows a simulation in part."""
         self.work(DISCOVERY_S)
-        if any(name.startswith("physics") for name in self.get_node_names()) and not simulation_runs(self.offered_services()):
-            self.work(PATIENCE_S, lambda: simulation_runs(self.offered_services()))
+        names = *self.get_node_names(), *self.known_services()
+        if any(name.lstrip("/").startswith("physics") for name in names) and not simulation_runs(self.offered_services()):
+            self.work(_LATE_DISCOVERY_S, lambda: simulation_runs(self.offered_services()))
             self.work(_MORE_TYPES_S)
 
     def known_topics(self) -> dict[str, list[str]]:
