@@ -6,7 +6,7 @@ In another, after `source env.sh`: python lockstep_controller.py
 
 import rclpy
 from geometry_msgs.msg import Twist
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
@@ -36,8 +36,11 @@ class Controller(Node):
 def main() -> None:
     rclpy.init()
     node = Controller()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     try:
-        rclpy.spin(node)
+        while rclpy.ok():  # rclpy.spin() waits for ever if SIGTERM comes while it is between two waits
+            executor.spin_once(timeout_sec=0.5)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     print(f"answered {node.scans} scans")

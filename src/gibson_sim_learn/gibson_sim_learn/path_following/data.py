@@ -65,6 +65,8 @@ _FURNITURE = 10
 """Most pieces of furniture that a shard has besides those of its scene."""
 _FURNITURE_ROOM = 0.35
 """Least distance of such a piece from all paths, metres."""
+_ALWAYS, _EARLIER = ("images", "free", "pairs"), ("earlier", "earlier_pose")
+"""Arrays of a shard: those that it has, and those that it may have."""
 _CLOSE = 0.4
 """Probability that a later view, on a path with such things, is one from which one of them is near."""
 
@@ -99,6 +101,10 @@ class Shard:
     """(N, 24): free distance from the camera at the height of the robot's body, metres, from the left to the right of the image."""
     pairs: NDArray[Any]
     """(P,) of ``PAIR``."""
+    earlier: NDArray[np.uint8] | None = None
+    """(N, 64, 96, 3): what the camera saw a little earlier; None = unknown."""
+    earlier_pose: NDArray[np.float32] | None = None
+    """(N, 3): where it was then, in the frame of where it is: x ahead, y to the left, yaw; metres and radians."""
 
 
 def column_bearings(hfov: float, columns: int = DIRECTIONS) -> F64:
@@ -171,13 +177,14 @@ def load_shard(folder: Path) -> Shard:
     Raises:
         ConfigError: it cannot be read.
     """
-    images, free, pairs = load_arrays(folder, ("images", "free", "pairs"))
-    return Shard(images, free, pairs)
+    names = _ALWAYS + (_EARLIER if (folder / f"{_EARLIER[0]}.npy").is_file() else ())
+    return Shard(*load_arrays(folder, names))
 
 
 def save_shard(folder: Path, shard: Shard) -> None:
     """Writes a shard; the folder is there whole or not at all."""
-    save_arrays(folder, {name: getattr(shard, name) for name in ("images", "free", "pairs")})
+    names = _ALWAYS if shard.earlier is None else _ALWAYS + _EARLIER
+    save_arrays(folder, {name: getattr(shard, name) for name in names})
 
 
 def missing_shards(folder: Path, scenes: Sequence[str], count: int) -> Iterator[tuple[str, int]]:

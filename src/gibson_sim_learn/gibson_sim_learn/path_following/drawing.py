@@ -65,15 +65,22 @@ class Drawing:
         self._revision = self._base.revision
 
     def images(
-        self, things: Sequence[BodySpec], cameras: F64, conditions: Sequence[Conditions], photometry_chance: float
+        self,
+        things: Sequence[BodySpec],
+        cameras: F64,
+        conditions: Sequence[Conditions],
+        photometry_chance: float,
+        *,
+        alike: int = 1,
     ) -> NDArray[np.uint8]:
         """Returns (N, 64, 96, 3): what cameras see at planar poses (N, 3), each in its conditions, with things in the scene.
 
         Args:
             things: bodies that are put into the scene.
             cameras: poses of the cameras, world frame, metres and radians.
-            conditions: of each image; exposure and colours are drawn anew for each.
+            conditions: of each image.
             photometry_chance: probability that exposure and colours of an image differ.
+            alike: images in a row that have the same exposure and colours, but for noise; they are drawn anew for the next ones.
         """
         if self._renderer is None:
             self._load(self._base)
@@ -97,7 +104,8 @@ class Drawing:
                     assert frame.normal_world is not None and frame.position is not None
                     x, y, z = frame.T_world_camera[:3, 3].tolist()
                     image = relit_linear(frame.rgb, frame.normal_world, frame.position, (x, y, z), light)
-                drawn, changed = draw(TRAINED, self._rng).photometry, self._rng.random() < photometry_chance
+                if k % alike == 0:
+                    drawn, changed = draw(TRAINED, self._rng).photometry, self._rng.random() < photometry_chance
                 out[k] = photographed(image, drawn if changed else Photometry(), self._rng)
         return out
 

@@ -47,7 +47,9 @@ _SETTLE_S = 0.3
 _PATIENCE_S = 6.0
 """A drive ends when the robot has stood for so long, seconds of simulation time."""
 _STANDING = 0.05
-"""It stands if it moves less than this in that time, metres."""
+"""It stands if it moves less than this in that time, metres, ..."""
+_TURNED = 0.2
+"""... and turns less than this, radians: a robot that looks around does not stand."""
 _DONE_S = 0.6
 """Time that a driver who is finished has to come to rest, seconds."""
 _PURSUIT_DELAY = 1.0 / CONTROL_HZ
@@ -514,4 +516,4 @@ def _stands(ticks: Sequence[Tick]) -> bool:
     if len(ticks) <= count or math.dist(ticks[-1].pose[:2], ticks[-1 - count].pose[:2]) > _STANDING:
         return False
     x, y, yaw = (np.array([tick.pose[k] for tick in ticks[-1 - count :]]) for k in range(3))
-    return float(max(np.ptp(x), np.ptp(y))) < _STANDING and float(np.ptp(np.unwrap(yaw))) < 1.0
+    return float(max(np.ptp(x), np.ptp(y))) < _STANDING and float(np.ptp(np.unwrap(yaw))) < _TURNED

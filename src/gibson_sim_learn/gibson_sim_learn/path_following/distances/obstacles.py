@@ -1,7 +1,8 @@
 """Images of obstacles from close by, to learn free distances from: what stands on the floor, seen from all sides, in all rooms.
 
 The shards of ``data.py`` show a robot's way, where most of what is near is a wall. These show what ``clutter.random_obstacle`` makes, a few
-pieces at a time, from 0.5 to 2.6 m, in the light and with the cameras of the domain ``trained``. They have no pairs.
+pieces at a time, from 0.5 to 2.6 m, in the light and with the cameras of the domain ``trained``; and what a robot sees anywhere between
+them. Each image has one of the same camera a little earlier. They have no pairs.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gibson_sim_learn.path_following.data import (
     camera_poses,
     column_bearings,
     free_distances,
+    relative_pose,
     sees,
     shard_rng,
     with_bodies,
@@ -37,31 +39,70 @@ _ARRANGEMENTS = 5
 """Of obstacles, in a shard."""
 _AT_A_TIME = (3, 10)
 """Fewest and most obstacles of an arrangement."""
-_VIEWS = 160
-"""Images of an arrangement, at most."""
+_VIEWS, _ANYWHERE = 110, 40
+"""Views of obstacles in an arrangement, and views from anywhere, at most."""
 _DISTANCES = (0.5, 2.6)
 """Of the robot from the middle of an obstacle, metres."""
 _TURNED = 0.35
 """Standard deviation of the angle between where it looks and where the obstacle is, radians."""
+_DRIVEN = (0.08, 0.45)
+"""Way between the earlier image and the present one, metres."""
+_BENT = 0.15
+"""Standard deviation of the turn in between, radians."""
+_MARGIN = 0.08
+"""Distance by which the robot may have stood too near to things then, metres: it does not matter how it came here."""
 
 
 def draw_obstacle_shard(world: World, seed: int, number: int) -> Shard:
     """Returns a shard; equal arguments give equal data."""
     rng = shard_rng(f"obstacles {seed} {world.scene.name} {number}")
-    images, free = [], []
+    images, free, poses = [], [], []
     with Drawing(world.scene, rng, _RECOLOUR_CHANCE) as drawing:
         for _ in range(_ARRANGEMENTS):
             places = random_free_poses(world.coarse, int(rng.integers(_AT_A_TIME[0], _AT_A_TIME[1] + 1)), rng, clearance=0.2)
             bodies = [item_body(random_obstacle(rng, f"obstacle_{k}", *pose.position)) for k, pose in enumerate(places)]
             floor = with_bodies(world.scene, world.floor, bodies)
-            poses = views_around(np.array([pose.position[:2] for pose in places]), world.floor, floor, rng)
+            close = views_around(np.array([pose.position[:2] for pose in places]), world.floor, floor, rng)
+            now, before = driven_to(np.concatenate([close, _views_anywhere(world, floor, rng)]), floor, rng)
             drawn = [draw(TRAINED, rng) for _ in places]
-            conditions = [drawn[int(rng.integers(len(drawn)))] for _ in poses]
-            cameras = camera_poses(poses, CAMERA_X)
-            images.append(drawing.images(bodies, cameras, conditions, 1.0))
+            conditions = [drawn[int(rng.integers(len(drawn)))] for _ in now]
+            both = np.stack([now, before], axis=1)
+            images.append(drawing.images(bodies, both.reshape(-1, 3), [each for each in conditions for _ in range(2)], 1.0, alike=2))
             bearings = np.array([column_bearings(HFOV + each.hfov_change) for each in conditions])
-            free.append(free_distances(floor, cameras, bearings.reshape(len(cameras), -1)))
-    return Shard(np.concatenate(images), np.concatenate(free).astype(np.float32), np.zeros(0, PAIR))
+            free.append(free_distances(floor, now, bearings.reshape(len(now), -1)))
+            poses.append(relative_pose(now, before))
+    every = np.concatenate(images)
+    return Shard(
+        every[::2],
+        np.concatenate(free).astype(np.float32),
+        np.zeros(0, PAIR),
+        earlier=every[1::2],
+        earlier_pose=np.concatenate(poses).astype(np.float32),
+    )
+
+
+def driven_to(poses: F64, floor: FloorMap, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Returns poses (M, 3) of the cameras of robots, and (M, 3) where each was a little earlier, on an arc; those that came through things are
+    left out.
+
+    Args:
+        poses: (N, 3), of the robots, world frame, metres and radians.
+        floor: the map with all that stands on it.
+        rng: of the arcs.
+    """
+    distance, turn = rng.uniform(*_DRIVEN, len(poses)), rng.normal(0.0, _BENT, len(poses))
+    x, y, yaw = poses.T
+    chord = yaw - turn / 2.0
+    before = np.column_stack([x - distance * np.cos(chord), y - distance * np.sin(chord), yaw - turn])
+    fits = floor.clearance(before[:, :2]) >= ROBOT_RADIUS - _MARGIN
+    return camera_poses(poses[fits], CAMERA_X), camera_poses(before[fits], CAMERA_X)
+
+
+def _views_anywhere(world: World, floor: FloorMap, rng: np.random.Generator) -> F64:
+    """Returns poses (N, 3) of a robot that looks anywhere."""
+    places = random_free_poses(world.coarse, _ANYWHERE, rng, clearance=ROBOT_RADIUS)
+    poses = np.array([(*pose.position[:2], yaw) for pose, yaw in zip(places, rng.uniform(-math.pi, math.pi, len(places)), strict=True)])
+    return poses[floor.clearance(poses[:, :2]) >= ROBOT_RADIUS]
 
 
 def views_around(places: F64, before: FloorMap, after: FloorMap, rng: np.random.Generator) -> F64:
