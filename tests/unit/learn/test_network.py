@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_path_following.floor_plane import FloorPlane
 from gibson_path_following.learned import PathModel
 from gibson_path_following.pose_filter import OffsetTold
 from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, PAIR, Shard
+from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HFOV
 from gibson_sim_learn.path_following.sampling import Sampler
 from gibson_sim_learn.path_following.settings import DistanceSettings, TrainingSettings
 
@@ -22,7 +24,8 @@ def sampler() -> Sampler:
     rng = np.random.default_rng(0)
     pairs = np.array([(k, k - 1, 0.5, 0.1, 0.0, True) for k in range(1, 6)], dtype=PAIR)
     images = rng.integers(0, 256, (6, 64, 96, 3)).astype(np.uint8)
-    return Sampler([Shard(images, np.full((6, DIRECTIONS), 1.5, np.float32), pairs)])
+    earlier = {"earlier": images[::-1].copy(), "earlier_pose": np.tile(np.float32([-0.2, 0.0, 0.1]), (6, 1))}
+    return Sampler([Shard(images, np.full((6, DIRECTIONS), 1.5, np.float32), pairs, **earlier)])
 
 
 def test_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
@@ -107,13 +110,17 @@ def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) 
 
     torch.manual_seed(0)
     network, distances = PathNetwork(), DistanceNetwork().eval()
-    assert export_network(network, tmp_path / "model.onnx", distances) < 10e6
+    assert export_network(network, tmp_path / "model.onnx", OffsetTold(0.25, 0.4), distances) < 10e6
     assert network.training and not distances.training
-    images = np.random.default_rng(0).integers(0, 256, (1, 64, 96, 3)).astype(np.uint8)
-    found = PathModel(tmp_path / "model.onnx").estimate(images[0], images)
-    with torch.no_grad():
-        hit = torch.softmax(distances(torch.from_numpy(images))[0], dim=1)
-    np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
+    model = PathModel(tmp_path / "model.onnx")
+    present, before = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3)).astype(np.uint8)
+    pose = np.array([-0.3, 0.02, 0.1])
+    floor = FloorPlane(96, 64, HFOV, CAMERA_HEIGHT)
+    for earlier, brought in ((None, np.zeros_like(before)), ((before, pose), floor.brought(before, pose))):
+        found = model.estimate(present, present[None], earlier)
+        with torch.no_grad():
+            hit = torch.softmax(distances(torch.from_numpy(present[None]), torch.from_numpy(brought[None]))[0], dim=1)
+        np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
 
 
 def test_offsets_that_are_told_too_small_are_measured() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim_learn.path_following.data import DIRECTIONS, PAIR, Shard
+from gibson_sim_learn.path_following.data import DIRECTIONS, PAIR, Shard, load_shard, save_shard
 from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
 
 
@@ -70,13 +73,47 @@ def test_images_can_be_drawn_for_their_free_distances_alone() -> None:
 
 def test_another_lens_changes_each_image_by_itself_and_leaves_it_where_it_is() -> None:
     images = shard().images.repeat(10, axis=0)
-    seen = through_another_lens(images, np.random.default_rng(0))
-    np.testing.assert_array_equal(seen, through_another_lens(images, np.random.default_rng(0)))
+    seen, _ = through_another_lens(images, np.random.default_rng(0))
+    np.testing.assert_array_equal(seen, through_another_lens(images, np.random.default_rng(0))[0])
     assert len({image.tobytes() for image in seen}) == len(seen)
     bright, dark = seen[:, 16:48, 60:84].mean(axis=(1, 2, 3)), seen[:, 16:48, 12:36].mean(axis=(1, 2, 3))
     expected = images[:, 0, 95, 0]
     assert (dark < 5.0).all(), "the left half is black but for grain"
     assert (bright > 0.55 * expected).all() and (bright <= np.minimum(1.45 * expected, 255.0)).all()
+
+
+def _with_earlier() -> Shard:
+    """Returns the shard with earlier images that are the same, from 0.3 m behind and a little to the left."""
+    one = shard()
+    pose = np.tile(np.array([-0.3, 0.02, 0.1], np.float32), (4, 1))
+    return replace(one, earlier=one.images.copy(), earlier_pose=pose)
+
+
+def test_an_earlier_image_changes_as_its_later_one_but_for_noise() -> None:
+    batch = Sampler([_with_earlier()]).batch(np.random.default_rng(1), 60, 0)
+    seen, before = through_another_lens(batch.later, np.random.default_rng(0), batch.earlier)
+    for later, earlier in ((batch.later, batch.earlier), (seen, before)):
+        difference = later.astype(float) - earlier
+        assert np.abs(difference).mean() < 8.0 and np.abs(difference.mean(axis=(1, 2, 3))).max() < 2.0
+        assert difference.any(axis=(1, 2, 3)).all(), "noise is drawn for each"
+    mirrored = batch.later[:, :, :40].mean(axis=(1, 2, 3)) > batch.later[:, :, 56:].mean(axis=(1, 2, 3))
+    np.testing.assert_allclose(batch.earlier_pose, np.where(mirrored[:, None], [-0.3, -0.02, -0.1], [-0.3, 0.02, 0.1]), rtol=1e-6)
+
+
+def test_an_earlier_image_that_is_unknown_stays_black() -> None:
+    batch = Sampler([shard()]).batch(np.random.default_rng(1), 20, 0)
+    seen, before = through_another_lens(batch.later, np.random.default_rng(0), batch.earlier)
+    assert not batch.earlier.any() and not before.any() and seen.any()
+
+
+def test_shards_with_earlier_images_are_stored(tmp_path: Path) -> None:
+    for name, one in (("with", _with_earlier()), ("without", shard())):
+        save_shard(tmp_path / name, one)
+        found = load_shard(tmp_path / name)
+        assert (found.earlier is None) == (one.earlier is None) and (found.earlier_pose is None) == (one.earlier_pose is None)
+        if one.earlier is not None and one.earlier_pose is not None:
+            np.testing.assert_array_equal(found.earlier, one.earlier)
+            np.testing.assert_array_equal(found.earlier_pose, one.earlier_pose)
 
 
 def test_no_data_is_one_line() -> None:

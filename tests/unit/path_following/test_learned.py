@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +153,28 @@ def test_robot_stops_when_nothing_of_the_path_is_seen_for_some_views(tmp_path: P
     assert velocities[-1] == STOP
 
 
+def test_network_sees_a_view_from_a_quarter_of_a_metre_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    policy = LearnedPolicy(path_of([colour(0.2 * k, 0.0, 0.0) for k in range(12)]), model(tmp_path))
+    shown = []
+    estimate = policy.model.estimate
+    monkeypatch.setattr(policy.model, "estimate", lambda *images: shown.append(images[2]) or estimate(*images))
+    views = [np.full((64, 96, 3), k, np.uint8) for k in range(6)]
+
+    def drive(first_ns: int) -> None:
+        for k, view in enumerate(views):
+            policy.act((view,), first_ns + k * 200_000_000, replace(at(0.5 * k), moved=Step(0.1 if k else 0.0, 0.0)))
+
+    drive(0)
+    assert shown[0] is None
+    assert shown[5] is not None
+    image, pose = shown[5]
+    assert int(image[0, 0, 0]) in (2, 3)
+    np.testing.assert_allclose(pose, [-0.1 * (5 - int(image[0, 0, 0])), 0.0, 0.0], atol=1e-9)
+    shown.clear()
+    drive(60_000_000_000)
+    assert shown[0] is None, "long ago: who knows where the robot was driven"
+
+
 def test_images_of_a_wider_camera_are_cut(tmp_path: Path) -> None:
     wide = np.zeros((128, 192, 3), np.uint8)
     wide[:, 48:144] = 200  # the middle half of the width: tan 45 degrees * 2 = tan 63.4 degrees
@@ -169,7 +192,7 @@ def test_paths_of_fisheyes_are_refused(tmp_path: Path) -> None:
 def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "other.onnx"
     file.write_bytes(path_model(FREE, outputs=("a", "b", "c", "d")))
-    with pytest.raises(ModelError, match=r"its outputs a, b, c, d; must be present, recorded and pose, scale, match, hit"):
+    with pytest.raises(ModelError, match=r"its outputs a, b, c, d; must be present, recorded, earlier \(the last one may be missing\) and pose, scale, match, hit"):
         PathModel(file)
     file.write_bytes(path_model(FREE, metadata={}))
     with pytest.raises(ModelError, match="its metadata lack one of hfov_deg, free_edges, offset_ratio, offset_deviation"):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gibson_path_following.arcs import ArcPlanner, ArcSettings
 from gibson_path_following.errors import ModelError, SettingError, ViewError, check_ranges, quoted
+from gibson_path_following.floor_plane import FloorPlane, ViewTrack
 from gibson_path_following.lattice import Lattice, LatticeSettings, Way
 from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
@@ -51,7 +52,8 @@ _BEHIND = 0.2
 """Distance behind the robot that must be free where it backs off, metres."""
 _SLOW_AHEAD = 0.5
 """Distance along the path ahead whose clearance limits the speed, metres."""
-_INPUTS = ("present", "recorded")
+_INPUTS = ("present", "recorded", "earlier")
+"""Of the network; the last one may be missing."""
 _OUTPUTS = ("pose", "scale", "match", "hit")
 _METADATA = ("hfov_deg", "free_edges", "offset_ratio", "offset_deviation")
 """Of the network's file."""
@@ -83,6 +85,8 @@ class PathModel:
         """
         self._file, self._session = file, open_session(file)
         self._check(file)
+        self.takes_earlier = len(self._session.get_inputs()) == len(_INPUTS)
+        """Whether it also sees an earlier image."""
         _, self.height, self.width, _ = self._session.get_inputs()[0].shape
         metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
         try:
@@ -92,6 +96,7 @@ class PathModel:
             """(B + 1,), edges of the bins of free distances, metres, from 0."""
             self.offsets = OffsetTold(float(metadata["offset_ratio"]), float(metadata["offset_deviation"]))
             """How the offsets that it tells relate to the true ones."""
+            camera_height = float(metadata["camera_height"]) if self.takes_earlier else 1.0
         except (KeyError, ValueError) as error:
             raise ModelError(f"{file}: its metadata lack one of {', '.join(_METADATA)} as numbers; export it anew") from error
         count, bins = self._session.get_outputs()[3].shape
@@ -104,21 +109,30 @@ class PathModel:
                 f"{file}: its offset_ratio is {self.offsets.ratio:g} and its offset_deviation {self.offsets.deviation:g}, must be 0.05 to 2 "
                 "and 0 to 10 m; export it anew"
             )
+        if not 0.01 <= camera_height <= 100.0:
+            raise ModelError(f"{file}: its camera_height is {camera_height:g}, must be 0.01 to 100 m; export it anew")
+        self._floor = FloorPlane(self.width, self.height, self.hfov, camera_height)
         across = 1.0 - (np.arange(count) + 0.5) * 2.0 / count
         self.bearings: F64 = np.arctan(across * math.tan(self.hfov / 2.0))
         """Directions of the free distances, radians, positive to the left, left first."""
 
-    def estimate(self, present: Image, recorded: NDArray[np.uint8]) -> Sighting:
+    def estimate(self, present: Image, recorded: NDArray[np.uint8], earlier: tuple[Image, F64] | None = None) -> Sighting:
         """Returns what the network tells.
 
         Args:
             present: image of the model's size and field of view, as ``fitted`` returns it.
             recorded: (K, height, width, 3).
+            earlier: an image of the same camera a little way before, and where it was then, (3,), in the frame of the present camera, metres and
+                radians; None = unknown.
 
         Raises:
             ModelError: the network cannot be run.
         """
-        values = run(self._session, self._file, {"present": present[None], "recorded": recorded})
+        images = {"present": present[None], "recorded": recorded}
+        if self.takes_earlier:
+            before = np.zeros_like(present) if earlier is None else self._floor.brought(*earlier)
+            images["earlier"] = before[None]
+        values = run(self._session, self._file, images)
         return Sighting(*(np.asarray(value, dtype=np.float64) for value in values))
 
     def fitted(self, image: Image, hfov: float) -> Image:
@@ -144,12 +158,12 @@ class PathModel:
     def _check(self, file: Path) -> None:
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         names = tuple(i.name for i in inputs), tuple(o.name for o in outputs)
-        if names != (_INPUTS, _OUTPUTS):
+        if names not in ((_INPUTS, _OUTPUTS), (_INPUTS[:2], _OUTPUTS)):
             raise ModelError(
                 f"{file}: its inputs are {', '.join(names[0])} and its outputs {', '.join(names[1])}; must be "
-                f"{', '.join(_INPUTS)} and {', '.join(_OUTPUTS)}: use a file that gibson-sim learn path-following wrote"
+                f"{', '.join(_INPUTS)} (the last one may be missing) and {', '.join(_OUTPUTS)}: use a file that gibson-sim learn path-following wrote"
             )
-        if not _is_image(inputs[0].shape) or not _is_fixed(outputs[3].shape, 2):
+        if not all(_is_image(each.shape) for each in (inputs[0], *inputs[2:])) or not _is_fixed(outputs[3].shape, 2):
             raise ModelError(
                 f"{file}: its images have shape {inputs[0].shape}, hit has {outputs[3].shape}; must be (1, height, width, 3) and "
                 "(directions, bins), with fixed sizes"
@@ -293,6 +307,8 @@ class LearnedPolicy:
         """Where beside the path the robot is."""
         self.sighting: Sighting | None = None
         """What the network told about the last view."""
+        self._track = ViewTrack(self.settings.camera_ahead)
+        """Views of the last way."""
         self._last_ns: int | None = None
         """Stamp of the last view, ns."""
         self._unseen = self._disagreed = 0
@@ -314,6 +330,7 @@ class LearnedPolicy:
         self._lattice.reset()
         self._recovery.reset()
         self.map.clear()
+        self._track.clear()
         self.sighting, self.way, self._last_ns = None, None, None
         self._unseen = self._disagreed = self._alone = self._near = 0
         self._since_match = None
@@ -336,8 +353,10 @@ class LearnedPolicy:
                 return STOP  # nobody knows where the robot is
             self.filter.reset(self._at(believed))
             self._here = believed
+            self._track.clear()
         else:
             self.filter.move(place.moved)
+            self._track.move(place.moved)
         self._last_ns = stamp_ns
         here = self._along()
         self._disagreed = self._disagreed + 1 if not place.is_lost and abs(here - believed) > settings.far_off else 0
@@ -348,7 +367,9 @@ class LearnedPolicy:
             self.map.clear()
             self._lattice.reset()
         nodes = np.unique([int(np.abs(self._distances - here - ahead).argmin()) for ahead in settings.looked_for])
-        self.sighting = sighting = self.model.estimate(self.model.fitted(view[0], self._hfov), self._images[nodes])
+        image = self.model.fitted(view[0], self._hfov)
+        self.sighting = sighting = self.model.estimate(image, self._images[nodes], self._track.earlier())
+        self._track.add(image)
         seen = np.flatnonzero(sighting.match >= settings.least_match)
         level = self._at(here)
         fits = [

@@ -1,7 +1,8 @@
 """Writes a trained network as ONNX, and its card. Needs PyTorch and onnx.
 
-Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB. Outputs: ``pose`` (K, 3), ``scale`` (K, 3), ``match`` (K,),
-``hit`` (24, bins + 1), as ``gibson_path_following.learned.Sighting`` describes them.
+Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB; with a network of free distances also ``earlier``
+(1, 64, 96, 3), an earlier image brought onto the present one, black where nothing is known. Outputs: ``pose`` (K, 3), ``scale`` (K, 3),
+``match`` (K,), ``hit`` (24, bins + 1), as ``gibson_path_following.learned.Sighting`` describes them.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.distances.training import DistancePoint
-from gibson_sim_learn.path_following.drawing import HEIGHT, HFOV, WIDTH
+from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.network import PathNetwork, parameter_count
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
@@ -42,7 +43,8 @@ def export_network(network: PathNetwork, file: Path, offsets: OffsetTold, distan
     """
     parts: list[nn.Module] = [network] if distances is None else [network, distances]
     was_training = [part.training for part in parts]
-    arguments = (torch.zeros(1, HEIGHT, WIDTH, 3, dtype=torch.uint8), torch.zeros(4, HEIGHT, WIDTH, 3, dtype=torch.uint8))
+    names = ["present", "recorded"] if distances is None else ["present", "recorded", "earlier"]
+    arguments = tuple(torch.zeros(4 if name == "recorded" else 1, HEIGHT, WIDTH, 3, dtype=torch.uint8) for name in names)
     buffer: Any = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter that PyTorch recommends instead needs further packages
@@ -50,7 +52,7 @@ def export_network(network: PathNetwork, file: Path, offsets: OffsetTold, distan
             _Exported(network, distances).eval(),
             arguments,
             buffer,
-            input_names=["present", "recorded"],
+            input_names=names,
             output_names=["pose", "scale", "match", "hit"],
             dynamic_axes={name: {0: "recorded_images"} for name in ("recorded", "pose", "scale", "match")},
             opset_version=_OPSET,
@@ -62,6 +64,7 @@ def export_network(network: PathNetwork, file: Path, offsets: OffsetTold, distan
     edges = ",".join(f"{edge:.4g}" for edge in FREE_EDGES)
     metadata = {
         "hfov_deg": f"{math.degrees(HFOV):g}",
+        "camera_height": f"{CAMERA_HEIGHT:g}",
         "free_edges": edges,
         "offset_ratio": f"{offsets.ratio:.3f}",
         "offset_deviation": f"{offsets.deviation:.3f}",
@@ -133,15 +136,15 @@ def write_card(
 
 
 class _Exported(nn.Module):
-    """The networks as one function of two inputs."""
+    """The networks as one function."""
 
     def __init__(self, network: PathNetwork, distances: DistanceNetwork | None) -> None:
         super().__init__()
         self.network, self.distances = network, distances
 
-    def forward(self, present: Tensor, recorded: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def forward(self, present: Tensor, recorded: Tensor, earlier: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         here, there = self.network.encode(present), self.network.encode(recorded)
         estimate = self.network.compare(here.expand(there.shape[0], -1, -1, -1), there)
-        told = self.network.free(here) if self.distances is None else self.distances(present)
+        told = self.network.free(here) if self.distances is None else self.distances(present, earlier)
         hit = torch.softmax(told[0], dim=1)
         return estimate.pose, estimate.scale, torch.sigmoid(estimate.match), hit

@@ -56,6 +56,10 @@ class Batch:
     """(L, 24): free distances in the later images, metres."""
     has_pairs: NDArray[np.bool_]
     """(L,): whether ``recorded`` belongs to the later image; False = it was drawn for its free distances alone."""
+    earlier: NDArray[np.uint8]
+    """(L, 64, 96, 3): what the camera of each later image saw a little earlier, under the same light; black where that is unknown."""
+    earlier_pose: F32
+    """(L, 3): where it was then, in its present frame: x ahead, y to the left, yaw; metres and radians."""
 
 
 class Sampler:
@@ -114,9 +118,12 @@ class Sampler:
         pose = np.zeros((later, recorded, 3), np.float32)
         match, has = np.zeros((later, recorded), bool), np.zeros(later, bool)
         free = np.empty((later, self._shards[0].free.shape[1]), np.float32)
+        earlier, earlier_pose = np.zeros_like(images), np.zeros((later, 3), np.float32)
         for k, (number, row) in enumerate(chosen):
             shard, first = self._shards[number], self._first[number]
             images[k], free[k] = shard.images[row], shard.free[row]
+            if shard.earlier is not None and shard.earlier_pose is not None:
+                earlier[k], earlier_pose[k] = shard.earlier[row], shard.earlier_pose[row]
             pairs = self._pairs[number][first[row] : first[row + 1]]
             if not len(pairs):
                 continue
@@ -126,41 +133,56 @@ class Sampler:
             pose[k] = np.stack([some["x"], some["y"], some["yaw"]], axis=-1)
             match[k] = some["match"]
         if augment:
+            known = earlier.any(axis=(1, 2, 3))
             mirrored = rng.random(later) < 0.5
-            images[mirrored] = images[mirrored, :, ::-1]
+            for some in (images, earlier):
+                some[mirrored] = some[mirrored, :, ::-1]
             others[mirrored] = others[mirrored, :, :, ::-1]
             pose[mirrored, :, 1:] *= -1.0
+            earlier_pose[mirrored, 1:] *= -1.0
             free[mirrored] = free[mirrored, ::-1]
             order = rng.permuted(np.tile(np.arange(3), (later, 1)), axis=1)
             order[rng.random(later) >= _OTHER_COLOURS] = np.arange(3)
-            images = np.take_along_axis(images, order[:, None, None], axis=3)
+            images, earlier = (np.take_along_axis(some, order[:, None, None], axis=3) for some in (images, earlier))
             others = np.take_along_axis(others, order[:, None, None, None], axis=4)
             mix = rng.uniform(-_MIXED, _MIXED, (later, 3, 3)).astype(np.float32)
             mix[:, np.arange(3), np.arange(3)] = 0.0
             mix[rng.random(later) >= _OTHER_COLOURS] = 0.0
             mix += (1.0 - mix.sum(axis=2))[..., None] * np.eye(3, dtype=np.float32)  # grey stays grey
-            images, others = _mixed(images, mix), _mixed(others, mix)
-            images = _other_contrast(images, rng)
-            others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng).reshape(others.shape)
-        return Batch(images, others, pose, match, free, has)
+            images, earlier, others = (_mixed(some, mix) for some in (images, earlier, others))
+            images, earlier = _other_contrast(images, rng, earlier)
+            earlier[~known] = 0
+            others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng)[0].reshape(others.shape)
+        return Batch(images, others, pose, match, free, has, earlier, earlier_pose)
 
 
-def through_another_lens(images: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Returns images (N, H, W, 3) with a drawn blur, vignette, tilt, gain and grain of each; free distances in them stay what they are."""
+def through_another_lens(
+    images: NDArray[np.uint8], rng: np.random.Generator, earlier: NDArray[np.uint8] | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Returns images (N, H, W, 3) with a drawn blur, vignette, tilt, gain and grain of each; free distances in them stay what they are.
+
+    Args:
+        images: uint8.
+        rng: random generator.
+        earlier: (N, H, W, 3), by the same camera: they are returned with the same, but for grain; those that are black stay black. None = black.
+    """
     count, height, width, _ = images.shape
     y, x = np.mgrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j].astype(np.float32)
     corner = (x**2 + y**2)[..., None] / 2.0
-    out = np.empty_like(images)
+    out = np.empty_like(images), np.zeros_like(images)
     for k in range(count):
-        image = images[k]
         shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rng.uniform(-_SHIFT, _SHIFT)]])
-        image = cv2.warpAffine(image, shift, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        if rng.random() < _BLURRED:
-            image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.2, _BLUR))
-        gain = math.exp(rng.uniform(-_BURNT, _BURNT))
-        lit = image.astype(np.float32) * (gain * (1.0 - rng.uniform(0.0, _VIGNETTE) * corner))
-        grain = rng.standard_normal(image.shape, dtype=np.float32) * rng.uniform(0.0, _NOISE)
-        out[k] = np.clip(lit + grain, 0.0, 255.0)
+        blur = rng.uniform(0.2, _BLUR) if rng.random() < _BLURRED else 0.0
+        gain = math.exp(rng.uniform(-_BURNT, _BURNT)) * (1.0 - rng.uniform(0.0, _VIGNETTE) * corner)
+        grain = rng.uniform(0.0, _NOISE)
+        for to, frm in zip(out, (images, earlier), strict=True):
+            if frm is None or not frm[k].any():
+                continue
+            image = cv2.warpAffine(frm[k], shift, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            if blur:
+                image = cv2.GaussianBlur(image, (0, 0), blur)
+            lit = image.astype(np.float32) * gain + rng.standard_normal(image.shape, dtype=np.float32) * np.float32(grain)
+            to[k] = np.clip(lit, 0.0, 255.0)
     return out
 
 
@@ -174,16 +196,26 @@ def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
     return out
 
 
-def _other_contrast(images: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Returns images (N, H, W, 3) with a drawn exponent of their contrast, light that is uneven, and noise."""
-    out = np.empty_like(images)
+def _other_contrast(
+    images: NDArray[np.uint8], rng: np.random.Generator, earlier: NDArray[np.uint8] | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Returns images (N, H, W, 3) with a drawn exponent of their contrast, light that is uneven, and noise.
+
+    Earlier ones are returned with the same, but for noise; None = black.
+    """
+    out = np.empty_like(images), np.zeros_like(images)
     levels = np.arange(256) / 255.0
     grain = rng.standard_normal((HEIGHT * WIDTH * 3 + 997,), dtype=np.float32)
     for k, image in enumerate(images):
-        table = 255.0 * levels ** (_GAMMA ** rng.uniform(-1.0, 1.0))
+        table = (255.0 * levels ** (_GAMMA ** rng.uniform(-1.0, 1.0))).astype(np.float32)
         start = int(rng.integers(997))
-        noise = rng.uniform(0.0, _NOISE) * grain[start : start + image.size].reshape(image.shape)
+        amount = rng.uniform(0.0, _NOISE)
         light = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32) * rng.uniform(0.0, _UNEVEN)
         bright = cv2.resize(np.exp(light), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)[..., None]
-        out[k] = np.clip(table.astype(np.float32)[image] * bright + noise, 0.0, 255.0)
+        for to, some, begin in zip(
+            out, (image, None if earlier is None else earlier[k]), (start, (start + 499) % 997), strict=True
+        ):
+            if some is not None:
+                noise = amount * grain[begin : begin + some.size].reshape(some.shape)
+                to[k] = np.clip(table[some] * bright + noise, 0.0, 255.0)
     return out

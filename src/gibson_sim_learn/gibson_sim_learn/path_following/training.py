@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -236,4 +236,4 @@ def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
 
 
 def _part(batch: Batch, rows: slice) -> Batch:
-    return Batch(*(getattr(batch, name)[rows] for name in ("later", "recorded", "pose", "match", "free", "has_pairs")))
+    return Batch(*(getattr(batch, field.name)[rows] for field in fields(batch)))

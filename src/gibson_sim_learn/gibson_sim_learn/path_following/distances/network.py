@@ -1,7 +1,8 @@
-"""The network that tells how far the floor is free, from one image.
+"""The network that tells how far the floor is free, from an image and an earlier one.
 
 An encoder with four sizes of features, joined from the coarsest to the finest: where a thing meets the floor is told by a few pixels, what is
-floor and what a thing by much of the image. One column of features is one direction. Needs PyTorch.
+floor and what a thing by much of the image. One column of features is one direction. The earlier image is brought onto the present one by the
+plane of the floor (``gibson_path_following.floor_plane``), so that what stands on the floor differs between them. Needs PyTorch.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES
 from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.network import convolution, normalised
 
+_CHANNELS = 3 + 3 + 3 + 2
+"""The present image, the earlier one, their difference, and where in the image a pixel is."""
 _DROPPED = 0.1
 """Share of the features that are left out in training."""
 
@@ -34,7 +37,7 @@ class DistanceNetwork(nn.Module):
         half, quarter, eighth, sixteenth = channels
         if WIDTH // 4 != DIRECTIONS:
             raise AssertionError("one direction for each column of the features")
-        self.to_half = nn.Sequential(convolution(5, half, kernel=5, stride=2, padding=2), _Block(half))
+        self.to_half = nn.Sequential(convolution(_CHANNELS, half, kernel=5, stride=2, padding=2), _Block(half))
         self.to_quarter = nn.Sequential(convolution(half, quarter, stride=2), _Block(quarter), _Block(quarter))
         self.to_eighth = nn.Sequential(convolution(quarter, eighth, stride=2), _Block(eighth), _Block(eighth))
         self.to_sixteenth = nn.Sequential(convolution(eighth, sixteenth, stride=2), _Block(sixteenth), _Block(sixteenth))
@@ -52,14 +55,18 @@ class DistanceNetwork(nn.Module):
         x = torch.linspace(-1.0, 1.0, WIDTH).expand(HEIGHT, WIDTH)
         self.register_buffer("grid", torch.stack([x, y])[None], persistent=False)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, images: Tensor, earlier: Tensor) -> Tensor:
         """Returns (B, 24, bins + 1): log-odds of where the first thing stands, by bins of ``FREE_EDGES`` and beyond them, left to right.
 
         Args:
             images: (B, 64, 96, 3), uint8 or float, RGB.
+            earlier: (B, 64, 96, 3), the same of earlier images, brought onto these; black where nothing is known.
         """
         x = normalised(images)
-        x = torch.cat([x, self.grid.expand(x.shape[0], -1, -1, -1)], dim=1).contiguous(memory_format=torch.channels_last)
+        known = (earlier.sum(dim=3) > 0).to(x.dtype)[:, None]
+        before = normalised(earlier) * known
+        parts = [x, before, (x - before).abs() * known, self.grid.expand(x.shape[0], -1, -1, -1)]
+        x = torch.cat(parts, dim=1).contiguous(memory_format=torch.channels_last)
         quarter = self.to_quarter(self.to_half(x))
         eighth = self.to_eighth(quarter)
         joined = self.of_sixteenth(functional.dropout2d(self.to_sixteenth(eighth), _DROPPED, self.training))

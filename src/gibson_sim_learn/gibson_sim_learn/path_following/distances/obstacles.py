@@ -67,7 +67,9 @@ def draw_obstacle_shard(world: World, seed: int, number: int) -> Shard:
             drawn = [draw(TRAINED, rng) for _ in places]
             conditions = [drawn[int(rng.integers(len(drawn)))] for _ in now]
             both = np.stack([now, before], axis=1)
-            images.append(drawing.images(bodies, both.reshape(-1, 3), [each for each in conditions for _ in range(2)], 1.0, alike=2))
+            images.append(
+                drawing.images(bodies, both.reshape(-1, 3), [each for each in conditions for _ in range(2)], 1.0, alike=2)
+            )
             bearings = np.array([column_bearings(HFOV + each.hfov_change) for each in conditions])
             free.append(free_distances(floor, now, bearings.reshape(len(now), -1)))
             poses.append(relative_pose(now, before))
@@ -101,7 +103,9 @@ def driven_to(poses: F64, floor: FloorMap, rng: np.random.Generator) -> tuple[F6
 def _views_anywhere(world: World, floor: FloorMap, rng: np.random.Generator) -> F64:
     """Returns poses (N, 3) of a robot that looks anywhere."""
     places = random_free_poses(world.coarse, _ANYWHERE, rng, clearance=ROBOT_RADIUS)
-    poses = np.array([(*pose.position[:2], yaw) for pose, yaw in zip(places, rng.uniform(-math.pi, math.pi, len(places)), strict=True)])
+    poses = np.array(
+        [(*pose.position[:2], yaw) for pose, yaw in zip(places, rng.uniform(-math.pi, math.pi, len(places)), strict=True)]
+    )
     return poses[floor.clearance(poses[:, :2]) >= ROBOT_RADIUS]
 
 

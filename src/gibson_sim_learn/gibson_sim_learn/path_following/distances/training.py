@@ -13,8 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gibson_path_following.floor_plane import FloorPlane
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
+from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
@@ -25,6 +27,13 @@ _RATIO = 1.3
 """Ratio of distances from which a near thing counts as missed."""
 _EVALUATION = 1200
 """Images of each kind that a point of the curve is made of."""
+
+
+_UNKNOWN = 0.15
+"""Share of the earlier images that count as unknown: a robot that begins, or stands, has none."""
+_BELIEVED = 0.1, 0.01, 0.01
+"""Standard deviations of what a robot believes to have driven since the earlier image: share of way and turn; radians; metres to a side."""
+_FLOOR = FloorPlane(WIDTH, HEIGHT, HFOV, CAMERA_HEIGHT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +107,12 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
 
         def loss() -> Tensor:
             parts = [data.batch(self._rng, count, 0) for data, count in shares]
-            images, free = (np.concatenate([getattr(part, name) for part in parts]) for name in ("later", "free"))
-            return self._loss(through_another_lens(images, self._rng), free)
+            images, earlier, poses, free = (
+                np.concatenate([getattr(part, name) for part in parts]) for name in ("later", "earlier", "earlier_pose", "free")
+            )
+            images, earlier = through_another_lens(images, self._rng, earlier)
+            earlier[self._rng.random(len(earlier)) < _UNKNOWN] = 0
+            return self._loss(images, brought_onto(earlier, poses, self._rng), free)
 
         def point(begun: CurvePoint) -> DistancePoint:
             return self.evaluate(*validation, begun)
@@ -110,7 +123,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         """Returns a point with the errors on data, always of the same images."""
         rng = np.random.default_rng(0)
         batches = [data.batch(rng, _EVALUATION, 0, augment=False) for data in (ways, obstacles)]
-        found = [self.distances(batch.later) for batch in batches]
+        found = [self.distances(batch.later, brought_onto(batch.earlier, batch.earlier_pose, rng)) for batch in batches]
         shares = [near_and_far(told, batch.free) for told, batch in zip(found, batches, strict=True)]
         error = float(np.median(np.abs(found[0] - batches[0].free)))
         return DistancePoint(
@@ -122,20 +135,21 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
             obstacles_too_near=shares[1][1],
         )
 
-    def distances(self, images: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Returns (N, 24): the median free distances that it tells in images (N, 64, 96, 3), metres."""
+    def distances(self, images: NDArray[np.uint8], earlier: NDArray[np.uint8]) -> NDArray[np.float64]:
+        """Returns (N, 24): the median free distances that it tells in images (N, 64, 96, 3) with earlier ones, metres."""
         self.network.eval()
         found = []
         with torch.inference_mode():
             for k in range(0, len(images), 100):
-                hit = torch.softmax(self.network(torch.from_numpy(images[k : k + 100])).float(), dim=2)
+                some = (torch.from_numpy(each[k : k + 100]) for each in (images, earlier))
+                hit = torch.softmax(self.network(*some).float(), dim=2)
                 found.append(median_distances(np.array(FREE_EDGES), hit.double().numpy()))
         self.network.train()
         return np.minimum(np.concatenate(found), MAX_FREE)
 
-    def _loss(self, images: NDArray[np.uint8], free: NDArray[np.float32]) -> Tensor:
+    def _loss(self, images: NDArray[np.uint8], earlier: NDArray[np.uint8], free: NDArray[np.float32]) -> Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
-            told: Tensor = self.network(torch.from_numpy(images))
+            told: Tensor = self.network(torch.from_numpy(images), torch.from_numpy(earlier))
         share = torch.log_softmax(told.float(), dim=2)
         return -(torch.from_numpy(distance_labels(free)) * share).sum(dim=2).mean()
 
@@ -144,6 +158,24 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
             f"{point.free:.3f} m, too far {point.too_far:.3f}, too near {point.too_near:.3f}; "
             f"obstacles: too far {point.obstacles_too_far:.3f}, too near {point.obstacles_too_near:.3f}"
         )
+
+
+def brought_onto(earlier: NDArray[np.uint8], poses: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Returns earlier images (N, 64, 96, 3) as a robot brings them onto the present ones: by what it believes to have driven, see ``_BELIEVED``.
+
+    Args:
+        earlier: black where unknown.
+        poses: (N, 3), true poses of the earlier cameras in the frames of the present ones, metres and radians.
+        rng: of the errors.
+    """
+    out = np.zeros_like(earlier)
+    share, drift, beside = _BELIEVED
+    for k in np.flatnonzero(earlier.any(axis=(1, 2, 3))):
+        x, y, yaw = poses[k]
+        scale, turned = 1.0 + share * rng.standard_normal(2)
+        pose = (scale * x, scale * y + beside * rng.standard_normal(), turned * yaw + drift * rng.standard_normal())
+        out[k] = _FLOOR.brought(earlier[k], np.array(pose))
+    return out
 
 
 def near_and_far(told: NDArray[np.float64], free: NDArray[np.float32]) -> tuple[float, float]:
