@@ -150,6 +150,19 @@ def test_a_standing_world_that_has_changed_is_loaded_anew() -> None:
     assert _equal(_changed(_scene(ROBOT), after), _fresh(after))
 
 
+def test_files_that_have_changed_under_their_names_are_loaded_anew() -> None:
+    card = replace(WALL, shape=Shape("mesh", mesh="/card"), color=None)
+    quads = {name: loader_of(facing_quad(0.0, 0.6, Material(base_color=color))) for name, color in (("old", RED), ("new", GREEN))}
+    content = "old"
+    first, after = (replace(_scene(ROBOT, revision=k, static=(card,)), content_hash=name) for k, name in enumerate(quads, 1))
+    with Renderer(first, loader=lambda shape: quads[content](shape)) as renderer:
+        renderer.render(_state(first), [CAMERA])
+        content = "new"
+        assert renderer.update(after)
+        assert _equal(renderer.render(_state(after), [CAMERA])[0], _fresh(after, loader=quads["new"]))
+        assert not renderer.update(replace(_scene(ROBOT, CRATE, revision=3, static=(card,)), content_hash="new"))
+
+
 def test_light_that_has_changed_is_drawn() -> None:
     after = _scene(ROBOT, revision=2, light=LIT)
     assert _equal(_changed(_scene(ROBOT), after), _fresh(after))

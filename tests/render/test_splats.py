@@ -250,6 +250,19 @@ def test_bodies_that_come_and_go_leave_the_splats_and_other_splats_replace_them(
         assert _rgb(renderer.render(state(revision=3), [EYE])[0]).max() == 0.0
 
 
+def test_a_file_of_splats_that_has_changed_is_loaded_anew(tmp_path: Path) -> None:
+    first = replace(scene(), splats=_file(tmp_path, _red((1.0, 0.0, 0.0))), content_hash="old")
+    with Renderer(first) as renderer:
+        before = renderer.render(state(), [EYE])[0]
+        _file(tmp_path, _red((1.0, 0.3, 0.0), size=0.05))
+        after = replace(first, revision=2, content_hash="new")
+        assert renderer.update(after)
+        frame = renderer.render(state(revision=2), [EYE])[0]
+    with Renderer(after) as fresh:
+        np.testing.assert_array_equal(frame.rgb, fresh.render(state(revision=2), [EYE])[0].rgb)  # type: ignore[arg-type]
+    assert (frame.rgb != before.rgb).any()  # type: ignore[union-attr]
+
+
 def test_a_file_that_cannot_be_drawn_is_one_line(tmp_path: Path) -> None:
     spec = SplatsSpec(str(tmp_path / "none.spz"))
     with pytest.raises(SceneError, match=r"none\.spz: cannot be read"):

@@ -86,7 +86,8 @@ class Renderer:
         self._context: GlContext | None = None
         self._scene: GlScene | None = None
         self._splats: SplatPass | None = None
-        self._splats_spec: SplatsSpec | None = None
+        self._splats_of_scene: tuple[SplatsSpec | None, str] = None, ""
+        """Where the splats come from: their specification, and the digest of the scene's files."""
         self._effects: EffectsPass | None = None
         self._shutter: Shutter | None = None
         self._hole_filling: HoleFilling | None = None
@@ -127,7 +128,7 @@ class Renderer:
         for old in (self._camera_images, self._scene, self._splats if splats is not self._splats else None):
             if old is not None:
                 old.close()
-        self._splats, self._splats_spec = splats, scene.splats
+        self._splats, self._splats_of_scene = splats, (scene.splats, scene.content_hash)
         self._scene, self._camera_images = made, CameraImages(self.context, made, splats)
         self._composition = Composition(scene, geometry, self._loader_of, coarser=self._detail_px > 0.0)
         self._describe(scene, geometry, (*geometry.warnings, *made.warnings))
@@ -135,7 +136,7 @@ class Renderer:
     def _splats_of(self, scene: DrawnScene) -> SplatPass | None:
         """Returns the splats of a scene: those of the current one, if they are the same."""
         spec = scene.splats
-        if spec is None or spec == self._splats_spec:
+        if spec is None or (spec, scene.content_hash) == self._splats_of_scene:
             return None if spec is None else self._splats
         path = Path(spec.file)
         if self._allowed_roots is not None and not is_inside(path, self._allowed_roots):
@@ -160,7 +161,7 @@ class Renderer:
         self._check_usable()
         assert self._scene is not None
         self.context.make_current()
-        change = self._composition.change(scene) if scene.splats == self._splats_spec else None
+        change = self._composition.change(scene) if scene.splats == self._splats_of_scene[0] else None
         if change is None:
             self._load(scene, progress)
             return True
