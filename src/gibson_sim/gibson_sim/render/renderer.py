@@ -115,7 +115,7 @@ class Renderer:
             raise
 
     def _load(self, scene: DrawnScene, progress: Progress | None) -> None:
-        """Loads a scene and replaces the current one, if any."""
+        """Loads a scene and replaces the current one, if any. No mesh that was read before is used: its file may have changed."""
         geometry = _loaded(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
         made = GlScene(
             self.context, geometry, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
@@ -128,6 +128,7 @@ class Renderer:
         for old in (self._camera_images, self._scene, self._splats if splats is not self._splats else None):
             if old is not None:
                 old.close()
+        self._own_loader = None
         self._splats, self._splats_of_scene = splats, (scene.splats, scene.content_hash)
         self._scene, self._camera_images = made, CameraImages(self.context, made, splats)
         self._composition = Composition(scene, geometry, self._loader_of, coarser=self._detail_px > 0.0)
