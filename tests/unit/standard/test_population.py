@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape
+from gibson_sim.robots.load import load_robot
+from gibson_sim.scenes.spec import CollisionSpec
 from gibson_sim.standard.bounds import Bounds, BoundsType
 from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode
 from gibson_sim.standard.entities import Category, EntityInfo
 from gibson_sim.standard.filters import EntityFilters, TagsFilter
 from gibson_sim.standard.population import Population, SpawnRequest, StateChange
 from gibson_sim.standard.simulator import Simulator
-from gibson_sim.types import Quat, Vec3
+from gibson_sim.types import Pose, Quat, Vec3
 from support.yard import BALL, SCENE
 
 QUARTER: Quat = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
@@ -309,6 +312,18 @@ def test_error_in_what_was_read_ahead_is_raised_in_its_turn(people: Population) 
     with pytest.raises(SimulationError) as at_once:
         people.spawn(request)
     assert (late.value.code, str(late.value)) == (at_once.value.code, str(at_once.value))
+
+
+def test_a_robot_that_starts_where_nothing_is_below_it_is_told(
+    make: Callable[..., Simulator], caplog: pytest.LogCaptureFixture
+) -> None:
+    floor = CollisionSpec("floor", Shape("box", (4.0, 4.0, 0.1)), Pose((0.0, 0.0, -0.05)))
+    scene = replace(SCENE, ground_z=None, collisions=(floor,), bodies=())
+    for x in (1.0, 100.0):
+        make(replace(scene, robots=(load_robot("gibson_bot", start=Pose((x, 0.0, 0.0))),)))
+    told = [record.getMessage() for record in caplog.records if "nothing below" in record.getMessage()]
+    assert len(told) == 1
+    assert "robot starts at 100.00,0.00, where there is nothing below it: it falls; `gibson-sim scene inspect`" in told[0]
 
 
 def test_a_thing_that_is_spawned_where_nothing_is_below_it_is_told(

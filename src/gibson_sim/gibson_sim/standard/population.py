@@ -146,6 +146,11 @@ class Population:
         self._initial = world.scene
         self._entities: dict[str, Entity] = {}
         self._list_entities()
+        for robot in world.scene.robots:
+            if self._has_nothing_below(robot.start, robot.name):
+                x, y, _ = robot.start.position
+                hint = "`gibson-sim scene inspect` shows where a scene has floor, and the names of its starts"
+                _LOG.warning("%s starts at %.2f,%.2f, where there is nothing below it: it falls; %s", robot.name, x, y, hint)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -269,10 +274,10 @@ class Population:
             _LOG.warning("spawned %s at %.2f,%.2f, where there is nothing below it: it falls", quoted(name), x, y)
         return name
 
-    def _has_nothing_below(self, pose: Pose) -> bool:
-        """Returns whether no floor or other thing is below a pose, however deep."""
+    def _has_nothing_below(self, pose: Pose, robot: str | None = None) -> bool:
+        """Returns whether no floor or thing is below a pose, however deep, but for a ``robot`` that is there already."""
         x, y, z = pose.position
-        return bool(np.isinf(self._world.cast_rays([(x, y, z + _ABOVE)], [(0.0, 0.0, -1.0)], _DEEPEST)[0]))
+        return bool(np.isinf(self._world.cast_rays([(x, y, z + _ABOVE)], [(0.0, 0.0, -1.0)], _DEEPEST, robot)[0]))
 
     def _spawn_pose(self, request: SpawnRequest) -> Pose:
         return self._placed(
