@@ -202,7 +202,9 @@ def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
     holes = [rim for rim in faults.holes if rim >= HOLE_FROM]
     if holes:
         text = (
-            f"{name}: {len(holes)} open rims of {HOLE_FROM} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
+            f"{name}: an open rim of {holes[0]:.1f} m"
+            if len(holes) == 1
+            else f"{name}: {len(holes)} open rims of {HOLE_FROM} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
         )
         remedy = "lidars and cameras see through holes in walls; close them in a mesh editor, or scan again" if scan else ""
         yield SceneFinding("holes", "warning" if scan else "note", text, remedy, amount=sum(holes))
