@@ -1,14 +1,21 @@
-"""The images that ``gibson-sim bench learning`` draws for all environments at once stand where those of each environment do."""
+"""Images to learn from: what is drawn for all environments at once stands where that of each does, and earlier images where it is told."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from gibson_path_following.floor_plane import FloorPlane
 from gibson_sim.tasks.pictures import TaskCamera
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun
 from gibson_sim_bench.learning import draw_together
+from gibson_sim_learn.path_following.data import World
+from gibson_sim_learn.path_following.distances.obstacles import draw_obstacle_shard
+from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
 
 pytestmark = pytest.mark.egl
 
@@ -29,3 +36,26 @@ def test_cameras_of_all_environments_see_what_those_of_each_see() -> None:
     # Loose objects are those of the first; walls and floor, most of an image, are the same.
     assert np.mean(np.abs(together[1][1] - alone[1][1]) < 1e-3) > 0.5
     assert np.mean(np.abs(together[1][1] - alone[0][1]) < 1e-3) < 0.5
+
+
+@pytest.mark.usefixtures("egl")
+def test_earlier_images_of_obstacles_are_of_the_pose_that_is_told() -> None:
+    shard = draw_obstacle_shard(World.load("mill_house"), 0, 0)
+    assert shard.earlier is not None and shard.earlier_pose is not None
+    floor = FloorPlane(WIDTH, HEIGHT, HFOV, CAMERA_HEIGHT)
+    turned = np.flatnonzero(np.abs(shard.earlier_pose[:, 2]) > 0.15)[:60]
+    assert len(turned) > 30
+
+    def difference(pose_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> float:
+        """Returns the median over images of the mean difference where both see something, in the lower half."""
+        found = []
+        for k in turned:
+            brought = floor.brought(shard.earlier[k], pose_of(shard.earlier_pose[k].astype(np.float64)))[HEIGHT // 2 :]
+            known = brought.any(axis=2)
+            found.append(np.abs(brought.astype(float) - shard.images[k][HEIGHT // 2 :])[known].mean())
+        return float(np.median(found))
+
+    true = difference(lambda pose: pose)
+    assert true < 0.8 * difference(np.zeros_like)
+    assert true < 0.8 * difference(lambda pose: pose * [1.0, -1.0, -1.0]), "left is not right"
+    assert true < 0.8 * difference(lambda pose: pose * [-1.0, 1.0, 1.0]), "earlier is behind"

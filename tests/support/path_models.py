@@ -20,7 +20,9 @@ METADATA = {
 }
 
 
-def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA, outputs: Sequence[str] = OUTPUTS) -> bytes:
+def path_model(
+    free: Sequence[float], *, metadata: Mapping[str, str] = METADATA, outputs: Sequence[str] = OUTPUTS, earlier: bool = False
+) -> bytes:
     """Returns the bytes of an ONNX file.
 
     x is the mean red / 100 m, y (green - 100) / 100 m, yaw (blue - 100) / 100 rad; an image matches if its mean red is above 0; the expected
@@ -30,6 +32,7 @@ def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA,
         free: free distances that it always sees, metres; bins are 0.1 m wide, 3 and more is nothing.
         metadata: that of the file.
         outputs: their names.
+        earlier: it has the input ``earlier``, which tells it nothing.
     """
     nodes = [
         node("Cast", ["recorded"], "floats", to=_FLOAT),
@@ -54,6 +57,8 @@ def path_model(free: Sequence[float], *, metadata: Mapping[str, str] = METADATA,
         "only_red": [1, 0, 0],
     }
     inputs = [value("present", "uint8", [1, 64, 96, 3]), value("recorded", "uint8", ["k", 64, 96, 3])]
+    if earlier:
+        inputs.append(value("earlier", "uint8", [1, 64, 96, 3]))
     shapes: list[list[int | str]] = [["k", 3], ["k", 3], ["k"], list(hit.shape)]
     ports = [value(name, "float32", shape) for name, shape in zip(outputs, shapes, strict=True)]
     content = model(nodes, inputs, ports, {name: np.array(some, np.float32) for name, some in constants.items()})

@@ -106,6 +106,13 @@ def test_an_earlier_image_that_is_unknown_stays_black() -> None:
     assert not batch.earlier.any() and not before.any() and seen.any()
 
 
+def test_a_black_image_gets_grain_alone() -> None:
+    black = np.zeros((6, 64, 96, 3), np.uint8)
+    seen, _ = through_another_lens(black, np.random.default_rng(0))
+    np.testing.assert_array_equal(seen, through_another_lens(black, np.random.default_rng(0))[0])
+    assert seen.any() and seen.max() < 25
+
+
 def test_shards_with_earlier_images_are_stored(tmp_path: Path) -> None:
     for name, one in (("with", _with_earlier()), ("without", shard())):
         save_shard(tmp_path / name, one)

@@ -175,6 +175,18 @@ def test_network_sees_a_view_from_a_quarter_of_a_metre_before(tmp_path: Path, mo
     assert shown[0] is None, "long ago: who knows where the robot was driven"
 
 
+def test_a_network_that_sees_an_earlier_image_needs_the_height_of_its_camera(tmp_path: Path) -> None:
+    file = tmp_path / "model.onnx"
+    file.write_bytes(path_model(FREE, earlier=True))
+    with pytest.raises(ModelError, match=r"its metadata lack one of hfov_deg, .*, offset_deviation, camera_height as numbers"):
+        PathModel(file)
+    file.write_bytes(path_model(FREE, earlier=True, metadata={**METADATA, "camera_height": "0"}))
+    with pytest.raises(ModelError, match=r"its camera_height is 0, must be 0\.01 to 100 m"):
+        PathModel(file)
+    file.write_bytes(path_model(FREE, earlier=True, metadata={**METADATA, "camera_height": "0.46"}))
+    assert PathModel(file).estimate(VIEW[0], VIEW[0][None], (VIEW[0], np.array([-0.2, 0.0, 0.0]))).hit.shape == (24, 31)
+
+
 def test_images_of_a_wider_camera_are_cut(tmp_path: Path) -> None:
     wide = np.zeros((128, 192, 3), np.uint8)
     wide[:, 48:144] = 200  # the middle half of the width: tan 45 degrees * 2 = tan 63.4 degrees

@@ -123,5 +123,4 @@ class ViewTrack:
         return image, pose
 
     def _camera(self) -> F64:
-        x, y, yaw = self._pose
-        return np.array([x + self._ahead * math.cos(yaw), y + self._ahead * math.sin(yaw), yaw])
+        return np.array(moved(self._pose, self._ahead, 0.0))

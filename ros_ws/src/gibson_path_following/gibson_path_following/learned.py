@@ -57,6 +57,8 @@ _INPUTS = ("present", "recorded", "earlier")
 _OUTPUTS = ("pose", "scale", "match", "hit")
 _METADATA = ("hfov_deg", "free_edges", "offset_ratio", "offset_deviation")
 """Of the network's file."""
+_CAMERA_HEIGHT = "camera_height"
+"""Metadata of a file whose network sees an earlier image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +87,7 @@ class PathModel:
         """
         self._file, self._session = file, open_session(file)
         self._check(file)
-        self.takes_earlier = len(self._session.get_inputs()) == len(_INPUTS)
-        """Whether it also sees an earlier image."""
+        needed = (*_METADATA, _CAMERA_HEIGHT) if len(self._session.get_inputs()) == len(_INPUTS) else _METADATA
         _, self.height, self.width, _ = self._session.get_inputs()[0].shape
         metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
         try:
@@ -96,9 +97,9 @@ class PathModel:
             """(B + 1,), edges of the bins of free distances, metres, from 0."""
             self.offsets = OffsetTold(float(metadata["offset_ratio"]), float(metadata["offset_deviation"]))
             """How the offsets that it tells relate to the true ones."""
-            camera_height = float(metadata["camera_height"]) if self.takes_earlier else 1.0
+            camera_height = float(metadata[_CAMERA_HEIGHT]) if _CAMERA_HEIGHT in needed else None
         except (KeyError, ValueError) as error:
-            raise ModelError(f"{file}: its metadata lack one of {', '.join(_METADATA)} as numbers; export it anew") from error
+            raise ModelError(f"{file}: its metadata lack one of {', '.join(needed)} as numbers; export it anew") from error
         count, bins = self._session.get_outputs()[3].shape
         if bins != len(self.edges) or self.edges[0] != 0.0 or not (np.diff(self.edges) > 0.0).all():
             raise ModelError(
@@ -109,9 +110,10 @@ class PathModel:
                 f"{file}: its offset_ratio is {self.offsets.ratio:g} and its offset_deviation {self.offsets.deviation:g}, must be 0.05 to 2 "
                 "and 0 to 10 m; export it anew"
             )
-        if not 0.01 <= camera_height <= 100.0:
-            raise ModelError(f"{file}: its camera_height is {camera_height:g}, must be 0.01 to 100 m; export it anew")
-        self._floor = FloorPlane(self.width, self.height, self.hfov, camera_height)
+        if camera_height is not None and not 0.01 <= camera_height <= 100.0:
+            raise ModelError(f"{file}: its {_CAMERA_HEIGHT} is {camera_height:g}, must be 0.01 to 100 m; export it anew")
+        self._floor = None if camera_height is None else FloorPlane(self.width, self.height, self.hfov, camera_height)
+        """Brings earlier images onto the present one; None = the network sees none."""
         across = 1.0 - (np.arange(count) + 0.5) * 2.0 / count
         self.bearings: F64 = np.arctan(across * math.tan(self.hfov / 2.0))
         """Directions of the free distances, radians, positive to the left, left first."""
@@ -129,7 +131,7 @@ class PathModel:
             ModelError: the network cannot be run.
         """
         images = {"present": present[None], "recorded": recorded}
-        if self.takes_earlier:
+        if self._floor is not None:
             before = np.zeros_like(present) if earlier is None else self._floor.brought(*earlier)
             images["earlier"] = before[None]
         values = run(self._session, self._file, images)
@@ -407,8 +409,7 @@ class LearnedPolicy:
     def _camera(self, pose: F64) -> F64:
         """Returns the pose (3,) of the camera of a robot at a pose (3,)."""
         x, y, yaw = pose
-        ahead = self.settings.camera_ahead
-        return np.array([x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), yaw])
+        return np.array(moved((x, y, yaw), self.settings.camera_ahead, 0.0))
 
     def _drive(self, seconds: float, pending: Step) -> Velocity:
         """Returns the velocity along the path, round what stands there.

@@ -162,7 +162,7 @@ class Renderer:
         self._check_usable()
         assert self._scene is not None
         self.context.make_current()
-        change = self._composition.change(scene) if scene.splats == self._splats_of_scene[0] else None
+        change = self._composition.change(scene)
         if change is None:
             self._load(scene, progress)
             return True

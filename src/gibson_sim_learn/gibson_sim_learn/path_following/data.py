@@ -269,10 +269,7 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
         poses, rows = _off_path(path, in_the_way[k][1], floors[1], rng, settings.views_per_path)
         later.append(poses)
         of_later += [(k, int(row)) for row in rows]
-    free_poses = random_free_poses(world.coarse, settings.free_views, rng, clearance=ROBOT_RADIUS)
-    yaws = rng.uniform(-math.pi, math.pi, len(free_poses))
-    anywhere = np.array([(*pose.position[:2], yaw) for pose, yaw in zip(free_poses, yaws, strict=True)])
-    anywhere = anywhere[floors[1].clearance(anywhere[:, :2]) >= ROBOT_RADIUS]
+    anywhere = views_anywhere(world, floors[1], rng, settings.free_views)
     later.append(anywhere)
     of_later += [(-1, 0)] * len(anywhere)
 
@@ -291,6 +288,21 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     pairs = make_pairs(after, of_later, before, of_recorded, world.floor, rng)
     pairs["later"] += len(before)
     return Shard(np.concatenate(images), np.concatenate(free).astype(np.float32), pairs)
+
+
+def views_anywhere(world: World, floor: FloorMap, rng: np.random.Generator, count: int) -> F64:
+    """Returns poses (N, 3), metres and radians, of a robot at free places that looks anywhere and touches nothing.
+
+    Args:
+        world: the scene.
+        floor: its map with all that stands on it.
+        rng: random generator.
+        count: of the poses, at most.
+    """
+    places = random_free_poses(world.coarse, count, rng, clearance=ROBOT_RADIUS)
+    yaws = rng.uniform(-math.pi, math.pi, len(places))
+    poses = np.array([(*pose.position[:2], yaw) for pose, yaw in zip(places, yaws, strict=True)])
+    return np.asarray(poses[floor.clearance(poses[:, :2]) >= ROBOT_RADIUS])
 
 
 _PATH_STEP = 0.05

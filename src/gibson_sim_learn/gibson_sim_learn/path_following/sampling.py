@@ -133,7 +133,6 @@ class Sampler:
             pose[k] = np.stack([some["x"], some["y"], some["yaw"]], axis=-1)
             match[k] = some["match"]
         if augment:
-            known = earlier.any(axis=(1, 2, 3))
             mirrored = rng.random(later) < 0.5
             for some in (images, earlier):
                 some[mirrored] = some[mirrored, :, ::-1]
@@ -151,7 +150,6 @@ class Sampler:
             mix += (1.0 - mix.sum(axis=2))[..., None] * np.eye(3, dtype=np.float32)  # grey stays grey
             images, earlier, others = (_mixed(some, mix) for some in (images, earlier, others))
             images, earlier = _other_contrast(images, rng, earlier)
-            earlier[~known] = 0
             others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng)[0].reshape(others.shape)
         return Batch(images, others, pose, match, free, has, earlier, earlier_pose)
 
@@ -175,15 +173,18 @@ def through_another_lens(
         blur = rng.uniform(0.2, _BLUR) if rng.random() < _BLURRED else 0.0
         gain = math.exp(rng.uniform(-_BURNT, _BURNT)) * (1.0 - rng.uniform(0.0, _VIGNETTE) * corner)
         grain = rng.uniform(0.0, _NOISE)
-        for to, frm in zip(out, (images, earlier), strict=True):
-            if frm is None or not frm[k].any():
-                continue
-            image = cv2.warpAffine(frm[k], shift, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for row, some in enumerate(_taken_alike(images, earlier, k)):
+            image = cv2.warpAffine(some, shift, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             if blur:
                 image = cv2.GaussianBlur(image, (0, 0), blur)
             lit = image.astype(np.float32) * gain + rng.standard_normal(image.shape, dtype=np.float32) * np.float32(grain)
-            to[k] = np.clip(lit, 0.0, 255.0)
+            out[row][k] = np.clip(lit, 0.0, 255.0)
     return out
+
+
+def _taken_alike(images: NDArray[np.uint8], earlier: NDArray[np.uint8] | None, k: int) -> list[NDArray[np.uint8]]:
+    """Returns an image and, unless it is black, that is, unknown, its earlier one."""
+    return [images[k]] if earlier is None or not earlier[k].any() else [images[k], earlier[k]]
 
 
 def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
@@ -201,21 +202,19 @@ def _other_contrast(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Returns images (N, H, W, 3) with a drawn exponent of their contrast, light that is uneven, and noise.
 
-    Earlier ones are returned with the same, but for noise; None = black.
+    Earlier ones are returned with the same, but for noise; those that are black stay black. None = black.
     """
     out = np.empty_like(images), np.zeros_like(images)
     levels = np.arange(256) / 255.0
     grain = rng.standard_normal((HEIGHT * WIDTH * 3 + 997,), dtype=np.float32)
-    for k, image in enumerate(images):
+    for k in range(len(images)):
         table = (255.0 * levels ** (_GAMMA ** rng.uniform(-1.0, 1.0))).astype(np.float32)
         start = int(rng.integers(997))
         amount = rng.uniform(0.0, _NOISE)
         light = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32) * rng.uniform(0.0, _UNEVEN)
         bright = cv2.resize(np.exp(light), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)[..., None]
-        for to, some, begin in zip(
-            out, (image, None if earlier is None else earlier[k]), (start, (start + 499) % 997), strict=True
-        ):
-            if some is not None:
-                noise = amount * grain[begin : begin + some.size].reshape(some.shape)
-                to[k] = np.clip(table[some] * bright + noise, 0.0, 255.0)
+        for row, some in enumerate(_taken_alike(images, earlier, k)):
+            begin = (start + 499 * row) % 997
+            noise = amount * grain[begin : begin + some.size].reshape(some.shape)
+            out[row][k] = np.clip(table[some] * bright + noise, 0.0, 255.0)
     return out

@@ -64,8 +64,8 @@ class Composition:
 
     def change(self, scene: DrawnScene) -> SceneChange | None:
         """Returns the geometry of another revision of the scene, or None if more than bodies has changed and it must be loaded anew."""
-        if scene.content_hash != self._scene.content_hash:
-            return None  # the same names may stand for other files
+        if (scene.content_hash, scene.splats) != (self._scene.content_hash, self._scene.splats):
+            return None  # by another digest the same names may stand for other files
         bodies, numbers = _by_body(scene.visuals), SceneNumbers.of(scene)
         if scene.light != self._scene.light or bodies.get("", ()) != self._bodies.get("", ()):
             return None

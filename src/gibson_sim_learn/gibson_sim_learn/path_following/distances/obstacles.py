@@ -27,6 +27,7 @@ from gibson_sim_learn.path_following.data import (
     relative_pose,
     sees,
     shard_rng,
+    views_anywhere,
     with_bodies,
 )
 from gibson_sim_learn.path_following.domains import TRAINED, draw
@@ -63,7 +64,7 @@ def draw_obstacle_shard(world: World, seed: int, number: int) -> Shard:
             bodies = [item_body(random_obstacle(rng, f"obstacle_{k}", *pose.position)) for k, pose in enumerate(places)]
             floor = with_bodies(world.scene, world.floor, bodies)
             close = views_around(np.array([pose.position[:2] for pose in places]), world.floor, floor, rng)
-            now, before = driven_to(np.concatenate([close, _views_anywhere(world, floor, rng)]), floor, rng)
+            now, before = driven_to(np.concatenate([close, views_anywhere(world, floor, rng, _ANYWHERE)]), floor, rng)
             drawn = [draw(TRAINED, rng) for _ in places]
             conditions = [drawn[int(rng.integers(len(drawn)))] for _ in now]
             both = np.stack([now, before], axis=1)
@@ -98,15 +99,6 @@ def driven_to(poses: F64, floor: FloorMap, rng: np.random.Generator) -> tuple[F6
     before = np.column_stack([x - distance * np.cos(chord), y - distance * np.sin(chord), yaw - turn])
     fits = floor.clearance(before[:, :2]) >= ROBOT_RADIUS - _MARGIN
     return camera_poses(poses[fits], CAMERA_X), camera_poses(before[fits], CAMERA_X)
-
-
-def _views_anywhere(world: World, floor: FloorMap, rng: np.random.Generator) -> F64:
-    """Returns poses (N, 3) of a robot that looks anywhere."""
-    places = random_free_poses(world.coarse, _ANYWHERE, rng, clearance=ROBOT_RADIUS)
-    poses = np.array(
-        [(*pose.position[:2], yaw) for pose, yaw in zip(places, rng.uniform(-math.pi, math.pi, len(places)), strict=True)]
-    )
-    return poses[floor.clearance(poses[:, :2]) >= ROBOT_RADIUS]
 
 
 def views_around(places: F64, before: FloorMap, after: FloorMap, rng: np.random.Generator) -> F64:

@@ -27,8 +27,6 @@ _RATIO = 1.3
 """Ratio of distances from which a near thing counts as missed."""
 _EVALUATION = 1200
 """Images of each kind that a point of the curve is made of."""
-
-
 _UNKNOWN = 0.15
 """Share of the earlier images that count as unknown: a robot that begins, or stands, has none."""
 _BELIEVED = 0.1, 0.01, 0.01
