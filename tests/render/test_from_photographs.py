@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.from_photographs.sheet import contact_sheet, photograph_renderer
+from gibson_sim_tools.from_photographs.sheet import FRONTS, HOLES, contact_sheet, photograph_renderer
 from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.texturing.measure import compare
 from support.photographed_room import HEIGHT, WIDTH, write_mesh, write_nerfstudio
@@ -28,3 +28,22 @@ def test_the_simulation_at_the_place_of_a_photograph_looks_like_it(tmp_path):
         assert draw(0).rgb.std() > 0.1 and not draw(0).seen.any()
     # Two pairs of pictures of 400x300 pixels with captions in each of two rows, the last one empty.
     assert sheet.shape == (2 * (300 + 26), 4 * (400 + 6), 3)
+
+
+def test_filled_images_are_compared_in_holes_and_on_front_faces(tmp_path):
+    photographs = open_photographs(write_nerfstudio(tmp_path / "photographs"))
+    scene = load_scene(write_mesh(tmp_path / "room.ply", np.eye(4)))  # without the floor at x < 0.6
+    with photograph_renderer(scene, photographs, "unseen_floor") as draw:
+        everywhere = range(len(photographs))
+        found = {
+            (fill, region): compare(photographs, lambda k, fill=fill, region=region: draw(k, fill, region), numbers=everywhere)
+            for fill in ("", "push_pull")
+            for region in (FRONTS, HOLES)
+        }
+        drawn = draw(0)
+    assert found["", HOLES].pixels > 100 and found["", HOLES].pixels + found["", FRONTS].pixels <= drawn.seen.size * len(
+        photographs
+    )
+    # A hole is black; push-pull paints it with what is around it, and leaves the rest.
+    assert found["push_pull", HOLES].psnr > found["", HOLES].psnr + 3.0
+    assert found["push_pull", FRONTS].psnr == pytest.approx(found["", FRONTS].psnr, abs=0.5)  # its border belongs to both

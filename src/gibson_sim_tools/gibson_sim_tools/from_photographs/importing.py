@@ -7,7 +7,7 @@ import math
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import EnvironmentProblemError, SceneError
+from gibson_sim.filling.fillers import open_filler
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import transform_points
 from gibson_sim.maps.export import write_nav2_map, write_picture as write_map_picture
@@ -31,7 +32,7 @@ from gibson_sim_tools.from_photographs.found import Found
 from gibson_sim_tools.from_photographs.given_mesh import given_mesh
 from gibson_sim_tools.from_photographs.pictures import check_pictures
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
-from gibson_sim_tools.from_photographs.sheet import contact_sheet, photograph_renderer
+from gibson_sim_tools.from_photographs.sheet import FRONTS, HOLES, DrawPhotograph, contact_sheet, photograph_renderer
 from gibson_sim_tools.from_photographs.work import Ended, Progress, Stage, Work
 from gibson_sim_tools.importing.checks.check import check_path
 from gibson_sim_tools.importing.document import ASSETS, BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
@@ -46,7 +47,7 @@ from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AUTO, FuseSettings
 from gibson_sim_tools.texturing.choosing import choose_photographs
 from gibson_sim_tools.texturing.conventions import checked
-from gibson_sim_tools.texturing.measure import Drawn, compare
+from gibson_sim_tools.texturing.measure import Drawn, Likeness, compare
 from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, TextureSettings
 from gibson_sim_tools.texturing.surface import Surface, surface_of
 from gibson_sim_tools.texturing.texture import texture
@@ -111,7 +112,7 @@ class Import:
             Stage("collision", self._collision, (), None, 15.0),
             Stage("floor map", self._map, ("maps/floor_0.yaml",), None, 3.0),
             Stage("check", self._check_scene, (_FACTS["check"],), None, 15.0),
-            *([Stage("compare", self._compare, (SHEET, _FACTS["likeness"]), None, 10.0)] if s.hold_out else []),
+            *([Stage("compare", self._compare, (SHEET, _FACTS["likeness"]), s.fill, 10.0)] if s.hold_out else []),
         ]
 
     def run(self, bar: Callable[[int], AbstractContextManager[Progress]], say: Callable[[Ended], None]) -> None:
@@ -122,6 +123,8 @@ class Import:
         """
         if self.found.mesh is None:
             open3d()  # before any work
+        if self.settings.fill:
+            open_filler(self.settings.fill)  # likewise: a missing network
         work = Work(self.output, self.source or str(self.found.photographs.folder.resolve()))
         with work.alone():
             work.run(self.stages(), bar, say)
@@ -323,18 +326,47 @@ class Import:
             def counted(number: int) -> Drawn:
                 nonlocal done
                 done += 1
-                progress(0.9 * done / len(numbers))
+                progress((0.5 if self.settings.fill else 0.9) * done / len(numbers))
                 return draw(number)
 
             alike = compare(photographs, counted, numbers=numbers)
+            filled = self._compare_filled(photographs, numbers, draw) if self.settings.fill else {}
             sheet = contact_sheet(photographs, draw, numbers, self._unused())
         share = alike.pixels / pixels
         write_picture(self.output / SHEET, sheet[:, :, ::-1])
-        self._write("likeness", {"psnr": alike.psnr, "ssim": alike.ssim, "seen": share, "photographs": len(numbers)})
-        return [
+        self._write(
+            "likeness",
+            {
+                "psnr": alike.psnr,
+                "ssim": alike.ssim,
+                "seen": share,
+                "photographs": len(numbers),
+                "filled": {region: [asdict(one) for one in both] for region, both in filled.items()},
+            },
+        )
+        lines = [
             f"{len(numbers)} photographs whose {self._unused()} were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, "
             f"where the scene has a surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 would use them, too"
         ]
+        for region, (before, after) in filled.items():
+            what = "front faces" if region == FRONTS else "holes"
+            lines.append(
+                f"{what} ({100.0 * before.pixels / pixels:.1f} % of the pixels), as drawn and filled by {self.settings.fill}: PSNR "
+                f"{before.psnr:.2f} and {after.psnr:.2f} dB, SSIM {before.ssim:.3f} and {after.ssim:.3f}"
+                if before.pixels
+                else f"{what}: none in these photographs"
+            )
+        return lines
+
+    def _compare_filled(
+        self, photographs: Photographs, numbers: Sequence[int], draw: DrawPhotograph
+    ) -> dict[str, tuple[Likeness, Likeness]]:
+        """Returns region -> likeness of images as drawn, and with their holes filled."""
+
+        def alike(fill: str, region: str) -> Likeness:
+            return compare(photographs, lambda number: draw(number, fill, region), numbers=numbers)
+
+        return {region: (alike("", region), alike(self.settings.fill, region)) for region in (FRONTS, HOLES)}
 
     def _T_level_scan(self) -> F64:
         return np.array(self._read("level")["T_level_scan"])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.filling.holes import SURFACE, is_hole
 from gibson_sim.geometry.transforms import pose_from_matrix
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
@@ -20,13 +22,29 @@ from gibson_sim_tools.texturing.measure import Drawn, matched
 
 U8 = NDArray[np.uint8]
 
+ALL, FRONTS, HOLES = "all", "fronts", "holes"
+"""Pixels that are compared, see ``DrawPhotograph``."""
 _PAIRS, _COLUMNS, _WIDTH, _GAP, _CAPTION = 6, 2, 400, 6, 20
 _PAPER, _INK = 250, (50, 50, 50)
 
 
+class DrawPhotograph(Protocol):
+    """Draws the simulation at the pose of a photograph."""
+
+    def __call__(self, number: int, fill: str = "", region: str = ALL) -> Drawn:
+        """Returns the image.
+
+        Args:
+            number: of the photograph.
+            fill: how holes are filled, as ``CameraSpec.fill``; empty = they stay.
+            region: pixels to compare: ``ALL``, those that show a surface of the scan; ``FRONTS``, of these the front faces; ``HOLES``, those that
+                a filler fills.
+        """
+
+
 @contextmanager
-def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str) -> Iterator[Callable[[int], Drawn]]:
-    """Yields a function that draws what a simulated camera sees at the place of a photograph with a number; nothing is kept.
+def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str) -> Iterator[DrawPhotograph]:
+    """Yields a function that draws what a simulated camera sees at the place of a photograph; nothing is kept.
 
     Args:
         scene: in the frame of the poses.
@@ -37,16 +55,21 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
     others = [number for number, name in enumerate(still.instances) if number and name != unseen]
     with Renderer(still, cache=default_folder()) as renderer:
 
-        def picture(number: int) -> Drawn:
+        def picture(number: int, fill: str = "", region: str = ALL) -> Drawn:
             lens = photographs.intrinsics(number)
             pose = pose_from_matrix(photographs.items[number].T_world_camera)
+            outputs = ("rgb", "instance") if region == ALL else ("rgb", "instance", "hole")
             camera = CameraSpec(
-                "photograph", "", pose, lens.width, lens.height, matrix=tuple(lens.matrix.ravel().tolist()), outputs=("rgb", "instance"),
-                samples=4,
+                "photograph", "", pose, lens.width, lens.height, matrix=tuple(lens.matrix.ravel().tolist()), outputs=outputs, samples=4,
+                fill=fill,
             )  # fmt: skip
             frame = renderer.render(SceneState.still(scene.revision), [camera])[0]
             assert frame.rgb is not None and frame.instance is not None
-            return Drawn((frame.rgb / 255.0).astype(np.float32), np.isin(frame.instance, others))
+            rgb, seen = (frame.rgb / 255.0).astype(np.float32), np.isin(frame.instance, others)
+            if frame.hole is None:
+                return Drawn(rgb, seen)
+            fronts = seen & (frame.hole == SURFACE)
+            return Drawn(rgb, fronts, fronts if region == FRONTS else is_hole(frame.hole))
 
         yield picture
 

@@ -53,6 +53,8 @@ class Drawn:
     """(H, W, 3), sRGB, 0 to 1."""
     seen: Bools
     """(H, W): whether a pixel shows a triangle that photographs texture."""
+    compared: Bools | None = None
+    """(H, W): pixels that count in a comparison; None = those of ``seen``. Exposures are matched by ``seen`` alone."""
 
 
 def draw_textured(textured: Textured, intrinsics: Intrinsics, T_world_camera: F64, *, vertex_colors: U8 | None = None) -> Drawn:
@@ -157,9 +159,10 @@ def compare(
         truth, drawn = photographs.picture(number), picture(number)
         rgb = matched(drawn.rgb, truth, drawn.seen) if match_exposure else drawn.rgb
         real = truth.astype(np.float32) / np.float32(255.0)
-        squares += float(((rgb - real)[drawn.seen].astype(np.float64) ** 2).sum())
-        similar += float(ssim(rgb, real)[drawn.seen].astype(np.float64).sum())
-        count += int(drawn.seen.sum())
+        compared = drawn.seen if drawn.compared is None else drawn.compared
+        squares += float(((rgb - real)[compared].astype(np.float64) ** 2).sum())
+        similar += float(ssim(rgb, real)[compared].astype(np.float64).sum())
+        count += int(compared.sum())
     mean = squares / max(3 * count, 1)
     return Likeness(float(-10.0 * np.log10(max(mean, 1e-12))), similar / max(count, 1), count)
 

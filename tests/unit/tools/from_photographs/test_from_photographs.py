@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from gibson_sim.cli.command_line import run
-from gibson_sim.errors import SceneError
+from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs import importing
@@ -125,6 +125,22 @@ def test_leaving_out_depth_fuses_again(tmp_path, monkeypatch):
     made(opened(folder, tmp_path / "out", settings=keep_aside))
     stages = made(opened(folder, tmp_path / "out", settings=replace(keep_aside, hold_out_depth=True)))
     assert [name for name, reused in stages.items() if reused] == ["photographs"]
+
+
+def test_another_filler_compares_again_and_a_missing_one_is_told_before_any_work(room, tmp_path, monkeypatch):
+    keep_aside = replace(SETTINGS, hold_out=5)
+    with pytest.raises(ConfigError, match=r"nowhere\.onnx"):
+        made(opened(room, tmp_path / "out", settings=replace(keep_aside, fill=str(tmp_path / "nowhere.onnx"))))
+    assert not (tmp_path / "out").exists()
+    skip_work(monkeypatch)
+    made(opened(room, tmp_path / "out", settings=keep_aside))
+    stages = made(opened(room, tmp_path / "out", settings=replace(keep_aside, fill="push_pull")))
+    assert [name for name, reused in stages.items() if not reused] == ["compare"]
+
+
+def test_filled_images_need_held_out_photographs():
+    with pytest.raises(ConfigError, match=r"'fill' is 'push_pull'.*'hold_out' is 0"):
+        PhotographSettings(fill="push_pull", hold_out=0)
 
 
 def skip_work(monkeypatch):
