@@ -15,7 +15,7 @@ from gibson_sim.geometry.transforms import pose_from_matrix
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.types import CameraSpec, SceneState
+from gibson_sim.types import CameraSpec, Output, SceneState
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.clean_scene import still_scene
 from gibson_sim_tools.texturing.measure import Drawn, matched
@@ -58,7 +58,7 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
         def picture(number: int, fill: str = "", region: str = ALL) -> Drawn:
             lens = photographs.intrinsics(number)
             pose = pose_from_matrix(photographs.items[number].T_world_camera)
-            outputs = ("rgb", "instance") if region == ALL else ("rgb", "instance", "hole")
+            outputs: tuple[Output, ...] = ("rgb", "instance") if region == ALL else ("rgb", "instance", "hole")
             camera = CameraSpec(
                 "photograph", "", pose, lens.width, lens.height, matrix=tuple(lens.matrix.ravel().tolist()), outputs=outputs, samples=4,
                 fill=fill,
