@@ -91,18 +91,18 @@ def test_robot_on_the_path_drives_straight_at_the_recorded_speed(tmp_path: Path)
     assert velocity.angular == pytest.approx(0.0, abs=0.05)
 
 
-def driven(folder: Path, free: tuple[float, ...], views: int, nearest: float = 0.35) -> tuple[LearnedPolicy, list[Velocity]]:
+def driven(folder: Path, free: tuple[float, ...], views: int, min_range: float = 0.35) -> tuple[LearnedPolicy, list[Velocity]]:
     """Returns a policy that stands at the start of a straight path and sees the same again and again, and its velocities."""
     images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
     # The network by hand sees the same things in all images, recorded ones too.
-    settings = LearnedSettings(occupancy=OccupancySettings(discount=0.0, nearest=nearest))
+    settings = LearnedSettings(occupancy=OccupancySettings(recorded_hit_factor=0.0, min_range=min_range))
     policy = LearnedPolicy(path_of(images), model(folder, free), settings)
     return policy, [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(views)]
 
 
 def test_robot_stops_before_a_wall(tmp_path: Path) -> None:
     # The robot is 0.175 m in front of its middle, the camera 0.12 m: 0.245 m are left.
-    _, velocities = driven(tmp_path, (0.3,) * 24, 5, nearest=0.2)
+    _, velocities = driven(tmp_path, (0.3,) * 24, 5, min_range=0.2)
     assert velocities[-1] == STOP
 
 
@@ -141,7 +141,7 @@ def test_robot_drives_round_a_thing_on_its_path(tmp_path: Path) -> None:
 
 
 def test_blocked_robot_backs_off_after_a_while(tmp_path: Path) -> None:
-    _, velocities = driven(tmp_path, (0.3,) * 24, 16, nearest=0.2)
+    _, velocities = driven(tmp_path, (0.3,) * 24, 16, min_range=0.2)
     assert any(velocity.linear < 0.0 for velocity in velocities)
 
 

@@ -21,7 +21,7 @@ from gibson_path_following.floor_plane import FloorPlane, ViewTrack
 from gibson_path_following.lattice import Lattice, LatticeSettings, Way
 from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
-from gibson_path_following.occupancy import OccupancyMap, OccupancySettings
+from gibson_path_following.occupancy import OccupancyGrid, OccupancySettings
 from gibson_path_following.onnx_files import open_session, run
 from gibson_path_following.pose_filter import OffsetTold, PoseFilter, moved, node_poses, relative
 from gibson_path_following.recovery import Recovery, RecoverySettings
@@ -214,7 +214,7 @@ class LearnedSettings:
     doubts: tuple[float, float] = (0.25, 0.6)
     """Probability of such a thing from which on the robot drives slower, and that at which it drives at ``slow``."""
     near_views: int = 8
-    """Views in a row for which the robot stands before what seems nearer than ``OccupancySettings.nearest``: people walk on, and what the
+    """Views in a row for which the robot stands before what seems nearer than ``OccupancySettings.min_range``: people walk on, and what the
     network sees there is mostly nothing."""
     stop_before: float = 0.2
     """Distance to where the way is blocked at which the robot stops, metres."""
@@ -298,11 +298,11 @@ class LearnedPolicy:
         self._planner = ArcPlanner(self.settings.arcs)
         self._lattice = Lattice(self.settings.lattice)
         self._recovery = Recovery(self.settings.recovery)
-        self.map = OccupancyMap(self._poses[:, :2], self.settings.occupancy)
+        self.grid = OccupancyGrid(self._poses[:, :2], self.settings.occupancy)
         """What stands around the robot, in the frame of the path."""
         for pose, image in zip(self._poses, self._images, strict=True):
             recorded = self.model.estimate(image, image[None])
-            self.map.expect(self._camera(pose), self.model.bearings, self.model.edges, recorded.hit)
+            self.grid.add_recorded(self._camera(pose), self.model.bearings, self.model.edges, recorded.hit)
         self.way: Way | None = None
         """Where the robot wants to drive; None = it has not looked yet."""
         self.filter = PoseFilter(self.model.offsets)
@@ -331,7 +331,7 @@ class LearnedPolicy:
         self._planner.reset()
         self._lattice.reset()
         self._recovery.reset()
-        self.map.clear()
+        self.grid.clear()
         self._track.clear()
         self.sighting, self.way, self._last_ns = None, None, None
         self._unseen = self._disagreed = self._alone = self._near = 0
@@ -366,7 +366,7 @@ class LearnedPolicy:
             self.filter.reset(self._at(believed))
             here = self._here = believed
             self._disagreed = 0
-            self.map.clear()
+            self.grid.clear()
             self._lattice.reset()
         nodes = np.unique([int(np.abs(self._distances - here - ahead).argmin()) for ahead in settings.looked_for])
         image = self.model.fitted(view[0], self._hfov)
@@ -402,9 +402,9 @@ class LearnedPolicy:
 
     def _look(self, sighting: Sighting, seconds: float) -> None:
         """Puts into the map what is free and what is not."""
-        self.map.centre(float(self.filter.pose[0]), float(self.filter.pose[1]))
-        self.map.fade(seconds)
-        self.map.see(self._camera(self.filter.pose), self.model.bearings, self.model.edges, sighting.hit)
+        self.grid.move_window(float(self.filter.pose[0]), float(self.filter.pose[1]))
+        self.grid.decay(seconds)
+        self.grid.integrate(self._camera(self.filter.pose), self.model.bearings, self.model.edges, sighting.hit)
 
     def _camera(self, pose: F64) -> F64:
         """Returns the pose (3,) of the camera of a robot at a pose (3,)."""
@@ -448,7 +448,7 @@ class LearnedPolicy:
         along = here + np.arange(max(2, count + 1)) * lattice.step
         points, normals = self._beside(along)
         offset = float((self._pose[:2] - points[0]) @ normals[0])
-        return self._lattice.way(along, points, normals, offset, self.map.clearance)
+        return self._lattice.way(along, points, normals, offset, self.grid.clearance)
 
     def _beside(self, along: F64) -> tuple[F64, F64]:
         """Returns points (K, 2) of the path, which goes on straight behind its end, and unit vectors (K, 2) to its left."""
@@ -516,7 +516,7 @@ class LearnedPolicy:
         if not len(crossing):
             return 0.0, 0.0
         reach = at[inside.shape[1] - 1 - inside[crossing, ::-1].argmax(axis=1)]
-        within, believed = self.map.credible(self.model.edges, sighting.hit[crossing])
+        within, believed = self.grid.hit_cdf(self.model.edges, sighting.hit[crossing])
         found = [float(np.interp(r, self.model.edges, row)) for r, row in zip(reach, within, strict=True)]
         return float((believed * found).max()), float((1.0 - believed).max())
 
@@ -525,7 +525,7 @@ class LearnedPolicy:
         x, y, yaw = self._pose
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = points[..., 0], points[..., 1]
-        return self.map.clearance(np.stack([x + c * ahead - s * left, y + s * ahead + c * left], axis=-1))
+        return self.grid.clearance(np.stack([x + c * ahead - s * left, y + s * ahead + c * left], axis=-1))
 
     def _along(self) -> float:
         """Returns the distance along the path, metres, of its point that is nearest to the robot, and near where it was looked for."""

@@ -1,8 +1,9 @@
-"""What stands around a robot that follows a path: a map of log odds in the frame of the path, which remembers what left the view.
+"""Rolling occupancy grid in log-odds, in the path frame: it keeps obstacles that left the field of view.
 
-The map is a square that goes with the robot. Each view tells, for some directions, how probable it is that the first thing stands at each
-distance; what lies before that is free, what lies behind is hidden. Where the recorded path leads, the floor was free once, and counts as
-free until things are seen there. What is not seen again is forgotten slowly. Pure geometry: no ROS, no network.
+The grid is a square window that moves with the robot. An observation gives, for some bearings, the probability that the first obstacle along
+the ray lies in each range bin. The inverse sensor model turns that into log-odds updates: cells before the hit become free, cells at the hit
+occupied, cells behind it stay as they were. Cells near the recorded path have a free prior, since the robot drove there once. Log-odds are
+clamped, and decay with time. Pure geometry: no ROS, no network.
 """
 
 from __future__ import annotations
@@ -19,145 +20,157 @@ from gibson_path_following.errors import check_ranges
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 _RANGE_STEP = 0.025
-"""Step of the distances for which evidence is computed, metres."""
+"""Range resolution of the inverse sensor model, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class OccupancySettings:
-    """The size of the map, and what its cells learn from a view."""
+    """Size of the grid, inverse sensor model, prior and decay."""
 
-    cell: float = 0.05
+    resolution: float = 0.05
     """Edge of a cell, metres."""
     size: float = 6.0
-    """Edge of the map, metres; the robot is in its middle."""
-    density: float = 1.0
-    """Things per metre of a line of sight that are to be expected. With less, every doubt of the network counts as a thing."""
-    depth: float = 0.1
-    """Depth that a thing has at least, metres."""
-    weight: float = 0.4
-    """Share of a view's evidence that counts: views that follow each other are wrong alike."""
-    nearest: float = 0.35
-    """Distance below which a view is not believed, metres. The floor is below the image there; what seems so near is mostly an image with little
-    in it, and what truly is was seen before from farther off."""
-    blind: float = 0.55
-    """Distance up to which a view does not tell that the floor is free, metres: it is below the image there, and so is a low thing. What was seen
-    before stays in the map."""
-    most_occupied: float = 2.5
-    """Largest evidence of one view for a thing, log odds before the weight."""
-    most_free: float = 2.0
-    """Largest evidence of one view for free floor, log odds before the weight."""
-    limit: float = 5.0
-    """Largest evidence for a thing that a cell keeps, log odds."""
-    free_limit: float = 1.5
-    """Largest evidence for free floor that a cell keeps, log odds: what stands there next, or is seen there only from near, must soon
-    outweigh it."""
-    path_width: float = 0.35
-    """Distance from the recorded path within which the floor was free once, metres."""
+    """Edge of the grid, metres; the robot is in its centre."""
+    obstacle_density: float = 1.0
+    """Prior density of obstacles along a ray, 1/m. A lower one turns every doubt of the network into evidence for an obstacle."""
+    obstacle_thickness: float = 0.1
+    """Least thickness of an obstacle along a ray, metres."""
+    update_weight: float = 0.4
+    """Weight of the log-odds update of one observation, 0 to 1: errors of successive views are correlated."""
+    min_range: float = 0.35
+    """Range below which a hit is ignored, metres. The image does not show the floor there; a nearer hit is mostly an image with little
+    texture, and the grid has a real obstacle already, from farther away."""
+    min_clearing_range: float = 0.55
+    """Range below which an observation does not clear cells, metres: the image shows neither the floor nor a low obstacle there, so that the
+    grid keeps what it has."""
+    max_hit_log_odds: float = 2.5
+    """Largest log-odds update of one observation towards occupied, before ``update_weight``."""
+    max_miss_log_odds: float = 2.0
+    """Largest log-odds update of one observation towards free, before ``update_weight``; positive."""
+    clamp_occupied: float = 5.0
+    """Clamping threshold of a cell's log-odds towards occupied."""
+    clamp_free: float = 1.5
+    """Clamping threshold of a cell's log-odds towards free; positive. It is low: an obstacle that arrives later, or that is visible only from
+    near by, must soon outweigh it."""
+    path_half_width: float = 0.35
+    """Distance from the recorded path within which cells have the free prior, metres."""
     path_prior: float = -2.0
-    """Log odds of a cell there of which nothing is known."""
-    discount: float = 2.5
-    """Factor on what the recorded images tell of things there, which is wrong, and is taken from what later views tell: of later views there
-    are more."""
-    occupied: float = 0.8
-    """Log odds from which a cell is occupied."""
-    memory: float = 40.0
-    """Time in which evidence fades to 1/e, seconds."""
+    """Prior log-odds of these cells."""
+    recorded_hit_factor: float = 2.5
+    """Factor on the hits of recorded images within ``path_half_width``. They are false positives, which the prior subtracts from later
+    observations; it is above 1 because later observations are more numerous."""
+    occupied_threshold: float = 0.8
+    """Log-odds at and above which a cell is occupied."""
+    decay_time_constant: float = 40.0
+    """Time in which log-odds decay to 1/e, seconds."""
 
     def __post_init__(self) -> None:
         check_ranges(
             self,
-            ("cell", 0.01, 0.5),
+            ("resolution", 0.01, 0.5),
             ("size", 1.0, 50.0),
-            ("density", 0.001, 10.0),
-            ("depth", 0.0, 2.0),
-            ("weight", 0.01, 1.0),
-            ("nearest", 0.0, 5.0),
-            ("blind", 0.0, 5.0),
-            ("most_occupied", 0.0, 20.0),
-            ("most_free", 0.0, 20.0),
-            ("limit", 0.1, 50.0),
-            ("free_limit", 0.1, 50.0),
-            ("path_width", 0.0, 5.0),
+            ("obstacle_density", 0.001, 10.0),
+            ("obstacle_thickness", 0.0, 2.0),
+            ("update_weight", 0.01, 1.0),
+            ("min_range", 0.0, 5.0),
+            ("min_clearing_range", 0.0, 5.0),
+            ("max_hit_log_odds", 0.0, 20.0),
+            ("max_miss_log_odds", 0.0, 20.0),
+            ("clamp_occupied", 0.1, 50.0),
+            ("clamp_free", 0.1, 50.0),
+            ("path_half_width", 0.0, 5.0),
             ("path_prior", -20.0, 0.0),
-            ("discount", 0.0, 10.0),
-            ("occupied", -20.0, 20.0),
-            ("memory", 0.1, 1e6),
+            ("recorded_hit_factor", 0.0, 10.0),
+            ("occupied_threshold", -20.0, 20.0),
+            ("decay_time_constant", 0.1, 1e6),
         )
 
 
-class OccupancyMap:
-    """What stands around the robot, in the frame of its path."""
+class OccupancyGrid:
+    """Occupancy grid around the robot, in the path frame."""
 
     def __init__(self, path: F64, settings: OccupancySettings | None = None) -> None:
-        """Knows nothing but the path.
+        """Creates a grid that holds the path prior alone.
 
         Args:
-            path: (N, 2), points of the recorded path, metres.
+            path: (N, 2), float64, points of the recorded path, path frame, metres.
             settings: None = the defaults.
         """
         self.settings = settings or OccupancySettings()
         self._path = path
-        self._count = max(3, round(self.settings.size / self.settings.cell))
-        self._corner: tuple[int, int] | None = None
-        """Cell of the frame of the path, x and y, that is the first one of the map; None = it is nowhere yet."""
-        self._evidence: F32 = np.zeros((self._count, self._count), np.float32)
+        self._cells = max(3, round(self.settings.size / self.settings.resolution))
+        """Cells along an edge."""
+        self._origin: tuple[int, int] | None = None
+        """Index, along x and y of the path frame, of the grid's first cell; None = the grid has no place yet."""
+        self._evidence: F32 = np.zeros((self._cells, self._cells), np.float32)
+        """Log-odds of the observations, without the prior."""
         self._prior: F32 = np.zeros_like(self._evidence)
+        """Prior log-odds."""
         self._recorded: list[tuple[F64, F64, F32]] = []
-        """Of each recorded image: pose of its camera, directions, evidence by direction and distance."""
-        self._away: F32 | None = None
-        """Distance of each cell from the nearest occupied one, metres; None = to be computed."""
+        """Of each recorded image: camera pose (3,), bearings (D,), log-odds updates (D, R) by bearing and range."""
+        self._obstacle_distance: F32 | None = None
+        """(n, n), distance from each cell to the nearest occupied one, metres; None = outdated."""
 
     def clear(self) -> None:
-        """Forgets everything but the path."""
-        self._corner, self._away = None, None
+        """Removes all observations; the path prior stays."""
+        self._origin, self._obstacle_distance = None, None
         self._evidence[:] = 0.0
 
-    def centre(self, x: float, y: float) -> None:
-        """Moves the map to a place of the robot, metres; what leaves it is forgotten."""
-        cell, count = self.settings.cell, self._count
-        corner = math.floor(x / cell) - count // 2, math.floor(y / cell) - count // 2
-        if self._corner is not None and max(abs(corner[0] - self._corner[0]), abs(corner[1] - self._corner[1])) < count // 8:
+    def move_window(self, x: float, y: float) -> None:
+        """Centres the rolling window on a point, path frame, metres; cells that leave the window lose their log-odds."""
+        resolution, count = self.settings.resolution, self._cells
+        origin = math.floor(x / resolution) - count // 2, math.floor(y / resolution) - count // 2
+        if self._origin is not None and max(abs(origin[0] - self._origin[0]), abs(origin[1] - self._origin[1])) < count // 8:
             return
         kept = np.zeros_like(self._evidence)
-        if self._corner is not None:
-            shift = corner[0] - self._corner[0], corner[1] - self._corner[1]
+        if self._origin is not None:
+            shift = origin[0] - self._origin[0], origin[1] - self._origin[1]
             to, frm = zip(*(_overlap(each, count) for each in shift), strict=True)
             kept[to] = self._evidence[frm]
-        self._corner, self._evidence, self._away = corner, kept, None
+        self._origin, self._evidence, self._obstacle_distance = origin, kept, None
         self._prior = self._path_prior()
 
-    def fade(self, seconds: float) -> None:
-        """Forgets a little, for a time that has passed."""
-        self._evidence *= math.exp(-max(0.0, seconds) / self.settings.memory)
-        self._away = None
+    def decay(self, seconds: float) -> None:
+        """Decays the log-odds by ``decay_time_constant``, for a time that has passed, seconds."""
+        self._evidence *= math.exp(-max(0.0, seconds) / self.settings.decay_time_constant)
+        self._obstacle_distance = None
 
-    def see(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
-        """Learns from a view.
+    def integrate(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
+        """Integrates an observation.
 
         Args:
-            camera: (3,), x, y, yaw of the camera in the frame of the path, metres and radians.
-            bearings: (D,), middles of the directions, radians, positive to the left, left first: those of equal strips of a pinhole image.
-            edges: (B + 1,), edges of the bins of distance from the camera, metres, from 0.
-            hit: (D, B + 1), probability that the first thing stands in each bin; the last: farther than all.
+            camera: (3,), float64, x, y, yaw of the camera, path frame, metres and radians.
+            bearings: (D,), float64, in the camera frame, radians, positive to the left, leftmost first: centres of equal strips of a pinhole
+                image.
+            edges: (B + 1,), float64, edges of the range bins, metres, from 0.
+            hit: (D, B + 1), float64, probability that the first obstacle along a bearing lies in each range bin; the last column: beyond the
+                last edge.
         """
-        if self._corner is None:
-            self.centre(float(camera[0]), float(camera[1]))
-        cells, told = self._told(camera, bearings, self._evidence_by_distance(edges, hit))
-        self._evidence[cells] = np.clip(self._evidence[cells] + told, -self.settings.free_limit, self.settings.limit)
-        self._away = None
+        if self._origin is None:
+            self.move_window(float(camera[0]), float(camera[1]))
+        cells, updates = self._cell_updates(camera, bearings, self._inverse_sensor_model(edges, hit))
+        log_odds = self._evidence[cells] + updates
+        self._evidence[cells] = np.clip(log_odds, -self.settings.clamp_free, self.settings.clamp_occupied)
+        self._obstacle_distance = None
 
-    def expect(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
-        """Learns from a recorded image: what it shows on the path is nothing that stands there. For the arguments see ``see``."""
-        self._recorded.append((camera, bearings, self._evidence_by_distance(edges, hit)))
-        self._corner = None
+    def add_recorded(self, camera: F64, bearings: F64, edges: F64, hit: F64) -> None:
+        """Adds a recorded image to the prior: its hits on the path are false positives. Arguments as of ``integrate``."""
+        self._recorded.append((camera, bearings, self._inverse_sensor_model(edges, hit)))
+        self._origin = None
 
-    def _told(self, camera: F64, bearings: F64, table: F32) -> tuple[NDArray[np.bool_], F32]:
-        """Returns the cells (n, n) that a camera sees, and what a table (D, R) by direction and distance tells of them, (K,)."""
-        count = self._count
-        cells = (np.arange(count) + 0.5) * self.settings.cell
-        assert self._corner is not None
-        dx = self._corner[0] * self.settings.cell + cells - camera[0]
-        dy = self._corner[1] * self.settings.cell + cells - camera[1]
+    def _cell_updates(self, camera: F64, bearings: F64, table: F32) -> tuple[NDArray[np.bool_], F32]:
+        """Returns the mask (n, n), bool, of the cells in the field of view, and their log-odds updates (K,), float32.
+
+        Args:
+            camera: (3,), x, y, yaw, path frame, metres and radians.
+            bearings: (D,), as of ``integrate``.
+            table: (D, R), log-odds updates by bearing and range.
+        """
+        count = self._cells
+        centres = (np.arange(count) + 0.5) * self.settings.resolution
+        assert self._origin is not None
+        dx = self._origin[0] * self.settings.resolution + centres - camera[0]
+        dy = self._origin[1] * self.settings.resolution + centres - camera[1]
         c, s = math.cos(camera[2]), math.sin(camera[2])
         ahead, left = c * dx[:, None] + s * dy[None, :], c * dy[None, :] - s * dx[:, None]
         row = (np.hypot(ahead, left) / _RANGE_STEP).astype(np.int64)
@@ -169,85 +182,92 @@ class OccupancyMap:
 
     @property
     def log_odds(self) -> F32:
-        """(n, n), rows along x and columns along y of the frame of the path."""
+        """(n, n), float32, prior included; rows along x and columns along y of the path frame."""
         return np.asarray(self._evidence + self._prior, dtype=np.float32)
 
     def clearance(self, points: F64) -> F64:
-        """Returns (...,): distances from points (..., 2) of the frame of the path to the nearest occupied cell, metres; in one: 0."""
-        if self._away is None:
-            free = (self.log_odds < self.settings.occupied).astype(np.uint8)
+        """Returns (...,), float64: distances from points (..., 2), path frame, to the nearest occupied cell, metres; 0 in an occupied cell."""
+        if self._obstacle_distance is None:
+            free = (self.log_odds < self.settings.occupied_threshold).astype(np.uint8)
             if free.all():
-                self._away = np.full(free.shape, self.settings.size, np.float32)
+                self._obstacle_distance = np.full(free.shape, self.settings.size, np.float32)
             else:
-                # From middle to middle: an occupied cell ends half a cell earlier.
-                away = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-                self._away = np.asarray(np.maximum(away - 0.5, 0.0) * self.settings.cell, dtype=np.float32)
-        return self._looked_up(self._away, points, self.settings.size)
+                # OpenCV measures from centre to centre: an occupied cell ends half a cell earlier.
+                distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+                self._obstacle_distance = np.asarray(np.maximum(distance - 0.5, 0.0) * self.settings.resolution, dtype=np.float32)
+        return self._look_up(self._obstacle_distance, points, self.settings.size)
 
-    def _looked_up(self, values: F32, points: F64, outside: float) -> F64:
-        if self._corner is None:
+    def _look_up(self, values: F32, points: F64, outside: float) -> F64:
+        """Returns (...,): the values (n, n) of the cells at points (..., 2), path frame, metres; ``outside`` beyond the grid."""
+        if self._origin is None:
             return np.full(points.shape[:-1], outside)
-        cells = np.floor(points / self.settings.cell).astype(np.int64) - self._corner
-        inside = np.asarray(((cells >= 0) & (cells < self._count)).all(axis=-1))
+        cells = np.floor(points / self.settings.resolution).astype(np.int64) - self._origin
+        inside = np.asarray(((cells >= 0) & (cells < self._cells)).all(axis=-1))
         rows = np.where(inside[..., None], cells, 0)
         return np.where(inside, values[rows[..., 0], rows[..., 1]], outside).astype(np.float64)
 
-    def _evidence_by_distance(self, edges: F64, hit: F64) -> F32:
-        """Returns (D, R): log odds that a view adds to a cell in each direction, at each distance."""
+    def _inverse_sensor_model(self, edges: F64, hit: F64) -> F32:
+        """Returns (D, R), float32: log-odds updates of a cell by bearing and range. Arguments as of ``integrate``."""
         settings = self.settings
-        within, believed = self.credible(edges, hit)
-        at = (np.arange(math.floor(edges[-1] / _RANGE_STEP)) + 0.5) * _RANGE_STEP
-        front, back = at - settings.depth, at + 0.5 * settings.cell
-        before, upto = (np.stack([np.interp(each, edges, row) for row in within]) for each in (front, back))
-        reached = 1.0 - before
+        hit_cdf, far = self.hit_cdf(edges, hit)
+        ranges = (np.arange(math.floor(edges[-1] / _RANGE_STEP)) + 0.5) * _RANGE_STEP
+        front, back = ranges - settings.obstacle_thickness, ranges + 0.5 * settings.resolution
+        before, upto = (np.stack([np.interp(each, edges, row) for row in hit_cdf]) for each in (front, back))
+        reached = 1.0 - before  # probability that the ray reaches the cell
         hazard = ((upto - before) / np.maximum(reached, 1e-6)).clip(1e-6, 1.0 - 1e-6)
-        usual = min(0.5, settings.density * (settings.depth + 0.5 * settings.cell))
-        odds = np.log(hazard / (1.0 - hazard)) - math.log(usual / (1.0 - usual))
-        told = settings.weight * believed[:, None] * reached * np.clip(odds, -settings.most_free, settings.most_occupied)
-        told[:, at < settings.blind] = told[:, at < settings.blind].clip(0.0)
-        return np.asarray(told, dtype=np.float32)
+        prior = min(0.5, settings.obstacle_density * (settings.obstacle_thickness + 0.5 * settings.resolution))
+        log_odds = np.log(hazard / (1.0 - hazard)) - math.log(prior / (1.0 - prior))
+        limited = np.clip(log_odds, -settings.max_miss_log_odds, settings.max_hit_log_odds)
+        updates = settings.update_weight * far[:, None] * reached * limited
+        updates[:, ranges < settings.min_clearing_range] = updates[:, ranges < settings.min_clearing_range].clip(0.0)
+        return np.asarray(updates, dtype=np.float32)
 
-    def credible(self, edges: F64, hit: F64) -> tuple[F64, F64]:
-        """Returns what of a view is believed, see ``OccupancySettings.nearest``.
+    def hit_cdf(self, edges: F64, hit: F64) -> tuple[F64, F64]:
+        """Returns the distribution of the first obstacle's range, without hits below ``OccupancySettings.min_range``.
+
+        Args:
+            edges: (B + 1,), edges of the range bins, metres, from 0.
+            hit: (D, B + 1), as of ``integrate``.
 
         Returns:
-            (D, B + 1), probability that the first thing stands within each of the edges, if not nearer than that; (D,), probability that
-            it does not stand nearer.
+            (D, B + 1), float64, probability that the first obstacle is nearer than each edge, provided that it is not nearer than
+            ``min_range``; (D,), float64, probability that it is not.
         """
         within = np.concatenate([np.zeros((len(hit), 1)), np.cumsum(hit[:, :-1], axis=1)], axis=1).clip(0.0, 1.0)
-        near = np.array([np.interp(self.settings.nearest, edges, row) for row in within])
+        near = np.array([np.interp(self.settings.min_range, edges, row) for row in within])
         far = np.maximum(1.0 - near, 1e-6)
         return ((within - near[:, None]) / far[:, None]).clip(0.0, 1.0), far
 
     def _path_prior(self) -> F32:
-        """Returns (n, n): log odds of cells of which nothing is known."""
-        assert self._corner is not None
-        away = np.ones(self._evidence.shape, np.uint8)
-        cells = np.round(self._path / self.settings.cell - 0.5).astype(np.int32) - self._corner
+        """Returns (n, n), float32: prior log-odds."""
+        assert self._origin is not None
+        off_path = np.ones(self._evidence.shape, np.uint8)
+        cells = np.round(self._path / self.settings.resolution - 0.5).astype(np.int32) - self._origin
         # OpenCV's points are (column, row).
-        cv2.polylines(away, [cells[:, ::-1].astype(np.int32).reshape(-1, 1, 2)], False, 0)
-        if away.all():
+        cv2.polylines(off_path, [cells[:, ::-1].astype(np.int32).reshape(-1, 1, 2)], False, 0)
+        if off_path.all():
             return np.zeros_like(self._evidence)
-        distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * self.settings.cell
-        seen = np.zeros(distance.shape, np.float32)
+        distance = cv2.distanceTransform(off_path, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * self.settings.resolution
+        hits = np.zeros(distance.shape, np.float32)
         far = 0.75 * self.settings.size
-        middle = (np.array(self._corner) + self._count / 2.0) * self.settings.cell
+        centre = (np.array(self._origin) + self._cells / 2.0) * self.settings.resolution
         for camera, bearings, table in self._recorded:
-            if np.abs(camera[:2] - middle).max() < far:
-                in_view, told = self._told(camera, bearings, table)
-                seen[in_view] += told
-        wrong = np.clip(self.settings.discount * seen, 0.0, self.settings.limit)
-        return np.where(distance <= self.settings.path_width, self.settings.path_prior - wrong, 0.0).astype(np.float32)
+            if np.abs(camera[:2] - centre).max() < far:
+                in_view, updates = self._cell_updates(camera, bearings, table)
+                hits[in_view] += updates
+        false_hits = np.clip(self.settings.recorded_hit_factor * hits, 0.0, self.settings.clamp_occupied)
+        is_near = distance <= self.settings.path_half_width
+        return np.where(is_near, self.settings.path_prior - false_hits, 0.0).astype(np.float32)
 
 
 def _half_width(bearings: F64) -> float:
-    """Returns the tangent of half the field of view whose equal strips have these middles."""
+    """Returns the tangent of half the field of view whose equal strips are centred on these bearings (D,), radians."""
     count = len(bearings)
     return math.tan(float(bearings[0])) * count / max(count - 1, 1)
 
 
 def _overlap(shift: int, count: int) -> tuple[slice, slice]:
-    """Returns where kept rows go, and where they come from, when the map moves by a number of cells."""
+    """Returns the destination and the source of the rows that stay in a window of ``count`` cells that moves by ``shift`` cells."""
     moved = min(abs(shift), count)
     low, high = slice(0, count - moved), slice(moved, count)
     return (low, high) if shift >= 0 else (high, low)
