@@ -215,6 +215,21 @@ def test_state_that_waits_when_the_node_is_asked_to_end_is_drawn(rig: Rig, monke
     rig.spin_until(lambda: stamp in map(_stamp, images), "the image of the last state")
 
 
+def test_who_subscribes_while_time_stands_receives_one_image_of_the_newest_state(rig: Rig) -> None:
+    render = rig.render()
+    rig.load(_scene(replace(EYE, outputs=("rgb", "depth"))))
+    stamp = rig.tick()
+    rig.spin_until(lambda: render._latest is not None, "the state")
+    images, infos = rig.collect(Image, "eye/image_raw"), rig.collect(CameraInfo, "eye/camera_info")
+    rig.spin_until(lambda: bool(images and infos), "an image without another tick")
+    depths = rig.collect(Image, "eye/depth/image_raw")
+    rig.spin_until(lambda: bool(depths), "depth, whose subscriber came later still")
+    for _ in range(50):
+        rig.spin()
+    assert [_stamp(m) for m in (*images, *infos, *depths)] == 3 * [stamp]
+    rig.tick_until(lambda: len(images) > 3 and len(depths) > 3, "images of later ticks")
+
+
 @pytest.mark.parametrize(
     ("setting", "image_format", "worst"), [("jpeg", "rgb8; jpeg compressed bgr8", 6), ("png", "rgb8; png compressed bgr8", 0)]
 )

@@ -37,6 +37,10 @@ from gibson_sim.sensors.frame_history import FrameHistory
 from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import CameraSpec, Frame, SceneState as State
 
+_LATE_CHECK_S = 0.25
+"""Wall time between two looks for subscribers that came while time stands, seconds."""
+_LATE_AFTER_S = 1.0
+"""Wall time without a new state after which time is taken to stand, seconds."""
 _REVISION_TIMEOUT_S = 2.0
 """Wall time after which states of another revision than the scene's are logged, s: scene and states arrive on two topics, in any order."""
 
@@ -93,12 +97,19 @@ class RenderNode(Node):
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
         self._failure: ConfigError | None = None
+        self._latest: SceneState | None = None
+        """The newest state that can be drawn."""
+        self._latest_since = 0.0
+        """When it arrived (monotonic clock, s)."""
+        self._served: dict[str, frozenset[str]] = {}
+        """By name of a camera: the kinds of messages whose subscribers have received one."""
         self._last_done: tuple[int, int] | None = None
         """Epoch and stamp of the last tick reported as done; None = no state has arrived."""
         self._digests = DigestPublisher(self) if self._config.digests else None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = qos.make_publisher(self, DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(_LATE_CHECK_S, self._serve_late_subscribers, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _on_scene(self, msg: Scene) -> None:
         """Loads the scene, then subscribes to the state: the subscription tells that this node is ready to draw."""
@@ -219,6 +230,8 @@ class RenderNode(Node):
         for i in due:
             if not subscribed[i]:
                 self._stats.count_due(self._cameras[i].camera, 0, subscribed=False)
+        if drawable:
+            self._latest, self._latest_since = drawable[-1], time.monotonic()
         drawn = None
         if newest is not None and _when(newest) != self._last_done:
             drawn = self._draw(newest, {i: subscribed[i] for i in newest.due_cameras if i in due})
@@ -230,6 +243,31 @@ class RenderNode(Node):
             self._stats.add(*drawn)
         if self._stats.report_is_late:
             self._publish_diagnostics()
+
+    def _serve_late_subscribers(self) -> None:
+        """While time stands, draws the newest state for those who subscribed after it was drawn: a paused simulation is seen, too.
+
+        Cameras with flow or a shutter are left out, since their image would depend on when somebody subscribed. In lockstep only due cameras are
+        drawn, and none in runs whose digests are compared, so that what is published depends on simulation time alone.
+        """
+        state = self._latest
+        if state is None or self._scene is None or state.revision != self._scene.revision or self._digests is not None:
+            return
+        if time.monotonic() - self._latest_since < _LATE_AFTER_S:
+            return
+        late: dict[int, frozenset[str]] = {}
+        for i, publisher in self._cameras.items():
+            kinds, name = publisher.subscribed_kinds(), publisher.camera.name
+            served = self._served[name] = self._served.get(name, frozenset()) & kinds
+            if not kinds - served or needs_previous(publisher.camera) or (is_in_lockstep(self) and i not in state.due_cameras):
+                continue
+            late[i] = kinds - served
+        before = {i: self._served[self._cameras[i].camera.name] for i in late}
+        drawn = self._draw(state, late) if late else None
+        for i, kinds in before.items():
+            self._served[self._cameras[i].camera.name] = kinds | late[i]
+        if drawn is not None:
+            self._stats.add(*drawn)
 
     def _note_mismatched(self, states: Sequence[SceneState], has_drawable: bool) -> None:
         """Stores the newest state whose scene has not arrived; warns if the scene stays away."""
@@ -268,8 +306,10 @@ class RenderNode(Node):
             self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
             return None
         for i, kinds in subscribed.items():
+            self._served[self._cameras[i].camera.name] = kinds
             if kinds:
-                self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
+                if i in msg.due_cameras:
+                    self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
                 self._cameras[i].publish_info(stamp_ns, kinds)
         if self._digests is not None:
             self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
