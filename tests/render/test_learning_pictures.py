@@ -50,9 +50,9 @@ def test_earlier_images_of_obstacles_are_of_the_pose_that_is_told() -> None:
         """Returns the median over images of the mean difference where both see something, in the lower half."""
         found = []
         for k in turned:
-            brought = floor.brought(shard.earlier[k], pose_of(shard.earlier_pose[k].astype(np.float64)))[HEIGHT // 2 :]
-            known = brought.any(axis=2)
-            found.append(np.abs(brought.astype(float) - shard.images[k][HEIGHT // 2 :])[known].mean())
+            warped = floor.warp(shard.earlier[k], pose_of(shard.earlier_pose[k].astype(np.float64)))[HEIGHT // 2 :]
+            known = warped.any(axis=2)
+            found.append(np.abs(warped.astype(float) - shard.images[k][HEIGHT // 2 :])[known].mean())
         return float(np.median(found))
 
     true = difference(lambda pose: pose)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gibson_path_following.floor_plane import FloorPlane
-from gibson_path_following.learned import PathModel
-from gibson_path_following.pose_filter import OffsetTold
+from gibson_path_following.path_model import PathModel
+from gibson_path_following.pose_filter import OffsetCalibration
 from gibson_sim_learn.path_following.data import DIRECTIONS, FREE_EDGES, PAIR, Shard
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HFOV
 from gibson_sim_learn.path_following.sampling import Sampler
@@ -59,7 +59,7 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
 
     torch.manual_seed(0)
     network = PathNetwork().eval()
-    size = export_network(network, tmp_path / "model.onnx", OffsetTold(0.25, 0.4))
+    size = export_network(network, tmp_path / "model.onnx", OffsetCalibration(0.25, 0.4))
     assert size < 10e6
     model = PathModel(tmp_path / "model.onnx")
     rng = np.random.default_rng(0)
@@ -74,7 +74,7 @@ def test_exported_network_gives_what_the_network_gives(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
     assert found.hit.shape == (DIRECTIONS, len(FREE_EDGES))
     np.testing.assert_allclose(model.edges, FREE_EDGES)
-    assert model.offsets == OffsetTold(0.25, 0.4)
+    assert model.offsets == OffsetCalibration(0.25, 0.4)
 
 
 def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path) -> None:
@@ -110,16 +110,16 @@ def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) 
 
     torch.manual_seed(0)
     network, distances = PathNetwork(), DistanceNetwork().eval()
-    assert export_network(network, tmp_path / "model.onnx", OffsetTold(0.25, 0.4), distances) < 10e6
+    assert export_network(network, tmp_path / "model.onnx", OffsetCalibration(0.25, 0.4), distances) < 10e6
     assert network.training and not distances.training
     model = PathModel(tmp_path / "model.onnx")
     present, before = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3)).astype(np.uint8)
     pose = np.array([-0.3, 0.02, 0.1])
     floor = FloorPlane(96, 64, HFOV, CAMERA_HEIGHT)
-    for earlier, brought in ((None, np.zeros_like(before)), ((before, pose), floor.brought(before, pose))):
+    for earlier, warped in ((None, np.zeros_like(before)), ((before, pose), floor.warp(before, pose))):
         found = model.estimate(present, present[None], earlier)
         with torch.no_grad():
-            hit = torch.softmax(distances(torch.from_numpy(present[None]), torch.from_numpy(brought[None]))[0], dim=1)
+            hit = torch.softmax(distances(torch.from_numpy(present[None]), torch.from_numpy(warped[None]))[0], dim=1)
         np.testing.assert_allclose(found.hit, hit.numpy(), atol=1e-5)
 
 

@@ -17,13 +17,13 @@ F64 = NDArray[np.float64]
 
 
 def nothing(points: F64) -> F64:
-    """Returns the clearance where nothing stands."""
+    """Returns the clearance without obstacles."""
     return np.full(points.shape[:-1], 10.0)
 
 
-def beside(things: F64) -> Callable[[F64], F64]:
-    """Returns the clearance among things (M, 2)."""
-    return lambda points: np.asarray(np.linalg.norm(points[..., None, :] - things, axis=-1).min(axis=-1))
+def beside(obstacles: F64) -> Callable[[F64], F64]:
+    """Returns the clearance among point obstacles (M, 2), metres."""
+    return lambda points: np.asarray(np.linalg.norm(points[..., None, :] - obstacles, axis=-1).min(axis=-1))
 
 
 def test_goal_straight_ahead_is_driven_to_straight_at_full_speed() -> None:
@@ -91,5 +91,5 @@ def test_arc_of_a_quarter_turn_ends_at_its_radius() -> None:
 
 
 def test_settings_out_of_range_are_one_line() -> None:
-    with pytest.raises(SettingError, match=r"arcs is 1, must be 3 to 1001"):
-        ArcSettings(arcs=1)
+    with pytest.raises(SettingError, match=r"arc_count is 1, must be 3 to 1001"):
+        ArcSettings(arc_count=1)

@@ -1,4 +1,4 @@
-"""Ways over the lattice: straight where nothing stands, round a thing on its free side, up to what blocks the path."""
+"""Plans over the lattice: straight without obstacles, round an obstacle on its free side, up to what blocks the path."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.lattice import Lattice, LatticeSettings, Way
+from gibson_path_following.lattice import LatticePlanner, LatticeSettings, LocalPlan
 
 F64 = NDArray[np.float64]
-ALONG = np.arange(21, dtype=np.float64) * 0.1
-ROOM = LatticeSettings().room
+STATIONS = np.arange(21, dtype=np.float64) * 0.1
+MIN_CLEARANCE = LatticeSettings().min_clearance
 
 
 def box(x0: float, x1: float, y0: float, y1: float) -> Callable[[F64], F64]:
@@ -25,61 +25,61 @@ def box(x0: float, x1: float, y0: float, y1: float) -> Callable[[F64], F64]:
 NOWHERE = box(50.0, 51.0, 0.0, 1.0)
 
 
-def way(clearance: Callable[[F64], F64], offset: float = 0.0, lattice: Lattice | None = None) -> Way:
-    """Returns the way along the x axis."""
-    points = np.column_stack([ALONG, np.zeros(21)])
-    return (lattice or Lattice()).way(ALONG, points, np.tile([0.0, 1.0], (21, 1)), offset, clearance)
+def plan(clearance: Callable[[F64], F64], offset: float = 0.0, planner: LatticePlanner | None = None) -> LocalPlan:
+    """Returns the plan along the x axis."""
+    points = np.column_stack([STATIONS, np.zeros(21)])
+    return (planner or LatticePlanner()).plan(STATIONS, points, np.tile([0.0, 1.0], (21, 1)), offset, clearance)
 
 
-def test_way_is_the_path_where_nothing_stands() -> None:
-    found = way(NOWHERE)
+def test_plan_is_the_path_where_there_are_no_obstacles() -> None:
+    found = plan(NOWHERE)
     np.testing.assert_array_equal(found.offsets, np.zeros(21))
-    np.testing.assert_allclose(found.points[:, 0], ALONG)
+    np.testing.assert_allclose(found.points[:, 0], STATIONS)
     assert found.is_free
 
 
 def test_robot_beside_the_path_comes_back_to_it() -> None:
-    found = way(NOWHERE, offset=-0.3)
+    found = plan(NOWHERE, offset=-0.3)
     assert found.offsets[0] == pytest.approx(-0.3)
     assert abs(found.offsets[6]) <= 0.05
     assert (np.diff(found.offsets) >= -1e-9).all()
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_way_leads_round_a_box_on_its_free_side(side: float) -> None:
+def test_plan_leads_round_a_box_on_its_free_side(side: float) -> None:
     # 0.4 m wide, and 0.1 m to one side of the path: on the other side the robot needs 0.1 + 0.18 m, on this one 0.3 + 0.18 m.
     low, high = sorted((-0.1 * side, 0.3 * side))
-    found = way(box(0.9, 1.2, low, high))
+    found = plan(box(0.9, 1.2, low, high))
     beside = found.offsets[9:13]
     assert (side * beside > -0.5).all()
     assert (side * beside <= -0.28 + 1e-9).all()
     assert found.is_free
-    assert found.clearance.min() >= ROOM
+    assert found.clearance.min() >= MIN_CLEARANCE
     assert abs(found.offsets[-1]) <= 0.05
 
 
-def test_way_ends_before_a_wall() -> None:
-    found = way(box(1.25, 1.5, -3.0, 3.0))
+def test_free_distance_ends_before_a_wall() -> None:
+    found = plan(box(1.25, 1.5, -3.0, 3.0))
     # At 1.0 m there are 0.25 m left, at 1.1 m 0.15 m, which is less than the robot needs.
     assert not found.is_free
-    assert found.free == pytest.approx(1.1)
+    assert found.free_distance == pytest.approx(1.1)
 
 
-def test_robot_that_is_too_near_to_a_thing_finds_its_way_out() -> None:
-    found = way(box(-0.5, 0.1, 0.1, 0.5))
-    assert found.clearance[0] < ROOM
+def test_robot_that_is_too_near_to_an_obstacle_gets_a_free_plan_away_from_it() -> None:
+    found = plan(box(-0.5, 0.1, 0.1, 0.5))
+    assert found.clearance[0] < MIN_CLEARANCE
     assert found.is_free
     assert (found.offsets <= 0.0).all()
 
 
-def test_way_stays_on_its_side_of_a_thing() -> None:
-    lattice = Lattice()
-    before = way(box(0.9, 1.2, -0.16, 0.2), lattice=lattice).offsets[10]
-    after = way(box(0.9, 1.2, -0.2, 0.16), lattice=lattice).offsets[10]  # now the other side is nearer
+def test_plan_stays_on_its_side_of_an_obstacle() -> None:
+    planner = LatticePlanner()
+    before = plan(box(0.9, 1.2, -0.16, 0.2), planner=planner).offsets[10]
+    after = plan(box(0.9, 1.2, -0.2, 0.16), planner=planner).offsets[10]  # now the other side is nearer
     assert before < 0.0
     assert after < 0.0
-    lattice.reset()
-    assert way(box(0.9, 1.2, -0.2, 0.16), lattice=lattice).offsets[10] > 0.0
+    planner.reset()
+    assert plan(box(0.9, 1.2, -0.2, 0.16), planner=planner).offsets[10] > 0.0
 
 
 def test_settings_out_of_range_are_one_line() -> None:

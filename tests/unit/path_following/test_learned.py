@@ -11,9 +11,12 @@ import pytest
 
 from gibson_path_following.errors import ModelError, SettingError, ViewError
 from gibson_path_following.follower import PathFollower
-from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings, PathModel
+from gibson_path_following.learned import LearnedPolicy, LearnedSettings
 from gibson_path_following.occupancy import OccupancySettings
-from gibson_path_following.pose_filter import OffsetTold, PoseFilter, node_poses, relative
+from gibson_path_following.path_model import DEFAULT_MODEL, PathModel
+from gibson_path_following.pose_filter import OffsetCalibration, PoseFilter, node_poses, relative_pose
+from gibson_path_following.pose_tracking import PoseTrackingSettings
+from gibson_path_following.speed_limits import SpeedSettings
 from gibson_path_following.types import STOP, Image, PathNode, Place, RecordedPath, Step, Velocity, View
 from support.path_models import METADATA, path_model
 
@@ -46,7 +49,7 @@ def at(index: float) -> Place:
 VIEW = (np.zeros((64, 96, 3), np.uint8),)
 
 
-def test_network_gives_poses_of_recorded_images(tmp_path: Path) -> None:
+def test_network_predicts_poses_of_recorded_images(tmp_path: Path) -> None:
     found = model(tmp_path).estimate(VIEW[0], np.stack([colour(0.5, 0.2, -0.3), colour(1.0, 0.0, 0.0)]))
     np.testing.assert_allclose(found.pose, [[0.5, 0.2, -0.3], [1.0, 0.0, 0.0]], atol=1e-6)
     np.testing.assert_allclose(found.match, [1.0, 1.0])
@@ -68,7 +71,7 @@ def test_network_of_the_package_sees_an_image_in_itself() -> None:
     assert DEFAULT_MODEL.with_suffix(".md").is_file()
 
 
-def test_directions_are_the_middles_of_equal_strips(tmp_path: Path) -> None:
+def test_bearings_are_the_centres_of_equal_strips(tmp_path: Path) -> None:
     bearings = model(tmp_path).bearings
     assert bearings[0] == pytest.approx(math.atan(23.0 / 24.0 * math.tan(HFOV / 2.0)))
     np.testing.assert_allclose(bearings, -bearings[::-1])
@@ -79,7 +82,7 @@ def test_robot_beside_the_path_turns_back_to_it(tmp_path: Path) -> None:
     images = [colour(0.0, 0.0, 0.0), *(colour(0.2 * k, 0.3, 0.0) for k in range(1, 12))]
     policy = LearnedPolicy(path_of(images), model(tmp_path))
     velocity = policy.act(VIEW, 0, at(0.0))
-    assert policy.filter.pose[1] < -0.15
+    assert policy.tracker.filter.pose[1] < -0.15
     assert velocity.linear > 0.0
     assert velocity.angular > 0.1
 
@@ -94,7 +97,7 @@ def test_robot_on_the_path_drives_straight_at_the_recorded_speed(tmp_path: Path)
 def driven(folder: Path, free: tuple[float, ...], views: int, min_range: float = 0.35) -> tuple[LearnedPolicy, list[Velocity]]:
     """Returns a policy that stands at the start of a straight path and sees the same again and again, and its velocities."""
     images = [colour(0.2 * k, 0.0, 0.0) for k in range(12)]
-    # The network by hand sees the same things in all images, recorded ones too.
+    # The network by hand predicts the same obstacles in all images, recorded ones too.
     settings = LearnedSettings(occupancy=OccupancySettings(recorded_hit_factor=0.0, min_range=min_range))
     policy = LearnedPolicy(path_of(images), model(folder, free), settings)
     return policy, [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(views)]
@@ -106,21 +109,21 @@ def test_robot_stops_before_a_wall(tmp_path: Path) -> None:
     assert velocities[-1] == STOP
 
 
-def test_robot_stands_for_a_while_before_what_seems_nearer_than_is_believed_and_then_creeps(tmp_path: Path) -> None:
+def test_robot_stops_for_some_views_before_an_obstacle_below_the_minimum_range_and_then_creeps(tmp_path: Path) -> None:
     policy, velocities = driven(tmp_path, (0.2,) * 24, 20)
-    assert policy.way is not None
-    assert policy.way.is_free
-    views = policy.settings.near_views
+    assert policy.plan is not None
+    assert policy.plan.is_free
+    views = policy.settings.speed.max_stop_views
     assert velocities[:views] == [STOP] * views
-    assert all(0.0 < velocity.linear <= policy.settings.slow + 1e-9 for velocity in velocities[views:])
+    assert all(0.0 < velocity.linear <= policy.settings.speed.slow_linear + 1e-9 for velocity in velocities[views:])
 
 
-def test_one_view_of_a_thing_slows_the_robot_before_the_map_has_it(tmp_path: Path) -> None:
+def test_one_view_of_an_obstacle_slows_the_robot_before_the_grid_has_it(tmp_path: Path) -> None:
     policy, velocities = driven(tmp_path, (0.7,) * 24, 1)
-    assert policy.way is not None
-    assert policy.way.is_free
-    assert velocities[0].linear == pytest.approx(policy.settings.slow)
-    # A thing beside the way does not.
+    assert policy.plan is not None
+    assert policy.plan.is_free
+    assert velocities[0].linear == pytest.approx(policy.settings.speed.slow_linear)
+    # An obstacle beside the plan does not.
     beside = (0.7,) * 4 + (3.0,) * 20
     assert driven(tmp_path, beside, 1)[1][0].linear == pytest.approx(0.4)
 
@@ -130,24 +133,26 @@ def test_robot_is_slower_before_a_wall_that_is_farther_away(tmp_path: Path) -> N
     assert 0.0 < velocities[-1].linear < 0.3
 
 
-def test_robot_drives_round_a_thing_on_its_path(tmp_path: Path) -> None:
-    # Something 0.8 m ahead in the left half of the view, and in two directions of the right half.
+def test_robot_drives_round_an_obstacle_on_its_path(tmp_path: Path) -> None:
+    # An obstacle 0.8 m ahead in the left half of the view, and at two bearings of the right half.
     policy, velocities = driven(tmp_path, (0.8,) * 14 + (3.0,) * 10, 6)
-    assert policy.way is not None
-    assert policy.way.is_free
-    assert policy.way.offsets.min() < -0.2
+    assert policy.plan is not None
+    assert policy.plan.is_free
+    assert policy.plan.offsets.min() < -0.2
     assert velocities[-1].angular < 0.0
     assert velocities[-1].linear > 0.0
 
 
-def test_blocked_robot_backs_off_after_a_while(tmp_path: Path) -> None:
+def test_blocked_robot_backs_up_after_a_wait(tmp_path: Path) -> None:
     _, velocities = driven(tmp_path, (0.3,) * 24, 16, min_range=0.2)
     assert any(velocity.linear < 0.0 for velocity in velocities)
 
 
-def test_robot_stops_when_nothing_of_the_path_is_seen_for_some_views(tmp_path: Path) -> None:
+def test_robot_stops_after_some_views_without_a_match(tmp_path: Path) -> None:
     images = [np.zeros((64, 96, 3), np.uint8)] * 12  # no red: no match
-    policy = LearnedPolicy(path_of(images), model(tmp_path), LearnedSettings(unseen_views=2))
+    policy = LearnedPolicy(
+        path_of(images), model(tmp_path), LearnedSettings(tracking=PoseTrackingSettings(max_unmatched_views=2))
+    )
     velocities = [policy.act(VIEW, k * 200_000_000, at(0.0)) for k in range(4)]
     assert [velocity.linear > 0.0 for velocity in velocities] == [True, True, False, False]
     assert velocities[-1] == STOP
@@ -190,9 +195,9 @@ def test_a_network_that_sees_an_earlier_image_needs_the_height_of_its_camera(tmp
 def test_images_of_a_wider_camera_are_cut(tmp_path: Path) -> None:
     wide = np.zeros((128, 192, 3), np.uint8)
     wide[:, 48:144] = 200  # the middle half of the width: tan 45 degrees * 2 = tan 63.4 degrees
-    fitted = model(tmp_path).fitted(wide, 2.0 * math.atan(2.0 * math.tan(HFOV / 2.0)))
-    assert fitted.shape == (64, 96, 3)
-    assert fitted.min() == 200
+    resampled = model(tmp_path).resample(wide, 2.0 * math.atan(2.0 * math.tan(HFOV / 2.0)))
+    assert resampled.shape == (64, 96, 3)
+    assert resampled.min() == 200
 
 
 def test_paths_of_fisheyes_are_refused(tmp_path: Path) -> None:
@@ -221,13 +226,13 @@ def test_other_networks_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_settings_out_of_range_are_one_line() -> None:
-    with pytest.raises(SettingError, match=r"ahead is 9, must be 0.05 to 3"):
-        LearnedSettings(ahead=9.0)
-    with pytest.raises(SettingError, match=r"doubts is .*, must be two probabilities, the smaller one first"):
-        LearnedSettings(doubts=(0.6, 0.2))
+    with pytest.raises(SettingError, match=r"lookahead_distance is 9, must be 0.05 to 3"):
+        LearnedSettings(lookahead_distance=9.0)
+    with pytest.raises(SettingError, match=r"slowdown_probabilities is .*, must be two probabilities, the smaller one first"):
+        SpeedSettings(slowdown_probabilities=(0.6, 0.2))
 
 
-def test_nodes_lie_where_the_recorded_velocities_lead() -> None:
+def test_node_poses_integrate_the_recorded_velocities() -> None:
     # A quarter turn to the left in 5 parts of 0.2 m: a circle of radius 2 / pi.
     path = path_of([VIEW[0]] * 6, Velocity(0.4, 0.4 * math.pi / 2.0))
     poses = node_poses(path)
@@ -240,45 +245,45 @@ def test_path_without_velocities_has_no_poses() -> None:
     assert node_poses(RecordedPath("pinhole", HFOV, nodes)) is None
 
 
-def test_filter_goes_where_exact_sightings_say() -> None:
+def test_filter_converges_to_exact_measurements() -> None:
     truth = np.array([0.25, -0.2, 0.15])
     found = PoseFilter()
     found.reset(np.zeros(3))
     for node in (np.array([0.4, 0.0, 0.0]), np.array([0.8, 0.1, 0.2]), np.array([1.2, 0.2, 0.3])) * 3:
-        assert found.correct(node, np.array(relative(truth, node)), np.full(3, 0.01))
+        assert found.correct(node, np.array(relative_pose(truth, node)), np.full(3, 0.01))
     np.testing.assert_allclose(found.pose, truth, atol=0.02)
 
 
-def test_offsets_that_the_network_tells_too_small_do_not_draw_the_robot_to_the_path() -> None:
-    truth, told = np.array([0.0, 0.3, 0.0]), np.array([0.0, 0.25 * 0.3, 0.0])
+def test_calibration_keeps_underestimated_offsets_from_pulling_the_pose_to_the_path() -> None:
+    truth, predicted = np.array([0.0, 0.3, 0.0]), np.array([0.0, 0.25 * 0.3, 0.0])
     poses = []
-    for offsets in (OffsetTold(), OffsetTold(0.25, 0.4)):
+    for offsets in (OffsetCalibration(), OffsetCalibration(0.25, 0.4)):
         found = PoseFilter(offsets)
         found.reset(np.zeros(3))
         for k in range(60):
             for node in (np.array([0.2, 0.0, 0.0]), np.array([0.6, 0.0, 0.0])):
-                assert found.correct(node, np.array(relative(told, node)), np.full(3, 0.05), level=np.zeros(3)), k
+                assert found.correct(node, np.array(relative_pose(predicted, node)), np.full(3, 0.05), path_pose=np.zeros(3)), k
         poses.append(found.pose)
-    assert poses[0][1] == pytest.approx(told[1], abs=0.02)
+    assert poses[0][1] == pytest.approx(predicted[1], abs=0.02)
     assert poses[1][1] == pytest.approx(truth[1], abs=0.06)
 
 
 def test_a_node_behind_a_corner_does_not_push_a_robot_that_is_on_its_path() -> None:
-    node, found = np.array([0.6, 0.6, math.pi / 2.0]), PoseFilter(OffsetTold(0.25, 0.4))
+    node, found = np.array([0.6, 0.6, math.pi / 2.0]), PoseFilter(OffsetCalibration(0.25, 0.4))
     found.reset(np.zeros(3))
     for _ in range(20):
-        assert found.correct(node, np.array(relative(np.zeros(3), node)), np.full(3, 0.05), level=np.zeros(3))
+        assert found.correct(node, np.array(relative_pose(np.zeros(3), node)), np.full(3, 0.05), path_pose=np.zeros(3))
     np.testing.assert_allclose(found.pose, np.zeros(3), atol=1e-6)
 
 
-def test_filter_refuses_a_sighting_that_cannot_be() -> None:
+def test_filter_rejects_a_measurement_beyond_its_gate() -> None:
     found = PoseFilter()
     found.reset(np.zeros(3))
     assert not found.correct(np.array([0.5, 0.0, 0.0]), np.array([0.5, 3.0, 0.0]), np.full(3, 0.05))
     np.testing.assert_array_equal(found.pose, np.zeros(3))
 
 
-def test_turn_by_columns_corrects_the_heading() -> None:
+def test_column_shift_corrects_the_heading() -> None:
     found = PoseFilter()
     found.reset(np.zeros(3))
     for _ in range(20):
@@ -288,54 +293,60 @@ def test_turn_by_columns_corrects_the_heading() -> None:
     assert not found.correct_heading(np.array([0.2, 0.0, 0.0]), -2.0)
 
 
-def test_place_along_the_path_moves_the_pose_along_it_alone() -> None:
+def test_station_corrects_the_pose_along_the_path_alone() -> None:
     found = PoseFilter()
     found.reset(np.array([0.0, 0.0, math.pi / 2.0]))
-    found.correct_along(np.array([0.5, 0.4, math.pi / 2.0]), 0.001)
+    found.correct_station(np.array([0.5, 0.4, math.pi / 2.0]), 0.001)
     np.testing.assert_allclose(found.pose, [0.0, 0.4, math.pi / 2.0], atol=1e-3)
 
 
 def test_robot_stops_by_itself_behind_the_end_of_the_path(tmp_path: Path) -> None:
     images = [colour(0.0, 0.0, 0.0)] * 6  # every node is where the robot is
-    policy = LearnedPolicy(path_of(images), model(tmp_path), LearnedSettings(columns=False))
+    policy = LearnedPolicy(
+        path_of(images), model(tmp_path), LearnedSettings(tracking=PoseTrackingSettings(use_column_shift=False))
+    )
     policy.act(VIEW, 0, at(5.0))
-    policy.filter.reset(np.array([1.15, 0.0, 0.0]))
-    policy.filter.covariance = np.zeros((3, 3))
+    policy.tracker.filter.reset(np.array([1.15, 0.0, 0.0]))
+    policy.tracker.filter.covariance = np.zeros((3, 3))
     assert policy.act(VIEW, 1, at(5.0)) == STOP
 
 
-def test_filter_moves_by_what_the_robot_made_and_becomes_less_sure() -> None:
+def test_prediction_moves_the_pose_and_adds_variance() -> None:
     found = PoseFilter()
     found.reset(np.array([0.0, 0.0, math.pi / 2.0]))
     before = np.trace(found.covariance)
-    found.move(Step(0.45, 0.0))
+    found.predict(Step(0.45, 0.0))
     np.testing.assert_allclose(found.pose, [0.0, 0.45, math.pi / 2.0], atol=1e-9)
     assert np.trace(found.covariance) > before
 
 
-def test_policy_is_sure_while_the_network_sees_the_path(tmp_path: Path) -> None:
-    seen = LearnedPolicy(path_of([colour(0.2 * k, 0.0, 0.0) for k in range(12)]), model(tmp_path), LearnedSettings(lost_views=3))
-    assert not seen.is_sure
+def test_policy_is_localised_while_recorded_images_match(tmp_path: Path) -> None:
+    seen = LearnedPolicy(
+        path_of([colour(0.2 * k, 0.0, 0.0) for k in range(12)]),
+        model(tmp_path),
+        LearnedSettings(tracking=PoseTrackingSettings(max_lost_views=3)),
+    )
+    assert not seen.is_localised
     seen.act(VIEW, 0, at(0.0))
-    assert seen.is_sure
+    assert seen.is_localised
     lost = Place(9.0, 0.0, is_lost=True)
-    sure = []
+    localised = []
     for k in range(1, 5):
         seen.act(VIEW, k * 200_000_000, lost)
-        sure.append(seen.is_sure)
-    assert sure == [True, True, False, False]
-    assert seen.filter.pose[0] < 0.3  # it does not go where the localiser believes
+        localised.append(seen.is_localised)
+    assert localised == [True, True, False, False]
+    assert seen.tracker.filter.pose[0] < 0.3  # it does not go where the localiser believes
     assert seen.act(VIEW, 9_000_000_000, lost) == STOP  # the camera was covered meanwhile
-    assert not seen.is_sure
+    assert not seen.is_localised
     unseen = LearnedPolicy(path_of([np.zeros((64, 96, 3), np.uint8)] * 12), model(tmp_path))
     unseen.act(VIEW, 0, at(0.0))
-    assert not unseen.is_sure
+    assert not unseen.is_localised
 
 
-@pytest.mark.parametrize("sure", [True, False])
-def test_follower_drives_on_where_its_localiser_is_lost_if_the_policy_is_sure(sure: bool) -> None:
+@pytest.mark.parametrize("localised", [True, False])
+def test_follower_drives_on_where_its_localiser_is_lost_if_the_policy_is_localised(localised: bool) -> None:
     class Driving:
-        is_sure = sure
+        is_localised = localised
 
         def reset(self) -> None: ...
 
@@ -347,8 +358,8 @@ def test_follower_drives_on_where_its_localiser_is_lost_if_the_policy_is_sure(su
     velocities = [follower.observe(k * 200_000_000, (images[10],)) for k in range(8)]
     assert follower.place is not None
     assert follower.place.is_lost
-    assert (velocities[-1] == AHEAD) == sure
-    assert (follower.state == "following") == sure
+    assert (velocities[-1] == AHEAD) == localised
+    assert (follower.state == "following") == localised
 
 
 def test_robot_turns_where_the_path_turns_in_place_and_drives_on_behind_that(tmp_path: Path) -> None:
@@ -360,12 +371,13 @@ def test_robot_turns_where_the_path_turns_in_place_and_drives_on_behind_that(tmp
         nodes.append(PathNode(VIEW, stamp_ns, distance, ((0, velocity),)))
         stamp_ns, distance = stamp_ns + duration_ns, distance + length
     path = RecordedPath("pinhole", HFOV, tuple(nodes))
-    policy = LearnedPolicy(path, model(tmp_path), LearnedSettings(columns=False, unseen_views=1000, far_off=1000.0))
+    tracking = PoseTrackingSettings(use_column_shift=False, max_unmatched_views=1000, max_disagreement=1000.0)
+    policy = LearnedPolicy(path, model(tmp_path), LearnedSettings(tracking=tracking))
     step, poses = Step(), []
     for k in range(120):
         velocity = policy.act(VIEW, k * 200_000_000, Place(0.0, 1.0, False, moved=step))
         step = Step(0.2 * velocity.linear, 0.2 * velocity.angular)
-        poses.append(policy.filter.pose.copy())
+        poses.append(policy.tracker.filter.pose.copy())
     at_turn, end = max(poses, key=lambda pose: float(pose[0])), poses[-1]
     assert at_turn[0] == pytest.approx(0.6, abs=0.1)
     assert end[0] == pytest.approx(0.0, abs=0.2)

@@ -35,7 +35,8 @@ def make_policy(
         return TeachRepeatPolicy(path, TeachRepeatSettings(max_linear=max_linear, max_angular=max_angular), nodes), localiser
     if name == "learned" and (file or backend == name):
         from gibson_path_following.arcs import ArcSettings
-        from gibson_path_following.learned import DEFAULT_MODEL, LearnedPolicy, LearnedSettings
+        from gibson_path_following.learned import LearnedPolicy, LearnedSettings
+        from gibson_path_following.path_model import DEFAULT_MODEL
 
         settings = LearnedSettings(camera_ahead=camera_ahead, arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
         return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings, nodes), localiser

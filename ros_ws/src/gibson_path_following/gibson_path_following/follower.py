@@ -17,7 +17,7 @@ from gibson_path_following.localisation import Localiser
 from gibson_path_following.motion_model import MotionModel
 from gibson_path_following.motions import NS_PER_S, CommandLog, Motion
 from gibson_path_following.preprocessing import texture
-from gibson_path_following.types import STOP, Place, PlacingPolicy, Policy, RecordedPath, Step, Velocity, View
+from gibson_path_following.types import STOP, Place, Policy, RecordedPath, SelfLocalisingPolicy, Step, Velocity, View
 
 State = Literal["following", "lost", "searching", "stale", "finished"]
 """following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and turning in place to look around; stale: no
@@ -149,7 +149,7 @@ class PathFollower:
             self.state, self._pattern = "lost", None
             return self._send(stamp_ns, STOP)
         self.place = self._located(stamp_ns, view)
-        if self.place.is_lost and not (isinstance(self._policy, PlacingPolicy) and self._policy.is_sure):
+        if self.place.is_lost and not (isinstance(self._policy, SelfLocalisingPolicy) and self._policy.is_localised):
             self.state = "lost"
             turn = self._search.velocity(stamp_ns, self.place.moved.turn) if self.settings.search else STOP
             if turn != STOP:

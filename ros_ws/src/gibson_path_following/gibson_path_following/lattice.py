@@ -1,7 +1,7 @@
-"""A way along a path and around what stands on it: the cheapest one over a lattice of distances along the path and offsets from it.
+"""Plans a local path along the recorded one and around obstacles: the cheapest sequence of lateral offsets over a lattice (Frenet frame).
 
-Dynamic programming: each stage is a step along the path, each state an offset to its left. Offsets cost, changes of offset cost, nearness to
-things costs, touching them costs most. Pure geometry.
+Dynamic programming: each stage is a station along the recorded path, each state a lateral offset to its left. The cost grows with the offset,
+with the change of offset, with nearness to obstacles, and most with collision. Pure geometry in the path frame.
 """
 
 from __future__ import annotations
@@ -16,149 +16,150 @@ from gibson_path_following.errors import check_ranges
 
 F64 = NDArray[np.float64]
 _TOLERANCE = 0.01
-"""Clearance that a way may lose where it is too near to a thing already, metres."""
+"""Clearance that a plan may lose where it is below ``min_clearance`` already, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class LatticeSettings:
-    """The lattice, and what a way costs per metre of the path."""
+    """Size of the lattice, and weights of the cost per metre of the path."""
 
     length: float = 2.0
-    """How far ahead a way leads, metres of the path."""
+    """Length of a plan along the path, metres."""
     step: float = 0.1
-    """Between stages, metres of the path."""
-    most_offset: float = 0.6
-    """Largest distance from the path, metres."""
+    """Distance between stations along the path, metres."""
+    max_offset: float = 0.6
+    """Largest lateral offset, metres."""
     offset_step: float = 0.05
-    """Between offsets, metres."""
-    steepest: int = 3
-    """Largest change of offset from one stage to the next, in steps of offset."""
-    room: float = 0.18
-    """Clearance below which a place is blocked, metres: the robot's radius, and a little."""
-    comfort: float = 0.15
-    """Clearance beyond that within which nearness costs, metres."""
+    """Distance between lateral offsets, metres."""
+    max_offset_steps: int = 3
+    """Largest change of offset from one station to the next, in multiples of ``offset_step``."""
+    min_clearance: float = 0.18
+    """Clearance below which a state is in collision, metres: the radius of the robot and a margin."""
+    inflation_distance: float = 0.15
+    """Clearance beyond ``min_clearance`` within which nearness to an obstacle costs, metres."""
     offset_weight: float = 8.0
-    """Cost of an offset, by its square in metres; from ``small_offset`` on it grows linearly."""
-    small_offset: float = 0.1
-    """Metres."""
+    """Cost of the lateral offset, a Huber function of it, metres: quadratic up to ``huber_offset``, then linear."""
+    huber_offset: float = 0.1
+    """Lateral offset from which on its cost is linear, metres."""
     slope_weight: float = 0.3
-    """Cost of a change of offset, by the square of its slope."""
-    near_weight: float = 2.0
-    """Cost of a place that is all but blocked."""
-    blocked_weight: float = 20.0
-    """Cost of a blocked place; twice that in the middle of a thing."""
+    """Cost of the squared change of offset per metre of path."""
+    inflation_weight: float = 2.0
+    """Cost of a state at ``min_clearance``; it falls to 0 over ``inflation_distance``."""
+    collision_weight: float = 20.0
+    """Cost of a state in collision; twice that in the middle of an obstacle."""
     change_weight: float = 0.5
-    """Cost of another offset than the way before had there, by the difference in metres."""
+    """Cost of the difference from the previous plan's offset, 1/m."""
 
     def __post_init__(self) -> None:
         check_ranges(
             self,
             ("length", 0.2, 20.0),
             ("step", 0.02, 1.0),
-            ("most_offset", 0.0, 5.0),
+            ("max_offset", 0.0, 5.0),
             ("offset_step", 0.01, 1.0),
-            ("steepest", 1, 50),
-            ("room", 0.0, 5.0),
-            ("comfort", 0.01, 5.0),
+            ("max_offset_steps", 1, 50),
+            ("min_clearance", 0.0, 5.0),
+            ("inflation_distance", 0.01, 5.0),
             ("offset_weight", 0.0, 1000.0),
-            ("small_offset", 0.0, 5.0),
+            ("huber_offset", 0.0, 5.0),
             ("slope_weight", 0.0, 1000.0),
-            ("near_weight", 0.0, 1000.0),
-            ("blocked_weight", 0.0, 1e6),
+            ("inflation_weight", 0.0, 1000.0),
+            ("collision_weight", 0.0, 1e6),
             ("change_weight", 0.0, 1000.0),
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """A way along a path."""
+class LocalPlan:
+    """A local path that the robot is to drive."""
 
-    along: F64
-    """(K,), places on the path, metres."""
+    stations: F64
+    """(K,), distances along the recorded path, metres."""
     offsets: F64
-    """(K,), to the left of the path there, metres."""
+    """(K,), lateral offsets there, metres, positive to the left."""
     points: F64
-    """(K, 2), in the frame of the path, metres."""
+    """(K, 2), path frame, metres."""
     clearance: F64
-    """(K,), distances to the nearest thing, metres."""
-    free: float
-    """Distance along the path up to which nothing blocks it, metres from its beginning."""
+    """(K,), distances to the nearest obstacle, metres."""
+    free_distance: float
+    """Distance along the recorded path from the first station to the first collision, metres."""
 
     @property
     def is_free(self) -> bool:
-        """Whether nothing blocks it."""
-        return self.free >= float(self.along[-1] - self.along[0])
+        """Whether the plan has no collision."""
+        return self.free_distance >= float(self.stations[-1] - self.stations[0])
 
 
-class Lattice:
-    """Finds ways, one after another; it remembers the one before, so that it does not change sides."""
+class LatticePlanner:
+    """Plans local paths one after another. It keeps the previous plan, so that the robot stays on its side of an obstacle."""
 
     def __init__(self, settings: LatticeSettings | None = None) -> None:
         self.settings = settings or LatticeSettings()
-        count = round(self.settings.most_offset / self.settings.offset_step)
+        count = round(self.settings.max_offset / self.settings.offset_step)
         self.offsets: F64 = np.arange(-count, count + 1, dtype=np.float64) * self.settings.offset_step
-        """Of the states, metres."""
-        self._before: tuple[F64, F64] | None = None
-        """Places and offsets of the way before."""
+        """(J,), lateral offsets of the states, metres."""
+        self._previous: tuple[F64, F64] | None = None
+        """Stations and offsets of the previous plan, metres."""
 
     def reset(self) -> None:
-        """Forgets the way before."""
-        self._before = None
+        """Drops the previous plan."""
+        self._previous = None
 
-    def way(self, along: F64, points: F64, normals: F64, offset: float, clearance: Callable[[F64], F64]) -> Way:
-        """Returns the cheapest way. If all are blocked, it leads into what blocks it: see ``Way.free``.
+    def plan(self, stations: F64, points: F64, normals: F64, offset: float, clearance: Callable[[F64], F64]) -> LocalPlan:
+        """Returns the cheapest plan. Where all plans collide, it leads into the obstacle: see ``LocalPlan.free_distance``.
 
         Args:
-            along: (K,), places on the path, ``step`` apart, metres; the robot is level with the first one.
-            points: (K, 2), where they are.
-            normals: (K, 2), unit vectors to the left of the path there.
-            offset: of the robot, to the left of the path, metres.
-            clearance: returns distances (...,) from points (..., 2) to the nearest thing, metres.
+            stations: (K,), distances along the recorded path, ``step`` apart, metres; the robot is abreast of the first one.
+            points: (K, 2), points of the recorded path there, path frame, metres.
+            normals: (K, 2), unit vectors to the left of the recorded path there, path frame.
+            offset: lateral offset of the robot, metres, positive to the left.
+            clearance: returns the distances (...,) from points (..., 2), path frame, to the nearest obstacle, metres.
         """
         settings = self.settings
-        places = points[:, None] + self.offsets[:, None] * normals[:, None]  # (K, J, 2)
-        room = clearance(places)
-        cost = self._place_cost(along, room)
-        move = self._move_cost()
-        best, frm = np.full(len(self.offsets), np.inf), np.zeros(room.shape, dtype=np.int64)
+        states = points[:, None] + self.offsets[:, None] * normals[:, None]  # (K, J, 2)
+        state_clearance = clearance(states)
+        cost = self._state_cost(stations, state_clearance)
+        transition = self._transition_cost()
+        best, parent = np.full(len(self.offsets), np.inf), np.zeros(state_clearance.shape, dtype=np.int64)
         best[int(np.abs(self.offsets - offset).argmin())] = 0.0
-        for k in range(1, len(along)):
-            total = best[:, None] + move
-            frm[k] = total.argmin(axis=0)
-            best = total[frm[k], np.arange(len(best))] + settings.step * cost[k]
-        states = [int(best.argmin())]
-        for k in range(len(along) - 1, 0, -1):
-            states.append(int(frm[k, states[-1]]))
-        rows, states_of = np.arange(len(along)), np.array(states[::-1])
-        offsets, kept = self.offsets[states_of], room[rows, states_of]
-        self._before = along, offsets
-        return Way(along, offsets, places[rows, states_of], kept, self._free(along, kept))
+        for k in range(1, len(stations)):
+            total = best[:, None] + transition
+            parent[k] = total.argmin(axis=0)
+            best = total[parent[k], np.arange(len(best))] + settings.step * cost[k]
+        chosen = [int(best.argmin())]
+        for k in range(len(stations) - 1, 0, -1):
+            chosen.append(int(parent[k, chosen[-1]]))
+        rows, columns = np.arange(len(stations)), np.array(chosen[::-1])
+        offsets, plan_clearance = self.offsets[columns], state_clearance[rows, columns]
+        self._previous = stations, offsets
+        free_distance = self._free_distance(stations, plan_clearance)
+        return LocalPlan(stations, offsets, states[rows, columns], plan_clearance, free_distance)
 
-    def _place_cost(self, along: F64, room: F64) -> F64:
-        """Returns (K, J): what a metre at each place costs."""
+    def _state_cost(self, stations: F64, clearance: F64) -> F64:
+        """Returns (K, J), float64: cost of each state per metre, from its clearance (K, J), metres."""
         settings = self.settings
-        near = (1.0 - (room - settings.room) / settings.comfort).clip(0.0, 1.0)
-        depth = (1.0 - room / max(settings.room, 1e-6)).clip(0.0, 1.0)
-        blocked = np.where(room < settings.room, settings.blocked_weight * (1.0 + depth), 0.0)
-        off = np.abs(self.offsets)
-        small = np.minimum(off, settings.small_offset)
-        cost = settings.offset_weight * small * (2.0 * off - small) + settings.near_weight * near**2 + blocked
-        if self._before is not None:
-            before = np.interp(along, *self._before)
-            known = along <= self._before[0][-1]
-            cost += settings.change_weight * known[:, None] * np.abs(self.offsets - before[:, None])
+        inflation = (1.0 - (clearance - settings.min_clearance) / settings.inflation_distance).clip(0.0, 1.0)
+        depth = (1.0 - clearance / max(settings.min_clearance, 1e-6)).clip(0.0, 1.0)
+        collision = np.where(clearance < settings.min_clearance, settings.collision_weight * (1.0 + depth), 0.0)
+        offset = np.abs(self.offsets)
+        small = np.minimum(offset, settings.huber_offset)
+        cost = settings.offset_weight * small * (2.0 * offset - small) + settings.inflation_weight * inflation**2 + collision
+        if self._previous is not None:
+            previous = np.interp(stations, *self._previous)
+            known = stations <= self._previous[0][-1]
+            cost += settings.change_weight * known[:, None] * np.abs(self.offsets - previous[:, None])
         return np.asarray(cost, dtype=np.float64)
 
-    def _move_cost(self) -> F64:
-        """Returns (J, J): what going from one offset to another costs, in one stage."""
+    def _transition_cost(self) -> F64:
+        """Returns (J, J), float64: cost of the transition between two offsets from one station to the next; infinite if it is too steep."""
         settings = self.settings
         change = np.abs(self.offsets[:, None] - self.offsets)
         slope = change / settings.step
         cost = settings.slope_weight * slope**2 * settings.step
-        return np.where(change <= (settings.steepest + 0.5) * settings.offset_step, cost, np.inf)
+        return np.where(change <= (settings.max_offset_steps + 0.5) * settings.offset_step, cost, np.inf)
 
-    def _free(self, along: F64, room: F64) -> float:
-        """Returns how far a way is free, metres. Where the robot stands too near to a thing already, only nearer places block it."""
-        reached = np.minimum(np.maximum.accumulate(room), self.settings.room)
-        blocked = np.flatnonzero(room < reached - _TOLERANCE)
-        return float(along[blocked[0]] - along[0]) if len(blocked) else float(along[-1] - along[0])
+    def _free_distance(self, stations: F64, clearance: F64) -> float:
+        """Returns the free distance of a plan, metres. If the robot is below ``min_clearance`` already, only a smaller clearance is a collision."""
+        required = np.minimum(np.maximum.accumulate(clearance), self.settings.min_clearance)
+        collisions = np.flatnonzero(clearance < required - _TOLERANCE)
+        return float(stations[collisions[0]] - stations[0]) if len(collisions) else float(stations[-1] - stations[0])

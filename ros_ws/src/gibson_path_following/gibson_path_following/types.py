@@ -111,9 +111,9 @@ class Policy(Protocol):
 
 
 @runtime_checkable
-class PlacingPolicy(Policy, Protocol):
+class SelfLocalisingPolicy(Policy, Protocol):
     """A policy that itself sees where on the path the robot is."""
 
     @property
-    def is_sure(self) -> bool:
+    def is_localised(self) -> bool:
         """Whether it saw that lately, so that it may drive on where the localiser is lost: beside what stands on the path, for instance."""

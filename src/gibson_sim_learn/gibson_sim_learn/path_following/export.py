@@ -2,7 +2,7 @@
 
 Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB; with a network of free distances also ``earlier``
 (1, 64, 96, 3), an earlier image brought onto the present one, black where nothing is known. Outputs: ``pose`` (K, 3), ``scale`` (K, 3),
-``match`` (K,), ``hit`` (24, bins + 1), as ``gibson_path_following.learned.Sighting`` describes them.
+``match`` (K,), ``hit`` (24, bins + 1), as ``gibson_path_following.path_model.Prediction`` describes them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from gibson_path_following.pose_filter import OffsetTold
+from gibson_path_following.pose_filter import OffsetCalibration
 from gibson_sim.writing import write_file
 from gibson_sim_learn.path_following.data import FREE_EDGES
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
@@ -32,7 +32,7 @@ from gibson_sim_learn.path_following.training import PathPoint
 _OPSET = 17
 
 
-def export_network(network: PathNetwork, file: Path, offsets: OffsetTold, distances: DistanceNetwork | None = None) -> int:
+def export_network(network: PathNetwork, file: Path, offsets: OffsetCalibration, distances: DistanceNetwork | None = None) -> int:
     """Writes a network as ONNX; returns the size of the file, bytes.
 
     Args:
@@ -84,7 +84,7 @@ def write_card(
     settings: TrainingSettings,
     networks: tuple[PathNetwork, DistanceNetwork],
     points: tuple[PathPoint, DistancePoint],
-    offsets: OffsetTold,
+    offsets: OffsetCalibration,
     data: Mapping[str, int],
     results: Sequence[str] = (),
 ) -> None:

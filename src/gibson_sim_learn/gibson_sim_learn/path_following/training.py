@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from gibson_path_following.pose_filter import OffsetTold, offset_of
+from gibson_path_following.pose_filter import OffsetCalibration, lateral_offset
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.training import near_and_far
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
@@ -160,7 +160,7 @@ class PathTraining(Training[PathNetwork, PathPoint]):
             too_near=too_near,
         )
 
-    def offsets(self, validation: Sampler) -> OffsetTold:
+    def offsets(self, validation: Sampler) -> OffsetCalibration:
         """Returns how the offsets from recorded images that the network tells relate to the true ones, in pairs up to ``_OFFSETS_UP_TO`` apart."""
         batch = validation.batch(np.random.default_rng(1), *_OFFSETS_OF, augment=False)
         self.network.eval()
@@ -173,10 +173,10 @@ class PathTraining(Training[PathNetwork, PathPoint]):
                 found = estimate.pose[: len(pose)].double().numpy()
                 seen = (part.match & part.has_pairs[:, None]).ravel() & (estimate.match[: len(pose)] > 0.0).numpy()
                 near = seen & (np.hypot(pose[:, 0], pose[:, 1]) < _OFFSETS_UP_TO)
-                told.append(offset_of(found[near]))
-                true.append(offset_of(pose[near]))
+                told.append(lateral_offset(found[near]))
+                true.append(lateral_offset(pose[near]))
         self.network.train()
-        return offsets_told(np.concatenate(told), np.concatenate(true))
+        return calibrate_offsets(np.concatenate(told), np.concatenate(true))
 
     def _loss(self, batch: Batch) -> Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
@@ -208,11 +208,11 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         self.round = content["round"]
 
 
-def offsets_told(told: NDArray[np.float64], true: NDArray[np.float64]) -> OffsetTold:
+def calibrate_offsets(told: NDArray[np.float64], true: NDArray[np.float64]) -> OffsetCalibration:
     """Returns how offsets (N,) that were told relate to true ones (N,), metres: the least squares fit through 0."""
     power = float(true @ true)
     ratio = max(_LEAST_RATIO, float(told @ true) / power) if power > 0.0 else 1.0
-    return OffsetTold(ratio, float(np.sqrt(np.mean(np.square(told - ratio * true)))) / ratio if len(true) else 0.0)
+    return OffsetCalibration(ratio, float(np.sqrt(np.mean(np.square(told - ratio * true)))) / ratio if len(true) else 0.0)
 
 
 def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:

@@ -110,7 +110,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
             )
             images, earlier = through_another_lens(images, self._rng, earlier)
             earlier[self._rng.random(len(earlier)) < _UNKNOWN] = 0
-            return self._loss(images, brought_onto(earlier, poses, self._rng), free)
+            return self._loss(images, warp_to_present(earlier, poses, self._rng), free)
 
         def point(begun: CurvePoint) -> DistancePoint:
             return self.evaluate(*validation, begun)
@@ -121,7 +121,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         """Returns a point with the errors on data, always of the same images."""
         rng = np.random.default_rng(0)
         batches = [data.batch(rng, _EVALUATION, 0, augment=False) for data in (ways, obstacles)]
-        found = [self.distances(batch.later, brought_onto(batch.earlier, batch.earlier_pose, rng)) for batch in batches]
+        found = [self.distances(batch.later, warp_to_present(batch.earlier, batch.earlier_pose, rng)) for batch in batches]
         shares = [near_and_far(told, batch.free) for told, batch in zip(found, batches, strict=True)]
         error = float(np.median(np.abs(found[0] - batches[0].free)))
         return DistancePoint(
@@ -158,7 +158,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         )
 
 
-def brought_onto(earlier: NDArray[np.uint8], poses: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
+def warp_to_present(earlier: NDArray[np.uint8], poses: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Returns earlier images (N, 64, 96, 3) as a robot brings them onto the present ones: by what it believes to have driven, see ``_BELIEVED``.
 
     Args:
@@ -172,7 +172,7 @@ def brought_onto(earlier: NDArray[np.uint8], poses: NDArray[np.float32], rng: np
         x, y, yaw = poses[k]
         scale, turned = 1.0 + share * rng.standard_normal(2)
         pose = (scale * x, scale * y + beside * rng.standard_normal(), turned * yaw + drift * rng.standard_normal())
-        out[k] = _FLOOR.brought(earlier[k], np.array(pose))
+        out[k] = _FLOOR.warp(earlier[k], np.array(pose))
     return out
 
 
