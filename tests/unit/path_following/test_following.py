@@ -59,7 +59,7 @@ def test_the_belief_moves_with_the_commands_and_images_correct_what_slips() -> N
 
 
 def test_motion_carries_no_belief_to_the_ends_of_the_path_but_from_beside_them() -> None:
-    localiser = Localiser(straight_path(), LocaliserSettings(sharpness=0.1))  # images tell nothing
+    localiser = Localiser(straight_path(), LocaliserSettings(score_gain=0.1))  # images say nothing
     localiser.reset(5.0, 0.3)
     localiser.update(pinhole_view(5.0), NODE)
     assert localiser.belief[-4:].sum() < 0.01 and localiser.belief[:4].sum() < 0.01
@@ -104,7 +104,7 @@ def test_recorded_velocities_are_repeated_where_the_heading_is_right() -> None:
 
 
 def test_a_robot_that_looks_to_the_left_is_turned_to_the_right() -> None:
-    settings = TeachRepeatSettings(gain=1.5, ahead=0)
+    settings = TeachRepeatSettings(heading_gain=1.5, nodes_ahead=0)
     policy = TeachRepeatPolicy(straight_path(), settings)
     place = Place(4.0, 1.0, False)
     assert policy.heading_error(pinhole_view(4.0, 10.0 * DEG), place) == pytest.approx(-10.0 * DEG, abs=0.6 * DEG)
@@ -235,8 +235,8 @@ def test_latency_and_turns_are_learned_from_what_is_seen() -> None:
     for k, rate in enumerate(sent):
         log.add(k * step_ns, Velocity(0.4, rate))
         if k >= 2:  # what is seen from k - 1 to k was commanded two views earlier; of it, 80 % are made
-            told = sent[k - 3] if k >= 3 else 0.0
-            model.learn(log, (k - 1) * step_ns, k * step_ns, 0.8 * 0.2 * told)
+            commanded = sent[k - 3] if k >= 3 else 0.0
+            model.learn(log, (k - 1) * step_ns, k * step_ns, 0.8 * 0.2 * commanded)
     assert model.latency == pytest.approx(0.4)
     assert model.turn_ratio == pytest.approx(0.8, abs=0.03)
     pending = model.pending(log, len(sent) * step_ns, 0.5)
@@ -244,9 +244,9 @@ def test_latency_and_turns_are_learned_from_what_is_seen() -> None:
     assert pending.turn == pytest.approx(0.8 * 0.2 * (sent[-1] + sent[-2]), abs=0.02)
 
 
-def test_the_zoom_at_which_views_fit_best_is_learned_and_a_first_view_tells_little() -> None:
+def test_the_zoom_at_which_views_fit_best_is_learned_and_a_first_view_says_little() -> None:
     lens = ZoomEstimate()
-    scores = 0.6 - 8.0 * (ZoomEstimate.LOGARITHMS - 0.06) ** 2
+    scores = 0.6 - 8.0 * (ZoomEstimate.LOG_ZOOMS - 0.06) ** 2
     lens.add(scores, 1.0)
     assert 1.0 < lens.zoom < math.exp(0.05)  # 8 (z - 0.06)^2 + 3 z^2 is least at 0.48 / 11
     assert not lens.is_settled
@@ -271,10 +271,10 @@ def test_settings_that_cannot_be_are_refused() -> None:
         FollowerSettings(stale_after=0.0)
     with pytest.raises(SettingError, match=r"start is -1, must be a node"):
         FollowerSettings(start=-1.0)
-    with pytest.raises(SettingError, match=r"sharpness is nan"):
-        LocaliserSettings(sharpness=math.nan)
-    with pytest.raises(SettingError, match=r"gain is -1, must be 0 to 20"):
-        TeachRepeatSettings(gain=-1.0)
+    with pytest.raises(SettingError, match=r"score_gain is nan"):
+        LocaliserSettings(score_gain=math.nan)
+    with pytest.raises(SettingError, match=r"heading_gain is -1, must be 0 to 20"):
+        TeachRepeatSettings(heading_gain=-1.0)
 
 
 def test_limits_of_scores_are_lower_for_a_camera_that_sees_all_around() -> None:

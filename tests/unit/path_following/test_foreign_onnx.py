@@ -278,4 +278,4 @@ def test_a_path_of_two_fisheyes_and_impossible_settings_are_refused(tmp_path: Pa
 def test_a_network_is_chosen_by_the_name_of_its_file(tmp_path: Path) -> None:
     policy, localiser = make_policy(f"onnx:{write(tmp_path, goal_network())}", straight_path(), max_linear=0.3)
     assert isinstance(policy, ForeignPolicy) and policy.settings.max_linear == 0.3
-    assert localiser.places[-1] == 11.0
+    assert localiser.indices[-1] == 11.0

@@ -50,9 +50,9 @@ def test_exposure_and_contrast_are_gone_after_normalisation() -> None:
 @pytest.mark.parametrize("turned_deg", [-12.0, 0.0, 5.0, 20.0])
 def test_a_robot_turned_to_the_left_must_turn_back_to_the_right(turned_deg: float) -> None:
     camera = pinhole()
-    patterns = [camera.normalised(camera.panorama(pinhole_view(i))) for i in range(4)]
+    descriptors = [camera.normalised(camera.panorama(pinhole_view(i))) for i in range(4)]
     view = camera.normalised(camera.panorama(pinhole_view(2, turned_deg * DEG, gain=0.6)))
-    found = Matcher(camera, patterns).match(view)
+    found = Matcher(camera, descriptors).match(view)
     assert int(found.scores.argmax()) == 2
     assert found.scores[2] > 0.9
     assert found.turns[2] == pytest.approx(-turned_deg * DEG, abs=0.5 * DEG)
@@ -60,27 +60,27 @@ def test_a_robot_turned_to_the_left_must_turn_back_to_the_right(turned_deg: floa
 
 def test_a_closed_panorama_is_matched_around_its_ends() -> None:
     camera = Preprocessor("fisheye_pair", math.pi, (64, 64))
-    patterns = [camera.normalised(camera.panorama(fisheye_view(i))) for i in range(3)]
+    descriptors = [camera.normalised(camera.panorama(fisheye_view(i))) for i in range(3)]
     view = camera.normalised(camera.panorama(fisheye_view(1, 100.0 * DEG)))
-    found = Matcher(camera, patterns, MatchingSettings(max_shift=math.pi)).match(view)
+    found = Matcher(camera, descriptors, MatchingSettings(max_shift=math.pi)).match(view)
     assert int(found.scores.argmax()) == 1
     assert found.turns[1] == pytest.approx(-100.0 * DEG, abs=1.5 * DEG)
 
 
 def test_some_nodes_are_matched_alone() -> None:
     camera = pinhole()
-    patterns = [camera.normalised(camera.panorama(pinhole_view(i))) for i in range(5)]
-    matcher = Matcher(camera, patterns)
-    every, some = matcher.match(patterns[3]), matcher.match(patterns[3], 2, 4)
+    descriptors = [camera.normalised(camera.panorama(pinhole_view(i))) for i in range(5)]
+    matcher = Matcher(camera, descriptors)
+    every, some = matcher.match(descriptors[3]), matcher.match(descriptors[3], 2, 4)
     assert np.allclose(some.scores, every.scores[2:4])
     assert np.allclose(some.turns, every.turns[2:4])
 
 
 def test_a_place_is_found_although_bright_and_dark_have_changed_places() -> None:
     camera = pinhole()
-    matcher = Matcher(camera, [camera.pattern(pinhole_view(i)) for i in range(4)])
+    matcher = Matcher(camera, [camera.descriptor(pinhole_view(i)) for i in range(4)])
     negative = (255 - pinhole_view(2, -8.0 * DEG)[0],)
-    found = matcher.match(camera.pattern(negative))
+    found = matcher.match(camera.descriptor(negative))
     assert int(found.scores.argmax()) == 2
     assert found.turns[2] == pytest.approx(8.0 * DEG, abs=0.6 * DEG)
 

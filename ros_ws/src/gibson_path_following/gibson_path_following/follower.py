@@ -1,6 +1,6 @@
-"""Follows a path: localises each view, asks a policy for a velocity, and stops whenever images or place cannot be relied on.
+"""Follows a path: localises each view, gets a velocity from a policy, and stops where images or place are unreliable.
 
-The one class that nodes and benchmarks drive a robot by; all times are given.
+Nodes and benchmarks drive a robot by ``PathFollower``; all times are given.
 """
 
 from __future__ import annotations
@@ -20,44 +20,44 @@ from gibson_path_following.preprocessing import texture
 from gibson_path_following.types import STOP, Place, Policy, RecordedPath, SelfLocalisingPolicy, Step, Velocity, View
 
 State = Literal["following", "lost", "searching", "stale", "finished"]
-"""following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and turning in place to look around; stale: no
-new images; finished: at the end of the path."""
+"""following; lost: the images fit nowhere on the path, or the lens is covered; searching: lost, and rotating in place; stale: no new images;
+finished: at the end of the path."""
 _SEARCH_TURN = math.radians(60.0)
-"""How far a search looks to either side of where the robot was lost, radians."""
+"""Rotation of a search to either side, radians."""
 _SEARCH_RATE = 0.4
 """Yaw rate of a search, rad/s."""
 _SEARCH_NS = 20 * NS_PER_S
-"""Time after which a search ends, however far the robot turned, ns."""
-_LONG_AGO_NS = NS_PER_S
-"""Time between two views after which the second is not compared with the first, ns."""
-_LEAST_ALIKE = 0.35
-"""Score of two successive views below which their shift tells nothing."""
+"""Timeout of a search, ns."""
+_MAX_GAP_NS = NS_PER_S
+"""Time between two views beyond which their column shift is not measured, ns."""
+_MIN_SCORE = 0.35
+"""Score of two successive views below which their column shift is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
 class FollowerSettings:
-    """When a follower stops."""
+    """When a follower stops, and where it starts."""
 
     stale_after: float = 0.5
     """Age of the newest images at which the robot stops, seconds."""
     latency: float = 0.0
-    """Usual time from a command to its motion, seconds; what it truly is, is learned from how images shift after commands."""
-    least_texture: float = 2.0
-    """Contrast of a view below which the lens counts as covered, grey levels of 255; 0 = never."""
+    """Prior mean of the latency from a command to its motion, seconds; the true one is learned from column shifts after commands."""
+    min_texture: float = 2.0
+    """Texture of a view below which the lens counts as covered, grey levels of 255; 0 = never."""
     end_tolerance: float = 0.5
-    """The path is finished within this distance of the last node, nodes."""
+    """Distance from the last node within which the path is finished, nodes."""
     end_views: int = 2
-    """Views in a row that must fit there, so that one image that looks like the end does not end a drive."""
+    """Successive views that must be there, so that one image that looks like the end does not end a drive."""
     start: float | None = 0.0
-    """Node where the robot most likely is at the start; None = anywhere."""
+    """Most likely node index of the robot at the start; None = anywhere."""
     start_deviation: float = 1.0
     """Standard deviation of ``start``, nodes."""
     search: bool = True
-    """Whether a robot that is lost turns in place to either side, once and slowly, to find the path again. It never drives on."""
+    """Whether a lost robot rotates in place to either side, once and slowly, to find the path again. It never drives on."""
     search_after: float = 1.5
-    """Time that it first stands, seconds."""
+    """Time that a lost robot stands before it searches, seconds."""
     max_linear: float = 0.5
-    """Largest speed, m/s, whatever a policy returns."""
+    """Largest speed, m/s; velocities of the policy are clamped to it."""
     max_angular: float = 1.0
     """Largest yaw rate, rad/s."""
 
@@ -66,7 +66,7 @@ class FollowerSettings:
             self,
             ("stale_after", 0.01, 60.0),
             ("latency", 0.0, 10.0),
-            ("least_texture", 0.0, 128.0),
+            ("min_texture", 0.0, 128.0),
             ("end_tolerance", 0.0, 1000.0),
             ("end_views", 1, 1000),
             ("start_deviation", 0.1, 1e6),
@@ -88,13 +88,13 @@ class PathFollower:
         settings: FollowerSettings | None = None,
         localiser: Localiser | None = None,
     ) -> None:
-        """Begins at the start of the path, standing.
+        """Begins at the start of the path; the robot stands.
 
         Args:
             path: the path.
-            policy: what turns views into velocities.
-            settings: when to stop; None = the defaults.
-            localiser: of this path; None = one with its defaults.
+            policy: computes the velocities.
+            settings: None = the defaults.
+            localiser: of this path; None = one with default settings.
 
         Raises:
             PathFollowingError: the images of the path are not those of its camera.
@@ -105,37 +105,37 @@ class PathFollower:
         self._last = float(len(path.nodes) - 1)
         self._log = CommandLog()
         self._stamp_ns: int | None = None
-        """Of the newest view, ns."""
-        self._placed_ns: int | None = None
-        """Of the newest view that was localised, ns."""
+        """Stamp of the newest view, ns."""
+        self._localised_ns: int | None = None
+        """Stamp of the newest localised view, ns."""
         self._model = MotionModel(self.settings.latency)
-        self._pattern: NDArray[np.float32] | None = None
-        """Normalised panorama of the view before."""
+        self._descriptor: NDArray[np.float32] | None = None
+        """Descriptor of the previous view."""
         self._at_end = 0
-        """Views in a row at the end of the path."""
+        """Successive views at the end of the path."""
         self._search = _Search(self.settings.search_after)
         self.state: State = "stale"
-        """What the follower does; all but ``following`` command a stop."""
+        """State; all but ``following`` and ``searching`` command a stop."""
         self.place: Place | None = None
-        """Where the newest view was; None before the first."""
+        """Place of the newest view; None before the first."""
         self.reset()
 
     def reset(self) -> None:
         """Begins again at the start of the path."""
         self._log.clear()
-        self._stamp_ns, self._placed_ns, self.place, self.state = None, None, None, "stale"
-        self._at_end, self._pattern = 0, None
+        self._stamp_ns, self._localised_ns, self.place, self.state = None, None, None, "stale"
+        self._at_end, self._descriptor = 0, None
         self._model.reset()
         self._search.reset()
         self.localiser.reset(self.settings.start, self.settings.start_deviation)
         self._policy.reset()
 
     def observe(self, stamp_ns: int, view: View) -> Velocity:
-        """Returns the velocity until the next view. Views that are not newer than the one before change nothing.
+        """Returns the velocity until the next view. A view that is not newer than the previous one changes nothing.
 
         Args:
             stamp_ns: stamp of the images, ns.
-            view: what the cameras see.
+            view: the images.
 
         Raises:
             ViewError: the images are not those of the path's camera.
@@ -145,16 +145,16 @@ class PathFollower:
         self._stamp_ns = stamp_ns
         if self.state == "finished":
             return self._send(stamp_ns, STOP)
-        if texture(view) < self.settings.least_texture:
-            self.state, self._pattern = "lost", None
+        if texture(view) < self.settings.min_texture:
+            self.state, self._descriptor = "lost", None
             return self._send(stamp_ns, STOP)
-        self.place = self._located(stamp_ns, view)
+        self.place = self._localise(stamp_ns, view)
         if self.place.is_lost and not (isinstance(self._policy, SelfLocalisingPolicy) and self._policy.is_localised):
             self.state = "lost"
             turn = self._search.velocity(stamp_ns, self.place.moved.turn) if self.settings.search else STOP
             if turn != STOP:
                 self.state = "searching"
-            return self._send(stamp_ns, self._limited(turn))
+            return self._send(stamp_ns, self._clamped(turn))
         self._search.reset()
         at_end = self.place.confidence > 0.0 and self.place.index >= self._last - self.settings.end_tolerance
         self._at_end = self._at_end + 1 if at_end else 0
@@ -162,30 +162,30 @@ class PathFollower:
             self.state = "finished"
             return self._send(stamp_ns, STOP)
         self.state = "following"
-        return self._send(stamp_ns, self._limited(self._policy.act(view, stamp_ns, self.place)))
+        return self._send(stamp_ns, self._clamped(self._policy.act(view, stamp_ns, self.place)))
 
-    def _located(self, stamp_ns: int, view: View) -> Place:
-        """Returns where a view is, and how the robot came there."""
-        before_ns, self._placed_ns = self._placed_ns, stamp_ns
-        before, self._pattern = self._pattern, self.localiser.nodes.pattern(view)
-        if before_ns is None:
-            return self.localiser.update(view, Motion(0.0, 0.0, 0.0))  # it stood where it was put
-        moved = self._model.made(self._log, before_ns, stamp_ns, 1.0)
-        if before is not None and stamp_ns - before_ns <= _LONG_AGO_NS:
-            turn, score = self.localiser.nodes.turn_between(before, self._pattern)
-            if score >= _LEAST_ALIKE:
-                self._model.learn(self._log, before_ns, stamp_ns, turn)
-                moved = replace(self._model.made(self._log, before_ns, stamp_ns, 1.0), turn=turn)
-        ratio = self.localiser.ratio
-        found = self.localiser.update(view, Motion(moved.distance, moved.turn / ratio, (stamp_ns - before_ns) / NS_PER_S))
+    def _localise(self, stamp_ns: int, view: View) -> Place:
+        """Returns the place of a view, with the motion since the previous one and the pending motion."""
+        previous_ns, self._localised_ns = self._localised_ns, stamp_ns
+        previous, self._descriptor = self._descriptor, self.localiser.nodes.descriptor(view)
+        if previous_ns is None:
+            return self.localiser.update(view, Motion(0.0, 0.0, 0.0))  # the robot stood
+        moved = self._model.predict(self._log, previous_ns, stamp_ns, 1.0)
+        if previous is not None and stamp_ns - previous_ns <= _MAX_GAP_NS:
+            turn, score = self.localiser.nodes.turn_between(previous, self._descriptor)
+            if score >= _MIN_SCORE:
+                self._model.learn(self._log, previous_ns, stamp_ns, turn)
+                moved = replace(self._model.predict(self._log, previous_ns, stamp_ns, 1.0), turn=turn)
+        ratio = self.localiser.motion_ratio
+        place = self.localiser.update(view, Motion(moved.distance, moved.turn / ratio, (stamp_ns - previous_ns) / NS_PER_S))
         return replace(
-            found,
+            place,
             moved=Step(ratio * moved.distance, moved.turn),
             pending=self._model.pending(self._log, stamp_ns, ratio),
         )
 
     def tick(self, now_ns: int) -> Velocity:
-        """Returns the velocity to command now: the one of the newest view, or a stop if that is too old.
+        """Returns the velocity to command now: that of the newest view, or a stop if that view is stale.
 
         Args:
             now_ns: present time on the clock of the stamps, ns.
@@ -197,7 +197,7 @@ class PathFollower:
         return self._log.last
 
     def hold(self, now_ns: int) -> Velocity:
-        """Commands a stop, whatever the views say: another instance, such as a dead man's switch, does not let the robot drive.
+        """Commands a stop: a dead man's switch, for example, does not let the robot drive.
 
         Args:
             now_ns: present time on the clock of the stamps, ns.
@@ -205,10 +205,12 @@ class PathFollower:
         return self._send(now_ns, STOP)
 
     def _send(self, now_ns: int, velocity: Velocity) -> Velocity:
+        """Logs a command and returns it."""
         self._log.add(now_ns, velocity)
         return velocity
 
-    def _limited(self, velocity: Velocity) -> Velocity:
+    def _clamped(self, velocity: Velocity) -> Velocity:
+        """Returns a velocity within the limits; a stop if it is not finite."""
         if not (math.isfinite(velocity.linear) and math.isfinite(velocity.angular)):
             return STOP
         settings = self.settings
@@ -219,33 +221,33 @@ class PathFollower:
 
 
 class _Search:
-    """Looks for the path from where the robot stands: to the left, to the right, and back; once."""
+    """Rotates a lost robot in place: to the left, to the right, and back; once."""
 
     def __init__(self, wait: float) -> None:
         self._wait_ns = round(wait * NS_PER_S)
         self.reset()
 
     def reset(self) -> None:
-        """Begins anew when the robot is lost the next time."""
+        """Ends the search; the next one begins anew."""
         self._since_ns: int | None = None
         self._turned = 0.0
-        """Radians to the left of where the search began."""
+        """Heading relative to the start of the search, radians, positive to the left."""
         self._goals = [(_SEARCH_TURN, 1.0), (-_SEARCH_TURN, -1.0), (0.0, 1.0)]
-        """Where it looks next, radians to the left of that, and the side on which it lies."""
+        """Remaining headings relative to the start, radians, and the sign of the rotation towards each."""
 
-    def velocity(self, stamp_ns: int, turned: float) -> Velocity:
-        """Returns the velocity of a robot that is lost.
+    def velocity(self, stamp_ns: int, turn: float) -> Velocity:
+        """Returns the velocity of a lost robot.
 
         Args:
-            stamp_ns: stamp of the view.
-            turned: turn since the view before, radians to the left.
+            stamp_ns: stamp of the view, ns.
+            turn: turn since the previous view, radians, positive to the left.
         """
         if self._since_ns is None:
             self._since_ns = stamp_ns
         waited_ns = stamp_ns - self._since_ns - self._wait_ns
         if not 0 <= waited_ns <= _SEARCH_NS:
             return STOP
-        self._turned += turned
+        self._turned += turn
         while self._goals and (self._goals[0][0] - self._turned) * self._goals[0][1] <= 0.0:
             self._goals.pop(0)
         return Velocity(0.0, self._goals[0][1] * _SEARCH_RATE) if self._goals else STOP

@@ -1,6 +1,6 @@
-"""How long the lens of a follower's camera is against the one that recorded the path: what zoom views fit best with, learned on the way.
+"""Learns the zoom of a follower's camera: its focal length relative to that of the camera that recorded the path.
 
-A longer lens shows all things nearer, as if the robot were further along the path; by some nodes, where the next wall is far.
+A longer lens enlarges the image, as if the robot were further along the path; by some nodes, where the next wall is far.
 """
 
 from __future__ import annotations
@@ -12,46 +12,48 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 _STEP = 0.04
-"""Distance between the logarithms of two zooms that are compared."""
+"""Distance between the logarithms of two candidate zooms."""
 _PRIOR = 3.0
-"""What a zoom must explain better, in score, for each squared logarithm of it: lenses are mostly alike. After one view; less with more."""
-_ENOUGH = 60.0
-"""Views along the way after which nothing more is learned."""
+"""Prior penalty of a zoom after one view, in score per squared logarithm: lenses are mostly alike. It falls with the root of the views."""
+_SETTLED = 60.0
+"""Sum of weights from which on nothing more is learned."""
 
 
 class ZoomEstimate:
-    """Mean scores of views by zoom."""
+    """Mean scores of views at candidate zooms."""
 
-    LOGARITHMS: F64 = _STEP * np.arange(-3.0, 4.0)
-    """Of the zooms that are compared."""
+    LOG_ZOOMS: F64 = _STEP * np.arange(-3.0, 4.0)
+    """(zooms,), float64: natural logarithms of the candidate zooms."""
 
     def __init__(self) -> None:
-        self._sums: F64 = np.zeros(len(self.LOGARITHMS))
+        self._sums: F64 = np.zeros(len(self.LOG_ZOOMS))
+        """(zooms,), weighted sums of scores."""
         self._weight = 0.0
+        """Sum of weights."""
 
     @property
     def is_settled(self) -> bool:
         """Whether more views would change little."""
-        return self._weight >= _ENOUGH
+        return self._weight >= _SETTLED
 
     @property
     def zoom(self) -> float:
-        """Focal length of the lens, as a multiple of that of the recording."""
+        """Focal length relative to that of the recording: at the vertex of the parabola through the best score."""
         if self._weight <= 0.0:
             return 1.0
-        means = self._sums / self._weight - _PRIOR * self.LOGARITHMS**2 / math.sqrt(max(1.0, self._weight))
+        means = self._sums / self._weight - _PRIOR * self.LOG_ZOOMS**2 / math.sqrt(max(1.0, self._weight))
         at = min(max(int(means.argmax()), 1), len(means) - 2)
         left, middle, right = (float(means[at + k]) for k in (-1, 0, 1))
         bend = left - 2.0 * middle + right
         offset = min(max(0.5 * (left - right) / bend, -1.0), 1.0) if bend < -1e-9 else 0.0
-        return math.exp(float(self.LOGARITHMS[at]) + offset * _STEP)
+        return math.exp(float(self.LOG_ZOOMS[at]) + offset * _STEP)
 
     def add(self, scores: F64, weight: float) -> None:
-        """Takes the best score of a view, near where it was taken, with each zoom.
+        """Adds a view.
 
         Args:
-            scores: (zooms,).
-            weight: 0 to 1; views of one place are worth little.
+            scores: (zooms,), float64, best score of the view against the nodes near by, at each of ``LOG_ZOOMS``.
+            weight: weight of the view, 0 to 1; views of one place say little more than one.
         """
         self._sums = self._sums + weight * scores
         self._weight += weight

@@ -1,4 +1,4 @@
-"""Where on a path a robot is, by its images alone: a belief over the path, moved by the commands that were sent."""
+"""Localises a robot on a path by its images alone: a histogram (Markov) filter over the path, predicted by the commanded motion."""
 
 from __future__ import annotations
 
@@ -16,89 +16,88 @@ from gibson_path_following.preprocessing import PreprocessingSettings, Preproces
 from gibson_path_following.types import Place, RecordedPath, View
 
 F64 = NDArray[np.float64]
-_USUAL_FIELD = math.radians(100.0)
-"""Field of view that limits of scores hold for, radians."""
-_LENS_NODES = 3
-"""Nodes before and after a place that views of it are compared with to learn the lens."""
-_SUCCESSIVE = MatchingSettings(max_rows=1)
-"""How views that follow each other are compared."""
+_REFERENCE_FIELD = math.radians(100.0)
+"""Field of view that score thresholds are for, radians."""
+_ZOOM_NODES = 3
+"""Nodes before and after a place that its views are compared with to learn the zoom."""
+_SUCCESSIVE = MatchingSettings(max_row_shift=1)
+"""Limits of the shift between two successive views."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocaliserSettings:
-    """How the belief moves, what images tell, and when the robot is lost."""
+    """Motion model, measurement likelihood, and when the robot is lost."""
 
     cells_per_node: int = 4
     """Cells of the belief between two nodes."""
-    ratio_mean: float = 0.85
-    """Share of the commanded motion that a robot makes on average; wheels slip. What it truly makes is learned on the way."""
-    ratio_deviation: float = 0.2
-    """Standard deviation of that share."""
-    ratio_memory: float = 5.0
-    """Commanded nodes that ``ratio_mean`` counts as, against those driven; 0 = it is not learned."""
-    drift: float = 0.15
-    """Standard deviation of the motion between two views that no command explains, nodes."""
-    drift_unknown: float = 3.0
-    """The same where no commands are known, nodes."""
-    turn_radius: float = 0.3
-    """Metres that a radian of a turn counts as."""
-    sharpness: float = 28.0
-    """Log-likelihood that a difference of 1 in score makes."""
-    repeated: float = 0.25
-    """Share that a view counts if the robot did not move since the one before: it says the same again."""
-    outliers: float = 0.001
-    """Likelihood of the worst image against the best: how far one image can move the belief."""
-    relocation: float = 0.0001
-    """Share of the belief that is spread over the whole path with each view."""
-    least_score: float = 0.21
-    """Score of the best node near the believed place, below which the images do not fit there: confidence is 0.
-
-    For a field of view of 100 degrees; less for a wider one."""
-    weak_score: float = 0.15
-    """The same where the robot must be by what it drove, if no other place fits better."""
-    rival: float = 0.17
-    """Score by which another place may fit better before the images are taken not to fit here."""
-    moved_score: float = 0.32
-    """Score that a place must have at which a lost robot is found, if it cannot have driven there: many places look a little alike."""
-    least_share: float = 0.5
-    """Share of the belief within ``fit_radius`` below which the images fit to several places."""
+    motion_ratio: float = 0.85
+    """Prior mean of the true motion per commanded motion; wheels slip. The ratio of this robot is learned on the way."""
+    motion_ratio_deviation: float = 0.2
+    """Standard deviation of that ratio."""
+    motion_ratio_prior_weight: float = 5.0
+    """Weight of ``motion_ratio`` against the driven path, in commanded nodes; 0 = the ratio is not learned."""
+    motion_noise: float = 0.15
+    """Standard deviation of the motion between two views beyond the commanded one, nodes."""
+    motion_noise_without_commands: float = 3.0
+    """The same if the commands are unknown, nodes."""
+    metres_per_radian: float = 0.3
+    """Weight of rotation against translation, m/rad."""
+    score_gain: float = 28.0
+    """Log-likelihood per score."""
+    standstill_weight: float = 0.25
+    """Weight of a view if the robot did not move since the previous one: their errors are the same."""
+    outlier_likelihood: float = 0.001
+    """Least likelihood of a place, relative to the best one: it bounds how far one image can move the belief."""
+    relocalisation_probability: float = 0.0001
+    """Share of the belief that each view spreads over the whole path (kidnapped robot)."""
+    min_score: float = 0.21
+    """Score of the best node near the place below which a view does not fit: confidence is 0. For a field of view of 100 degrees; it is scaled
+    down for a wider one."""
+    weak_min_score: float = 0.15
+    """The same where dead reckoning puts the robot, unless another place has a better score."""
+    max_rival_margin: float = 0.17
+    """Score by which another place may be better before a view does not fit here."""
+    kidnapped_min_score: float = 0.32
+    """The same for a lost robot at a place that it cannot have driven to: many places look a little alike."""
+    min_belief_share: float = 0.5
+    """Share of the belief within ``fit_radius`` below which the place is ambiguous."""
     fit_radius: float = 3.0
-    """Nodes around the believed place that count as one place."""
-    lost_after: int = 4
-    """Views in a row with too little score or share of the belief, after which the robot is lost; twice as many if they are only weak."""
-    found_after: int = 2
-    """Views in a row with enough of both, after which it is found again."""
-    moved_after: int = 4
-    """The same where the robot cannot have driven to: it was carried, or it is a place that looks alike."""
+    """Radius around a place within which nodes count as the same place, nodes."""
+    lost_views: int = 4
+    """Successive views that do not fit after which the robot is lost; twice as many if their scores are weak only."""
+    found_views: int = 2
+    """Successive views that fit after which the robot is found again."""
+    kidnapped_found_views: int = 4
+    """The same at a place that it cannot have driven to: it was carried, or the place looks alike."""
 
     def __post_init__(self) -> None:
         check_ranges(
             self,
             ("cells_per_node", 1, 50),
-            ("ratio_mean", 0.1, 2.0),
-            ("ratio_deviation", 0.0, 1.0),
-            ("ratio_memory", 0.0, 1e6),
-            ("repeated", 0.0, 1.0),
-            ("drift", 0.001, 100.0),
-            ("drift_unknown", 0.001, 100.0),
-            ("turn_radius", 0.0, 10.0),
-            ("sharpness", 0.1, 1000.0),
-            ("outliers", 0.0, 0.99),
-            ("relocation", 0.0, 0.5),
-            ("least_score", -1.0, 1.0),
-            ("weak_score", -1.0, 1.0),
-            ("rival", 0.0, 2.0),
-            ("moved_score", -1.0, 1.0),
-            ("least_share", 0.0, 1.0),
+            ("motion_ratio", 0.1, 2.0),
+            ("motion_ratio_deviation", 0.0, 1.0),
+            ("motion_ratio_prior_weight", 0.0, 1e6),
+            ("standstill_weight", 0.0, 1.0),
+            ("motion_noise", 0.001, 100.0),
+            ("motion_noise_without_commands", 0.001, 100.0),
+            ("metres_per_radian", 0.0, 10.0),
+            ("score_gain", 0.1, 1000.0),
+            ("outlier_likelihood", 0.0, 0.99),
+            ("relocalisation_probability", 0.0, 0.5),
+            ("min_score", -1.0, 1.0),
+            ("weak_min_score", -1.0, 1.0),
+            ("max_rival_margin", 0.0, 2.0),
+            ("kidnapped_min_score", -1.0, 1.0),
+            ("min_belief_share", 0.0, 1.0),
             ("fit_radius", 0.5, 1000.0),
-            ("lost_after", 1, 1000),
-            ("found_after", 1, 1000),
-            ("moved_after", 1, 1000),
+            ("lost_views", 1, 1000),
+            ("found_views", 1, 1000),
+            ("kidnapped_found_views", 1, 1000),
         )
 
 
 class NodeMatcher:
-    """The nodes of a path, ready to be compared with views; a localiser and a policy can share one."""
+    """Matches views with the nodes of a path; a localiser and a policy can share one."""
 
     def __init__(
         self,
@@ -106,7 +105,7 @@ class NodeMatcher:
         preprocessing: PreprocessingSettings | None = None,
         matching: MatchingSettings | None = None,
     ) -> None:
-        """Prepares all nodes.
+        """Computes the descriptors of all nodes.
 
         Raises:
             PathFollowingError: the images of the path are not those of its camera.
@@ -114,56 +113,60 @@ class NodeMatcher:
         height, width = path.nodes[0].view[0].shape[:2]
         self.preprocessor = Preprocessor(path.camera, path.hfov, (width, height), preprocessing)
         self._newest: tuple[View, NDArray[np.float32]] | None = None
-        self.matcher = Matcher(self.preprocessor, [self.preprocessor.pattern(node.view, 1.0) for node in path.nodes], matching)
+        """Newest view, and its descriptor."""
+        descriptors = [self.preprocessor.descriptor(node.view, 1.0) for node in path.nodes]
+        self.matcher = Matcher(self.preprocessor, descriptors, matching)
         self.nodes = len(path.nodes)
+        """Number of nodes."""
         across = self.preprocessor.columns * self.preprocessor.radians_per_column
-        self.score_scale = min(1.0, math.sqrt(_USUAL_FIELD / across))
-        """Factor on scores that are limits: the more a panorama shows, the less alike are two of different places."""
-        self._lens = ZoomEstimate()
+        self.score_scale = min(1.0, math.sqrt(_REFERENCE_FIELD / across))
+        """Factor on score thresholds: the wider a panorama, the lower the scores of different places."""
+        self._estimate = ZoomEstimate()
         self._zoom = 1.0
-        """Of the lens that takes the views."""
+        """Focal length of the camera, relative to that of the recording."""
 
     def reset(self) -> None:
-        """Forgets what was learned of the lens."""
-        self._lens, self._zoom, self._newest = ZoomEstimate(), 1.0, None
+        """Drops the learned zoom."""
+        self._estimate, self._zoom, self._newest = ZoomEstimate(), 1.0, None
 
-    def pattern(self, view: View) -> NDArray[np.float32]:
-        """Returns the normalised panorama of a view, as ``Matcher.match`` takes it; that of the newest view is kept."""
+    def descriptor(self, view: View) -> NDArray[np.float32]:
+        """Returns the descriptor of a view, (3, rows, columns), float32, as ``Matcher.match`` takes it; that of the newest view is cached."""
         if self._newest is None or self._newest[0] is not view:
-            self._newest = view, self.preprocessor.pattern(view, self._zoom)
+            self._newest = view, self.preprocessor.descriptor(view, self._zoom)
         return self._newest[1]
 
-    def learn_lens(self, view: View, index: float, weight: float) -> None:
-        """Learns how long the lens is by a view that fits.
+    def learn_zoom(self, view: View, index: float, weight: float) -> None:
+        """Learns the zoom of the camera from a view that fits.
 
         Args:
-            view: what the cameras see.
-            index: where that is, node with a fraction.
-            weight: of the view, 0 to 1; views of one place are worth little.
+            view: the images.
+            index: node index of its place, with a fraction.
+            weight: weight of the view, 0 to 1; views of one place say little more than one.
         """
-        if self._lens.is_settled or weight <= 0.0:
+        if self._estimate.is_settled or weight <= 0.0:
             return
-        first = max(0, int(index) - _LENS_NODES + 1)
-        end = min(first + 2 * _LENS_NODES, self.nodes)
-        patterns = (self.preprocessor.pattern(view, math.exp(logarithm)) for logarithm in ZoomEstimate.LOGARITHMS)
-        self._lens.add(np.array([self.matcher.match(pattern, first, end).scores.max() for pattern in patterns]), weight)
-        self._zoom = self._lens.zoom
+        first = max(0, int(index) - _ZOOM_NODES + 1)
+        end = min(first + 2 * _ZOOM_NODES, self.nodes)
+        descriptors = (self.preprocessor.descriptor(view, math.exp(log_zoom)) for log_zoom in ZoomEstimate.LOG_ZOOMS)
+        scores = np.array([self.matcher.match(descriptor, first, end).scores.max() for descriptor in descriptors])
+        self._estimate.add(scores, weight)
+        self._zoom = self._estimate.zoom
 
     def turn_between(self, before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[float, float]:
-        """Returns the turn to the left between two patterns, radians, and how alike they are, a score."""
+        """Returns the turn of the robot between two descriptors, radians, positive to the left, and its score."""
         found = Matcher(self.preprocessor, [before], _SUCCESSIVE).match(after)
         return -float(found.turns[0]), float(found.scores[0])
 
 
 class Localiser:
-    """A belief over the places of a path. Not thread-safe."""
+    """Histogram filter over the places of a path. Not thread-safe."""
 
     def __init__(self, path: RecordedPath, settings: LocaliserSettings | None = None, nodes: NodeMatcher | None = None) -> None:
-        """Begins anywhere on the path.
+        """Begins with a uniform belief.
 
         Args:
             path: the path.
-            settings: of the belief; None = the defaults.
+            settings: of the filter; None = the defaults.
             nodes: the nodes of this path, if they are prepared already.
 
         Raises:
@@ -173,146 +176,158 @@ class Localiser:
         self.nodes = nodes or NodeMatcher(path)
         count = len(path.nodes)
         per_node = self.settings.cells_per_node
-        self.places: F64 = np.arange((count - 1) * per_node + 1) / per_node
-        """Index of each cell of the belief: node, with a fraction."""
+        self.indices: F64 = np.arange((count - 1) * per_node + 1) / per_node
+        """(cells,), float64: node index of each cell of the belief, with a fraction."""
         parts = segments(path)
-        at = np.minimum(self.places.astype(np.intp), count - 2)
+        at = np.minimum(self.indices.astype(np.intp), count - 2)
         self._distance = np.array([part.distance for part in parts])[at]
+        """(cells,), recorded distance of each cell's segment, metres."""
         self._turn = np.array([part.turn for part in parts])[at]
-        effort = self._distance**2 + (self.settings.turn_radius * self._turn) ** 2
-        self._effort = np.maximum(effort, (0.25 * path.spacing) ** 2)
+        """(cells,), recorded turn of each cell's segment, radians."""
+        squared = self._distance**2 + (self.settings.metres_per_radian * self._turn) ** 2
+        self._squared_length = np.maximum(squared, (0.25 * path.spacing) ** 2)
+        """(cells,), squared length of each cell's segment, rotation included, square metres."""
         self._spacing = path.spacing
-        self._belief: F64 = np.full(len(self.places), 1.0 / len(self.places))
-        self._doubts = 0
+        self._belief: F64 = np.full(len(self.indices), 1.0 / len(self.indices))
+        self._misfits = 0
+        """Successive views that do not fit, counted double if their scores are not even weak."""
         self._fits = 0
+        """Successive views that fit."""
         self._is_lost = True
-        self._expected: float | None = None
-        """Where the robot is by what it drove since the images last fitted, node with a fraction; None = it was never found."""
-        self._driven = self._advanced = 0.0
-        """Nodes that were commanded, and nodes that the place moved on."""
-        self._before: float | None = None
-        """Place of the view before; None = the robot was lost."""
+        self._dead_reckoning: float | None = None
+        """Node index by the motion since the last view that fitted; None = there was none."""
+        self._commanded = self._advanced = 0.0
+        """Motion since the robot was found, nodes: commanded, and by the places."""
+        self._previous: float | None = None
+        """Node index of the previous view; None = the robot was lost."""
         self.reset()
 
     def reset(self, index: float | None = None, deviation: float = 2.0) -> None:
-        """Forgets all views.
+        """Drops all views.
 
         Args:
-            index: where the robot most likely is, node with a fraction; None = anywhere.
+            index: most likely node index of the robot, with a fraction; None = anywhere.
             deviation: standard deviation of ``index``, nodes.
         """
-        belief = np.ones(len(self.places))
+        belief = np.ones(len(self.indices))
         if index is not None:
-            belief = np.exp(-0.5 * ((self.places - index) / max(deviation, 0.1)) ** 2) + 1e-3
+            belief = np.exp(-0.5 * ((self.indices - index) / max(deviation, 0.1)) ** 2) + 1e-3
         self._belief = belief / belief.sum()
         self.nodes.reset()
-        self._doubts, self._fits, self._is_lost = 0, 0, True
-        self._expected, self._before = index, None
-        self._driven = self._advanced = 0.0
+        self._misfits, self._fits, self._is_lost = 0, 0, True
+        self._dead_reckoning, self._previous = index, None
+        self._commanded = self._advanced = 0.0
 
     @property
     def belief(self) -> F64:
-        """(cells,) probability of each of ``places``; a copy."""
+        """(cells,), float64: probability of each of ``indices``; a copy."""
         return self._belief.copy()
 
     @property
-    def ratio(self) -> float:
-        """Share of the commanded motion that the robot makes, as learned so far."""
+    def motion_ratio(self) -> float:
+        """True motion per commanded motion, as learned so far."""
         settings = self.settings
-        if settings.ratio_memory <= 0.0:
-            return settings.ratio_mean
-        found = (settings.ratio_memory * settings.ratio_mean + self._advanced) / (settings.ratio_memory + self._driven)
-        return min(max(found, 0.5 * settings.ratio_mean), 1.5 * settings.ratio_mean)
+        weight = settings.motion_ratio_prior_weight
+        if weight <= 0.0:
+            return settings.motion_ratio
+        ratio = (weight * settings.motion_ratio + self._advanced) / (weight + self._commanded)
+        return min(max(ratio, 0.5 * settings.motion_ratio), 1.5 * settings.motion_ratio)
 
     def update(self, view: View, motion: Motion | None = None) -> Place:
-        """Returns where the robot is when it sees a view.
+        """Predicts and corrects the belief; returns the place of a view.
 
         Args:
-            view: what the cameras see.
-            motion: what was commanded since the view before; None = not known.
+            view: the images.
+            motion: commanded motion since the previous view; None = unknown.
 
         Raises:
             ViewError: the images are not those of the path's camera.
         """
-        matches = self.nodes.matcher.match(self.nodes.pattern(view))
-        steps = self._move(motion)
+        matches = self.nodes.matcher.match(self.nodes.descriptor(view))
+        steps = self._predict(motion)
         step = 0.0
-        if self._expected is not None:
-            step = float(steps[int(np.abs(self.places - self._expected).argmin())])
-            self._expected = min(max(self._expected + self.ratio * step, 0.0), float(self.places[-1]))
-        scores = np.interp(self.places, np.arange(len(matches.scores)), matches.scores)
-        counts = 1.0
+        if self._dead_reckoning is not None:
+            step = float(steps[int(np.abs(self.indices - self._dead_reckoning).argmin())])
+            self._dead_reckoning = min(max(self._dead_reckoning + self.motion_ratio * step, 0.0), float(self.indices[-1]))
+        scores = np.interp(self.indices, np.arange(len(matches.scores)), matches.scores)
+        weight = 1.0
         if motion is not None:
-            moved = math.hypot(motion.distance, self.settings.turn_radius * motion.turn) / self._spacing
-            counts = min(1.0, self.settings.repeated + 2.0 * moved)
-        likelihood = np.exp(self.settings.sharpness * (scores - scores.max())) + self.settings.outliers
-        belief = self._belief * likelihood**counts
-        if not self._is_lost and self._expected is not None:
-            # As long as it is not lost, the robot is where it can have driven to, whatever another place looks like.
-            belief = belief * (np.abs(self.places - self._expected) <= 2.0 * self.settings.fit_radius)
+            moved = math.hypot(motion.distance, self.settings.metres_per_radian * motion.turn) / self._spacing
+            weight = min(1.0, self.settings.standstill_weight + 2.0 * moved)
+        likelihood = np.exp(self.settings.score_gain * (scores - scores.max())) + self.settings.outlier_likelihood
+        belief = self._belief * likelihood**weight
+        if not self._is_lost and self._dead_reckoning is not None:
+            # A robot that is not lost is where it can have driven to, whatever another place looks like.
+            belief = belief * (np.abs(self.indices - self._dead_reckoning) <= 2.0 * self.settings.fit_radius)
         self._belief = belief / belief.sum()
         place = self._place(scores, step)
         if not place.is_lost and place.confidence > 0.0:
-            self.nodes.learn_lens(view, place.index, counts if motion is not None else 0.0)
+            self.nodes.learn_zoom(view, place.index, weight if motion is not None else 0.0)
         return place
 
-    def _move(self, motion: Motion | None) -> F64:
-        """Moves the belief; returns the nodes that were commanded at each cell."""
+    def _predict(self, motion: Motion | None) -> F64:
+        """Predicts the belief; returns (cells,), float64: the commanded motion at each cell, nodes."""
         settings = self.settings
         if motion is None:
-            step = mean = np.zeros(len(self.places))
-            deviation = np.full(len(self.places), settings.drift_unknown)
+            step = mean = np.zeros(len(self.indices))
+            deviation = np.full(len(self.indices), settings.motion_noise_without_commands)
         else:
-            along = motion.distance * self._distance + settings.turn_radius**2 * motion.turn * self._turn
-            step = along / self._effort  # nodes, if nothing slips
-            mean = self.ratio * step
-            deviation = np.hypot(settings.ratio_deviation * step, settings.drift)
-        offset = self.places[None, :] - (self.places + mean)[:, None]  # (from, to)
+            along = motion.distance * self._distance + settings.metres_per_radian**2 * motion.turn * self._turn
+            step = along / self._squared_length  # nodes, without slip
+            mean = self.motion_ratio * step
+            deviation = np.hypot(settings.motion_ratio_deviation * step, settings.motion_noise)
+        offset = self.indices[None, :] - (self.indices + mean)[:, None]  # (from, to)
         # A robot that drives past an end of the path is at that end.
         offset[:, -1] = np.maximum(offset[:, -1], 0.0)
         offset[:, 0] = np.minimum(offset[:, 0], 0.0)
         kernel = np.exp(-0.5 * (offset / deviation[:, None]) ** 2) + 1e-12
         kernel /= kernel.sum(axis=1, keepdims=True)
-        moved = self._belief @ kernel
-        self._belief = (1.0 - settings.relocation) * moved + settings.relocation / len(moved)
+        predicted = self._belief @ kernel
+        spread = settings.relocalisation_probability
+        self._belief = (1.0 - spread) * predicted + spread / len(predicted)
         return step
 
     def _place(self, scores: F64, step: float) -> Place:
-        """Returns the place, and whether it can be relied on; ``step``: nodes that were commanded."""
+        """Returns the place, with its confidence.
+
+        Args:
+            scores: (cells,), of the view.
+            step: commanded motion since the previous view, nodes.
+        """
         settings = self.settings
         window = np.ones(2 * settings.cells_per_node + 1)
-        # The place is where most of the belief lies within one node, not the mean of two places far apart.
+        # The place is where most of the belief lies within one node, not the mean of two modes far apart.
         share = np.convolve(self._belief, window)[settings.cells_per_node : -settings.cells_per_node]
         centre = int(share.argmax())
         low, high = max(0, centre - settings.cells_per_node), centre + settings.cells_per_node + 1
         part = self._belief[low:high]
-        index = float((part * self.places[low:high]).sum() / part.sum())
-        away = np.abs(self.places - index)
-        near = away <= 1.0
-        is_expected = self._expected is not None and abs(index - self._expected) <= settings.fit_radius
-        best, anywhere, scale = float(scores[near].max()), float(scores.max()), self.nodes.score_scale
+        index = float((part * self.indices[low:high]).sum() / part.sum())
+        distance = np.abs(self.indices - index)
+        is_near = distance <= 1.0
+        is_expected = self._dead_reckoning is not None and abs(index - self._dead_reckoning) <= settings.fit_radius
+        best, anywhere, scale = float(scores[is_near].max()), float(scores.max()), self.nodes.score_scale
         if is_expected or not self._is_lost:
-            fits = is_expected and best >= settings.least_score * scale and anywhere - best < settings.rival
-            if is_expected and not fits:  # a view with little in it is enough, if no other place is like it
-                around = float(scores[away <= settings.fit_radius].max())
-                fits = best >= settings.weak_score * scale and around >= anywhere
+            fits = is_expected and best >= settings.min_score * scale and anywhere - best < settings.max_rival_margin
+            if is_expected and not fits:  # a view with little texture is enough if no other place has a better score
+                around = float(scores[distance <= settings.fit_radius].max())
+                fits = best >= settings.weak_min_score * scale and around >= anywhere
         else:
-            fits = best >= settings.moved_score * scale
-        confidence = float(min(1.0, self._belief[near].sum())) if fits else 0.0
-        fits = fits and bool(self._belief[away <= settings.fit_radius].sum() >= settings.least_share)
+            fits = best >= settings.kidnapped_min_score * scale
+        confidence = float(min(1.0, self._belief[is_near].sum())) if fits else 0.0
+        fits = fits and bool(self._belief[distance <= settings.fit_radius].sum() >= settings.min_belief_share)
         self._fits = self._fits + 1 if fits else 0
-        # Where little can be told apart the robot goes on for a while by what it drove; not where all looks foreign.
-        self._doubts = 0 if fits else self._doubts + (1 if is_expected and best >= settings.weak_score * scale else 2)
-        enough = settings.found_after if is_expected or self._expected is None else settings.moved_after
+        # Where views say little, dead reckoning goes on for a while; not where the score is below even the weak threshold.
+        self._misfits = 0 if fits else self._misfits + (1 if is_expected and best >= settings.weak_min_score * scale else 2)
+        enough = settings.found_views if is_expected or self._dead_reckoning is None else settings.kidnapped_found_views
         if self._is_lost and self._fits >= enough:
             self._is_lost = False
-        elif not self._is_lost and self._doubts >= 2 * settings.lost_after:
+        elif not self._is_lost and self._misfits >= 2 * settings.lost_views:
             self._is_lost = True
             self._belief = 0.5 * self._belief + 0.5 / len(self._belief)
         if not self._is_lost and fits:
-            if is_expected and self._before is not None:
-                self._driven += abs(step)
-                self._advanced += math.copysign(1.0, step) * (index - self._before)
-            self._expected = index
-        self._before = index if not self._is_lost else None
+            if is_expected and self._previous is not None:
+                self._commanded += abs(step)
+                self._advanced += math.copysign(1.0, step) * (index - self._previous)
+            self._dead_reckoning = index
+        self._previous = index if not self._is_lost else None
         return Place(index, confidence, self._is_lost)

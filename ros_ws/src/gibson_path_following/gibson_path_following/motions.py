@@ -1,4 +1,4 @@
-"""What was driven: recorded velocities between two nodes, and commands between two views, as distance and turn."""
+"""Integrals of velocities, as distance and turn: recorded ones between two nodes, commands between two views."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from gibson_path_following.types import STOP, RecordedPath, Velocity
 
 NS_PER_S = 1_000_000_000
 _MOVING = 0.01
-"""m/s or rad/s below which a velocity counts as standing still."""
+"""Speed, m/s, and yaw rate, rad/s, below which a robot stands still."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What was commanded in an interval of time."""
+    """Commanded motion in an interval."""
 
     distance: float
-    """Metres forward."""
+    """Metres, positive forward."""
     turn: float
-    """Radians to the left."""
+    """Radians, positive to the left."""
     duration: float
-    """Seconds in which anything but a stop was commanded."""
+    """Time with a command other than a stop, seconds."""
 
 
 def motion_between(velocities: Sequence[tuple[int, Velocity]], start_ns: int, end_ns: int) -> Motion:
-    """Returns the integral of velocities, each of which holds from its time, ns, until the next one's, over an interval.
+    """Returns the integral of velocities over an interval.
 
     Args:
-        velocities: (time, velocity), in the order of time; before the first the robot stands.
-        start_ns: begin of the interval.
-        end_ns: its end.
+        velocities: times, ns, and velocities from then on, in order; before the first the robot stands.
+        start_ns: begin of the interval, ns.
+        end_ns: its end, ns.
     """
     distance = turn = duration = 0.0
     for i, (begin_ns, velocity) in enumerate(velocities):
@@ -44,9 +44,9 @@ def motion_between(velocities: Sequence[tuple[int, Velocity]], start_ns: int, en
 
 
 def segments(path: RecordedPath) -> tuple[Motion, ...]:
-    """Returns what was driven from each node to the next, one fewer than there are nodes.
+    """Returns the motion from each node to the next, (nodes - 1).
 
-    The distance is that of the nodes. Without recorded velocities the turn is 0 and the duration unknown, 0.
+    Its distance is that between the nodes. Without recorded velocities, turn and duration are 0.
     """
     found = []
     for node, after in zip(path.nodes[:-1], path.nodes[1:], strict=True):
@@ -59,18 +59,18 @@ def segments(path: RecordedPath) -> tuple[Motion, ...]:
 
 
 class CommandLog:
-    """The commands that were sent to a robot, for as long as they matter."""
+    """Recent commands to a robot."""
 
     def __init__(self, keep_s: float = 10.0) -> None:
         self._keep_ns = round(keep_s * NS_PER_S)
         self._sent: list[tuple[int, Velocity]] = []
 
     def clear(self) -> None:
-        """Forgets all commands; the robot stands."""
+        """Drops all commands; the robot stands."""
         self._sent.clear()
 
     def add(self, now_ns: int, velocity: Velocity) -> None:
-        """Notes a command that holds from ``now_ns`` on."""
+        """Adds a command that holds from ``now_ns`` on."""
         while self._sent and self._sent[-1][0] >= now_ns:  # replaced before it took effect
             self._sent.pop()
         if not self._sent or self._sent[-1][1] != velocity:
@@ -84,5 +84,5 @@ class CommandLog:
         return self._sent[-1][1] if self._sent else STOP
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
-        """Returns what was commanded in an interval."""
+        """Returns the commanded motion in an interval, ns."""
         return motion_between(self._sent, start_ns, end_ns)

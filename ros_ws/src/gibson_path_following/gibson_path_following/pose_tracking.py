@@ -216,7 +216,7 @@ class PoseTracker:
             self.filter.correct_station(geometry.pose_at(localiser_station), _STATION_DEVIATION)
         first = int(np.searchsorted(geometry.stations, self.project() - _BEHIND).clip(0, len(geometry.stations) - 1))
         end = min(first + 2, len(geometry.stations))
-        matches = nodes.matcher.match(nodes.pattern(view), first, end)
+        matches = nodes.matcher.match(nodes.descriptor(view), first, end)
         return any(
             score >= settings.min_shift_score and self.filter.correct_heading(geometry.poses[first + k], float(turn))
             for k, (score, turn) in enumerate(zip(matches.scores, matches.turns, strict=True))

@@ -1,4 +1,4 @@
-"""Turns the images of a view into one panorama, normalised in contrast, in which a rotation of the robot is a shift of columns."""
+"""Projects the images of a view onto one panorama of normalised contrast, in which a rotation of the robot is a column shift."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from gibson_path_following.types import IMAGES_OF, CameraKind, View
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-_LEAST_EDGE = 1e-3
+_MIN_EDGE = 1e-3
+"""Least length of a gradient, grey levels: it keeps flat parts at 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +48,12 @@ class PreprocessingSettings:
 
 
 class Preprocessor:
-    """Turns views of one camera into panoramas; its lookup tables are made once."""
+    """Projects views of one camera onto panoramas; it computes its lookup tables once."""
 
     def __init__(
         self, camera: CameraKind, hfov: float, size: tuple[int, int], settings: PreprocessingSettings | None = None
     ) -> None:
-        """Makes the lookup tables.
+        """Computes the lookup tables.
 
         Args:
             camera: kind of the camera.
@@ -71,11 +72,11 @@ class Preprocessor:
                 f"the field of view is {math.degrees(hfov):.1f} degrees, must be 5 to {math.degrees(widest):.0f} ({camera})"
             )
         self.is_closed = camera == "fisheye_pair"
-        """Whether the panorama goes all around, so that its last column is beside its first."""
+        """Whether the panorama covers 360 degrees, so that its last column is next to its first."""
         across = 2.0 * math.pi if self.is_closed else hfov
         self.columns = max(8, round(across * self.settings.columns_per_radian))
         self.radians_per_column = across / self.columns
-        """Radians of azimuth."""
+        """Azimuth of a column, radians."""
         azimuth = (
             across / 2.0 - (np.arange(self.columns, dtype=np.float64) + 0.5) * self.radians_per_column
         )  # positive to the left
@@ -87,11 +88,11 @@ class Preprocessor:
             self._tables = [_pinhole(azimuth, up, hfov, size)]
 
     def panorama(self, view: View, zoom: float = 1.0) -> F32:
-        """Returns the grey panorama of a view, (rows, columns), 0 to 255; left of the robot is left, and its middle is ahead.
+        """Returns the grey panorama of a view, (rows, columns), float32, 0 to 255; its middle column is ahead, its left half to the left.
 
         Args:
             view: the images.
-            zoom: focal length of the lens that took them, as a multiple of the one that this object is for.
+            zoom: focal length of their camera, relative to the camera of this object.
 
         Raises:
             ViewError: number or size of the images are not those of the camera.
@@ -107,7 +108,7 @@ class Preprocessor:
                     "uint8; use the camera and the size of the recording"
                 )
             luma: F32 = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-            # A panorama that is smaller than the image is made of means, not of single pixels.
+            # A panorama that is smaller than the image is low-pass filtered first.
             shrink = max(1.0, self.size[0] * len(view) / self.columns)
             if shrink > 1.5:
                 luma = _blur(luma, 0.4 * shrink)
@@ -118,9 +119,9 @@ class Preprocessor:
         return grey
 
     def normalised(self, panorama: F32) -> F32:
-        """Returns a grey panorama with mean 0 and standard deviation 1 around each pixel, (rows, columns): light and exposure are gone.
+        """Returns a grey panorama with local mean 0 and standard deviation 1, (rows, columns), float32, invariant to light and exposure.
 
-        Whole patterns tell places apart better than horizontal gradients alone, of which shelves, tables and floors have none.
+        It discriminates places better than horizontal gradients alone, which shelves, tables and floors do not have.
         """
         settings = self.settings
         pad = min(math.ceil(4 * settings.window), panorama.shape[1]) if self.is_closed else 0
@@ -131,11 +132,11 @@ class Preprocessor:
         found = centred / (deviation + settings.contrast_floor)
         return np.ascontiguousarray(found[:, pad : pad + panorama.shape[1]])
 
-    def pattern(self, view: View, zoom: float = 1.0) -> F32:
-        """Returns what a view is compared by, (3, rows, columns): its normalised panorama, and the directions of the edges in it.
+    def descriptor(self, view: View, zoom: float = 1.0) -> F32:
+        """Returns the descriptor of a view, (3, rows, columns), float32: its normalised panorama, and the orientation of its edges.
 
-        Where the sun comes in, what was brighter than its surroundings is darker, and the panorama changes its sign. The direction of an
-        edge, as an angle modulo 180 degrees, does not. Whole patterns tell more where there are few edges.
+        Where the sun comes in, a surface that was brighter than its surroundings may be darker, and the panorama changes its sign. The
+        orientation of an edge, an angle modulo 180 degrees, does not. The panorama says more where there are few edges.
 
         Args:
             view: the images.
@@ -148,20 +149,20 @@ class Preprocessor:
         pad = min(math.ceil(4 * self.settings.window), grey.shape[1]) if self.is_closed else 0
         wide = np.concatenate([grey[:, -pad:], grey, grey[:, :pad]], axis=1) if pad else grey
         across, down = (cv2.Sobel(wide, cv2.CV_32F, x, 1 - x, borderType=cv2.BORDER_REPLICATE) for x in (1, 0))
-        # Doubled angles of a direction and its opposite are the same. The root lets weak edges count, too.
-        length = np.sqrt(np.sqrt(across**2 + down**2)) + _LEAST_EDGE
+        # Doubled angles make opposite directions equal. The root gives weak edges more weight.
+        length = np.sqrt(np.sqrt(across**2 + down**2)) + _MIN_EDGE
         length *= length * length
         edges = ((across**2 - down**2) / length, 2.0 * across * down / length)
         edges = tuple((part - _blur(part, self.settings.window))[:, pad : pad + grey.shape[1]] for part in edges)
-        # Grey levels and edges count alike.
+        # Grey levels and edges have equal weight.
         share = float(np.sqrt((grey**2).sum() / max(float((edges[0] ** 2 + edges[1] ** 2).sum()), 1e-9) * 2.0))
         return np.stack([grey, share * edges[0], share * edges[1]])
 
 
 def texture(view: View) -> float:
-    """Returns the contrast of the blurred view, grey levels: the standard deviation of means over blocks; about 0 = a covered lens.
+    """Returns the texture of a view: standard deviation of block means, grey levels; about 0 = a covered lens.
 
-    Of several images the one with most counts. Means over blocks hold little of a sensor's noise.
+    It is the largest of all images. Block means hold little of the noise of a sensor.
     """
     best = 0.0
     for image in view:
@@ -185,7 +186,7 @@ def _pinhole(azimuth: F64, up: F64, hfov: float, size: tuple[int, int]) -> tuple
 
 
 def _fisheye(azimuth: F64, up: F64, fov: float, size: tuple[int, int]) -> tuple[F32, F32, F32]:
-    """As ``_pinhole`` for an equidistant fisheye whose circle touches the nearer sides; 0 weight where the other fisheye sees better."""
+    """Returns the same for an equidistant fisheye whose circle touches the nearer sides; weight 0 where the other fisheye sees better."""
     azimuth = (azimuth + math.pi) % (2.0 * math.pi) - math.pi
     radius = min(size) / 2.0  # pixels, at fov / 2
     right, ahead = -np.sin(azimuth)[None, :], np.cos(azimuth)[None, :]

@@ -1,4 +1,4 @@
-"""Repeats recorded velocities and corrects the heading by the columns that the view is shifted against the recorded ones. No learning."""
+"""Visual teach and repeat: repeats the recorded velocities, and corrects the heading by the column shift against the nodes. No learning."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gibson_path_following.localisation import NodeMatcher
 from gibson_path_following.motions import NS_PER_S, Motion, segments
 from gibson_path_following.types import Place, RecordedPath, Velocity, View
 
-_CLEAR = 0.17
-"""Score above ``least_score`` from which on a heading error counts in full."""
+_FULL_WEIGHT_SCORE = 0.17
+"""Score above ``min_score`` from which on a heading error has full weight."""
 _JUMP = 3.0
-"""Nodes between the places of two views beyond which the second one is a new beginning."""
+"""Distance between the places of two views beyond which the heading filter begins anew, nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,42 +27,42 @@ class TeachRepeatSettings:
     """Largest speed, m/s."""
     max_angular: float = 1.0
     """Largest yaw rate, rad/s."""
-    usual_linear: float = 0.3
-    """Speed where the path has no recorded velocities, m/s."""
-    gain: float = 1.2
+    default_linear: float = 0.3
+    """Speed where the path has no velocities, m/s."""
+    heading_gain: float = 1.2
     """Yaw rate per radian of heading error, 1/s."""
-    trust: float = 0.5
-    """Share that the heading error of one view counts, against the one that was expected by how the robot turned since the view before."""
-    pull_gain: float = 0.4
-    """How fast a steady heading error is taken for a robot that pulls to one side: rad/m per radian and second."""
-    most_pull: float = 0.2
-    """Largest pull to one side that is driven against, rad/m."""
-    ahead: int = 3
-    """Nodes from the believed place on that are compared."""
-    preview: float = 0.1
-    """How far ahead of the believed place recorded velocities are read, seconds."""
-    slow_error: float = 0.6
-    """Heading error at which the robot turns almost in place, radians."""
-    doubtful: float = 0.5
-    """Share of the speed while an image does not fit where the robot is believed to be; it stops if that lasts."""
-    least_score: float = 0.13
-    """Score below which a node tells nothing about the heading."""
+    filter_gain: float = 0.5
+    """Gain of the complementary filter of the heading error: weight of one view against the prediction by the motion."""
+    integral_gain: float = 0.4
+    """Growth of the integral term per heading error: rad/m per radian and second. It compensates a robot that pulls to one side."""
+    max_integral: float = 0.2
+    """Largest integral term, rad/m."""
+    nodes_ahead: int = 3
+    """Number of nodes ahead of the place that a view is matched with, besides the one at the place."""
+    preview_time: float = 0.1
+    """Time ahead of the place at which recorded velocities are read, seconds."""
+    slowdown_error: float = 0.6
+    """Heading error at which the robot rotates almost in place, radians."""
+    misfit_speed_ratio: float = 0.5
+    """Factor on the speed while the view does not fit at its place; the robot stops if that lasts."""
+    min_score: float = 0.13
+    """Score below which a node has no weight."""
 
     def __post_init__(self) -> None:
         check_ranges(
             self,
             ("max_linear", 0.01, 10.0),
             ("max_angular", 0.01, 10.0),
-            ("usual_linear", 0.01, 10.0),
-            ("gain", 0.0, 20.0),
-            ("trust", 0.01, 1.0),
-            ("pull_gain", 0.0, 10.0),
-            ("most_pull", 0.0, 5.0),
-            ("ahead", 0, 100),
-            ("preview", 0.0, 5.0),
-            ("slow_error", 0.01, math.pi),
-            ("doubtful", 0.0, 1.0),
-            ("least_score", -1.0, 1.0),
+            ("default_linear", 0.01, 10.0),
+            ("heading_gain", 0.0, 20.0),
+            ("filter_gain", 0.01, 1.0),
+            ("integral_gain", 0.0, 10.0),
+            ("max_integral", 0.0, 5.0),
+            ("nodes_ahead", 0, 100),
+            ("preview_time", 0.0, 5.0),
+            ("slowdown_error", 0.01, math.pi),
+            ("misfit_speed_ratio", 0.0, 1.0),
+            ("min_score", -1.0, 1.0),
         )
 
 
@@ -70,7 +70,7 @@ class TeachRepeatPolicy:
     """A ``Policy`` without a network."""
 
     def __init__(self, path: RecordedPath, settings: TeachRepeatSettings | None = None, nodes: NodeMatcher | None = None) -> None:
-        """Prepares the nodes.
+        """Computes the recorded headings and velocities.
 
         Args:
             path: the path.
@@ -85,76 +85,85 @@ class TeachRepeatPolicy:
         parts = segments(path)
         self._spacing = path.spacing
         self._headings: NDArray[np.float64] = np.concatenate([[0.0], np.cumsum([part.turn for part in parts])])
-        """Heading at each node against the first, by the recorded velocities, radians."""
-        self._velocities = np.array([self._velocity(part) for part in parts])  # (nodes - 1, 2)
+        """(nodes,), float64: heading of each node relative to the first, by the recorded velocities, radians."""
+        self._velocities = np.array([self._velocity(part) for part in parts])
+        """(nodes - 1, 2), float64: recorded speed, m/s, and yaw rate, rad/s, of each segment."""
         self.reset()
 
     def reset(self) -> None:
-        """Forgets all earlier views."""
+        """Drops all earlier views."""
         self._last: tuple[int, float, float] | None = None
-        """Stamp, place and heading error of the view before."""
-        self._pull = 0.0
-        """Turn to the left that each metre needs so that the heading error does not stay, rad/m."""
-        self._clarity = 0.0
-        """How much the heading error of the newest view counts, 0 to 1."""
+        """Stamp, ns, node index and heading error, radians, of the previous view."""
+        self._integral = 0.0
+        """Integral term, rad/m, positive to the left."""
+        self._weight = 0.0
+        """Weight of the newest view's heading error, 0 to 1."""
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
-        """Returns the recorded velocity of the place where the robot will be when it obeys, corrected by its heading error there."""
+        """Returns the recorded velocity at the place where the command takes effect, corrected by the heading error there."""
         settings = self.settings
-        error = self._filtered(self.heading_error(view, place), stamp_ns, place)
+        error = self._filter(self.heading_error(view, place), stamp_ns, place)
         index = place.index + place.pending.distance / self._spacing
         error += self._heading(index) - self._heading(place.index) - place.pending.turn
         middles = np.arange(len(self._velocities)) + 0.5
         speed = float(np.interp(index, middles, self._velocities[:, 0]))
-        at = index + settings.preview * speed / self._spacing
-        # A robot that is slower turns more slowly, too, so that it stays on the path.
-        share = max(0.1, 1.0 - (error / settings.slow_error) ** 2)
+        at = index + settings.preview_time * speed / self._spacing
+        # Speed and yaw rate have the same factor, so that the curvature stays.
+        scale = max(0.1, 1.0 - (error / settings.slowdown_error) ** 2)
         if place.confidence <= 0.0:
-            share *= settings.doubtful
-        linear = share * float(np.interp(at, middles, self._velocities[:, 0]))
-        turn = share * float(np.interp(at, middles, self._velocities[:, 1]))
-        angular = turn + settings.gain * error + self._pull * linear
+            scale *= settings.misfit_speed_ratio
+        linear = scale * float(np.interp(at, middles, self._velocities[:, 0]))
+        turn = scale * float(np.interp(at, middles, self._velocities[:, 1]))
+        angular = turn + settings.heading_gain * error + self._integral * linear
         return Velocity(
             float(np.clip(linear, -settings.max_linear, settings.max_linear)),
             float(np.clip(angular, -settings.max_angular, settings.max_angular)),
         )
 
-    def _filtered(self, seen: float | None, stamp_ns: int, place: Place) -> float:
-        """Returns the heading error by all views up to this one; ``seen`` is that of this view alone, None = it tells nothing."""
+    def _filter(self, measured: float | None, stamp_ns: int, place: Place) -> float:
+        """Returns the filtered heading error, radians, positive to the left.
+
+        Args:
+            measured: heading error by the newest view alone, radians; None = no node fits.
+            stamp_ns: stamp of the view, ns.
+            place: its place.
+        """
         settings = self.settings
         if self._last is None or abs(place.index - self._last[1]) > _JUMP:
-            error = seen or 0.0
+            error = measured or 0.0
         else:
-            before_ns, index, error = self._last
+            previous_ns, index, error = self._last
             error += self._heading(place.index) - self._heading(index) - place.moved.turn
-            if seen is not None:
-                error += settings.trust * self._clarity * (seen - error)
-            seconds = min((stamp_ns - before_ns) / NS_PER_S, 1.0)
-            if place.moved.distance > 0.0 and abs(error) < settings.slow_error / 2.0:
-                pull = self._pull + settings.pull_gain * error * seconds
-                self._pull = min(max(pull, -settings.most_pull), settings.most_pull)
+            if measured is not None:
+                error += settings.filter_gain * self._weight * (measured - error)
+            seconds = min((stamp_ns - previous_ns) / NS_PER_S, 1.0)
+            if place.moved.distance > 0.0 and abs(error) < settings.slowdown_error / 2.0:
+                integral = self._integral + settings.integral_gain * error * seconds
+                self._integral = min(max(integral, -settings.max_integral), settings.max_integral)
         self._last = stamp_ns, place.index, error
         return error
 
     def _heading(self, index: float) -> float:
+        """Returns the recorded heading at a node index with a fraction, radians."""
         return float(np.interp(index, np.arange(self.nodes.nodes), self._headings))
 
     def heading_error(self, view: View, place: Place) -> float | None:
-        """Returns the radians that the robot must turn to the left to look along the path, by one view; None = no node fits."""
+        """Returns the turn to the heading of the path, by one view, radians, positive to the left; None = no node fits."""
         first = int(place.index)
-        end = min(first + self.settings.ahead + 1, self.nodes.nodes)
-        matches = self.nodes.matcher.match(self.nodes.pattern(view), first, end)
+        end = min(first + self.settings.nodes_ahead + 1, self.nodes.nodes)
+        matches = self.nodes.matcher.match(self.nodes.descriptor(view), first, end)
         errors = matches.turns - (self._headings[first:end] - self._heading(place.index))
-        above = np.maximum(matches.scores - self.settings.least_score * self.nodes.score_scale, 0.0)
+        above = np.maximum(matches.scores - self.settings.min_score * self.nodes.score_scale, 0.0)
         weights = above**2
-        self._clarity = min(1.0, float(above.max()) / _CLEAR)
+        self._weight = min(1.0, float(above.max()) / _FULL_WEIGHT_SCORE)
         if weights.sum() < 1e-6:
             return None
         return float((weights * errors).sum() / weights.sum())
 
     def _velocity(self, part: Motion) -> tuple[float, float]:
+        """Returns speed, m/s, and yaw rate, rad/s, of a segment, within the limits."""
         settings = self.settings
         if part.duration < 1e-3:
-            return settings.usual_linear, 0.0
+            return settings.default_linear, 0.0
         linear = float(np.clip(part.distance / part.duration, -settings.max_linear, settings.max_linear))
         return linear, float(np.clip(part.turn / part.duration, -settings.max_angular, settings.max_angular))

@@ -1,4 +1,4 @@
-"""What the parts of the package hand to each other: images, nodes of a path, velocities, places on the path, and what a policy is.
+"""Shared data types: images, nodes of a path, velocities, places on the path; and the protocol of a policy.
 
 Frames and units: REP-103; velocities in the frame of the robot, x forward, positive yaw rate to the left. No ROS here: the nodes, and the
 benchmarks that run without ROS, use the same classes.
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CameraKind = Literal["pinhole", "fisheye_pair"]
-"""One pinhole camera that looks ahead; or two fisheyes of 180 degrees, ahead and back, that see all around."""
+"""One pinhole camera that looks ahead; or two fisheyes of 180 degrees, front and back, which cover 360 degrees."""
 IMAGES_OF: dict[CameraKind, tuple[str, ...]] = {"pinhole": ("front",), "fisheye_pair": ("front", "back")}
 """Names of the images of a view, in their order."""
 Image = NDArray[np.uint8]
@@ -37,23 +37,23 @@ STOP = Velocity()
 
 @dataclass(frozen=True, slots=True)
 class PathNode:
-    """One place of a path."""
+    """A node (keyframe) of a path."""
 
     view: View
-    """What the cameras saw there."""
+    """Images at the node."""
     stamp_ns: int
     """Stamp of the images, ns."""
     distance: float
-    """Length of the path up to here, metres: by odometry where there is any, else by the commands."""
+    """Driven distance up to the node, metres: by odometry where there is any, else by the commands."""
     velocities: tuple[tuple[int, Velocity], ...]
-    """What was driven from here to the next node: (time after ``stamp_ns`` in ns, velocity from then on), in order."""
+    """Commands up to the next node, in order: time after ``stamp_ns``, ns, and the velocity from then on."""
     pose: tuple[float, float, float] | None = None
     """x, y, yaw of odometry, metres and radians; None = the path has none. Followers never use it."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedPath:
-    """A path as a chain of places, and how its cameras see."""
+    """A path as a sequence of nodes, and its cameras."""
 
     camera: CameraKind
     hfov: float
@@ -70,7 +70,7 @@ class RecordedPath:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A small motion of the robot, as it is believed to be, not as it was commanded."""
+    """Estimated motion of the robot between two times, not the commanded one."""
 
     distance: float = 0.0
     """Metres forward."""
@@ -80,40 +80,40 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where on the path the robot is, as a localiser believes."""
+    """Place of the robot on the path, by a localiser."""
 
     index: float
-    """Node, with a fraction: 3.5 = half-way between nodes 3 and 4."""
+    """Node index with a fraction: 3.5 = half-way between nodes 3 and 4."""
     confidence: float
-    """Share of the belief within one node of ``index``, 0 to 1; 0 if the images do not fit there."""
+    """Probability that the robot is within one node of ``index``, 0 to 1; 0 if the images do not fit there."""
     is_lost: bool
-    """Whether the images fit nowhere, or to several places alike."""
+    """Whether the images fit nowhere, or at several places."""
     moved: Step = Step()
-    """What the robot made since the view before."""
+    """Estimated motion since the previous view."""
     pending: Step = Step()
-    """What it will still make after this view by commands that were sent already; they take a while."""
+    """Motion that commands sent before this view will still cause, because of the latency."""
 
 
 class Policy(Protocol):
-    """Turns what the cameras see, and where on the path that is, into a velocity. One object serves one robot on one path."""
+    """Computes a velocity from images and the place on the path. One object serves one robot on one path."""
 
     def reset(self) -> None:
-        """Forgets all earlier views."""
+        """Drops all earlier views."""
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
         """Returns the velocity until the next view.
 
         Args:
-            view: what the cameras see.
-            stamp_ns: stamp of the images, ns; it grows from call to call.
-            place: where on the path that is.
+            view: the images.
+            stamp_ns: their stamp, ns; it grows from call to call.
+            place: their place on the path.
         """
 
 
 @runtime_checkable
 class SelfLocalisingPolicy(Policy, Protocol):
-    """A policy that itself sees where on the path the robot is."""
+    """A policy that localises the robot by itself."""
 
     @property
     def is_localised(self) -> bool:
-        """Whether it saw that lately, so that it may drive on where the localiser is lost: beside what stands on the path, for instance."""
+        """Whether it did so recently, so that it may drive on where the localiser is lost: beside an obstacle on the path, for instance."""
