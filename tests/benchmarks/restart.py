@@ -38,7 +38,7 @@ def seconds_without_images(scene: str) -> float:
         listener.spin_until(lambda: len(images) > 30, "images")
         os.kill(launched.node_pid("render"), signal.SIGKILL)
         killed = time.monotonic()
-        listener.spin_until(lambda: any("starting it again" in line for line in launched.lines), "a new render node")
+        listener.spin_until(lambda: any("restarting it" in line for line in launched.lines), "a new render node")
         images.clear()
         listener.spin_until(lambda: bool(images), "an image of it")
         return time.monotonic() - killed

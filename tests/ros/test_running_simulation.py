@@ -294,7 +294,7 @@ def test_render_node_that_is_killed_comes_back_and_images_go_on(sim: Launched, l
     listener.spin_until(lambda: len(images) > 1, "images")
     lines = len(sim.lines)
     os.kill(sim.node_pid("render"), signal.SIGKILL)
-    sim.wait_for_line("starting it again", after=lines)
+    sim.wait_for_line("restarting it", after=lines)
     sim.wait_for_line("triangles", after=lines)
     count = len(images)
     listener.spin_until(lambda: len(images) > count + 3, "images after the restart")

@@ -104,7 +104,7 @@ def test_renderer_that_was_killed_shows_what_changed_while_it_was_gone(sim: Laun
     _spawn(control, "new", BLUE, 0.3)
     _delete(control, "old")
     present = _now_ns(control, "new")
-    sim.wait_for_line("starting it again", after=lines)
+    sim.wait_for_line("restarting it", after=lines)
     listener.spin_until(lambda: stamp_ns(images[-1]) > present, "an image of the present")
     print(f"images came back {time.monotonic() - killed:.1f} s after the renderer was killed")
     image = next(image for image in images if stamp_ns(image) > present)
@@ -129,7 +129,7 @@ def test_renderer_that_dies_again_and_again_ends_the_run(start: Callable[..., La
         launched.wait_for_line("triangles", after=lines)
         os.kill(launched.node_pid("render"), signal.SIGKILL)
         if attempt < MAX_RESTARTS:
-            launched.wait_for_line("starting it again", after=lines)
+            launched.wait_for_line("restarting it", after=lines)
     assert launched.wait() == 4, "\n".join(launched.lines)
     assert any(line.startswith("error: the render node was killed by SIGKILL") for line in launched.lines)
 

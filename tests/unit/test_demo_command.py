@@ -49,7 +49,7 @@ def test_a_bag_that_is_there_is_not_written_over(tmp_path: Path, capsys: pytest.
     (tmp_path / "bag").mkdir()
     with pytest.raises(SystemExit) as end:
         main(["demo", "open-door", "--scene", "arena", "--out", str(tmp_path)])
-    assert end.value.code == 1 and "there is a bag in it already" in capsys.readouterr().err
+    assert end.value.code == 1 and "it contains a bag already" in capsys.readouterr().err
 
 
 def test_the_task_node_and_the_render_node_take_part_in_lockstep_and_both_views_are_recorded(tmp_path: Path) -> None:
@@ -75,7 +75,9 @@ def test_the_report_says_how_wide_the_door_was_and_whether_the_robot_went_throug
     result = {"success": True, "time": 40.0, "path_length": 6.149, "collisions": 0}
     assert _report(args, result, measured) == 0
     said = capsys.readouterr().out
-    assert "success after 40.0 s; door 60 degrees after 17.2 s, 92 degrees at most, 88 at the end; 6.15 m driven" in said
+    assert (
+        "success after 40.0 s; door 60 degrees after 17.2 s, opened by at most 92 degrees, 88 at the end; 6.15 m driven" in said
+    )
     assert _report(args, {**result, "success": False}, {**measured, "open_after_s": math.nan}) == 1
     assert "failure" in capsys.readouterr().out
     assert json.loads((tmp_path / "result.json").read_text())["open_after_s"] is None

@@ -28,7 +28,7 @@ class DriveConfig:
         "tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`", names="drive"
     )
     scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour", names="scene")
-    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear of obstacles; only for tour", names="robots")
+    robot: str = setting("gibson_bot", "Robot whose size sets the clearance of the tour; only for tour", names="robots")
     length: float = setting(
         0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
     )
@@ -36,7 +36,7 @@ class DriveConfig:
     angular: float = setting(1.2, "Largest yaw rate", unit="rad/s", minimum=0.01, maximum=20.0)
     stamped: bool = setting(False, "Send TwistStamped instead of Twist")
     subscribers: int = setting(
-        1, "Subscribers of the commands to wait for: the simulation, a recorder (10 s at most)", minimum=0, maximum=100
+        1, "Number of subscribers of the commands to wait for: the simulation, a recorder (10 s at most)", minimum=0, maximum=100
     )
     timeout: float = setting(0.0, TIMEOUT, unit="s", minimum=0.0)
 
@@ -58,13 +58,13 @@ class RecordConfig:
     )
     storage: str = setting("mcap", "Format of the bag's files", choices=("mcap", "sqlite3"))
     compression: str = setting("none", "Compression of the bag's chunks; none with sqlite3", choices=("none", "zstd", "lz4"))
-    max_bag_size: int = setting(0, "Size at which another file of the bag begins; 0 = never", unit="bytes", minimum=0)
+    max_bag_size: int = setting(0, "Size after which the bag is split into another file; 0 = never", unit="bytes", minimum=0)
     max_bag_duration: float = setting(
-        0.0, "Simulation time after which another file of the bag begins; 0 = never", unit="s", minimum=0.0
+        0.0, "Simulation time after which the bag is split into another file; 0 = never", unit="s", minimum=0.0
     )
     flush_period: float = setting(
         1.0,
-        "Period, wall time, of flushing to the operating system: the most that a killed recorder loses",
+        "Interval between flushes to the operating system, wall time: the most that a killed recorder loses",
         unit="s",
         minimum=0.05,
         maximum=60.0,
@@ -117,9 +117,9 @@ class RenderBagConfig:
     output: str = setting("", "Folder of the new bag; it may exist if it is empty")
     cameras: str = setting(
         "",
-        "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
+        "Cameras to render: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
     )
-    views: str = setting("", VIEWS + "; drawn in addition to the other cameras", names="views")
+    views: str = setting("", VIEWS + "; rendered in addition to the other cameras", names="views")
     view_size: str = setting("640x480", "Default width and height of views", unit="px")
     view_rate: float = setting(30.0, "Images per second of views", unit="Hz", minimum=0.001, maximum=1000.0)
     outputs: str = setting(
@@ -132,7 +132,7 @@ class RenderBagConfig:
         minimum=0.0,
         maximum=1000.0,
     )
-    interpolate: bool = setting(False, "Draw exactly at the times of the rates, also between recorded states")
+    interpolate: bool = setting(False, "Render exactly at the times of the rates, interpolating between recorded states")
     lights: str = setting(
         "", "Different light: a YAML file with a section `light` as in scene.yaml; empty = the bag's", names="file"
     )
@@ -149,7 +149,7 @@ class RenderBagConfig:
         "Topics to copy from the bag, separated by commas; auto = all but images and topics derived from them, none = none",
     )
     compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
-    reserve_mb: int = setting(256, "Free space of the disk below which it stops with an intact bag", unit="MB", minimum=1)
+    reserve_mb: int = setting(256, "Free space of the disk below which rendering stops with an intact bag", unit="MB", minimum=1)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -174,7 +174,7 @@ class ReplayConfig:
     bag: str = setting("", "Folder of the recorded bag")
     lockstep: bool = setting(False, "Send every input before its step; the simulation must be in lockstep")
     verify: bool = setting(False, "Compare the digests of every tick with those of the bag")
-    images: bool = setting(True, "Subscribe to the images whose digests the bag has, so that they are drawn; only for verify")
+    images: bool = setting(True, "Subscribe to the images whose digests the bag has, so that they are rendered; only for verify")
     step_hz: int = setting(240, "Physics steps per second of the simulation", unit="Hz", minimum=60, maximum=10_000)
     publish_hz: int = setting(60, "Ticks per second of the simulation", unit="Hz", minimum=1, maximum=1000)
     summary_path: str = setting("", "File for a JSON summary of the replay; empty = none")
@@ -193,7 +193,7 @@ class TaskConfig:
     episodes: int = setting(1, "Number of episodes, with consecutive seeds", minimum=1, maximum=1_000_000)
     baseline: str = setting(
         "none",
-        "Driver; none = another node; careful is for push-through alone",
+        "Policy that drives the robot; none = another node drives; careful exists only for push-through",
         choices=("scripted", "random", "none", "careful"),
     )
     scene: str = setting("", "Scene that the simulation was started with; empty = that of the task", names="scene")
@@ -222,7 +222,7 @@ class WebConfig:
 
     host: str = setting("127.0.0.1", "Address to serve the page on; any but 127.0.0.1 lets other machines in, with a token")
     port: int = setting(8080, "TCP port of the page; 0 = any that is free", minimum=0, maximum=65535)
-    token: str = setting("", "What a page on another machine must know; empty = made at the start and printed")
+    token: str = setting("", "Access token for pages on other machines; empty = generated at the start and printed")
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -238,7 +238,7 @@ class FoxgloveConfig:
         "127.0.0.1", "Address to serve on; any but 127.0.0.1 lets other machines in, without a password: the protocol has none"
     )
     port: int = setting(8765, "TCP port; 0 = any that is free", minimum=0, maximum=65535)
-    commands: bool = setting(True, "Clients may publish, call services and set parameters; otherwise they only look")
+    commands: bool = setting(True, "Clients may publish, call services and set parameters; otherwise they are read-only")
 
     def __post_init__(self) -> None:
         check_settings(self)

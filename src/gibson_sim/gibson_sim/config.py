@@ -19,7 +19,7 @@ from gibson_sim.types import FILLS, OUTPUTS, Output, check_fill
 DETAIL_PX = 1.0
 """Default of the largest error of levels of detail in the image, pixels."""
 VIEWS = (
-    "Cameras on no robot, separated by commas: follow, orbit or top, also with a target (`follow:left`), "
+    "Cameras that are not mounted on a robot, separated by commas: follow, orbit or top, also with a target (`follow:left`), "
     "or a YAML file of them; see docs/images.md"
 )
 DEFAULT_SCENE = "linden_flat"
@@ -66,10 +66,10 @@ class PhysicsConfig:
         minimum=0.0,
         maximum=1000.0,
     )
-    start_paused: bool = setting(False, "Time stands still until a client sets the simulation to playing")
+    start_paused: bool = setting(False, "Start paused; a client sets the simulation to playing")
     reset_time: str = setting(
         "rewind",
-        "Effect of a reset of time on /clock: start at 0 again, or go on, for nodes that cannot handle a jump back",
+        "What /clock does at a reset of time: restart at 0, or continue, for nodes that cannot handle a jump back",
         choices=("rewind", "monotonic"),
     )
     seed: int = setting(0, "Seed of the noise of all sensors; equal seeds and commands give equal measurements", minimum=0)
@@ -78,7 +78,7 @@ class PhysicsConfig:
         "Publish the occupancy grid of the floor on `map`: auto = until another node publishes one (SLAM, a map server)",
         choices=("auto", "on", "off"),
     )
-    map_resolution: float = setting(0.05, "Edge of a cell of the map", unit="m", minimum=0.005, maximum=1.0)
+    map_resolution: float = setting(0.05, "Cell size of the map", unit="m", minimum=0.005, maximum=1.0)
     duration: float = setting(0.0, "End after this much simulation time; 0 = never", unit="s", minimum=0.0)
     cmd_vel_timeout: float = setting(
         0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0
@@ -141,7 +141,7 @@ class PhysicsConfig:
     )
     sdf_lamps: bool = setting(
         False,
-        "Simulate the lamps of an SDF world, which shine through walls and cost time each; off = they count as ambient light",
+        "Render the point and spot lights of an SDF world, which cast no shadows and cost time each; off = ambient light instead",
     )
     randomise: str = setting(
         "",
@@ -158,7 +158,7 @@ class PhysicsConfig:
     )
     pipelined: bool = setting(
         False,
-        "In lockstep, compute the next tick while the participants do this one, if cores are free; a command takes effect one tick later",
+        "In lockstep, compute the next tick while the participants process the current one, if cores are free; a command takes effect one tick later",
     )
     participants: str = setting(
         "",
@@ -170,7 +170,7 @@ class PhysicsConfig:
         30.0, "Timeout of a participant in a tick of lockstep, wall time", unit="s", minimum=0.01, maximum=86_400.0
     )
     on_timeout: str = setting(
-        "stop", "Action after that timeout: end the run, or go on without the participant's answer", choices=("stop", "go_on")
+        "stop", "Action after that timeout: end the run, or continue without the participant's answer", choices=("stop", "go_on")
     )
     image_timeout: float = setting(
         5.0,
@@ -268,7 +268,7 @@ class RenderConfig:
         "", "UUID of the rendering GPU, as `gibson-sim doctor` shows it, or its beginning; empty = by `egl_device`"
     )
     egl_library: str = setting("libEGL.so.1", "EGL library: a file name for the dynamic linker, or a path")
-    cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all cameras of the scene")
+    cameras: str = setting("", "Names of the cameras to render, separated by commas; empty = all cameras of the scene")
     detail_px: float = setting(
         DETAIL_PX,
         "Largest error of levels of detail in the image, in scenes with 50,000 triangles or more; 0 = draw every triangle",
@@ -287,7 +287,7 @@ class RenderConfig:
     jpeg_quality: int = setting(95, "Quality of JPEG images", minimum=1, maximum=100)
     png_level: int = setting(3, "Compression level of PNG images: 0 = fast, 9 = small", minimum=0, maximum=9)
     compressed_depth_max: float = setting(
-        10.0, "Depth from which on compressedDepth images have no value", unit="m", minimum=0.1, maximum=1000.0
+        10.0, "Largest depth of compressedDepth images; farther pixels have no value", unit="m", minimum=0.1, maximum=1000.0
     )
     compressed_depth_quantization: float = setting(
         100.0,

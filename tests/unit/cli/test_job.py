@@ -141,7 +141,7 @@ def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
     monkeypatch.setattr(FakeNode, "poll", poll)
     assert _run(tmp_path, monkeypatch) == code
     assert (tmp_path / "bag").exists() == bool(simulated)
-    assert "ending before time has begun: the nodes are stopping" in capsys.readouterr().err
+    assert "ending before time has started: the nodes are stopping" in capsys.readouterr().err
 
 
 def test_full_disk_is_refused_before_anything_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

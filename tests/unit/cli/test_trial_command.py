@@ -119,7 +119,7 @@ def test_ctrl_c_keeps_the_results_and_says_how_to_go_on(
     backend.interrupted_after = 2
     assert run("rooms.yaml", "--output", "out", "--runs", "4", "--workers", "2", "--keep", "all") == ExitCode.INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == (
-        "interrupted: 2 of 4 runs are kept; to go on: "
+        "interrupted: 2 of 4 runs are kept; to continue: "
         "gibson-sim trial rooms.yaml --runs 4 --workers 2 --keep all --output out --resume"
     )
     found = results_in(tmp_path / "out")

@@ -18,7 +18,7 @@ EPILOG = f"""\
 {table()}
 
 first steps:
-  gibson-sim run --web                    both nodes, our own flat, and a page for your browser
+  gibson-sim run --web                    both nodes, the default scene, and a page for your browser
   gibson-sim drive keyboard               in a second terminal
   gibson-sim run --scene DIR --drive tour --duration 30 --record out/tour --video out/tour.mp4
   gibson-sim doctor                       what works on this machine, and how to fix what does not

@@ -87,7 +87,7 @@ def check_new_bag(bag: Path, reserve_mb: float) -> None:
         RecordError: the folder is not empty, or the disk is full.
     """
     if bag.exists() and (not bag.is_dir() or any(bag.iterdir())):
-        raise RecordError(f"--record {bag}: it is there already and is not an empty folder; give another name or remove it")
+        raise RecordError(f"--record {bag}: already exists and is not an empty folder; give another name or remove it")
     check_room(bag, round(reserve_mb * 1e6))
 
 
@@ -126,7 +126,7 @@ class JobRun:
             CONSOLE.status("")
             if stop.count:  # at once: nodes that still load take seconds to end
                 begun = self._status.is_ready or "physics" not in self._job.configs
-                say(f"ending{'' if begun else ' before time has begun'}: the nodes are stopping")
+                say(f"ending{'' if begun else ' before time has started'}: the nodes are stopping")
             self._stop_all(stop)
             stop.close()
         if self._accepted:
@@ -188,13 +188,13 @@ class JobRun:
                     return True
             elif name == "render" and code != USER_ERROR and self._restarts.allow():
                 remove_dead_segments()
-                say(f"{node.ending()}; starting it again")
+                say(f"{node.ending()}; restarting it")
                 self._start(name)
             elif name == "web" and code != USER_ERROR:
                 write_file(self._job.folder / PAGE, "", durable=False)  # time need not wait for it
                 say(f"{node.ending()}; the simulation goes on without its page: `gibson-sim web` serves it again")
             elif name == "foxglove" and code != USER_ERROR:
-                say(f"{node.ending()}; the simulation goes on without it: `gibson-sim web --foxglove` serves it again")
+                say(f"{node.ending()}; the simulation goes on without it: `gibson-sim web --foxglove` restarts it")
             elif name == "record" and code != USER_ERROR:
                 say(f"error: the recording ended early: {node.reason()}; the simulation goes on")
                 self._code = ExitCode.RECORDING_ENDED_EARLY
@@ -284,15 +284,15 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
         )
     if r := found["render"]:
         if not r["images"]:
-            lines.append("render: no image had a subscriber, so none was drawn")
+            lines.append("render: no image topic had a subscriber, so no image was rendered")
         for name, count in r["images"].items():
             lines.append(
                 f"render: camera {name}, {count} images, {r['images_per_wall_s'][name]:.1f}/s of wall time, "
                 f"{r['images_per_simulated_s'][name]:.1f}/s of simulation time, {r['skipped_by_camera'][name]} skipped, "
-                f"{r['draw_ms_median']:.1f} ms to draw, {r['publish_ms_median']:.1f} ms to publish (medians), on {r['renderer']}"
+                f"{r['draw_ms_median']:.1f} ms to render, {r['publish_ms_median']:.1f} ms to publish (medians), on {r['renderer']}"
             )
     if restarts:
-        lines.append(f"render: started again {restarts} times")
+        lines.append(f"render: restarted {restarts} times")
     if b := found["record"]:
         lines.append(
             f"record: {sum(b['messages'].values())} messages on {len(b['messages'])} topics, {sum(b['lost'].values())} lost"

@@ -81,11 +81,11 @@ _OWN = (
         "",
         "Namespace of all nodes, prefixed to all topics and services except /clock, /tf, /tf_static and /diagnostics",
     ),
-    Argument("render", "true", "Start the render node too; false = only physics, no images. Allowed: true, false"),
+    Argument("render", "true", "Start the render node too; false = physics only, without images. Allowed: true, false"),
     Argument(
         "use_sim_time",
         "false",
-        "Stamp the log of the render node with simulation time. Images always have it, and physics makes it. Allowed: true, false",
+        "Stamp the log of the render node with simulation time. Images always have it, and the physics node sets it. Allowed: true, false",
     ),
     Argument(
         "reach",

@@ -28,14 +28,14 @@ class ExitCode(IntEnum):
 
 
 MEANING = {
-    ExitCode.OK: "success; or a command without an end of its own (run, record, top, drive) was stopped by Ctrl-C or SIGTERM",
+    ExitCode.OK: "success; also if an open-ended command (run, record, top, drive) was stopped by Ctrl-C or SIGTERM",
     ExitCode.ERROR: "the command failed: one line on stderr says why; trial: a run failed",
     ExitCode.USAGE: "the command line is invalid",
     ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already; for top: none does",
     ExitCode.NODE_DIED: "a node crashed or was killed",
     ExitCode.RECORDING_ENDED_EARLY: "the run continued, but recording stopped early (disk full); the bag is readable",
     ExitCode.REPLAY_DIFFERS: "replay --verify: the run differs from the recorded one; the report names the first tick and topics",
-    ExitCode.INTERRUPTED: "Ctrl-C ended the command before it was done or while it started (the process dies of SIGINT, as shells expect)",
+    ExitCode.INTERRUPTED: "Ctrl-C interrupted the command before it finished or while it started (the process dies of SIGINT, as shells expect)",
 }
 _MISTAKEN = {
     "--headless": "leave it out: there is no window; --no-render makes no images",

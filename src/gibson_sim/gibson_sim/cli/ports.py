@@ -33,7 +33,7 @@ def check_port(option: str, host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                there = f"open {_url(host, port)}, the page that is there, or " if _is_our_page(host, port) else ""
+                there = f"open {_url(host, port)}, where a page is served already, or " if _is_our_page(host, port) else ""
                 raise ConfigError(f"{option} {port} is taken on {host}; {there}choose another port") from error
             if error.errno == errno.EACCES:
                 raise ConfigError(f"{option} {port} cannot be used: {error.strerror}; choose a port above 1023") from error

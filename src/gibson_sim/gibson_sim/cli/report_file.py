@@ -39,7 +39,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()):
-        raise ConfigError(f"--sizes: {text!r} is no size of an image; write 640x480")
+        raise ConfigError(f"--sizes: {text!r} is not an image size; must be WIDTHxHEIGHT, such as 640x480")
     return int(width), int(height)
 
 

@@ -22,7 +22,7 @@ def add_workers(parser: Any, what: str) -> None:
         type=int,
         default=None,
         metavar="N",
-        help=f"{what} at the same time, each in a process of its own (default: 1)",
+        help=f"{what} at the same time, each in its own process (default: 1)",
     )
     parser.add_argument(
         "--ray", metavar="ADDRESS", help="work on a Ray cluster, such as auto or 10.0.0.5:6379 (docs/many_machines.md)"

@@ -20,7 +20,7 @@ from gibson_sim.picture_files import SUFFIXES
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command with its own sub-commands."""
     parser = subparsers.add_parser(
-        "bag", help="check or plot a bag, repair a truncated one, make a video of one, or one of images"
+        "bag", help="check, plot or repair a bag; write videos and film strips of it; convert images to a bag"
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     check = actions.add_parser(
@@ -29,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
     check.set_defaults(run=_check)
     plot = actions.add_parser("plot", help="draw path, velocities, contacts and rates of a bag; needs matplotlib")
     plot.set_defaults(run=_plot)
-    repairing = actions.add_parser("repair", help="make a bag readable that a crash or a full disk cut off")
+    repairing = actions.add_parser("repair", help="repair a bag that a crash or a full disk truncated")
     repairing.set_defaults(run=_repair)
     video = actions.add_parser("video", help="write a video and a contact sheet of RGB and depth")
     video.set_defaults(run=_video)
@@ -37,7 +37,7 @@ def add_parser(subparsers: Any) -> None:
     sheet.set_defaults(run=_sheet)
     film = actions.add_parser("film", help="write a film strip or a video of several cameras, stacked")
     film.set_defaults(run=_film)
-    making = actions.add_parser("from-images", help="make a bag of a folder of photographs, or of a video")
+    making = actions.add_parser("from-images", help="convert a folder of photographs, or a video, to a bag")
     making.set_defaults(run=_from_images)
     _add_from_images(making)
     for action in (check, plot, repairing, video, sheet, film):
@@ -45,11 +45,11 @@ def add_parser(subparsers: Any) -> None:
     plot.add_argument(
         "files", type=Path, nargs="*", metavar="FILE", help="picture (.png) or page (.html); one or more (default: DIR_plot.png)"
     )
-    plot.add_argument("--robot", default="", metavar="NAME", help="namespace of the only robot to show (default: all)")
+    plot.add_argument("--robot", default="", metavar="NAME", help="show only the robot with this namespace (default: all)")
     video.add_argument("file", type=Path, metavar="FILE.mp4")
     sheet.add_argument("file", type=Path, metavar="FILE.png")
-    sheet.add_argument("--columns", type=int, default=4, help="pictures in a row (default: 4)")
-    sheet.add_argument("--rows", type=int, default=4, help="rows of pictures (default: 4)")
+    sheet.add_argument("--columns", type=int, default=4, help="images in a row (default: 4)")
+    sheet.add_argument("--rows", type=int, default=4, help="rows of images (default: 4)")
     film.add_argument("files", type=Path, nargs="+", metavar="FILE", help="film strip (.png, .jpg) or video (.mp4); one or more")
     film.add_argument(
         "--topics", default="", help="image topics or cameras, separated by commas, from the top (default: all colour images)"
@@ -60,8 +60,10 @@ def add_parser(subparsers: Any) -> None:
         "--from", dest="begin", type=float, default=0.0, metavar="S", help="begin S seconds after the start of the bag"
     )
     film.add_argument("--to", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the start of the bag")
-    film.add_argument("--fps", type=float, help="frames a second of the video (default: by the stamps)")
-    film.add_argument("--speed", type=float, default=1.0, help="seconds of the run in a second of the video (default: 1)")
+    film.add_argument("--fps", type=float, help="frames per second of the video (default: by the stamps)")
+    film.add_argument(
+        "--speed", type=float, default=1.0, help="playback speed: seconds of the run per second of video (default: 1)"
+    )
 
 
 def _add_from_images(parser: argparse.ArgumentParser) -> None:
@@ -74,22 +76,25 @@ def _add_from_images(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--output", type=Path, required=True, metavar="BAG", help="folder of the new bag")
     parser.add_argument(
-        "--topic", default=default.topic, help=f"topic of the images; camera_info stands beside it (default: {default.topic})"
+        "--topic",
+        default=default.topic,
+        help=f"topic of the images; camera_info is published beside it (default: {default.topic})",
     )
     parser.add_argument(
         "--rate",
         type=float,
         metavar="HZ",
-        help=f"images a second: of a folder, at which they were taken (default: {FOLDER_RATE_HZ:g}); of a video, at most so many (default: all)",
+        help=f"images per second: for a folder, the rate at which they were taken (default: {FOLDER_RATE_HZ:g}); "
+        "for a video, the highest rate (default: all frames)",
     )
     parser.add_argument("--frame", default=default.frame, help=f"frame of the images (default: {default.frame})")
     parser.add_argument(
         "--hfov",
         type=float,
         metavar="DEG",
-        help="horizontal field of view of a pinhole camera, degrees (default: camera_info says that it is not calibrated)",
+        help="horizontal field of view of a pinhole camera, degrees (default: camera_info is marked as uncalibrated)",
     )
-    parser.add_argument("--compressed", action="store_true", help="JPEG images, on TOPIC/compressed")
+    parser.add_argument("--compressed", action="store_true", help="store JPEG images, on TOPIC/compressed")
 
 
 def _from_images(args: argparse.Namespace) -> int:

@@ -21,7 +21,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("real", type=Path, metavar="REAL", help="folder of the real robot's bag, from any ROS 2")
     parser.add_argument(
-        "sim", type=Path, metavar="SIM", help="folder of the bag of --robot, simulated, best with the same commands"
+        "sim", type=Path, metavar="SIM", help="folder of a simulated bag of --robot, ideally with the same commands"
     )
     parser.add_argument(
         "--robot",
@@ -32,12 +32,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with tables and plots; needs matplotlib")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all metrics")
     parser.add_argument(
-        "--fit", action="store_true", help="write a copy of the robot.yaml with fitted values, which bring the two closer"
+        "--fit", action="store_true", help="write a copy of the robot.yaml with parameters fitted to the real bag"
     )
     parser.add_argument("--output", type=Path, default=None, metavar="FILE", help="file that --fit writes (default: fitted.yaml)")
     parser.add_argument(
         "--topic", action="append", default=[], metavar="ROLE=/TOPIC",
-        help="topic of cmd_vel, odom, truth, imu, scan, map or image, if not the usual one; real:ROLE=/TOPIC: for that bag only",
+        help="topic of cmd_vel, odom, truth, imu, scan, map or image, if not the usual one; real:ROLE=/TOPIC or sim:ROLE=/TOPIC: for that bag only",
     )  # fmt: skip
     parser.add_argument(
         "--align", choices=("auto", "map", "start"), default="auto",
@@ -47,9 +47,11 @@ def add_parser(subparsers: Any) -> None:
         "--cmd-vel-timeout", type=float, default=0.5, metavar="S", help="command timeout of the real robot (default: 0.5)"
     )
     parser.add_argument(
-        "--gravity", type=float, default=9.81, metavar="M/S2", help="at the real robot's location (default: 9.81)"
+        "--gravity", type=float, default=9.81, metavar="M/S2", help="gravity at the real robot's location (default: 9.81)"
     )
-    parser.add_argument("--step-hz", type=int, default=240, metavar="HZ", help="physics steps a second of the run (default: 240)")
+    parser.add_argument(
+        "--step-hz", type=int, default=240, metavar="HZ", help="physics steps per second of the simulated run (default: 240)"
+    )
     parser.set_defaults(run=_run)
 
 
@@ -67,7 +69,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.scenes.robot_files import load_robot
 
     if args.output is not None and not args.fit:
-        raise ConfigError(f"--output {args.output} is what --fit writes: add --fit, or leave it out")
+        raise ConfigError(f"--output {args.output} needs --fit, which writes it: add --fit, or leave --output out")
     if args.html is not None:
         require_matplotlib("an HTML report", ", or leave out --html")
     topics, robot = topic_options(args.topic), load_robot(args.robot)

@@ -55,7 +55,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("open_door"), metavar="DIR", help="folder to write to (default: open_door)"
     )
-    parser.add_argument("--image-rate", type=float, default=10.0, metavar="HZ", help="images a second (default: 10)")
+    parser.add_argument("--image-rate", type=float, default=10.0, metavar="HZ", help="images per second (default: 10)")
     parser.add_argument(
         "--size", default="640x480", metavar="WxH", help="size of an image in the video, pixels (default: 640x480)"
     )
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     episode = OpenDoor().generate(args.seed, ground)
     bag = args.out / "bag"
     if bag.exists():
-        raise ConfigError(f"--out {args.out}: there is a bag in it already; give another folder, or remove {bag}")
+        raise ConfigError(f"--out {args.out}: it contains a bag already; give another folder, or remove {bag}")
     args.out.mkdir(parents=True, exist_ok=True)
     camera = ground.robot.cameras[0].name
     try:
@@ -218,7 +218,7 @@ def _report(args: argparse.Namespace, result: dict[str, Any], measured: dict[str
     passed = "never 60 degrees" if math.isnan(opened) else f"60 degrees after {opened:.1f} s"
     print(
         f"{args.demo}, scene {args.scene}, seed {args.seed}: {'success' if result['success'] else 'failure'} after {result['time']:.1f} s; "
-        f"door {passed}, {measured['widest_deg']:.0f} degrees at most, {measured['end_deg']:.0f} at the end; "
+        f"door {passed}, opened by at most {measured['widest_deg']:.0f} degrees, {measured['end_deg']:.0f} at the end; "
         f"{result['path_length']:.2f} m driven, {result['collisions']} collisions"
     )
     numbers = {name: None if math.isnan(value) else value for name, value in measured.items()}

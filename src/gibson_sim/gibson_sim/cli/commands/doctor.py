@@ -87,7 +87,7 @@ def _try(code: str) -> tuple[bool, str]:
     except GibsonSimError as error:
         return False, str(error)
     lines = [line for line in (done.stdout if done.returncode == 0 else done.stderr + done.stdout).splitlines() if line.strip()]
-    return done.returncode == 0, lines[-1] if lines else f"exit code {done.returncode}, and it said nothing"
+    return done.returncode == 0, lines[-1] if lines else f"exit code {done.returncode} without a message"
 
 
 MESSAGES = {
@@ -133,7 +133,11 @@ def _physics() -> Iterator[Finding]:
 def _loops() -> Iterator[Finding]:
     from gibson_sim.geometry.compiling import CAN_COMPILE  # half a second of Numba
 
-    text = "what to draw is chosen by compiled loops" if CAN_COMPILE else "not installed: NumPy chooses what to draw, more slowly"
+    text = (
+        "culling and level-of-detail selection are compiled"
+        if CAN_COMPILE
+        else "not installed: culling and level-of-detail selection run in NumPy, more slowly"
+    )
     yield Finding("Numba", "ok" if CAN_COMPILE else "warn", text, "" if CAN_COMPILE else "pip install gibson-sim[fast]")
 
 
@@ -161,7 +165,7 @@ def _graphics() -> Iterator[Finding]:
         return
     devices = json.loads(text)
     if not any(d["usable"] for d in devices):
-        yield Finding("EGL", "FAIL", f"{len(devices)} devices, none can draw", _GRAPHICS_REMEDY)
+        yield Finding("EGL", "FAIL", f"{len(devices)} devices, none can render", _GRAPHICS_REMEDY)
     for device in devices:
         yield _egl_device(device)
     nvidia = [d for d in devices if d["usable"] and "nvidia" in d["vendor"].lower()]
@@ -193,8 +197,8 @@ def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
     if pairs:
         return Finding("CUDA", "ok", "; ".join(pairs))
     known = ", ".join(f"cuda:{c['ordinal']} {c['name']} {c['uuid']}" for c in devices) or "no device"
-    remedy = "for tensors on the GPU let CUDA_VISIBLE_DEVICES show the GPU that draws"
-    return Finding("CUDA", "warn", f"{known}: none of the GPUs that draw", remedy)
+    remedy = "for tensors on the GPU, include the GPU that renders in CUDA_VISIBLE_DEVICES"
+    return Finding("CUDA", "warn", f"{known}: none of them is a GPU that renders", remedy)
 
 
 def _dds() -> Iterator[Finding]:
@@ -214,14 +218,16 @@ def _dds() -> Iterator[Finding]:
     if reach_of(os.environ) or profile == str(profile_of(SUBNET)):
         yield Finding("DDS profile", "ok", profile)
     else:
-        remedy = f"if images arrive late or with gaps, take the shared memory of {profile_of(SUBNET)} into it"
+        remedy = f"if images arrive late or with gaps, copy the shared-memory transport of {profile_of(SUBNET)} into it"
         yield Finding("DDS profile", "warn", f"yours: {profile}", remedy)
     ok, text = _try("from gibson_sim.ros.wire.dds_check import main; main()")
     yield Finding(
         "large images",
         "ok" if ok else "FAIL",
         text,
-        "" if ok else "is a firewall or a foreign DDS profile in the way? unset the variables of ROS and Fast DDS, and try again",
+        ""
+        if ok
+        else "check for a firewall or another DDS profile that blocks them; unset the variables of ROS and Fast DDS, and try again",
     )
 
 
@@ -282,4 +288,4 @@ def _domain() -> Iterator[Finding]:
     except GibsonSimError as error:
         yield Finding("domain", "FAIL", str(error), "unset ROS_DOMAIN_ID")
     else:
-        yield Finding("domain", "ok", f"ROS_DOMAIN_ID {domain_id}, no simulation of ours runs in it")
+        yield Finding("domain", "ok", f"ROS_DOMAIN_ID {domain_id}, no Gibson Sim simulation runs in it")

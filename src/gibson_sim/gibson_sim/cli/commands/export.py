@@ -13,7 +13,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "export",
         help="write the images and poses of a bag as a data set: TUM RGB-D, nerfstudio, LeRobot, or plain files with tables",
-        description="Works on bags of the simulation and of real robots; names what the bag lacks at the end. docs/datasets.md has more.",
+        description="Works on bags of the simulation and of real robots; reports at the end what the bag lacks. See docs/datasets.md.",
     )
     parser.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     parser.add_argument("output", type=Path, metavar="OUTDIR", help="folder of the data set; it must not exist, or be empty")
@@ -42,9 +42,9 @@ def add_parser(subparsers: Any) -> None:
         type=float,
         default=0.02,
         metavar="S",
-        help="most seconds between images of one moment (default: 0.02)",
+        help="largest difference between the stamps of the images of one frame, seconds (default: 0.02)",
     )
-    parser.add_argument("--fps", type=int, default=0, help="LeRobot: frames a second (default: the rate of the images)")
+    parser.add_argument("--fps", type=int, default=0, help="LeRobot: frames per second (default: the rate of the images)")
     parser.add_argument("--task", default="drive", help="LeRobot: description of the task (default: drive)")
     parser.set_defaults(run=_run)
 

@@ -33,16 +33,16 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "render",
-        help="draw a recorded run again from its states, without physics: other cameras, outputs, lights or appearances",
-        description="Draws the states of a bag and writes a new bag with the images and everything else of the old one. "
+        help="re-render a recorded run from its states, without physics: other cameras, outputs, lights or appearances",
+        description="Renders the states of a bag, and writes a new bag with the images and all other topics of the old one. "
         "The bag must have /scene and /scene_state, as bags of `gibson-sim run --record` have.",
     )
-    parser.add_argument("bag", nargs="+", metavar="DIR", help="folder of the recorded bag; several are drawn by workers")
+    parser.add_argument("bag", nargs="+", metavar="DIR", help="folder of the recorded bag; several are rendered by workers")
     parser.add_argument(
         "--output",
         required=True,
         metavar="DIR",
-        help="folder of the new bag, which must not exist, or be empty; of several, a folder for new bags of the same names",
+        help="folder of the new bag: new or empty; for several bags, the folder in which their new bags get the same names",
     )
     add_workers(parser, "bags")
     add_settings(
@@ -92,7 +92,7 @@ def _run_over(args: argparse.Namespace, bags: list[str], output: str, backend: B
         name = re.sub(r"[^A-Za-z0-9._-]", "_", Path(job["bag"]).resolve().name)
         if name in names:
             raise ConfigError(
-                f"bags {names[name]} and {bag} would both become {Path(output) / name}; rename one, or draw them apart"
+                f"bags {names[name]} and {bag} would both become {Path(output) / name}; rename one, or render them one at a time"
             )
         names[name] = bag
         units.append(Unit(name, _FUNCTION, {"bag": job, "render": render, "files": shipped}, files))

@@ -41,24 +41,26 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "replay",
-        help="repeat a recorded run from its bag, and verify that the result is the same",
+        help="replay a recorded run from its bag, and verify that the result is the same",
         description="Starts the nodes with the settings in the bag, sends its inputs again, and ends where the recorded run ended. "
         "Options override recorded settings.",
     )
     parser.add_argument("bag", metavar="DIR", help="folder of the bag")
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
-        "--lockstep", action="store_true", help="time waits for every input; the default if the bag has the topic `inputs`"
+        "--lockstep",
+        action="store_true",
+        help="wait for every input before its step; the default if the bag has the topic `inputs`",
     )
-    how.add_argument("--free", action="store_true", help="time does not wait; the default for other bags")
+    how.add_argument("--free", action="store_true", help="do not wait for inputs; the default for other bags")
     parser.add_argument(
         "--verify", action="store_true", help="compare the digests of every tick with the bag's; exit code 6 if they differ"
     )
-    parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
+    parser.add_argument("--no-render", action="store_true", help="run physics only, without images")
     add_settings(parser, PhysicsConfig, _PHYSICS)
     add_settings(parser, RenderConfig, _RENDER)
     record = parser.add_argument_group("record")
-    record.add_argument("--record", metavar="DIR", help="record the repetition into this folder, which must not exist")
+    record.add_argument("--record", metavar="DIR", help="record the replay into this folder, which must not exist")
     add_settings(record, RecordConfig, ("topics", "record_images", "compression", "reserve_mb"))
     add_network(parser)
     parser.add_argument("--summary", metavar="FILE.json", help="also write the measurements to this file")
@@ -85,7 +87,7 @@ def _check(args: argparse.Namespace, facts: RunFacts) -> None:
         raise RecordError(f"bag {args.bag} has no digests to compare with: record with `gibson-sim run --digests --record ...`")
     if not (facts.has_journal or facts.has_commands):
         raise RecordError(
-            f"bag {args.bag} has nothing to repeat: neither `inputs`, nor cmd_vel, joint_trajectory or joint_command of a robot"
+            f"bag {args.bag} has nothing to replay: neither `inputs`, nor cmd_vel, joint_trajectory or joint_command of a robot"
         )
 
 

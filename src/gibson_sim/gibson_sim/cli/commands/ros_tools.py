@@ -36,23 +36,25 @@ def _add_topic(parser: Any) -> None:
     _finish(info, "topic info")
     echo = kinds.add_parser("echo", help="print messages")
     echo.add_argument("topic")
-    echo.add_argument("--once", action="store_true", help="print one message and end")
+    echo.add_argument("--once", action="store_true", help="print one message and exit")
     echo.add_argument("--field", default="", metavar="PATH", help="print one field, such as pose.pose.position")
     echo.add_argument("-f", "--full-length", dest="full", action="store_true", help="print arrays and texts to their end")
     _finish(echo, "topic echo")
     for name, text in (
         ("hz", "print the rate"),
         ("bw", "print the bandwidth"),
-        ("delay", "print how late messages are by their stamps"),
+        ("delay", "print the delay from stamp to arrival"),
     ):
         measure = kinds.add_parser(name, help=f"{text}, once a second")
         measure.add_argument("topic")
         measure.add_argument(
-            "--seconds", type=float, default=0.0, metavar="S", help="end after so much wall time (default: Ctrl-C)"
+            "--seconds", type=float, default=0.0, metavar="S", help="stop after this much wall time (default: at Ctrl-C)"
         )
         _finish(measure, f"topic {name}")
     # Its words, options of ros2 among them, are taken as they are, so that the answer is never that one of them is wrong.
-    pub = kinds.add_parser("pub", help="not here: `gibson-sim drive` and `goal` send commands", prefix_chars="\0", add_help=False)
+    pub = kinds.add_parser(
+        "pub", help="not available: use `gibson-sim drive` or `gibson-sim goal`", prefix_chars="\0", add_help=False
+    )
     pub.add_argument("words", nargs="*")
     pub.set_defaults(run=_refuse_pub)
 
@@ -60,7 +62,7 @@ def _add_topic(parser: Any) -> None:
 def _refuse_pub(args: argparse.Namespace) -> int:
     """Says what there is instead of a publisher of any message."""
     raise GibsonSimError(
-        "there is no `topic pub`: a robot stops when commands stop coming, so one that is typed moves it for a moment; "
+        "there is no `topic pub`: a robot stops when commands stop, so a single one moves it only for a moment; "
         "drive with `gibson-sim drive forward`, or with a file of lines `linear angular seconds`; send goals with `gibson-sim goal X,Y`"
     )
 
@@ -75,7 +77,7 @@ def _add_service(parser: Any) -> None:
     _finish(kind, "service type")
     call = kinds.add_parser("call", help="call a service")
     call.add_argument("service")
-    call.add_argument("type", nargs="?", default="", help="type of the service (default: as it is offered)")
+    call.add_argument("type", nargs="?", default="", help="type of the service (default: the one that is offered)")
     call.add_argument("values", nargs="?", default="", metavar="YAML", help='the request, such as "{entity: ball}"')
     _finish(call, "service call")
 
@@ -110,22 +112,22 @@ def _add_action(parser: Any) -> None:
 
 
 def _add_verbs(subparsers: Any) -> None:
-    spawn = subparsers.add_parser("spawn", help="put a thing of the catalogue into the running simulation")
-    spawn.add_argument("uri", metavar="THING", help="name or URI, such as bottle_water; a wrong name lists near ones")
+    spawn = subparsers.add_parser("spawn", help="spawn an object or a robot of the catalogue in the running simulation")
+    spawn.add_argument("uri", metavar="MODEL", help="name or URI, such as bottle_water; an unknown name lists similar ones")
     spawn.add_argument("--at", type=_place, required=True, metavar="X,Y[,YAW]", help=_PLACE)
     spawn.add_argument("--name", default="", help="name of the entity (default: that of the model)")
     _finish(spawn, "spawn")
-    move = subparsers.add_parser("move", help="put an entity or a robot elsewhere")
+    move = subparsers.add_parser("move", help="move an entity or a robot to another pose")
     move.add_argument("name", metavar="ENTITY")
     move.add_argument("--at", type=_place, required=True, metavar="X,Y[,YAW]", help=_PLACE)
     _finish(move, "move")
     delete = subparsers.add_parser("delete", help="remove an entity")
     delete.add_argument("name", metavar="ENTITY")
     _finish(delete, "delete")
-    for name, text in (("pause", "pause the simulation"), ("play", "let time pass again"), ("reset", "reset the simulation")):
+    for name, text in (("pause", "pause the simulation"), ("play", "resume the simulation"), ("reset", "reset the simulation")):
         _finish(subparsers.add_parser(name, help=text), name)
-    step = subparsers.add_parser("step", help="make physics steps of a paused simulation")
-    step.add_argument("steps", nargs="?", type=_count, default=1, metavar="N", help="how many (default: 1)")
+    step = subparsers.add_parser("step", help="run physics steps of a paused simulation")
+    step.add_argument("steps", nargs="?", type=_count, default=1, metavar="N", help="number of steps (default: 1)")
     _finish(step, "step")
     load = subparsers.add_parser("load", help="load another scene into the running simulation")
     load.add_argument("world", metavar="SCENE", help="name or path of a scene")
@@ -159,7 +161,9 @@ def _place(text: str) -> tuple[float, float, float]:
         if len(parts) not in (2, 3) or not all(map(math.isfinite, (x, y, yaw))):
             raise ValueError
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: X,Y or X,Y,YAW, such as 4.2,5.7 or 4.2,5.7,90") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a position: must be X,Y or X,Y,YAW, such as 4.2,5.7 or 4.2,5.7,90"
+        ) from None
     return x, y, math.radians(yaw)
 
 

@@ -79,7 +79,7 @@ def add_parser(subparsers: Any) -> None:
     for title, settings in _GROUPS.items():
         group = parser.add_argument_group(title)
         if title == "rendering":
-            group.add_argument("--no-render", action="store_true", help="physics alone, no images")
+            group.add_argument("--no-render", action="store_true", help="run physics only, without images")
         add_settings(group, PhysicsConfig, [name for name in settings if name not in _RENDER])
         add_settings(group, RenderConfig, [name for name in settings if name in _RENDER])
         if title == _FIRST:
@@ -107,7 +107,9 @@ def _add_uses(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="TCP port of the page (default: 8080, or any if that is taken); implies --web",
     )
-    web.add_argument("--web-token", metavar="TEXT", help="what a page on another machine must know (default: made and printed)")
+    web.add_argument(
+        "--web-token", metavar="TEXT", help="access token for pages on other machines (default: generated and printed)"
+    )
     web.add_argument(
         "--foxglove",
         action="store_true",

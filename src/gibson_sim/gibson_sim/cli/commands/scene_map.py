@@ -23,7 +23,7 @@ _OUTPUT, _RESOLUTION = Path("maps"), 0.05
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "map", help="write maps of all floors: for Nav2, in Gibson's layout, and as pictures; or those of a finished scene",
+        "map", help="write maps of all floors: for Nav2, in Gibson's layout, and as images; or into a scene's own folder",
         description="Writes map_N.pgm and map_N.yaml (Nav2), floor_trav_N.png and floors.txt (Gibson) and map_N.png for each floor N. "
         "With --write: floor_trav_N.png, floors.txt and free_poses.csv, into the folder of the scene.",
     )  # fmt: skip
@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--height", type=float, metavar="M", help="height of the robot (default: 0.5; --write: 1.5)")
     parser.add_argument("--step", type=float, metavar="M", help="highest step that the robot climbs (default: 0.03)")
     parser.add_argument("--slope", type=float, metavar="DEG", help="steepest slope that the robot climbs (default: 20)")
-    parser.add_argument("--resolution", type=float, metavar="M", help=f"edge of a cell (default: {_RESOLUTION}; --write: 0.02)")
+    parser.add_argument("--resolution", type=float, metavar="M", help=f"cell size (default: {_RESOLUTION}; --write: 0.02)")
     parser.add_argument("--no-bodies", action="store_true", default=None, help="leave out movable bodies, including doors")
     parser.set_defaults(run=_run)
 
@@ -97,7 +97,7 @@ def _export(args: argparse.Namespace, robot: RobotSize) -> ExitCode:
 
 
 def _print(numbers: Sequence[int], floors: Sequence[FloorMap], radius: float) -> None:
-    print(f"{'floor':>5} {'height':>8} {'free':>9} {'for the robot':>14} {'in one piece':>13}")
+    print(f"{'floor':>5} {'height':>8} {'free':>9} {'for the robot':>14} {'largest area':>13}")
     for number, floor in zip(numbers, floors, strict=True):
         cell = floor.resolution**2
         areas = (floor.free.sum() * cell, floor.inflate(radius).sum() * cell)

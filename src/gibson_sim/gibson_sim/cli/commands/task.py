@@ -28,7 +28,7 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "task",
-        help="set up and judge interactive tasks: push-through, object-search, ...; or run a baseline on them",
+        help="set up and evaluate interactive tasks: push-through, object-search, ...; or run a baseline on them",
         description="Without --in-process a simulation must be running: gibson-sim run --scene SCENE --robot ROBOT.",
     )
     parser.add_argument("task", nargs="?", metavar="NAME", help="name of the task")
@@ -38,7 +38,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--in-process", action="store_true", help="without ROS: physics and baseline in this process, or in its workers"
     )
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="with --in-process: the end of every episode as a PNG")
+    parser.add_argument(
+        "--pictures", type=Path, metavar="DIR", help="with --in-process: write the last image of every episode as a PNG"
+    )
     add_workers(parser, "with --in-process: episodes")
     add_network(parser)
     parser.set_defaults(run=run)
@@ -49,14 +51,14 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         return _list()
     if args.task is None:
-        raise ConfigError("give the NAME of a task; gibson-sim task --list has them all")
+        raise ConfigError("give the NAME of a task; gibson-sim task --list prints them")
     config = settings_from_args(TaskConfig, args, output=str(args.json.absolute()) if args.json else "")
     if args.in_process:
         return _in_process(config, args.pictures, backend_of(args))
     if args.workers is not None or args.ray is not None:
         raise ConfigError("--workers and --ray are for --in-process; a running simulation has one task at a time")
     if args.pictures:
-        raise ConfigError("--pictures is for --in-process; of a running simulation take them with gibson-sim snapshot")
+        raise ConfigError("--pictures is for --in-process; for a running simulation, use gibson-sim snapshot")
     require_nodes()
     environment = environment_of(args)
     become("task_node", node_arguments(config), environment)

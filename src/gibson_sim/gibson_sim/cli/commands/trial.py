@@ -39,21 +39,19 @@ def add_parser(subparsers: Any) -> None:
         description="Results are in the output folder: index.html, results.json, junit.xml, and a folder for each run. The exit code is 0 "
         "if all runs passed, and 1 if not.",
     )
-    parser.add_argument("scenario", nargs="?", metavar="FILE", help="scenario file, trial.yaml, or the name of one of ours")
+    parser.add_argument("scenario", nargs="?", metavar="FILE", help="scenario file (trial.yaml), or the name of a built-in one")
     parser.add_argument("--output", type=Path, metavar="DIR", help="new folder for the results (default: out/trials/NAME_TIME)")
     add_workers(parser, "runs")
     parser.add_argument(
         "--run", dest="numbers", type=int, nargs="+", action="extend", default=[], metavar="N", help="only these runs of the plan"
     )
+    parser.add_argument("--runs", type=int, metavar="N", help="number of runs in each scene with each robot; overrides the file")
     parser.add_argument(
-        "--runs", type=int, metavar="N", help="number of runs in each scene with each robot, in place of the file's"
+        "--restart", choices=("each", "never"), help="restart the stack for each run, or keep it running; overrides the file"
     )
+    parser.add_argument("--keep", choices=("failed", "all"), help="bags to keep; overrides the file")
     parser.add_argument(
-        "--restart", choices=("each", "never"), help="start the stack anew for each run, or keep it, in place of the file's"
-    )
-    parser.add_argument("--keep", choices=("failed", "all"), help="bags to keep, in place of the file's")
-    parser.add_argument(
-        "--resume", action="store_true", help="go on with the trial in --output: runs with a result there are not made again"
+        "--resume", action="store_true", help="continue the trial in --output; runs that already have a result are skipped"
     )
     parser.add_argument(
         "--compare", type=Path, nargs="+", metavar="FILE",
@@ -62,7 +60,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--fail-if-worse",
         action="store_true",
-        help="with --compare: exit code 1 also if more runs got worse than chance explains",
+        help="with --compare: exit code 1 also if significantly more runs got worse than better",
     )
     parser.add_argument("--plan", action="store_true", help="print the planned runs, and exit")
     parser.add_argument("--schema", action="store_true", help="print the JSON schema of scenario files, for editors, and exit")
@@ -129,16 +127,16 @@ def _check(args: argparse.Namespace) -> None:
     compared = args.compare or []
     if args.scenario is None and len(compared) != 2:
         raise ConfigError(
-            "give the scenario FILE of a trial, or --compare BEFORE AFTER with the results of two; docs/trials.md begins with one"
+            "give the scenario FILE of a trial, or --compare BEFORE AFTER with the results of two; see docs/trials.md for an example"
         )
     if args.scenario is not None and len(compared) > 1:
         raise ConfigError(
-            f"--compare has {len(compared)} files; to run {args.scenario}, give one, and the scenario before all options"
+            f"--compare has {len(compared)} files; to run {args.scenario}, give one file, and put the scenario before all options"
         )
     if args.fail_if_worse and not compared:
         raise ConfigError("--fail-if-worse is for --compare: give the results.json of the trial to compare with")
     if args.resume and args.output is None:
-        raise ConfigError("--resume needs --output DIR, the folder of the trial to go on with")
+        raise ConfigError("--resume needs --output DIR, the folder of the trial to continue")
 
 
 def _results(path: Path) -> TrialResults:
@@ -197,7 +195,7 @@ class _Trial:
             self._results = finished(self._folder, self._plan)
             spent = _results(self._folder).wall_time if (self._folder / RESULTS).exists() else 0.0
         todo = [one for one in self._runs if one.number not in self._results]
-        before = f", {len(self._runs) - len(todo)} of them made before" if len(todo) < len(self._runs) else ""
+        before = f", {len(self._runs) - len(todo)} of them already done" if len(todo) < len(self._runs) else ""
         say(f"{self._scenario.name}: {runs_text(len(self._runs))}{before}; results go into {self._folder}")
         progress = TrialProgress(len(self._runs), len(self._runs) - len(todo))
         started, begin = datetime.now(timezone.utc), time.monotonic()
@@ -276,7 +274,7 @@ class _Trial:
         if self._args.compare:
             rest += ["--compare", str(self._args.compare[0]), *["--fail-if-worse"] * self._args.fail_if_worse]
         words = ["gibson-sim", "trial", trial.file, *self._changes.options(), *rest, "--output", str(self._folder), "--resume"]
-        say(f"interrupted: {len(trial.results)} of {trial.planned} runs are kept; to go on: {shlex.join(words)}")
+        say(f"interrupted: {len(trial.results)} of {trial.planned} runs are kept; to continue: {shlex.join(words)}")
         return ExitCode.INTERRUPTED
 
 
