@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image  # noqa: E402
 
-from gibson_path_following.goggles import Look, make_goggles  # noqa: E402
+from gibson_path_following.goggles import ColourReference, make_goggles  # noqa: E402
 from gibson_path_following.nodes.goggles import GogglesNode  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -63,8 +63,8 @@ def test_an_image_comes_out_with_its_stamp_and_frame_in_the_look_of_the_simulato
     out = images[0]
     assert out.header == sent.header and infos[0] == info
     assert (out.encoding, out.height, out.width, out.step) == ("rgb8", 6, 10, 30)
-    brought = make_goggles("histogram", look=Look.load())(SEEN)
-    assert bytes(out.data) == brought.tobytes() and brought.mean() > SEEN.mean() + 20
+    adapted = make_goggles("histogram", reference=ColourReference.load())(SEEN)
+    assert bytes(out.data) == adapted.tobytes() and adapted.mean() > SEEN.mean() + 20
 
 
 def test_an_image_that_cannot_be_used_is_one_line_and_the_next_one_passes(node: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gibson_path_following.errors import SettingError
-from gibson_path_following.evaluation import JudgeSettings, TracePoint, evaluate, node_positions
+from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions
 from support.path_views import straight_path
 
 NODES = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)]
@@ -43,7 +43,7 @@ def test_contacts_close_in_time_are_one_collision() -> None:
     assert found.collisions == 2
     assert found.collisions_per_metre == pytest.approx(2 / 3.0)
     assert found.arrived and not found.success and found.spl == 0.0
-    assert evaluate(NODES, trace, JudgeSettings(collision_gap=2.0)).collisions == 1
+    assert evaluate(NODES, trace, EvaluationSettings(collision_gap=2.0)).collisions == 1
 
 
 def test_a_robot_that_stands_is_judged_too() -> None:
@@ -60,7 +60,7 @@ def test_what_cannot_be_judged_is_refused() -> None:
     with pytest.raises(SettingError, match=r"holds a NaN or an infinity"):
         evaluate(NODES, [TracePoint(0, math.nan, 0.0, 0.0)])
     with pytest.raises(SettingError, match=r"arrival_radius is 0 m, must be above 0"):
-        JudgeSettings(arrival_radius=0.0)
+        EvaluationSettings(arrival_radius=0.0)
 
 
 def test_positions_are_those_of_the_poses() -> None:

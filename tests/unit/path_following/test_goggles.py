@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from gibson_path_following.errors import ModelError, PathFollowingError, SettingError, ViewError
-from gibson_path_following.goggles import GreyWorldGoggles, HistogramGoggles, LearnedGoggles, Look, look_of, make_goggles
+from gibson_path_following.goggles import (
+    ColourReference,
+    GreyWorldGoggles,
+    HistogramGoggles,
+    LearnedGoggles,
+    load_reference,
+    make_goggles,
+)
 from gibson_path_following.options import GogglesOptions
 from gibson_path_following.path_folder import save_path
 from support import onnx_bytes as ox
@@ -40,44 +47,44 @@ def grey(*levels: int) -> np.ndarray:
 
 
 def test_each_colour_gets_the_levels_of_the_reference_in_their_order() -> None:
-    look = Look.of_images([np.array([[[10, 0, 200], [30, 0, 220]]], np.uint8)])
-    brought = HistogramGoggles(look)(np.array([[[250, 7, 60], [90, 9, 61]]], np.uint8))
+    reference = ColourReference.of_images([np.array([[[10, 0, 200], [30, 0, 220]]], np.uint8)])
+    adapted = HistogramGoggles(reference)(np.array([[[250, 7, 60], [90, 9, 61]]], np.uint8))
     # Half of the pixels are below, half above: a quarter and three quarters of the way through the reference's levels.
-    assert brought.tolist() == [[[30, 0, 200], [10, 0, 220]]]
+    assert adapted.tolist() == [[[30, 0, 200], [10, 0, 220]]]
 
 
 def test_an_image_with_the_levels_of_the_reference_stays_as_it_is() -> None:
     image = np.random.default_rng(3).integers(0, 256, (64, 96, 3)).astype(np.uint8)
-    brought = HistogramGoggles(Look.of_images([image]))(image)
-    assert np.abs(brought.astype(int) - image).max() <= 1
+    adapted = HistogramGoggles(ColourReference.of_images([image]))(image)
+    assert np.abs(adapted.astype(int) - image).max() <= 1
 
 
 def test_grey_world_takes_the_mean_colour_for_that_of_the_light() -> None:
     # sRGB 188, 137, 99 are 0.503, 0.250, 0.124 of white's light: the reference, 137, is 0.250 bright.
     seen = np.array([[[188, 137, 99]] * 2], np.uint8)
-    brought = GreyWorldGoggles(Look.of_images([grey(137, 137)]))(seen)
-    assert np.abs(brought.astype(int) - 137).max() <= 1
+    adapted = GreyWorldGoggles(ColourReference.of_images([grey(137, 137)]))(seen)
+    assert np.abs(adapted.astype(int) - 137).max() <= 1
 
 
 def test_a_black_image_stays_black_in_a_grey_world() -> None:
-    assert not GreyWorldGoggles(Look.of_images([grey(100)]))(grey(0, 0)).any()
+    assert not GreyWorldGoggles(ColourReference.of_images([grey(100)]))(grey(0, 0)).any()
 
 
-def test_a_look_survives_its_file_and_that_of_a_path_is_of_its_images(tmp_path: Path) -> None:
+def test_a_reference_survives_its_file_and_that_of_a_path_is_of_its_images(tmp_path: Path) -> None:
     path = straight_path()
     nodes = tuple(replace(node, view=(np.full((64, 96, 3), 50, np.uint8),)) for node in path.nodes)
     save_path(replace(path, nodes=nodes), tmp_path / "path")
-    look = look_of(str(tmp_path / "path"))
-    (tmp_path / "look.csv").write_text(look.as_text())
-    assert np.abs(Look.load(tmp_path / "look.csv").levels - 50.0).max() <= 1.0
+    reference = load_reference(str(tmp_path / "path"))
+    (tmp_path / "look.csv").write_text(reference.as_text())
+    assert np.abs(ColourReference.load(tmp_path / "look.csv").quantiles - 50.0).max() <= 1.0
 
 
 @pytest.mark.parametrize("text", ["", "1,2,3\n", "1,2\n" * 256, "1,2,300\n" * 256, "nan,0,0\n" * 256, "colour\n"])
 @pytest.mark.filterwarnings("ignore:loadtxt")
-def test_a_file_without_a_look_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+def test_a_file_without_a_reference_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "look.csv").write_text(text)
     with pytest.raises(ModelError, match=r"look\.csv.*install the package anew") as caught:
-        Look.load(tmp_path / "look.csv")
+        ColourReference.load(tmp_path / "look.csv")
     assert "\n" not in str(caught.value)
 
 
@@ -127,4 +134,4 @@ def test_what_cannot_be_is_refused_with_what_can(tmp_path: Path) -> None:
     with pytest.raises(SettingError, match="reference is 'kitchen', which mode learned does not use"):
         GogglesOptions(reference="kitchen")
     with pytest.raises(PathFollowingError, match="kitchen"):
-        look_of(str(tmp_path / "kitchen"))
+        load_reference(str(tmp_path / "kitchen"))

@@ -101,7 +101,7 @@ def test_images_alone_make_a_node_every_interval() -> None:
 
 
 def test_without_odometry_the_commands_count_after_a_while() -> None:
-    recorder = PathRecorder("pinhole", 1.5, RecorderSettings(odometry_patience=0.3))
+    recorder = PathRecorder("pinhole", 1.5, RecorderSettings(odometry_timeout=0.3))
     _drive(recorder, 1.0, FORWARD, odometry=False)
     path = recorder.finish()
     assert _distances(path) == [0.0, 0.2, 0.4, 0.5]

@@ -1,4 +1,4 @@
-"""Makes the policy that a name stands for, with a localiser of the same path. A network is loaded only where one is chosen."""
+"""Creates the policy of a backend name, with a localiser of the same path. It loads a network only for a backend that has one."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from gibson_path_following.teach_repeat import TeachRepeatPolicy, TeachRepeatSet
 from gibson_path_following.types import Policy, RecordedPath
 
 BACKENDS = ("teach_repeat", "learned", "learned:FILE", "onnx:FILE")
-"""Names of the policies: without learning; our network, that of the package or one in a file; one of the GNM family in a file or folder."""
+"""Backend names: visual teach and repeat; our network, that of the package or of a file; a network of the GNM family, a file or folder."""
 
 
 def make_policy(
     backend: str, path: RecordedPath, max_linear: float = 0.5, max_angular: float = 1.0, camera_ahead: float = 0.12
 ) -> tuple[Policy, Localiser]:
-    """Returns a policy for a path, and its localiser.
+    """Returns the policy of a backend for a path, and its localiser.
 
     Args:
         backend: one of ``BACKENDS``.
         path: the path.
         max_linear: largest speed, m/s.
         max_angular: largest yaw rate, rad/s.
-        camera_ahead: distance of the camera in front of the robot's middle, metres; for ``learned``.
+        camera_ahead: distance of the camera ahead of the robot's centre, metres; for ``learned``.
 
     Raises:
         PathFollowingError: there is no such policy, or its network cannot be used.
@@ -41,7 +41,7 @@ def make_policy(
         settings = LearnedSettings(camera_ahead=camera_ahead, arcs=ArcSettings(max_linear=max_linear, max_angular=max_angular))
         return LearnedPolicy(path, Path(file) if file else DEFAULT_MODEL, settings, nodes), localiser
     if name == "onnx" and file:
-        from gibson_path_following.foreign_onnx import ForeignPolicy, ForeignSettings
+        from gibson_path_following.gnm_policy import GnmPolicy, GnmSettings
 
-        return ForeignPolicy(path, Path(file), ForeignSettings(max_linear=max_linear, max_angular=max_angular)), localiser
+        return GnmPolicy(path, Path(file), GnmSettings(max_linear=max_linear, max_angular=max_angular)), localiser
     raise SettingError(f"backend is {quoted(backend)}, must be {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}")

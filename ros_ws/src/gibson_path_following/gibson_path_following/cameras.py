@@ -1,7 +1,7 @@
-"""Turns the images of a robot's cameras into the views of a path: of the path's size and field of view, without distortion.
+"""Rectifies the images of a robot's cameras to the camera of a path: its size and field of view, without distortion.
 
-A path knows two cameras: a pinhole that looks ahead, with square pixels and its axis in the middle, and a pair of equidistant fisheyes
-whose circles touch the nearer sides of their images. A calibrated camera is mapped onto that; of one that is not calibrated, the middle is cut out.
+A path has one of two cameras: a pinhole that looks ahead, with square pixels and a centred axis, or a pair of equidistant fisheyes whose circles
+touch the nearer sides of their images. The images of a calibrated camera are remapped; those of an uncalibrated one are cropped.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from gibson_path_following.types import IMAGES_OF, CameraKind, Image, View
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 EQUIDISTANT = ("equidistant", "fisheye")
-"""Names of the model of Kannala and Brandt."""
+"""Names of the distortion model of Kannala and Brandt."""
 _DISTORTIONS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14), "": (0,)} | {name: (0, 4) for name in EQUIDISTANT}
 _TOLERANCE = math.radians(1.0)
-"""How much less than the path's camera a camera may see, radians."""
+"""By how much the field of view of a camera may be smaller than that of the path, radians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +36,9 @@ class Calibration:
     k: tuple[float, ...]
     """fx, 0, cx, 0, fy, cy, 0, 0, 1, pixels; pixel centres at whole numbers."""
     d: tuple[float, ...] = ()
-    """Coefficients of the distortion."""
+    """Distortion coefficients."""
     model: str = "plumb_bob"
-    """Name of the distortion's model."""
+    """Name of the distortion model."""
 
     def __post_init__(self) -> None:
         if self.model not in _DISTORTIONS:
@@ -55,11 +55,11 @@ class Calibration:
 
     @property
     def is_fisheye(self) -> bool:
-        """Whether the lens is an equidistant one."""
+        """Whether the distortion model is equidistant."""
         return self.model in EQUIDISTANT
 
     def pixels(self, rays: F64) -> tuple[F64, F64]:
-        """Returns pixel x and y of rays (N, 3), x right, y down, z ahead; NaN where a perspective camera sees nothing."""
+        """Projects rays (N, 3), optical frame; returns pixel x (N,) and y (N,), float64, NaN behind a perspective camera."""
         x, y, z = rays.T
         fx, _, cx, _, fy, cy = self.k[:6]
         if self.is_fisheye:
@@ -75,7 +75,7 @@ class Calibration:
         return seen[:, 0], seen[:, 1]
 
     def hfov(self) -> float:
-        """Returns the horizontal field of view that is centred on the axis, radians, to a quarter of a degree."""
+        """Returns the horizontal field of view, symmetric about the axis, radians, to a quarter of a degree."""
         angles = np.radians(np.arange(0.0, 110.0, 0.125))
         sides = []
         for side in (-1.0, 1.0):
@@ -83,16 +83,16 @@ class Calibration:
             x, y = self.pixels(rays)
             with np.errstate(invalid="ignore"):
                 seen = (x >= -0.5) & (x <= self.width - 0.5) & (y >= -0.5) & (y <= self.height - 0.5)
-            # A strong distortion folds rays from far outside back into the image: only what is connected with the middle counts.
+            # A strong distortion folds rays from far outside back into the image: only those connected with the axis count.
             sides.append(float(angles[(len(seen) if seen.all() else int(seen.argmin())) - 1]) if seen[0] else 0.0)
         return 2.0 * min(sides)
 
 
 class ViewCamera:
-    """One camera of a robot, whose images become images of a path. Its lookup tables are made at the first image, and for another calibration."""
+    """Rectifies the images of one camera. It computes its lookup tables at the first image, and when the calibration changes."""
 
     def __init__(self, kind: CameraKind, size: tuple[int, int], hfov: float) -> None:
-        """Describes the path's camera.
+        """Stores the path's camera.
 
         Args:
             kind: kind of the path's camera.
@@ -100,34 +100,36 @@ class ViewCamera:
             hfov: its horizontal field of view, radians; of a fisheye across its circle.
         """
         self.kind, self.size, self.hfov = kind, size, hfov
-        self._made: tuple[Calibration, F32, F32, float] | None = None
+        self._cached: tuple[Calibration, F32, F32, float] | None = None
+        """Calibration, pixel x and y (height, width), and shrink factor."""
 
     def image(self, rgb: Image, calibration: Calibration | None = None, hfov: float | None = None) -> Image:
-        """Returns an image of the path's camera.
+        """Returns an image as the path's camera would see it, (height, width, 3), uint8.
 
         Args:
-            rgb: (H, W, 3), what the robot's camera sees.
-            calibration: of the robot's camera; None = not calibrated.
-            hfov: horizontal field of view of a camera that is not calibrated, radians; None = that of the path.
+            rgb: (H, W, 3), uint8, of the robot's camera.
+            calibration: of the robot's camera; None = uncalibrated.
+            hfov: horizontal field of view of an uncalibrated camera, radians; None = that of the path.
 
         Raises:
             ViewError: the camera sees less than that of the path, or its images are not those of its calibration.
         """
         if calibration is None:
-            return self._cut(rgb, self.hfov if hfov is None else hfov)
+            return self._crop(rgb, self.hfov if hfov is None else hfov)
         height, width = rgb.shape[:2]
         if (calibration.width, calibration.height) != (width, height):
             raise ViewError(
                 f"an image has {width}x{height} pixels, its camera_info {calibration.width}x{calibration.height}; publish both for one size"
             )
-        if self._made is None or self._made[0] != calibration:
-            self._made = (calibration, *self._tables(calibration))
-        _, x, y, shrink = self._made
-        # Pixels of a small image are means of those of a large one.
+        if self._cached is None or self._cached[0] != calibration:
+            self._cached = (calibration, *self._tables(calibration))
+        _, x, y, shrink = self._cached
+        # Low-pass filter before the image is downsampled.
         smooth = cv2.GaussianBlur(rgb, (0, 0), 0.4 * shrink, borderType=cv2.BORDER_REPLICATE) if shrink > 1.5 else rgb
         return cast("Image", cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
-    def _cut(self, rgb: Image, hfov: float) -> Image:
+    def _crop(self, rgb: Image, hfov: float) -> Image:
+        """Returns the middle of an image, resized, as of ``image``."""
         height, width = rgb.shape[:2]
         scale = _focal(self.kind, (width, height), hfov) / _focal(self.kind, self.size, self.hfov)
         across, down = scale * self.size[0], scale * self.size[1]
@@ -139,11 +141,11 @@ class ViewCamera:
             raise ViewError(_LOWER)
         part = (min(width, round(across)), min(height, round(down)))
         left, top = (width - part[0]) // 2, (height - part[1]) // 2
-        cut = rgb[top : top + part[1], left : left + part[0]]
-        return cast("Image", np.ascontiguousarray(cv2.resize(cut, self.size, interpolation=cv2.INTER_AREA)))
+        cropped = rgb[top : top + part[1], left : left + part[0]]
+        return cast("Image", np.ascontiguousarray(cv2.resize(cropped, self.size, interpolation=cv2.INTER_AREA)))
 
     def _tables(self, calibration: Calibration) -> tuple[F32, F32, float]:
-        """Returns pixel x and y for each pixel of the path's camera, and how many of its pixels make one of those in a row."""
+        """Returns pixel x and y, (height, width), float32, for each pixel of the path's camera, and the ratio of the focal lengths."""
         width, height = self.size
         rays, counts = _rays(self.kind, self.size, self.hfov)
         sees = calibration.hfov()
@@ -158,7 +160,7 @@ class ViewCamera:
 
 
 class ViewAssembler:
-    """Puts images of the same time together: the views of a path from the images of its cameras."""
+    """Combines the images of several cameras, of the same time, into views."""
 
     def __init__(self, kind: CameraKind, tolerance_ns: int = 20_000_000) -> None:
         """Begins without images.
@@ -171,12 +173,12 @@ class ViewAssembler:
         self._newest: dict[str, tuple[int, Image]] = {}
 
     def add(self, name: str, stamp_ns: int, image: Image) -> tuple[int, View] | None:
-        """Returns a view with the stamp of its first image, if ``image`` completes one.
+        """Adds an image; returns the stamp of the first image, ns, and the view, if it is complete.
 
         Args:
             name: one of ``IMAGES_OF``.
-            stamp_ns: its stamp, ns.
-            image: an image of the path's camera.
+            stamp_ns: stamp of the image, ns.
+            image: (height, width, 3), uint8, of the path's camera.
         """
         if len(self._names) == 1:
             return stamp_ns, (image,)
@@ -208,7 +210,7 @@ def _focal(kind: CameraKind, size: tuple[int, int], hfov: float) -> float:
 
 
 def _rays(kind: CameraKind, size: tuple[int, int], hfov: float) -> tuple[F64, NDArray[np.bool_]]:
-    """Returns the ray of each pixel of the path's camera, (N, 3), x right, y down, z ahead; and whether it is within the circle of a fisheye."""
+    """Returns the rays (N, 3), float64, optical frame, of the path camera's pixels, and whether each is within a fisheye's circle (N,)."""
     focal = _focal(kind, size, hfov)
     x, y = np.meshgrid(np.arange(size[0]) - (size[0] - 1) / 2.0, np.arange(size[1]) - (size[1] - 1) / 2.0)
     if kind == "pinhole":

@@ -19,7 +19,7 @@ class PathFolderError(PathFollowingError):
 
 
 class ViewError(PathFollowingError):
-    """Images that do not fit the path: their number, or their size."""
+    """Images do not match the path: their number, size or camera."""
 
 
 class ModelError(PathFollowingError):
@@ -27,7 +27,7 @@ class ModelError(PathFollowingError):
 
 
 def quoted(value: object) -> str:
-    """Returns the ``repr`` of a value of strangers in one line of at most about 80 characters."""
+    """Returns the ``repr`` of an untrusted value in one line of at most about 80 characters."""
     if isinstance(value, str):
         value = value[: 2 * _LONGEST]
     text = repr(value)

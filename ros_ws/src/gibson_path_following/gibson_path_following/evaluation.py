@@ -1,4 +1,4 @@
-"""Judges a drive along a path by ground truth: success, coverage, collisions, deviation, SPL. Followers must not import this."""
+"""Evaluates a drive along a path by ground truth: success, coverage, collisions, deviation, SPL. Followers must not import this."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class TracePoint:
-    """Where the robot truly was at one time."""
+    """Ground truth of the robot at one time."""
 
     stamp_ns: int
-    """Stamp, ns."""
+    """Time, ns."""
     x: float
     """Metres, in the frame of the path's poses."""
     y: float
@@ -29,17 +29,17 @@ class TracePoint:
     yaw: float
     """Radians."""
     in_collision: bool = False
-    """Whether the robot touched anything but the floor since the point before."""
+    """Whether the robot collided with anything but the floor since the previous point."""
 
 
 @dataclass(frozen=True, slots=True)
-class JudgeSettings:
-    """What counts as arrived, and as one collision."""
+class EvaluationSettings:
+    """Thresholds of arrival, and of separate collisions."""
 
     arrival_radius: float = 0.5
-    """A node is visited, and the end reached, within this distance, metres."""
+    """Distance within which a node is visited, and the end reached, metres."""
     collision_gap: float = 0.5
-    """Contacts with less than this between them are one collision, seconds; so are those of points in a row."""
+    """Time between two contacts up to which they are one collision, seconds; contacts of successive points are one, too."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.arrival_radius < math.inf:
@@ -50,46 +50,48 @@ class JudgeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a drive went."""
+    """Metrics of a drive."""
 
     success: bool
     """Whether the robot stood within the arrival radius of the last node at the end, without any collision."""
     arrived: bool
     """Whether the robot stood within the arrival radius of the last node at the end."""
     coverage: float
-    """Share of the nodes that the robot came within the arrival radius of, 0 to 1."""
+    """Share of the nodes within whose arrival radius the robot came, 0 to 1."""
     collisions: int
     """Number of collisions."""
     collisions_per_metre: float
-    """Collisions per metre that was driven; 0 if the robot did not move."""
+    """Collisions per metre driven; 0 if the robot did not move."""
     deviation_mean: float
-    """Mean distance of the robot from the line through the nodes, metres, over the distance that was driven."""
+    """Mean distance of the robot from the polyline through the nodes, weighted by the distance driven, metres."""
     deviation_max: float
-    """Largest distance of the robot from the line through the nodes, metres."""
+    """Largest distance of the robot from the polyline through the nodes, metres."""
     end_distance: float
     """Distance of the robot from the last node at the end, metres."""
     travelled: float
-    """Length of the way that was driven, metres."""
+    """Distance driven, metres."""
     path_length: float
-    """Length of the line through the nodes, metres."""
+    """Length of the polyline through the nodes, metres."""
     spl: float
     """Success weighted by path length: success x path_length / max(path_length, travelled)."""
     duration: float
-    """From the first point of the trace to the last, seconds."""
+    """Time from the first point of the trace to the last, seconds."""
 
 
-def evaluate(nodes: Sequence[tuple[float, float]], trace: Sequence[TracePoint], settings: JudgeSettings | None = None) -> Outcome:
-    """Returns how a drive went.
+def evaluate(
+    nodes: Sequence[tuple[float, float]], trace: Sequence[TracePoint], settings: EvaluationSettings | None = None
+) -> Outcome:
+    """Returns the metrics of a drive.
 
     Args:
-        nodes: true x and y of the nodes of the path, metres, in order.
-        trace: where the robot was, in the order of time, in the frame of the nodes.
-        settings: what counts as arrived; None = the defaults.
+        nodes: true x and y of the nodes, metres, in order.
+        trace: ground truth of the robot, in the order of time, same frame.
+        settings: thresholds; None = the defaults.
 
     Raises:
         SettingError: there is no node or no point of the trace, or a number is not finite.
     """
-    settings = settings or JudgeSettings()
+    settings = settings or EvaluationSettings()
     if not nodes or not trace:
         raise SettingError(f"{len(nodes)} nodes and {len(trace)} points of a trace: a drive is judged by at least one of each")
     way: F64 = np.array([node[:2] for node in nodes], dtype=np.float64)
@@ -124,7 +126,7 @@ def evaluate(nodes: Sequence[tuple[float, float]], trace: Sequence[TracePoint], 
 
 
 def node_positions(path: RecordedPath) -> tuple[tuple[float, float], ...]:
-    """Returns x and y of the nodes as the path has them.
+    """Returns the recorded x and y of the nodes, metres.
 
     Raises:
         SettingError: a node has no pose.
@@ -138,7 +140,7 @@ def node_positions(path: RecordedPath) -> tuple[tuple[float, float], ...]:
 
 
 def distances_to_line(line: F64, points: F64) -> F64:
-    """Returns the distance of each point (M, 2) from a polyline (N, 2), metres."""
+    """Returns (M,), float64: distance of each point (M, 2) from a polyline (N, 2), metres."""
     if len(line) == 1:
         return np.asarray(np.hypot(*(points - line[0]).T), dtype=np.float64)
     start, along = line[:-1], np.diff(line, axis=0)  # (N - 1, 2)
@@ -150,6 +152,7 @@ def distances_to_line(line: F64, points: F64) -> F64:
 
 
 def _collisions(trace: Sequence[TracePoint], gap_ns: int) -> int:
+    """Returns the number of collisions; contacts with at most ``gap_ns`` between them are one."""
     count, last_ns, was_in_collision = 0, None, False
     for point in trace:
         if point.in_collision:

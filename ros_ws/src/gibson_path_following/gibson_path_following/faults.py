@@ -1,4 +1,4 @@
-"""Faults of a camera, on purpose: covered for a time, images missing or late. To see what a follower does then, before it happens to it."""
+"""Fault injection for a camera: a covered lens, dropped and delayed images, to test how a follower reacts."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _Image = TypeVar("_Image")
 
 @dataclass(frozen=True, slots=True)
 class FaultSettings:
-    """What is wrong with a camera."""
+    """Faults to inject."""
 
     cover_after: float = 0.0
-    """Seconds from the first motion to when the lens is covered."""
+    """Time from the first motion until the lens is covered, seconds."""
     cover: float = 0.0
-    """How long it is covered, seconds; 0 = never."""
+    """Duration of the cover, seconds; 0 = never."""
     drop: float = 0.0
-    """Part of the images that is missing, evenly spread: 0.5 is every other one."""
+    """Share of the images that are dropped, evenly spread: 0.5 = every other one."""
     delay: float = 0.0
-    """How late images come, seconds, by their stamps."""
+    """Delay of the images, seconds, by their stamps."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -32,34 +32,35 @@ class FaultSettings:
 
 
 class CameraFaults(Generic[_Image]):
-    """Passes on the images of one camera with its faults. It knows no clock: an image that is late goes out with a later one."""
+    """Injects faults into the images of one camera. It has no clock: a delayed image is passed on with a later one."""
 
     def __init__(self, settings: FaultSettings) -> None:
         self._settings = settings
         self._held: deque[tuple[int, _Image]] = deque()
-        """Images that are not late enough yet, by stamp, ns."""
-        self._missing = 0.0
-        """Images that should be missing by now and are not."""
+        """Delayed images with their stamps, ns."""
+        self._to_drop = 0.0
+        """Images to drop, a fraction carried over."""
         self._moved_ns: int | None = None
+        """Time of the first motion, ns."""
 
     def move(self, now_ns: int) -> None:
-        """The robot is told to move; only the first time counts."""
+        """Notes a command that moves the robot; only the first one counts."""
         self._moved_ns = now_ns if self._moved_ns is None else self._moved_ns
 
     def add(self, stamp_ns: int, image: _Image) -> list[tuple[_Image, bool]]:
-        """Takes the newest image; returns those that go out now, and of each whether the lens was covered."""
+        """Adds the newest image; returns the images to pass on now, each with whether the lens was covered."""
         if self._held and stamp_ns < self._held[-1][0]:  # time has gone back: a reset
             self._held.clear()
             self._moved_ns = None
-        self._missing += self._settings.drop
-        if self._missing >= 1.0 - 1e-9:
-            self._missing -= 1.0
+        self._to_drop += self._settings.drop
+        if self._to_drop >= 1.0 - 1e-9:
+            self._to_drop -= 1.0
         else:
             self._held.append((stamp_ns, image))
         passed = []
         while self._held and stamp_ns - self._held[0][0] >= self._settings.delay * NS_PER_S:
-            taken_ns, late = self._held.popleft()
-            passed.append((late, self._is_covered(taken_ns)))
+            image_ns, delayed = self._held.popleft()
+            passed.append((delayed, self._is_covered(image_ns)))
         return passed
 
     def _is_covered(self, stamp_ns: int) -> bool:

@@ -1,7 +1,7 @@
-"""Goggles: bring images of a real camera to the look of the simulator, in which the networks of a robot were trained.
+"""Goggles: adapt images of a real camera to the appearance of the simulator, in which the networks of a robot were trained.
 
-Three ways: a network of ``gibson-sim learn goggles`` (onnxruntime, no PyTorch), and two that need none: matching of histograms, and grey
-world. All take images of any size, one at a time: an image in, an image of the same size out, which equal images always become.
+Three modes: a network of ``gibson-sim learn goggles`` (onnxruntime, no PyTorch), and two without a network: histogram matching, and grey-world
+white balance. All are stateless: an image of any size gives an image of the same size, and equal images give equal results.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from gibson_path_following.types import Image, RecordedPath
 
 F64 = NDArray[np.float64]
 MODES = ("learned", "histogram", "grey_world")
-"""A network; each colour as often as in the reference; colours that are grey on average, as bright as the reference."""
+"""A network; histogram matching to a reference; grey-world white balance with the brightness of a reference."""
 DEFAULT_MODEL = Path(__file__).with_name("models") / "goggles.onnx"
-"""The network in the package."""
+"""ONNX file of the network in the package."""
 SIMULATOR_LOOK = Path(__file__).with_name("models") / "simulator_look.csv"
-"""How often each level is in the simulator's images of the training scenes."""
+"""Colour reference of the simulator: quantiles of its images of the training scenes."""
 SMALL = (96, 64)
-"""Width and height of the small copy of an image that the network sees, pixels."""
+"""Width and height of the input ``small``, a downscaled copy of the image, pixels."""
 MAX_PIXELS = 2**21
-"""Largest image that the network is run on: it needs about 0.5 KB for each pixel."""
+"""Pixels of the largest image that the network is run on: it needs about 0.5 KB for each."""
 _STEPS = 256
+"""Quantiles of a colour reference."""
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LARGEST_GAIN = 64.0
 _CODES = np.arange(256, dtype=np.float64) / 255.0
@@ -41,41 +42,44 @@ _INPUTS, _OUTPUTS = ("image", "small"), ("brought",)
 
 
 class Goggles(Protocol):
-    """Whatever brings images to the simulator's look."""
+    """Adapts images to the appearance of the simulator."""
 
     def __call__(self, image: Image) -> Image:
-        """Returns an image of the same size.
+        """Returns the adapted image, (H, W, 3), uint8, of the same size.
+
+        Args:
+            image: (H, W, 3), uint8, RGB.
 
         Raises:
-            PathFollowingError: it cannot be brought there.
+            PathFollowingError: the image cannot be adapted.
         """
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """How often each level of red, green and blue is in some images."""
+class ColourReference:
+    """Distribution of the levels of red, green and blue in some images."""
 
-    levels: F64
-    """(256, 3): level, 0 to 255, that a share of (k + 0.5) / 256 of the pixels is below."""
+    quantiles: F64
+    """(256, 3), float64: level, 0 to 255, below which a share (k + 0.5) / 256 of the pixels lies, of each channel."""
 
     @classmethod
-    def of_images(cls, images: Iterable[Image]) -> Look:
-        """Returns the look of images (H, W, 3) of any sizes, of which there is at least one."""
-        counts = np.sum([_counts(image) for image in images], axis=0)
+    def of_images(cls, images: Iterable[Image]) -> ColourReference:
+        """Returns the reference of one or more images (H, W, 3), uint8, of any sizes."""
+        counts = np.sum([_histograms(image) for image in images], axis=0)
         shares = (np.arange(_STEPS) + 0.5) / _STEPS
-        return cls(np.stack([np.interp(shares, _places(channel), np.arange(256.0)) for channel in counts], axis=1))
+        return cls(np.stack([np.interp(shares, _cdf(channel), np.arange(256.0)) for channel in counts], axis=1))
 
     @classmethod
-    def of_path(cls, path: RecordedPath) -> Look:
-        """Returns the look of the images of a path."""
+    def of_path(cls, path: RecordedPath) -> ColourReference:
+        """Returns the reference of the images of a path."""
         return cls.of_images(image for node in path.nodes for image in node.view)
 
     @classmethod
-    def load(cls, file: Path = SIMULATOR_LOOK) -> Look:
-        """Returns the look in a file.
+    def load(cls, file: Path = SIMULATOR_LOOK) -> ColourReference:
+        """Returns the reference in a file.
 
         Raises:
-            ModelError: it holds none.
+            ModelError: the file holds none.
         """
         try:
             levels = np.loadtxt(file, delimiter=",", dtype=np.float64, ndmin=2)
@@ -88,51 +92,52 @@ class Look:
         return cls(levels)
 
     def as_text(self) -> str:
-        """Returns the look as the text of a file."""
-        return "".join(f"{r:.1f},{g:.1f},{b:.1f}\n" for r, g, b in self.levels.tolist())
+        """Returns the content of a file: a line for each quantile, red, green, blue."""
+        return "".join(f"{r:.1f},{g:.1f},{b:.1f}\n" for r, g, b in self.quantiles.tolist())
 
     @property
     def luminance(self) -> float:
-        """Mean luminance, linear, 0 to 1."""
-        return float(np.interp(self.levels, np.arange(256.0), _LINEAR).mean(axis=0) @ _LUMINANCE)
+        """Mean luminance of the images, linear, 0 to 1."""
+        return float(np.interp(self.quantiles, np.arange(256.0), _LINEAR).mean(axis=0) @ _LUMINANCE)
 
 
 class HistogramGoggles:
-    """Gives each channel the distribution of levels of a look."""
+    """Histogram matching of each channel to a reference."""
 
-    def __init__(self, look: Look) -> None:
-        self._look = look
+    def __init__(self, reference: ColourReference) -> None:
+        self._reference = reference
 
     def __call__(self, image: Image) -> Image:
         """See ``Goggles``."""
         shares = (np.arange(_STEPS) + 0.5) / _STEPS
         tables = [
-            np.interp(_places(counts), shares, levels) for counts, levels in zip(_counts(image), self._look.levels.T, strict=True)
+            np.interp(_cdf(counts), shares, levels)
+            for counts, levels in zip(_histograms(image), self._reference.quantiles.T, strict=True)
         ]
-        return _looked_up(image, tables)
+        return _apply_tables(image, tables)
 
 
 class GreyWorldGoggles:
-    """Makes an image grey on average, in linear light, and as bright as a look: the colour of the light is taken for that average."""
+    """Grey-world white balance in linear light, with the mean luminance of a reference: it takes the mean colour for that of the light."""
 
-    def __init__(self, look: Look) -> None:
-        self._luminance = look.luminance
+    def __init__(self, reference: ColourReference) -> None:
+        self._luminance = reference.luminance
 
     def __call__(self, image: Image) -> Image:
         """See ``Goggles``."""
         tables = []
-        for counts in _counts(image):
+        for counts in _histograms(image):
             mean = float(counts @ _LINEAR) / float(counts.sum())
             gain = min(self._luminance / max(mean, 1e-6), _LARGEST_GAIN)
             tables.append(np.interp(np.minimum(gain * _LINEAR, 1.0), _LINEAR, np.arange(256.0)))
-        return _looked_up(image, tables)
+        return _apply_tables(image, tables)
 
 
 class LearnedGoggles:
-    """The network in a file, run on one core."""
+    """Network of an ONNX file, run on one core."""
 
     def __init__(self, file: Path = DEFAULT_MODEL) -> None:
-        """Loads the network, and tries it.
+        """Loads the network, and runs it once.
 
         Raises:
             ModelError: onnxruntime is not installed, or the file holds no such network.
@@ -145,7 +150,7 @@ class LearnedGoggles:
                 f"{file}: its inputs are {quoted(', '.join(names[0]))} and its outputs {quoted(', '.join(names[1]))}; must be "
                 f"{', '.join(_INPUTS)} and {', '.join(_OUTPUTS)}: use a file that gibson-sim learn goggles wrote"
             )
-        for width, height in ((96, 64), (34, 22)):  # it must take any size
+        for width, height in ((96, 64), (34, 22)):  # it must accept any size
             self(np.zeros((height, width, 3), np.uint8))
 
     def __call__(self, image: Image) -> Image:
@@ -165,13 +170,13 @@ class LearnedGoggles:
         return np.ascontiguousarray(found[0, :height, :width])
 
 
-def make_goggles(mode: str, model: str = "", look: Look | None = None) -> Goggles:
-    """Returns what brings images to the simulator's look.
+def make_goggles(mode: str, model: str = "", reference: ColourReference | None = None) -> Goggles:
+    """Returns the Goggles of a mode.
 
     Args:
         mode: one of ``MODES``.
         model: ONNX file of ``learned``; empty = the network in the package.
-        look: reference of the other modes; None = that of the simulator.
+        reference: colour reference of the other modes; None = that of the simulator.
 
     Raises:
         PathFollowingError: there is no such mode, or the file cannot be used.
@@ -179,32 +184,32 @@ def make_goggles(mode: str, model: str = "", look: Look | None = None) -> Goggle
     if mode == "learned":
         return LearnedGoggles(Path(model) if model else DEFAULT_MODEL)
     if mode == "histogram":
-        return HistogramGoggles(look or Look.load())
+        return HistogramGoggles(reference or ColourReference.load())
     if mode == "grey_world":
-        return GreyWorldGoggles(look or Look.load())
+        return GreyWorldGoggles(reference or ColourReference.load())
     raise SettingError(f"mode is {quoted(mode)}, must be {', '.join(MODES[:-1])} or {MODES[-1]}")
 
 
-def look_of(folder: str) -> Look:
-    """Returns the look of a path in a folder, or of the simulator if ``folder`` is empty.
+def load_reference(folder: str) -> ColourReference:
+    """Returns the reference of a path in a folder, or of the simulator if ``folder`` is empty.
 
     Raises:
         PathFollowingError: the folder holds no path.
     """
-    return Look.of_path(load_path(Path(folder))) if folder else Look.load()
+    return ColourReference.of_path(load_path(Path(folder))) if folder else ColourReference.load()
 
 
-def _counts(image: Image) -> NDArray[np.int64]:
-    """Returns (3, 256): how many pixels have each level, of each channel."""
+def _histograms(image: Image) -> NDArray[np.int64]:
+    """Returns (3, 256), int64: histogram of each channel of an image (H, W, 3), uint8."""
     return np.stack([np.bincount(image[..., channel].reshape(-1), minlength=256) for channel in range(3)])
 
 
-def _places(counts: NDArray[np.int64]) -> F64:
-    """Returns (256,): share of the pixels that are darker than each level, those of the level itself counted half."""
+def _cdf(counts: NDArray[np.int64]) -> F64:
+    """Returns (256,), float64: share of the pixels below each level of a histogram (256,); those of the level itself count half."""
     return (np.cumsum(counts) - 0.5 * counts) / max(1, int(counts.sum()))
 
 
-def _looked_up(image: Image, tables: list[F64]) -> Image:
-    """Returns an image whose channels are looked up in (256,) tables of levels."""
+def _apply_tables(image: Image, tables: list[F64]) -> Image:
+    """Returns an image with a lookup table (256,), 0 to 255, applied to each channel."""
     table = np.clip(np.rint(np.stack(tables, axis=1)), 0.0, 255.0).astype(np.uint8)[None]
     return np.asarray(cv2.LUT(np.ascontiguousarray(image), table), dtype=np.uint8)

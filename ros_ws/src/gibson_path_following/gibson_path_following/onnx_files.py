@@ -1,4 +1,4 @@
-"""Opens ONNX files of strangers with onnxruntime: one core, nothing read but the file itself, every failure in one line."""
+"""Opens untrusted ONNX files with onnxruntime: on one core, without external data, every failure in one line."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from gibson_path_following.errors import ModelError, quoted
 
 MAX_BYTES = 1 << 30
-"""Size of a file; those of the family have 35 to 111 MB."""
+"""Largest size of a file; those of the GNM family have 35 to 111 MB."""
 _MAX_DEPTH = 60
-"""Messages within messages: subgraphs of nodes of subgraphs."""
+"""Largest depth of nested messages: subgraphs of nodes of subgraphs."""
 _CHILDREN: dict[str, dict[int, str]] = {
     "model": {7: "graph", 25: "function"},
     "function": {7: "node"},
@@ -23,16 +23,16 @@ _CHILDREN: dict[str, dict[int, str]] = {
     "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
     "sparse": {1: "tensor", 2: "tensor"},
 }
-"""Kind of a message of onnx.proto -> number of a field -> kind of the messages in it, as far as tensors can be in them."""
+"""Kind of a message of onnx.proto -> field number -> kind of the messages in it, for those that can contain tensors."""
 _EXTERNAL_DATA, _DATA_LOCATION = 13, 14
-"""Fields of a tensor that send a reader to another file."""
+"""Field numbers of a tensor that refer to external data."""
 
 
 def open_session(file: Path) -> Any:
-    """Returns a session of onnxruntime for a file.
+    """Returns an onnxruntime session of a file.
 
     Raises:
-        ModelError: onnxruntime is not installed, or the file holds no network that it runs, or one that reads other files.
+        ModelError: onnxruntime is not installed, or the file holds no network that it runs, or refers to external data.
     """
     try:
         import onnxruntime
@@ -55,7 +55,7 @@ def open_session(file: Path) -> Any:
 
 
 def run(session: Any, file: Path, feeds: dict[str, Any]) -> list[Any]:
-    """Returns all outputs.
+    """Runs a network; returns all outputs.
 
     Raises:
         ModelError: the network cannot be run with these inputs, or returns a NaN or an infinity.
@@ -85,11 +85,11 @@ def _content(file: Path) -> bytes:
 
 
 def _has_external_data(message: memoryview, kind: str, depth: int) -> bool:
-    """Returns whether a message holds a tensor whose values are in another file.
+    """Returns whether a message contains a tensor with external data.
 
     Raises:
-        ValueError: it is no such message.
-        IndexError: it is cut.
+        ValueError: the message is malformed.
+        IndexError: it is truncated.
     """
     if depth > _MAX_DEPTH:
         raise ValueError("too deep")

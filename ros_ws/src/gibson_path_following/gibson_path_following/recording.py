@@ -1,4 +1,4 @@
-"""Records a path from what a robot sees, is commanded and, if it has any, its odometry: a node every so many metres or degrees."""
+"""Records a path from images, commands and, where available, odometry: a node (keyframe) at a distance or turn from the previous one."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from gibson_path_following.motions import NS_PER_S, motion_between
 from gibson_path_following.types import STOP, CameraKind, PathNode, RecordedPath, Velocity, View
 
 _STANDING = 0.01
-"""Metres or radians, since its first node, within which a robot has not begun to drive."""
+"""Distance, metres, and turn, radians, since the first node within which the robot stands."""
 Pose = tuple[float, float, float]
 """x, y and yaw, metres and radians."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderSettings:
-    """How far apart nodes are."""
+    """When the recorder adds a node."""
 
     spacing: float = 0.2
     """Distance between nodes, metres."""
     turn: float = 0.35
-    """Turn after which a node follows even without distance, radians."""
+    """Turn after which a node is added at any distance, radians."""
     interval: float = 0.0
-    """Time after which a node follows even without distance, seconds; 0 = never. For images alone."""
+    """Time after which a node is added at any distance, seconds; 0 = never. For images alone."""
     uses_odometry: bool = True
-    """Whether distances and turns come from odometry; else from the commands."""
-    odometry_patience: float = 0.5
-    """How long a view waits for the odometry of its time, seconds."""
+    """Whether distances and turns come from odometry; off = from the commands."""
+    odometry_timeout: float = 0.5
+    """Time that a view waits for odometry of its stamp, seconds."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -38,7 +38,7 @@ class RecorderSettings:
             ("spacing", 0.01, 10.0),
             ("turn", 0.02, 6.3),
             ("interval", 0.0, 3600.0),
-            ("odometry_patience", 0.0, 10.0),
+            ("odometry_timeout", 0.0, 10.0),
         )
 
 
@@ -46,17 +46,17 @@ class PathRecorder:
     """Collects the nodes of one path. Not thread-safe."""
 
     def __init__(self, camera: CameraKind, hfov: float, settings: RecorderSettings | None = None) -> None:
-        """Begins without nodes. The first node is the last view before the robot moves.
+        """Begins without nodes. The first node is the last view before the robot drives.
 
         Args:
             camera: kind of the camera.
             hfov: horizontal field of view of an image, radians; of a fisheye across its circle.
-            settings: how far apart nodes are; None = the defaults.
+            settings: None = the defaults.
         """
         self.settings = settings or RecorderSettings()
         self._camera = camera
         self.hfov = hfov
-        """As given; it may be set until ``finish``."""
+        """Horizontal field of view, radians; it may be set until ``finish``."""
         self._commands: list[tuple[int, Velocity]] = []
         self._odometry: deque[tuple[int, Pose]] = deque(maxlen=1000)
         self._waiting: deque[tuple[int, View]] = deque(maxlen=100)
@@ -78,7 +78,7 @@ class PathRecorder:
         return self._last[2] if self._last is not None else 0.0
 
     def add_command(self, now_ns: int, velocity: Velocity) -> None:
-        """Notes a command that holds from ``now_ns`` on; one that is older than the last is left out."""
+        """Adds a command that holds from ``now_ns`` on; one that is older than the last is dropped."""
         if self._commands and now_ns < self._commands[-1][0]:
             return
         if self._commands and now_ns == self._commands[-1][0]:  # replaced before it took effect
@@ -87,14 +87,14 @@ class PathRecorder:
             self._commands.append((now_ns, velocity))
 
     def add_odometry(self, stamp_ns: int, pose: Pose) -> None:
-        """Notes where odometry saw the robot."""
+        """Adds an odometry pose, odometry frame; one that is not newer than the last is dropped."""
         if self._odometry and stamp_ns <= self._odometry[-1][0]:
             return
         self._odometry.append((stamp_ns, pose))
         self._use_waiting()
 
     def add_view(self, stamp_ns: int, view: View) -> None:
-        """Adds what the cameras saw; a view that is not newer than the one before is left out."""
+        """Adds a view; one that is not newer than the previous one is dropped."""
         newest = self._waiting[-1][0] if self._waiting else self._last[0] if self._last is not None else None
         if newest is not None and stamp_ns <= newest:
             return
@@ -104,7 +104,7 @@ class PathRecorder:
     def finish(self) -> RecordedPath:
         """Returns the path; the newest view is its last node.
 
-        The path may be too short to be followed: ``path_folder.check_path`` says so.
+        The path may be too short to be followed: ``path_folder.check_path`` checks that.
         """
         while self._waiting:
             self._use(*self._waiting.popleft())
@@ -119,10 +119,10 @@ class PathRecorder:
         return RecordedPath(self._camera, self.hfov, tuple(nodes), self.settings.spacing)
 
     def _use_waiting(self) -> None:
-        patience_ns = round(self.settings.odometry_patience * NS_PER_S)
+        timeout_ns = round(self.settings.odometry_timeout * NS_PER_S)
         while self._waiting:
             stamp_ns = self._waiting[0][0]
-            is_late = self._waiting[-1][0] - stamp_ns >= patience_ns
+            is_late = self._waiting[-1][0] - stamp_ns >= timeout_ns
             if self.settings.uses_odometry and not is_late and (not self._odometry or self._odometry[-1][0] < stamp_ns):
                 return
             self._use(*self._waiting.popleft())
@@ -151,7 +151,7 @@ class PathRecorder:
             self._add_node(*self._last)
             return
         self._last = (stamp_ns, view, distance + step, pose)
-        # Half a step early is nearer than half a step late.
+        # Rounded to the nearest view: half a step early is nearer than half a step late.
         if is_due or self._driven + step / 2.0 >= self.settings.spacing or self._turned + turn / 2.0 >= self.settings.turn:
             self._add_node(*self._last)
 
@@ -160,21 +160,21 @@ class PathRecorder:
         self._driven = self._turned = 0.0
 
     def _pose(self, stamp_ns: int) -> Pose | None:
-        """Returns the pose at a time, between those before and after it; None without odometry within the patience."""
+        """Returns the odometry pose at a time, ns, interpolated; None = no odometry within the timeout."""
         stamps = [stamp for stamp, _ in self._odometry]
         after = bisect_right(stamps, stamp_ns)
         if after == 0:
             return None
         begin_ns, begin = self._odometry[after - 1]
         if begin_ns == stamp_ns or after == len(stamps):
-            return begin if stamp_ns - begin_ns <= self.settings.odometry_patience * NS_PER_S else None
+            return begin if stamp_ns - begin_ns <= self.settings.odometry_timeout * NS_PER_S else None
         end_ns, end = self._odometry[after]
         share = (stamp_ns - begin_ns) / (end_ns - begin_ns)
         yaw = begin[2] + share * math.remainder(end[2] - begin[2], math.tau)
         return begin[0] + share * (end[0] - begin[0]), begin[1] + share * (end[1] - begin[1]), math.remainder(yaw, math.tau)
 
     def _velocities(self, times: list[int], stamp_ns: int, end_ns: int | None) -> tuple[tuple[int, Velocity], ...]:
-        """Returns the command that held at a node, and those until the next node, each with its time after the node's.
+        """Returns the command in effect at a node and those up to the next node, each with its time after the stamp of the node, ns.
 
         Args:
             times: of all commands, ns.

@@ -15,7 +15,7 @@ import numpy as np
 from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import PathFollowingError
 from gibson_path_following.follower import FollowerSettings, PathFollower
-from gibson_path_following.goggles import DEFAULT_MODEL as DEFAULT_GOGGLES, Goggles, Look, make_goggles
+from gibson_path_following.goggles import DEFAULT_MODEL as DEFAULT_GOGGLES, ColourReference, Goggles, make_goggles
 from gibson_path_following.path_model import DEFAULT_MODEL
 from gibson_path_following.types import Place, Velocity
 from gibson_sim.errors import ConfigError, SceneError
@@ -256,7 +256,7 @@ class Runner:
             if not kind:
                 return driver
             mode = "learned" if kind == "goggles" else kind
-            return SeeingThrough(driver, make_goggles(mode, self._goggles, Look.of_path(recording.path)))
+            return SeeingThrough(driver, make_goggles(mode, self._goggles, ColourReference.of_path(recording.path)))
         except PathFollowingError as error:
             raise ConfigError(f"method {method}: {error}") from error
 

@@ -8,7 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gibson_path_following.goggles import Goggles, GreyWorldGoggles, HistogramGoggles, LearnedGoggles, Look, make_goggles
+from gibson_path_following.goggles import (
+    ColourReference,
+    Goggles,
+    GreyWorldGoggles,
+    HistogramGoggles,
+    LearnedGoggles,
+    make_goggles,
+)
 from gibson_sim.picture_files import write_picture
 from gibson_sim.writing import write_file
 from gibson_sim_learn.goggles.export import export_network, score_table, write_card
@@ -84,7 +91,7 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
         for scene in TRAINING
         if is_original(number)
     ]
-    look = Look.of_images(image for part in originals for image in part.clean)
+    look = ColourReference.of_images(image for part in originals for image in part.clean)
     write_file(folder / LOOK, look.as_text())
     ways = ways_of(folder / MODEL, look)
     scores: dict[str, dict[str, str]] = {}
@@ -93,7 +100,9 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
         progress(f"scores: {one.name}")
         scores[one.name] = {name: str(score(judged, bring, one.every)) for name, bring in ways.items()}
         for mode in ("grey_world", "histogram"):
-            brought = [score([part], make_goggles(mode, look=Look.of_images(part.clean)), one.every) for part in judged]
+            brought = [
+                score([part], make_goggles(mode, reference=ColourReference.of_images(part.clean)), one.every) for part in judged
+            ]
             scores[one.name][f"{mode}, the scene's own images as reference"] = str(mean_of(brought))
     write_picture(folder / SHEET, sheet(chosen_by, ways)[..., ::-1])
     point = training.curve[-1]
@@ -102,7 +111,7 @@ def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], Non
     return Learned(folder / MODEL, folder / CARD, point, size, score_table(scores))
 
 
-def ways_of(model: Path, look: Look) -> dict[str, Goggles]:
+def ways_of(model: Path, look: ColourReference) -> dict[str, Goggles]:
     """Returns by name what is compared; ``nothing`` leaves an image as it is."""
     return {
         "nothing": lambda image: image,

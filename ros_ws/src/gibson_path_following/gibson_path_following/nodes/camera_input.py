@@ -1,4 +1,4 @@
-"""Subscribes to the images of a robot's cameras and to their camera_info, and hands out views of a path's camera."""
+"""Subscribes to the images of a robot's cameras and to their camera_info, and passes on rectified views of a path's camera."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gibson_path_following.types import IMAGES_OF, CameraKind, View
 
 _QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 _BACK_NS = 1_000_000_000
-"""How far stamps must go back for time to have jumped, ns: a reset of the simulation, or a bag that plays again."""
+"""Step backwards of the stamps from which on time has jumped, ns: a reset of the simulation, or a bag that plays again."""
 
-_PATIENCE_NS = 2_000_000_000
-"""How long images may come without camera_info before a warning, ns."""
+_INFO_TIMEOUT_NS = 2_000_000_000
+"""Time that images may arrive without camera_info before a warning, ns."""
 
 
 class CameraInput:
@@ -55,7 +55,7 @@ class CameraInput:
         self._used_ns: dict[str, int] = {}
         """Stamp of the newest image that was used, by camera, ns."""
         self._has_image = False
-        """Whether any image has come, of use or not."""
+        """Whether any image has arrived, usable or not."""
         self._waiting_ns: int | None = None
         """Stamp of the first image that had no camera_info, ns."""
         self._period_ns = 0 if options.rate_hz == 0.0 else round(conversions.NS_PER_S / options.rate_hz)
@@ -74,8 +74,8 @@ class CameraInput:
                     )
                 )
 
-    def warn_of_none(self) -> None:
-        """Warns every 5 s while no image has come at all: the name of a topic may be wrong."""
+    def warn_if_no_image(self) -> None:
+        """Warns every 5 s while no image has arrived: a topic name may be wrong."""
         if not self._has_image:
             self._node.get_logger().warning(
                 f"no image has come from {', '.join(self._options.image_topics)}; does the camera run, and is parameter image_topics right?",
@@ -122,7 +122,7 @@ class CameraInput:
         """Returns the camera of an image; None while its camera_info or its field of view is not known."""
         if self._options.use_camera_info and name not in self._infos:
             self._waiting_ns = min(stamp, self._waiting_ns or stamp)
-            if stamp - self._waiting_ns < _PATIENCE_NS:
+            if stamp - self._waiting_ns < _INFO_TIMEOUT_NS:
                 return None
             self._node.get_logger().warning(
                 f"no camera_info beside {topic} yet; publish it, or set use_camera_info to false", throttle_duration_sec=5.0
@@ -140,5 +140,5 @@ class CameraInput:
         return self._cameras[name]
 
     def _camera_hfov(self) -> float | None:
-        """Returns what an uncalibrated camera sees, radians; None = as the path."""
+        """Returns the field of view of an uncalibrated camera, radians; None = that of the path."""
         return math.radians(self._options.camera_hfov_deg) if self._options.camera_hfov_deg > 0.0 else None

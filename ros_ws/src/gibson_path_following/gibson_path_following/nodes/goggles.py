@@ -1,4 +1,4 @@
-"""``goggles``: passes on a camera's images in the look of the simulator, in which the networks of a robot were trained."""
+"""``goggles``: adapts a camera's images to the appearance of the simulator, in which the networks of a robot were trained."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from gibson_path_following.errors import PathFollowingError
-from gibson_path_following.goggles import look_of, make_goggles
+from gibson_path_following.goggles import load_reference, make_goggles
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
 from gibson_path_following.options import GogglesOptions
 
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""An image that came while another one was worked on takes the place of the one before it."""
+"""Images that arrive while one is processed are dropped, but for the newest."""
 
 
 class GogglesNode(Node):
-    """Brings each image to the simulator's look; stamp, frame and size stay as they are.
+    """Adapts each image to the appearance of the simulator; stamp, frame and size stay the same.
 
     Parameters: the fields of ``gibson_path_following.options.GogglesOptions``.
 
@@ -41,7 +41,7 @@ class GogglesNode(Node):
         super().__init__("goggles", **kwargs)
         o = declared(self, GogglesOptions)
         self.exit_code: int | None = None
-        self._bring = make_goggles(o.mode, o.model, None if o.mode == "learned" else look_of(o.reference))
+        self._goggles = make_goggles(o.mode, o.model, None if o.mode == "learned" else load_reference(o.reference))
         self._topic, self._is_compressed = o.image_topic, o.image_topic.endswith("/compressed")
         self._images = self.create_publisher(Image, "goggles/image_raw", qos_profile_sensor_data)
         self._infos = self.create_publisher(CameraInfo, "goggles/camera_info", qos_profile_sensor_data)
@@ -53,13 +53,13 @@ class GogglesNode(Node):
     def _on_image(self, msg: Any) -> None:
         try:
             rgb = conversions.rgb_of_compressed(msg) if self._is_compressed else conversions.rgb_of_image(msg)
-            brought = self._bring(rgb)
+            adapted = self._goggles(rgb)
         except PathFollowingError as error:
             self.get_logger().error(f"{self._topic}: {error}", throttle_duration_sec=5.0)
             return
-        height, width = brought.shape[:2]
+        height, width = adapted.shape[:2]
         out = Image(height=height, width=width, encoding="rgb8", step=3 * width)
-        out.header, out.data = msg.header, brought.tobytes()
+        out.header, out.data = msg.header, adapted.tobytes()
         self._images.publish(out)
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""``path_evaluator``: judges a drive along a path by ground truth. The only node that sees it."""
+"""``path_evaluator``: evaluates a drive along a path by ground truth. No other node subscribes to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from gibson_path_following.errors import PathFollowingError, SettingError, quoted
-from gibson_path_following.evaluation import JudgeSettings, TracePoint, evaluate, node_positions
+from gibson_path_following.evaluation import EvaluationSettings, TracePoint, evaluate, node_positions
 from gibson_path_following.nodes import conversions
 from gibson_path_following.nodes.parameters import declared
 from gibson_path_following.nodes.running import run_node
@@ -25,11 +25,11 @@ from gibson_path_following.path_folder import load_path
 
 _QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 _REST_NS = 1_000_000_000
-"""How long the robot is watched after the end of the path, ns."""
+"""Time after the end of the path for which the trace goes on, ns."""
 
 
 class PathEvaluatorNode(Node):
-    """Judges a drive.
+    """Evaluates a drive.
 
     The drive begins with the first ``path/state`` that is ``following``, and ends a second after it is ``finished``, at the time limit, at
     a call, or with the node. The results are then written as JSON.
@@ -37,7 +37,7 @@ class PathEvaluatorNode(Node):
     Parameters: the fields of ``gibson_path_following.options.EvaluatorOptions``.
 
     Subscribes:
-        ground_truth/odom (nav_msgs/Odometry): where the robot truly is, in the frame of the path's poses.
+        ground_truth/odom (nav_msgs/Odometry): true pose of the robot, in the frame of the path's poses.
         the collision topic.
         path/state (std_msgs/String, latched): of ``path_policy``.
 
@@ -55,10 +55,10 @@ class PathEvaluatorNode(Node):
         self._options = o = declared(self, EvaluatorOptions)
         self.exit_code: int | None = None
         self._nodes = node_positions(load_path(o.path))
-        self._settings = JudgeSettings(arrival_radius=o.arrival_radius)
+        self._settings = EvaluationSettings(arrival_radius=o.arrival_radius)
         self._trace: list[TracePoint] = []
         self._states: list[tuple[float, str]] = []
-        """Seconds since the begin, and the state of the policy from then on."""
+        """Time since the begin, seconds, and the state of the policy from then on."""
         self._touched = self._touching = False
         self._count: int | None = None
         self._ended_ns: int | None = None

@@ -1,4 +1,4 @@
-"""``path_localiser``: says where on a recorded path the robot is, by its images."""
+"""``path_localiser``: localises the robot on a recorded path by its images."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gibson_path_following.types import Place, View
 
 
 class PlacePublisher:
-    """The topics that tell where on the path the robot is."""
+    """Publishes the place of the robot on the path."""
 
     def __init__(self, node: Any, nodes: int) -> None:
         self._node, self._nodes = node, nodes
@@ -30,7 +30,7 @@ class PlacePublisher:
         self._confidence = node.create_publisher(Float32, "path/confidence", 10)
         self._lost = node.create_publisher(Bool, "path/lost", 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._told_ns: int | None = None
+        self._diagnosed_ns: int | None = None
 
     def publish(self, stamp_ns: int, place: Place | None, state: str) -> None:
         """Publishes a place; a diagnosis once a second of the images' time, and when the state changes."""
@@ -39,9 +39,9 @@ class PlacePublisher:
             self._confidence.publish(Float32(data=place.confidence))
         is_lost = place is None or place.is_lost or state == "lost"
         self._lost.publish(Bool(data=is_lost))
-        if self._told_ns is not None and 0 <= stamp_ns - self._told_ns < conversions.NS_PER_S:
+        if self._diagnosed_ns is not None and 0 <= stamp_ns - self._diagnosed_ns < conversions.NS_PER_S:
             return
-        self._told_ns = stamp_ns
+        self._diagnosed_ns = stamp_ns
         status = DiagnosticStatus(name=f"{self._node.get_name()}: place on the path", hardware_id="")
         status.level = DiagnosticStatus.WARN if is_lost else DiagnosticStatus.OK
         status.message = state
@@ -80,7 +80,7 @@ class PathLocaliserNode(Node):
         check_start(o.start, len(path.nodes))
         self._localiser = Localiser(path)
         self._log = CommandLog()
-        self._placed_ns: int | None = None
+        self._localised_ns: int | None = None
         self._publisher = PlacePublisher(self, len(path.nodes))
         height, width = path.nodes[0].view[0].shape[:2]
         if o.use_commands:
@@ -91,7 +91,7 @@ class PathLocaliserNode(Node):
     def _reset(self) -> None:
         self._localiser.reset(self._options.start if self._options.start >= 0.0 else None)
         self._log.clear()
-        self._placed_ns = None
+        self._localised_ns = None
 
     def _on_command(self, msg: Any) -> None:
         velocity = conversions.velocity_from(msg)
@@ -100,14 +100,14 @@ class PathLocaliserNode(Node):
 
     def _on_view(self, stamp_ns: int, view: View) -> None:
         motion: Motion | None = None
-        if self._options.use_commands and self._placed_ns is not None:
-            motion = self._log.motion(self._placed_ns, stamp_ns)
+        if self._options.use_commands and self._localised_ns is not None:
+            motion = self._log.motion(self._localised_ns, stamp_ns)
         try:
             place = self._localiser.update(view, motion)
         except PathFollowingError as error:
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
-        self._placed_ns = stamp_ns
+        self._localised_ns = stamp_ns
         self._publisher.publish(stamp_ns, place, "lost" if place.is_lost else "localised")
 
     def stop(self) -> None:

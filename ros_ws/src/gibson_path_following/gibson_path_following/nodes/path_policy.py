@@ -25,7 +25,7 @@ from gibson_path_following.types import STOP, RecordedPath, Velocity, View
 JOY_TIMEOUT_S = 0.5
 """Age of the newest ``joy`` from which the dead man's switch counts as released, seconds."""
 _REST_NS = 1_000_000_000
-"""How long stops are sent after the end of the path, ns; then others may drive."""
+"""Time for which stops are sent after the end of the path, ns; then other nodes may drive."""
 
 
 class PathPolicyNode(LifecycleNode):
@@ -42,7 +42,7 @@ class PathPolicyNode(LifecycleNode):
     Publishes:
         cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): with each view, and ``watchdog_hz`` times a second of the
             robot's time.
-        path/state (std_msgs/String, latched): following, lost, searching (lost, and turning to look around), stale, finished, held (the
+        path/state (std_msgs/String, latched): following, lost, searching (lost, and rotating in place), stale, finished, held (the
             dead man's switch), failed (the policy could not use the newest view; the log says why) or inactive.
         path/index, path/confidence (std_msgs/Float32), path/lost (std_msgs/Bool): with each view; /diagnostics once a second.
     """
@@ -166,7 +166,7 @@ class PathPolicyNode(LifecycleNode):
         try:
             velocity = follower.observe(stamp_ns, view)
         except PathFollowingError as error:
-            # What was commanded before must not go on while the policy cannot say anything.
+            # The previous command must not stay in effect while the policy fails.
             self._failed = True
             self._command(STOP, stamp_ns)
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
@@ -183,7 +183,7 @@ class PathPolicyNode(LifecycleNode):
     def _on_timer(self) -> None:
         assert self._follower is not None
         if self._input is not None:
-            self._input.warn_of_none()
+            self._input.warn_if_no_image()
         now_ns = self._now_ns()
         self._command(self._follower.tick(now_ns), now_ns)
 

@@ -30,7 +30,7 @@ class PathRecorderNode(Node):
 
     Subscribes:
         the image topics, and camera_info beside them.
-        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): what the robot is told, by whom ever.
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``): commands to the robot, from any node.
         odom (nav_msgs/Odometry), with ``use_odometry``.
 
     Publishes:

@@ -13,7 +13,7 @@ import pytest
 
 from gibson_path_following.backends import make_policy
 from gibson_path_following.errors import ModelError, SettingError, ViewError
-from gibson_path_following.foreign_onnx import Diffusion, ForeignPolicy, ForeignSettings, open_network, velocity_to
+from gibson_path_following.gnm_policy import Diffusion, GnmPolicy, GnmSettings, open_network, velocity_to
 from gibson_path_following.types import PathNode, Place, RecordedPath, Velocity
 from support import onnx_bytes as ox
 from support.path_views import fisheye_view, straight_path
@@ -141,14 +141,14 @@ def write(tmp_path: Path, content: bytes) -> Path:
 @pytest.mark.parametrize("batch", ["batch", 1, 4])
 def test_the_nearest_node_by_temporal_distance_is_the_sub_goal_or_the_one_after_it(tmp_path: Path, batch: int | str) -> None:
     path = flat_path([20, 60, 100, 140, 180, 220])
-    policy = ForeignPolicy(path, write(tmp_path, goal_network(batch)), ForeignSettings(close=3.0))
+    policy = GnmPolicy(path, write(tmp_path, goal_network(batch)), GnmSettings(close_threshold=3.0))
     policy.act(grey(140), 0, HERE)
     assert policy.sub_goal == 4  # node 3 is at distance 0, which is close
     policy.reset()
     # Between nodes 2 and 3: 20 levels are 20 / 255 / 0.226 x 10 = 3.5 steps from both, of which the first is not close.
     policy.act(grey(120), 0, HERE)
     assert policy.sub_goal in (2, 3)
-    near = ForeignPolicy(path, policy.network, ForeignSettings(radius=1))
+    near = GnmPolicy(path, policy.network, GnmSettings(search_radius=1))
     near.act(grey(20), 0, HERE)
     assert near.sub_goal == 2  # nodes 2 to 4 alone are looked at
 
@@ -156,7 +156,7 @@ def test_the_nearest_node_by_temporal_distance_is_the_sub_goal_or_the_one_after_
 def test_the_waypoint_becomes_an_arc(tmp_path: Path) -> None:
     # Waypoint 2 is 3 steps of 0.5 / 4 m ahead and m steps to the left, m the mean of the sub-goal's image; in 0.75 s.
     path = flat_path([115] * 6)
-    found = ForeignPolicy(path, write(tmp_path, goal_network())).act(grey(115), 0, HERE)
+    found = GnmPolicy(path, write(tmp_path, goal_network())).act(grey(115), 0, HERE)
     mean = float(np.mean((115 / 255 - np.array([0.485, 0.456, 0.406])) / np.array([0.229, 0.224, 0.225])))
     assert found.linear == pytest.approx(0.125 * math.hypot(3.0, mean) / 0.75, abs=1e-4)
     assert found.angular == pytest.approx(2.0 * math.atan2(mean, 3.0) / 0.75, abs=1e-4)
@@ -174,14 +174,14 @@ def test_the_waypoint_becomes_an_arc(tmp_path: Path) -> None:
     ],
 )
 def test_velocities_to_waypoints(waypoint: tuple[float, float], velocity: Velocity) -> None:
-    found = velocity_to(np.array(waypoint, dtype=np.float32), 3, ForeignSettings(max_linear=0.5, max_angular=1.0, rate_hz=4.0))
+    found = velocity_to(np.array(waypoint, dtype=np.float32), 3, GnmSettings(max_linear=0.5, max_angular=1.0, rate_hz=4.0))
     assert (found.linear, found.angular) == pytest.approx((velocity.linear, velocity.angular))
 
 
 def test_earlier_images_are_a_quarter_of_a_second_apart(tmp_path: Path) -> None:
     # The network compares with the oldest of six images: 1.25 s ago. Images come every 0.125 s, each another node.
     path = flat_path([10, 30, 50, 70, 90, 110, 130, 150, 170, 190, 210, 230])
-    policy = ForeignPolicy(path, write(tmp_path, goal_network(frame=0)), ForeignSettings(close=0.0, radius=20))
+    policy = GnmPolicy(path, write(tmp_path, goal_network(frame=0)), GnmSettings(close_threshold=0.0, search_radius=20))
     for i in range(12):
         policy.act(grey(10 + 20 * i), i * STEP // 2, HERE)
         assert policy.sub_goal == max(0, i - 10)
@@ -192,7 +192,7 @@ def test_earlier_images_are_a_quarter_of_a_second_apart(tmp_path: Path) -> None:
 
 def test_nomad_draws_its_trajectory_by_diffusion(tmp_path: Path) -> None:
     path = flat_path([20, 60, 100, 140, 180, 220])
-    policy = ForeignPolicy(path, nomad_files(tmp_path))
+    policy = GnmPolicy(path, nomad_files(tmp_path))
     assert (policy.network.frames, policy.network.size) == (4, (96, 96))
     found = policy.act(grey(100), 0, HERE)
     assert policy.sub_goal == 3  # the one after node 2
@@ -203,9 +203,11 @@ def test_nomad_draws_its_trajectory_by_diffusion(tmp_path: Path) -> None:
 def test_the_schedule_of_the_diffusion() -> None:
     found = Diffusion(10)
     # cos(0.108 / 1.008 pi / 2)^2 / cos(0.008 / 1.008 pi / 2)^2 = 0.971939 / 0.999845
-    assert found.kept[0] == pytest.approx(0.97209, abs=1e-4)
+    assert found.alpha_bar[0] == pytest.approx(0.97209, abs=1e-4)
     assert found.beta[9] == 0.999
-    clean = found.before(np.full((1, 1, 2), 0.5, np.float32), np.zeros((1, 1, 2), np.float32), 0, np.random.default_rng(0))
+    clean = found.previous_sample(
+        np.full((1, 1, 2), 0.5, np.float32), np.zeros((1, 1, 2), np.float32), 0, np.random.default_rng(0)
+    )
     assert clean == pytest.approx(0.5 / math.sqrt(0.97209), abs=1e-4)  # step 0 leaves the clean sample
 
 
@@ -270,12 +272,12 @@ def test_without_onnxruntime_one_line_says_what_to_install(tmp_path: Path, monke
 def test_a_path_of_two_fisheyes_and_impossible_settings_are_refused(tmp_path: Path) -> None:
     nodes = tuple(PathNode(fisheye_view(i), i, 0.2 * i, ()) for i in range(2))
     with pytest.raises(ViewError, match=r"need a pinhole camera, the path is of a fisheye_pair; use teach_repeat"):
-        ForeignPolicy(RecordedPath("fisheye_pair", math.pi, nodes), tmp_path / "any.onnx")
+        GnmPolicy(RecordedPath("fisheye_pair", math.pi, nodes), tmp_path / "any.onnx")
     with pytest.raises(SettingError, match=r"rate_hz is 0, must be 0\.1 to 100"):
-        ForeignSettings(rate_hz=0.0)
+        GnmSettings(rate_hz=0.0)
 
 
 def test_a_network_is_chosen_by_the_name_of_its_file(tmp_path: Path) -> None:
     policy, localiser = make_policy(f"onnx:{write(tmp_path, goal_network())}", straight_path(), max_linear=0.3)
-    assert isinstance(policy, ForeignPolicy) and policy.settings.max_linear == 0.3
+    assert isinstance(policy, GnmPolicy) and policy.settings.max_linear == 0.3
     assert localiser.indices[-1] == 11.0

@@ -1,6 +1,6 @@
-"""Follows a path with networks of the GNM, ViNT and NoMaD family, as their authors' code exports them to ONNX. No PyTorch.
+"""Follows a path with networks of the GNM, ViNT and NoMaD family, exported to ONNX by their authors' code. No PyTorch.
 
-What is read, by the shapes of inputs and outputs; names do not matter::
+Supported files, recognised by the shapes of inputs and outputs; names do not matter::
 
     GNM, ViNT   one file     images (B, 3 (n + 1), 64, 85), sub-goal (B, 3, 64, 85)  ->  distance (B, 1), waypoints (B, T, 2 or 4)
     NoMaD       a folder     encoder.onnx   images (B, 3 (n + 1), 96, 96), sub-goal (B, 3, 96, 96), goal mask (B)  ->  features (B, E)
@@ -32,38 +32,38 @@ from gibson_path_following.types import Image, Place, RecordedPath, Velocity, Vi
 F32 = NDArray[np.float32]
 NOMAD_FILES = ("encoder.onnx", "distance.onnx", "action.onnx")
 NS_PER_S = 1_000_000_000
-_MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
-_DEVIATION = np.array([0.229, 0.224, 0.225], dtype=np.float32)
+_IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
+_IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], dtype=np.float32)
 _SIZE = (85, 64)
 """Width and height of images where a file leaves them free, pixels."""
 _MAX_SIDE = 1024
 _MAX_CONTEXT = 64
-_LEAST_ACTION = np.array([-2.5, -4.0], dtype=np.float32)
-_LARGEST_ACTION = np.array([5.0, 4.0], dtype=np.float32)
+_MIN_ACTION = np.array([-2.5, -4.0], dtype=np.float32)
+_MAX_ACTION = np.array([5.0, 4.0], dtype=np.float32)
 """Range of an action of NoMaD, x and y, in steps."""
 _DIFFUSION_STEPS = 10
 
 
 @dataclass(frozen=True, slots=True)
-class ForeignSettings:
-    """How the network is asked, and how its waypoints are driven."""
+class GnmSettings:
+    """Selection of the sub-goal, and driving to a waypoint."""
 
     max_linear: float = 0.5
     """Largest speed, m/s."""
     max_angular: float = 1.0
     """Largest yaw rate, rad/s."""
     rate_hz: float = 4.0
-    """Steps per second that the network was trained with: of earlier images, and of waypoints."""
-    radius: int = 4
-    """Nodes before and after the believed place, among which the sub-goal is."""
-    close: float = 3.0
-    """Temporal distance below which the node after the nearest one is the sub-goal, steps."""
+    """Rate that the network was trained with, of earlier images and of waypoints, Hz."""
+    search_radius: int = 4
+    """Nodes before and after the localiser's place that are candidates for the sub-goal."""
+    close_threshold: float = 3.0
+    """Temporal distance of the nearest node below which the node after it is the sub-goal, steps."""
     waypoint: int = 2
-    """Which waypoint is driven to, from 0."""
+    """Index of the waypoint that is driven to, from 0."""
     samples: int = 8
-    """Trajectories that NoMaD draws; the one nearest to their mean is driven."""
+    """Trajectories that NoMaD samples; the one nearest to their mean is driven."""
     seed: int = 0
-    """Of NoMaD's noise."""
+    """Seed of NoMaD's noise."""
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -71,39 +71,45 @@ class ForeignSettings:
             ("max_linear", 0.01, 10.0),
             ("max_angular", 0.01, 10.0),
             ("rate_hz", 0.1, 100.0),
-            ("radius", 0, 100),
-            ("close", 0.0, 1000.0),
+            ("search_radius", 0, 100),
+            ("close_threshold", 0.0, 1000.0),
             ("waypoint", 0, 100),
             ("samples", 1, 256),
             ("seed", 0, 2**63 - 1),
         )
 
 
-class ForeignNetwork(Protocol):
+class GnmNetwork(Protocol):
     """A network of the family."""
 
     frames: int
-    """Images that it looks at: the present one and those before."""
+    """Images of the input: the present one and its context."""
     size: tuple[int, int]
     """Width and height of an image, pixels."""
 
-    def look(self, images: F32, goals: F32) -> tuple[F32, F32]:
-        """Returns temporal distances (K,), steps, and what ``waypoints`` needs of each sub-goal (K, ...).
+    def predict(self, images: F32, goals: F32) -> tuple[F32, F32]:
+        """Returns temporal distances (K,), float32, steps, and the encodings (K, ...), float32, of the sub-goals for ``waypoints``.
 
         Args:
-            images: (3 frames, H, W), the present one last.
-            goals: (K, 3, H, W).
+            images: (3 frames, H, W), float32, normalised, the present one last.
+            goals: (K, 3, H, W), float32, normalised.
         """
 
-    def waypoints(self, seen: F32, settings: ForeignSettings, rng: np.random.Generator) -> F32:
-        """Returns waypoints (T, 2) towards a sub-goal: x ahead, y to the left, in steps of the top speed."""
+    def waypoints(self, encoding: F32, settings: GnmSettings, rng: np.random.Generator) -> F32:
+        """Returns waypoints (T, 2), float32, to a sub-goal, robot frame: x ahead, y to the left, in steps of the top speed.
+
+        Args:
+            encoding: of the sub-goal, as ``predict`` returns it.
+            settings: number of samples.
+            rng: of the noise.
+        """
 
 
 class GoalNetwork:
-    """GNM or ViNT: distance and waypoints of a sub-goal at once."""
+    """GNM or ViNT: temporal distance and waypoints of a sub-goal at once."""
 
     def __init__(self, file: Path) -> None:
-        """Loads the network and tries it.
+        """Loads the network and runs it once.
 
         Raises:
             ModelError: onnxruntime is not installed, or the file holds no such network.
@@ -113,12 +119,12 @@ class GoalNetwork:
         self.frames, self.size = _frames_and_size(file, self._images, self._goal)
         self._batch = _batch(file, self._images, self._goal)
         width, height = self.size
-        distances, waypoints = self.look(np.zeros((3 * self.frames, height, width), np.float32), _none(2, self.size))
+        distances, waypoints = self.predict(np.zeros((3 * self.frames, height, width), np.float32), _blank(2, self.size))
         if waypoints.ndim != 3 or len(distances) != 2:
             raise ModelError(f"{file}: its waypoints have shape {waypoints.shape}, must be (batch, waypoints, 2 or 4)")
 
-    def look(self, images: F32, goals: F32) -> tuple[F32, F32]:
-        """See ``ForeignNetwork``."""
+    def predict(self, images: F32, goals: F32) -> tuple[F32, F32]:
+        """See ``GnmNetwork``."""
         distances, waypoints = [], []
         for part, count in _parts(goals, self._batch):
             feeds = {self._images.name: np.repeat(images[None], len(part), axis=0), self._goal.name: part}
@@ -134,16 +140,16 @@ class GoalNetwork:
             waypoints.append(ways[0][:count, :, :2])
         return _float32(np.concatenate(distances)), _float32(np.concatenate(waypoints))
 
-    def waypoints(self, seen: F32, settings: ForeignSettings, rng: np.random.Generator) -> F32:
-        """See ``ForeignNetwork``."""
-        return seen
+    def waypoints(self, encoding: F32, settings: GnmSettings, rng: np.random.Generator) -> F32:
+        """See ``GnmNetwork``."""
+        return encoding
 
 
 class DiffusionNetwork:
-    """NoMaD: features of a sub-goal, their distance, and actions that are drawn by diffusion."""
+    """NoMaD: features of a sub-goal, their temporal distance, and actions sampled by diffusion."""
 
     def __init__(self, folder: Path) -> None:
-        """Loads the three networks and tries them.
+        """Loads the three networks and runs them once.
 
         Raises:
             ModelError: onnxruntime is not installed, or the folder holds no such networks.
@@ -159,13 +165,13 @@ class DiffusionNetwork:
         self._sample, self._timestep, self._condition = _action_inputs(self._files[2], self._action)
         length = self._sample.shape[1]
         self._length = length if isinstance(length, int) else 8
-        """Actions of a trajectory."""
+        """Number of actions of a trajectory."""
         width, height = self.size
-        _, seen = self.look(np.zeros((3 * self.frames, height, width), np.float32), _none(2, self.size))
-        self.waypoints(seen[0], ForeignSettings(samples=2), np.random.default_rng(0))
+        _, encodings = self.predict(np.zeros((3 * self.frames, height, width), np.float32), _blank(2, self.size))
+        self.waypoints(encodings[0], GnmSettings(samples=2), np.random.default_rng(0))
 
-    def look(self, images: F32, goals: F32) -> tuple[F32, F32]:
-        """See ``ForeignNetwork``."""
+    def predict(self, images: F32, goals: F32) -> tuple[F32, F32]:
+        """See ``GnmNetwork``."""
         file = self._files[0]
         kind = np.int64 if "int64" in self._mask.type else np.int32 if "int32" in self._mask.type else np.float32
         features, distances = [], []
@@ -179,20 +185,20 @@ class DiffusionNetwork:
             if found.ndim != 2 or len(found) != len(part):
                 raise ModelError(f"{file}: its output has shape {found.shape}, must be features ({len(part)}, size)")
             features.append(found[:count])
-        seen = _float32(np.concatenate(features))
-        for part, count in _parts(seen, _fixed(self._features.shape[0])):
+        encodings = _float32(np.concatenate(features))
+        for part, count in _parts(encodings, _fixed(self._features.shape[0])):
             found = np.asarray(run(self._distance, self._files[1], {self._features.name: part})[0])
             if found.size != len(part):
                 raise ModelError(f"{self._files[1]}: its output has shape {found.shape}, must be distances ({len(part)}, 1)")
             distances.append(found.reshape(-1)[:count])
-        return _float32(np.concatenate(distances)), seen
+        return _float32(np.concatenate(distances)), encodings
 
-    def waypoints(self, seen: F32, settings: ForeignSettings, rng: np.random.Generator) -> F32:
-        """See ``ForeignNetwork``."""
+    def waypoints(self, encoding: F32, settings: GnmSettings, rng: np.random.Generator) -> F32:
+        """See ``GnmNetwork``."""
         file = self._files[2]
         count = _fixed(self._sample.shape[0]) or settings.samples
         actions = rng.standard_normal((count, self._length, 2), dtype=np.float32)
-        condition = np.repeat(seen[None], count, axis=0)
+        condition = np.repeat(encoding[None], count, axis=0)
         scheduler = Diffusion(_DIFFUSION_STEPS)
         rank = len(self._timestep.shape)
         for step in range(_DIFFUSION_STEPS - 1, -1, -1):
@@ -204,8 +210,8 @@ class DiffusionNetwork:
             noise = np.asarray(run(self._action, file, feeds)[0])
             if noise.shape != actions.shape:
                 raise ModelError(f"{file}: its output has shape {noise.shape}, must be noise {actions.shape}")
-            actions = scheduler.before(actions, _float32(noise), step, rng)
-        ways = np.cumsum(_LEAST_ACTION + (actions + 1.0) / 2.0 * (_LARGEST_ACTION - _LEAST_ACTION), axis=1)
+            actions = scheduler.previous_sample(actions, _float32(noise), step, rng)
+        ways = np.cumsum(_MIN_ACTION + (actions + 1.0) / 2.0 * (_MAX_ACTION - _MIN_ACTION), axis=1)
         away = np.abs(ways - ways.mean(axis=0)).sum(axis=(1, 2))
         return np.asarray(ways[int(away.argmin())], dtype=np.float32)
 
@@ -215,34 +221,34 @@ class Diffusion:
 
     def __init__(self, steps: int) -> None:
         share = (np.arange(steps + 1) / steps + 0.008) / 1.008
-        kept = np.cos(share * math.pi / 2.0) ** 2
-        self.beta = np.minimum(1.0 - kept[1:] / kept[:-1], 0.999)
-        self.kept = np.cumprod(1.0 - self.beta)
-        """Share of the signal that is left after each step."""
+        schedule = np.cos(share * math.pi / 2.0) ** 2
+        self.beta = np.minimum(1.0 - schedule[1:] / schedule[:-1], 0.999)
+        self.alpha_bar = np.cumprod(1.0 - self.beta)
+        """(steps,), float64: cumulative product of 1 - beta, the share of the signal that is left after each step."""
 
-    def before(self, noisy: F32, noise: F32, step: int, rng: np.random.Generator) -> F32:
-        """Returns the sample before a step (equations 7 and 15 of the paper).
+    def previous_sample(self, noisy: F32, noise: F32, step: int, rng: np.random.Generator) -> F32:
+        """Returns the sample before a diffusion step, (N, T, 2), float32 (equations 7 and 15 of the paper).
 
         Args:
-            noisy: the sample after it.
-            noise: the noise in it, as predicted.
-            step: its number; the last that is undone is 0.
-            rng: of the noise that is added but for step 0.
+            noisy: (N, T, 2), sample after the step.
+            noise: (N, T, 2), predicted noise in it.
+            step: number of the step; 0 is the last one that is undone.
+            rng: of the noise that is added unless ``step`` is 0.
         """
-        kept, earlier = self.kept[step], self.kept[step - 1] if step else 1.0
-        clean = np.clip((noisy - math.sqrt(1.0 - kept) * noise) / math.sqrt(kept), -1.0, 1.0)
-        mean = math.sqrt(earlier) * self.beta[step] / (1.0 - kept) * clean
-        mean += math.sqrt(1.0 - self.beta[step]) * (1.0 - earlier) / (1.0 - kept) * noisy
+        alpha_bar, previous = self.alpha_bar[step], self.alpha_bar[step - 1] if step else 1.0
+        clean = np.clip((noisy - math.sqrt(1.0 - alpha_bar) * noise) / math.sqrt(alpha_bar), -1.0, 1.0)
+        mean = math.sqrt(previous) * self.beta[step] / (1.0 - alpha_bar) * clean
+        mean += math.sqrt(1.0 - self.beta[step]) * (1.0 - previous) / (1.0 - alpha_bar) * noisy
         if step:
-            deviation = math.sqrt(max((1.0 - earlier) / (1.0 - kept) * self.beta[step], 1e-20))
+            deviation = math.sqrt(max((1.0 - previous) / (1.0 - alpha_bar) * self.beta[step], 1e-20))
             mean += deviation * rng.standard_normal(mean.shape, dtype=np.float32)
         return np.asarray(mean, dtype=np.float32)
 
 
-class ForeignPolicy:
-    """A ``Policy`` with a network of the family: the sub-goal is a node near the believed place, chosen by temporal distance."""
+class GnmPolicy:
+    """A ``Policy`` with a network of the family: the sub-goal is a node near the localiser's place, selected by temporal distance."""
 
-    def __init__(self, path: RecordedPath, model: Path | ForeignNetwork, settings: ForeignSettings | None = None) -> None:
+    def __init__(self, path: RecordedPath, model: Path | GnmNetwork, settings: GnmSettings | None = None) -> None:
         """Loads the network and prepares the images of the path.
 
         Args:
@@ -256,42 +262,42 @@ class ForeignPolicy:
         """
         if path.camera != "pinhole":
             raise ViewError(f"networks of the GNM family need a pinhole camera, the path is of a {path.camera}; use teach_repeat")
-        self.settings = settings or ForeignSettings()
+        self.settings = settings or GnmSettings()
         self.network = open_network(model) if isinstance(model, Path) else model
-        self._goals = np.stack([self._prepared(node.view[0]) for node in path.nodes])
+        self._goals = np.stack([self._preprocess(node.view[0]) for node in path.nodes])
         self._context: deque[tuple[int, F32]] = deque()
         self._rng = np.random.default_rng(self.settings.seed)
         self.sub_goal: int | None = None
-        """Node that is driven to; None before the first view."""
+        """Node index of the sub-goal; None before the first view."""
 
     def reset(self) -> None:
-        """Forgets all earlier views."""
+        """Drops all earlier views."""
         self._context.clear()
         self._rng = np.random.default_rng(self.settings.seed)
         self.sub_goal = None
 
     def act(self, view: View, stamp_ns: int, place: Place) -> Velocity:
-        """Returns the velocity towards a waypoint on the way to the sub-goal."""
+        """Returns the velocity to a waypoint towards the sub-goal."""
         settings = self.settings
-        images = self._with_context(stamp_ns, self._prepared(view[0]))
+        images = self._with_context(stamp_ns, self._preprocess(view[0]))
         here = round(place.index)
-        first = max(0, here - settings.radius)
-        goals = self._goals[first : here + settings.radius + 1]
-        distances, seen = self.network.look(images, goals)
+        first = max(0, here - settings.search_radius)
+        goals = self._goals[first : here + settings.search_radius + 1]
+        distances, encodings = self.network.predict(images, goals)
         nearest = int(distances.argmin())
-        chosen = min(nearest + int(distances[nearest] < settings.close), len(goals) - 1)
+        chosen = min(nearest + int(distances[nearest] < settings.close_threshold), len(goals) - 1)
         self.sub_goal = first + chosen
-        ways = self.network.waypoints(seen[chosen], settings, self._rng)
+        ways = self.network.waypoints(encodings[chosen], settings, self._rng)
         number = min(settings.waypoint, len(ways) - 1)
         return velocity_to(ways[number], number + 1, settings)
 
-    def _prepared(self, image: Image) -> F32:
-        """Returns an image as the network takes it, (3, H, W)."""
+    def _preprocess(self, image: Image) -> F32:
+        """Returns (3, H, W), float32: an image (height, width, 3), uint8, resized and normalised for the network."""
         small = cv2.resize(image, self.network.size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        return np.ascontiguousarray(((small / np.float32(255.0) - _MEAN) / _DEVIATION).transpose(2, 0, 1))
+        return np.ascontiguousarray(((small / np.float32(255.0) - _IMAGENET_MEAN) / _IMAGENET_DEVIATION).transpose(2, 0, 1))
 
     def _with_context(self, stamp_ns: int, image: F32) -> F32:
-        """Returns the present image after those that were seen one, two, ... steps ago, (3 frames, H, W); the oldest stands for older ones."""
+        """Returns (3 frames, H, W), float32: the present image, last, and those one, two, ... steps before; the oldest one stands for older ones."""
         step_ns = NS_PER_S / self.settings.rate_hz
         frames = self.network.frames
         self._context.append((stamp_ns, image))
@@ -299,30 +305,30 @@ class ForeignPolicy:
             self._context.popleft()
         chosen = []
         for back in range(frames - 1, -1, -1):
-            wanted = stamp_ns - back * step_ns
-            chosen.append(min(self._context, key=lambda seen: abs(seen[0] - wanted))[1])
+            requested_ns = stamp_ns - back * step_ns
+            chosen.append(min(self._context, key=lambda each: abs(each[0] - requested_ns))[1])
         return np.concatenate(chosen)
 
 
-def velocity_to(waypoint: F32, steps: int, settings: ForeignSettings) -> Velocity:
+def velocity_to(waypoint: F32, steps: int, settings: GnmSettings) -> Velocity:
     """Returns the velocity of the arc to a waypoint.
 
     Args:
-        waypoint: (2,), x ahead and y to the left, in steps of the top speed.
-        steps: steps in which it is to be reached.
+        waypoint: (2,), robot frame, x ahead and y to the left, in steps of the top speed.
+        steps: number of steps until the robot is to reach it.
         settings: limits and rate.
     """
     x, y = (float(value) * settings.max_linear / settings.rate_hz for value in waypoint)
     seconds = steps / settings.rate_hz
     heading = math.atan2(y, x)
-    # An arc to a point turns by twice the angle at which that is seen.
+    # An arc to a point turns by twice its bearing.
     angular = min(max(2.0 * heading / seconds, -settings.max_angular), settings.max_angular)
     if abs(heading) >= math.pi / 2.0 or x <= 0.0:
         return Velocity(0.0, angular if abs(y) > 1e-6 else 0.0)
     return Velocity(min(math.hypot(x, y) / seconds, settings.max_linear), angular)
 
 
-def open_network(place: Path) -> ForeignNetwork:
+def open_network(place: Path) -> GnmNetwork:
     """Returns the network in a file (GNM, ViNT), or in a folder (NoMaD).
 
     Raises:
@@ -396,12 +402,12 @@ def _action_inputs(file: Path, session: Any) -> tuple[Any, Any, Any]:
 
 
 def _fixed(size: Any) -> int | None:
-    """Returns a size that a file fixes, None if it is free."""
+    """Returns a fixed size of a file; None = it is dynamic."""
     return size if isinstance(size, int) and size > 0 else None
 
 
 def _parts(values: F32, batch: int | None) -> list[tuple[F32, int]]:
-    """Returns values in batches, the last filled up with its last value, and how many of each count."""
+    """Returns values (N, ...) in batches, the last one padded with its last value, and the number of values in each."""
     if batch is None:
         return [(values, len(values))]
     parts = []
@@ -412,7 +418,8 @@ def _parts(values: F32, batch: int | None) -> list[tuple[F32, int]]:
     return parts
 
 
-def _none(count: int, size: tuple[int, int]) -> F32:
+def _blank(count: int, size: tuple[int, int]) -> F32:
+    """Returns (count, 3, H, W), float32: zeros."""
     return np.zeros((count, 3, size[1], size[0]), dtype=np.float32)
 
 
