@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim_learn.filler.evaluation import Flicker, is_worth, mean_flicker, scores_of, table
+from gibson_sim_learn.filler.evaluation import Flicker, beats_baselines, mean_flicker, scores_of, table
 from gibson_sim_learn.filler.pairs import Pairs, data_hash, depth_of, load_pairs, save_pairs
 from gibson_sim_learn.filler.scans import make_scan
 from gibson_sim_learn.filler.scoring import Score, Scoring, gmsd, ssim_map, warped
@@ -41,7 +41,7 @@ def test_psnr_is_that_of_all_pixels_of_a_region_together() -> None:
     found = scoring.score()
     # Mean squared error (100 + 0) / 2 = 50: 10 log10(255^2 / 50) = 31.14 dB, in both halves.
     assert [found.hole_psnr, found.seen_psnr] == pytest.approx([31.14, 31.14], abs=0.01)
-    # (2 100 110 + 6.5025) / (100^2 + 110^2 + 6.5025) = 0.99548; the other picture has 1.
+    # (2 100 110 + 6.5025) / (100^2 + 110^2 + 6.5025) = 0.99548; the other image has 1.
     assert found.seen_ssim == pytest.approx((0.99548 + 1.0) / 2, abs=1e-4)
 
 
@@ -71,19 +71,19 @@ def test_gmsd_is_nought_of_equal_pictures_and_counts_edges_by_hand() -> None:
 def test_warped_picture_is_moved_by_what_the_camera_moved() -> None:
     matrix = np.array([[20.0, 0.0, 7.5], [0.0, 20.0, 7.5], [0.0, 0.0, 1.0]])
     depth = np.full((16, 16), 2.0, np.float32)
-    picture = np.repeat(np.arange(16, dtype=np.uint8)[None, :, None] * 10, 16, axis=0).repeat(3, axis=2)
+    image = np.repeat(np.arange(16, dtype=np.uint8)[None, :, None] * 10, 16, axis=0).repeat(3, axis=2)
     there = np.eye(4)
     there[0, 3] = 0.2  # to the right: what is seen moves left by 20 * 0.2 / 2 = 2 pixels
-    found, known = warped(picture, there, matrix, depth, np.eye(4), depth)
+    found, known = warped(image, there, matrix, depth, np.eye(4), depth)
     assert known[:, :14].all() and not known[:, 14:].any()
-    assert (found[:, :14] == picture[:, 2:]).all()
+    assert (found[:, :14] == image[:, 2:]).all()
     # Another surface was there: nothing is known.
-    assert not warped(picture, there, matrix, depth, np.eye(4), 0.5 * depth)[1].any()
+    assert not warped(image, there, matrix, depth, np.eye(4), 0.5 * depth)[1].any()
 
 
 def test_ways_are_scored_on_every_nth_view() -> None:
-    ways = {"nothing": lambda colour, depth, normals, hole: colour, "truth": lambda colour, depth, normals, hole: flat(120)}
-    found = scores_of([pairs(3)], ways, every=2)
+    methods = {"nothing": lambda colour, depth, normals, hole: colour, "truth": lambda colour, depth, normals, hole: flat(120)}
+    found = scores_of([pairs(3)], methods, every=2)
     # Where seen 20 levels: 10 log10(255^2 / 400) = 22.11 dB; in holes 120: 6.55 dB.
     assert [found["nothing"].seen_psnr, found["nothing"].hole_psnr] == pytest.approx([22.11, 6.55], abs=0.01)
     assert (found["truth"].hole_psnr, found["truth"].gmsd) == (60.0, 0.0)
@@ -92,9 +92,9 @@ def test_ways_are_scored_on_every_nth_view() -> None:
 def test_a_network_is_worth_shipping_if_it_beats_the_best_classical_in_holes_and_nothing_where_seen() -> None:
     scores = {name: Score(15.0, 20.0, 0.5, 0.6, 0.2) for name in ("nothing", "telea", "navier_stokes", "push_pull")}
     better = Score(15.1, 20.1, 0.5, 0.6, 0.2)
-    assert is_worth(scores | {"learned": better})
-    assert not is_worth(scores | {"learned": replace(better, seen_psnr=20.0)})
-    assert not is_worth(scores | {"learned": better, "telea": replace(better, hole_psnr=15.2)})
+    assert beats_baselines(scores | {"learned": better})
+    assert not beats_baselines(scores | {"learned": replace(better, seen_psnr=20.0)})
+    assert not beats_baselines(scores | {"learned": better, "telea": replace(better, hole_psnr=15.2)})
     lines = table({"learned": better}, mean_flicker([{"learned": Flicker(1.0, 2.0)}, {"learned": Flicker(2.0, 4.0)}]))
     assert lines[-1] == "| `learned` | 15.10 dB, 0.500 | 20.10 dB, 0.600 | 0.200 | 1.50, 3.00 |"
 

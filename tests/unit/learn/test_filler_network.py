@@ -83,17 +83,17 @@ def test_a_mirrored_cutting_has_mirrored_normals() -> None:
     from gibson_sim_learn.filler.training import batch_of
 
     part = pairs()
-    # Normals that point to where in the picture they are: -127 on the left, 127 on the right; nothing is a hole.
+    # Normals that point to where in the image they are: -127 on the left, 127 on the right; nothing is a hole.
     across = np.linspace(-127, 127, 64).round().astype(np.int8)
     normals = np.zeros_like(part.normals)
     normals[..., 0] = across
     given = Pairs(part.drawn, part.filled, part.depth_mm, normals, np.zeros_like(part.hole), part.truth)
     values, truth = batch_of([given], np.random.default_rng(0), 16, 64)
-    # A mirrored picture of a normal that points to the right at the right: to the left at the left, so the order is the same.
+    # A mirrored image of a normal that points to the right at the right: to the left at the left, so the order is the same.
     assert np.allclose(values[:, 4, 0], across / 127.0, atol=1e-6)
     # Input and truth are equal here, and stay so whatever is done to their colours.
     assert np.allclose(values[:, :3], truth, atol=1e-5) and (values[:, 7] == 0.0).all()
-    assert len({picture.tobytes() for picture in truth}) > 4
+    assert len({image.tobytes() for image in truth}) > 4
 
 
 def test_exported_network_runs_in_the_simulator_and_gives_what_the_network_gives(tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Fills the holes of pictures: what a scan does not have is made up from what is around it, or by a network. Knows neither ROS nor OpenGL."""
+"""Fills the holes of images: what a scan does not have is made up from what is around it, or by a network. Knows neither ROS nor OpenGL."""

@@ -1,4 +1,4 @@
-"""What fills the holes of a camera's pictures, by the name that ``CameraSpec.fill`` gives it."""
+"""What fills the holes of a camera's images, by the name that ``CameraSpec.fill`` gives it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEARNED = Path(__file__).with_name("models") / "filler.onnx"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Filled:
-    """A picture without holes."""
+    """An image without holes."""
 
     colour: U8
     """(H, W, 3), sRGB."""
@@ -34,7 +34,7 @@ class Filler(Protocol):
     """Fills holes."""
 
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
-        """Returns a picture without holes.
+        """Returns an image without holes.
 
         Args:
             colour: (H, W, 3), sRGB, as drawn.

@@ -21,7 +21,7 @@ _ONE, _UNIT = np.float32(1.0), np.float32(1.0 / 255.0)
 
 
 def filled_colour(colour: U8, hole: U8) -> U8:
-    """Returns a picture, (H, W, 3) sRGB, with its holes closed by push-pull.
+    """Returns an image, (H, W, 3) sRGB, with its holes closed by push-pull.
 
     Args:
         colour: (H, W, 3), sRGB.
@@ -47,7 +47,7 @@ def network_input(colour: U8, depth: F32, normals: F32, hole: U8, *, loops: bool
 
 
 def packed(filled: U8, depth: F32, normals: F32, hole: U8, *, loops: bool = CAN_COMPILE) -> F32:
-    """Returns the same of a picture that is filled already; for arguments see ``network_input``."""
+    """Returns the same of an image that is filled already; for arguments see ``network_input``."""
     if loops:
         return _packed_loop(fixed(filled), fixed(depth), fixed(normals), fixed(hole))
     out = np.zeros((1, CHANNELS, *hole.shape), dtype=np.float32)

@@ -21,7 +21,7 @@ from gibson_sim.quoting import quoted
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 MULTIPLE = 16
-"""Pictures are widened to multiples of this many pixels for our networks."""
+"""Images are widened to multiples of this many pixels for our networks."""
 VERSION = "1"
 """Value of ``gibson_filler`` in the metadata of a file: the version of its input."""
 _LEAST_INVERSE = np.float32(1e-3)
@@ -32,7 +32,7 @@ _CONTRACTS = (
 )
 
 
-def open_network(file: Path) -> OurNetwork | MiGanPipeline | MiGanGenerator:
+def open_network(file: Path) -> GibsonNetwork | MiGanPipeline | MiGanGenerator:
     """Returns the network in a file, by the shapes of its inputs.
 
     Raises:
@@ -49,7 +49,7 @@ def open_network(file: Path) -> OurNetwork | MiGanPipeline | MiGanGenerator:
                 f"{file} was made for version {quoted(version)} of the filler, this is {VERSION}; train or fetch it anew"
             )
         if _fits((outputs[0].type, tuple(outputs[0].shape)), "tensor(float)", 3):
-            return OurNetwork(file, session)
+            return GibsonNetwork(file, session)
     elif names == ["image", "mask"] and _fits(kinds[0], "tensor(uint8)", 3) and _fits(kinds[1], "tensor(uint8)", 1):
         return MiGanPipeline(file, session)
     elif len(kinds) == 1 and _fits(kinds[0], "tensor(float)", 4):
@@ -62,16 +62,21 @@ def open_network(file: Path) -> OurNetwork | MiGanPipeline | MiGanGenerator:
 
 def _fits(value: tuple[str, tuple[Any, ...]], kind: str, channels: int) -> bool:
     """Returns whether an input or output has an element type and four dimensions with so many channels."""
-    return value[0] == kind and len(value[1]) == 4 and value[1][1] == channels and value[1][0] in (1, None, *_texts(value[1][:1]))
+    return (
+        value[0] == kind
+        and len(value[1]) == 4
+        and value[1][1] == channels
+        and value[1][0] in (1, None, *_named_sizes(value[1][:1]))
+    )
 
 
-def _texts(sizes: tuple[Any, ...]) -> tuple[str, ...]:
+def _named_sizes(sizes: tuple[Any, ...]) -> tuple[str, ...]:
     """Returns the sizes that are free and have a name."""
     return tuple(size for size in sizes if isinstance(size, str))
 
 
-class OurNetwork:
-    """A network of ours: it corrects the whole picture, and fills depth too if it has a second output."""
+class GibsonNetwork:
+    """A network of ours: it corrects the whole image, and fills depth too if it has a second output."""
 
     def __init__(self, file: Path, session: Any) -> None:
         self._file, self._session = file, session
@@ -105,7 +110,7 @@ class MiGanPipeline:
     def fill(self, colour: U8, depth: F32, normals: F32, hole: U8, *, with_depth: bool) -> Filled:
         """As in ``Filler``."""
 
-        def painted() -> U8:
+        def inpainted() -> U8:
             known = np.where(is_hole(hole), 0, 255).astype(np.uint8)
             feeds = {"image": np.ascontiguousarray(colour.transpose(2, 0, 1))[None], "mask": known[None, None]}
             image = run(self._session, self._file, feeds)[0]
@@ -113,7 +118,7 @@ class MiGanPipeline:
                 raise _wrong_output(self._file, image, (1, 3, *hole.shape), "uint8")
             return np.asarray(image[0].transpose(1, 2, 0), dtype=np.uint8)
 
-        return _composed(painted, colour, depth, hole, with_depth=with_depth)
+        return _composed(inpainted, colour, depth, hole, with_depth=with_depth)
 
 
 class MiGanGenerator:
@@ -127,7 +132,7 @@ class MiGanGenerator:
         """As in ``Filler``."""
         size = (self._side, self._side)
 
-        def painted() -> U8:
+        def inpainted() -> U8:
             known = cv2.resize((hole == SURFACE).astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
             small = cv2.resize(colour, size, interpolation=cv2.INTER_LINEAR).astype(np.float32) / 127.5 - 1.0
             values = np.concatenate([known[None] - 0.5, small.transpose(2, 0, 1) * known]).astype(np.float32)[None]
@@ -135,18 +140,18 @@ class MiGanGenerator:
             large = cv2.resize(_bytes(0.5 * image + 0.5), (hole.shape[1], hole.shape[0]), interpolation=cv2.INTER_LINEAR)
             return np.asarray(large, dtype=np.uint8)
 
-        return _composed(painted, colour, depth, hole, with_depth=with_depth)
+        return _composed(inpainted, colour, depth, hole, with_depth=with_depth)
 
 
-def _composed(painted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, with_depth: bool) -> Filled:
-    """Returns a picture whose holes alone are painted; a picture without any is not."""
+def _composed(inpainted: Callable[[], U8], colour: U8, depth: F32, hole: U8, *, with_depth: bool) -> Filled:
+    """Returns an image of which only holes are inpainted; without holes, a copy."""
     holes = is_hole(hole)
-    out = np.where(holes[:, :, None], painted(), colour) if holes.any() else colour.copy()
+    out = np.where(holes[:, :, None], inpainted(), colour) if holes.any() else colour.copy()
     return Filled(out, push_pull_depth(depth, holes) if with_depth else None)
 
 
 def _bytes(image: F32) -> U8:
-    """Returns planes (3, H, W), 0 to 1, as a picture (H, W, 3)."""
+    """Returns planes (3, H, W), 0 to 1, as an image (H, W, 3)."""
     return np.ascontiguousarray(np.rint(np.clip(image, 0.0, 1.0) * np.float32(255.0)).astype(np.uint8).transpose(1, 2, 0))
 
 

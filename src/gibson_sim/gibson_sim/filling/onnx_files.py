@@ -1,4 +1,4 @@
-"""Opens ONNX files of strangers with onnxruntime: nothing is read but the file itself, every failure is one line."""
+"""Opens untrusted ONNX files with onnxruntime: nothing is read but the file itself, every failure is one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.reading import read_file
 MAX_BYTES = 256 << 20
 """Largest file that is read. LaMa, the largest inpainting network in wide use, has 208 MB; MI-GAN has 28 MB."""
 THREADS = 2
-"""Threads of a network. A fixed number, so that pictures do not depend on how many cores there are."""
+"""Threads of a network. A fixed number, so that images do not depend on how many cores there are."""
 INSTALL = "pip install gibson-sim[filler]"
 _MAX_DEPTH = 60
 """Messages within messages: subgraphs of nodes of subgraphs."""

@@ -35,7 +35,7 @@ def push_pull(values: NDArray[Value], hole: Bools, known: Bools | None = None) -
 
 
 def push_pull_depth(depth: F32, hole: Bools) -> F32:
-    """Returns a copy of a depth image with its holes filled; planes stay planes, since inverse depth is linear in the picture of a plane.
+    """Returns a copy of a depth image with its holes filled; planes stay planes, since inverse depth is linear in the image of a plane.
 
     Args:
         depth: (H, W), metres, above 0, +inf or NaN = nothing.

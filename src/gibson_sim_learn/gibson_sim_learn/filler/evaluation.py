@@ -19,17 +19,17 @@ from gibson_sim.filling.inputs import filled_colour
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.maps.paths import PathPlanner
 from gibson_sim.types import Frame
-from gibson_sim_learn.filler.pairs import Pairs, Places, camera_at, depth_of, drawn_pairs, is_hole, normals_of
+from gibson_sim_learn.filler.pairs import Pairs, ScannedScene, camera_at, depth_of, drawn_pairs, is_hole, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring, warped
 from gibson_sim_learn.path_following.data import ROBOT_RADIUS, DataSettings, draw_path, shard_rng
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
-Way = Callable[[U8, F32, F32, U8], U8]
-"""Fills: colours (H, W, 3), depth (H, W), normals (H, W, 3), hole (H, W), as of ``Frame``, to colours."""
+FillMethod = Callable[[U8, F32, F32, U8], U8]
+"""Takes colours (H, W, 3), depth (H, W), normals (H, W, 3) and hole (H, W) of a ``Frame``; returns filled colours."""
 
 CLASSICAL = ("telea", "navier_stokes", "push_pull")
-"""Ways to fill that need no training."""
+"""Methods that need no training."""
 _INPAINT_PX = 3.0
 """Radius of OpenCV's two."""
 _HEIGHT, _FOV = 0.46, 1.2
@@ -40,25 +40,25 @@ _ROWS = 10
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """How much pictures change from one to the next beyond what moves in them, of 255: mean absolute difference."""
+    """How much images change from one to the next beyond what moves in them, of 255: mean absolute difference."""
 
     all: float
     holes: float
-    """In holes of the later picture."""
+    """In holes of the later image."""
 
 
-def ways_of(model: Path) -> dict[str, Way]:
-    """Returns by name what is compared: ``nothing`` leaves a picture as it is, ``learned`` is a network in a file.
+def fill_methods(model: Path) -> dict[str, FillMethod]:
+    """Returns by name what is compared: ``nothing`` leaves an image as it is, ``learned`` is a network in a file.
 
     Raises:
         ConfigError: the model is none.
     """
 
-    def inpainted(method: int) -> Way:
-        def way(colour: U8, depth: F32, normals: F32, hole: U8) -> U8:
+    def inpainted(method: int) -> FillMethod:
+        def filled(colour: U8, depth: F32, normals: F32, hole: U8) -> U8:
             return np.asarray(cv2.inpaint(colour, is_hole(hole).astype(np.uint8), _INPAINT_PX, method), dtype=np.uint8)
 
-        return way
+        return filled
 
     filler = open_filler(str(model))
     return {
@@ -71,38 +71,40 @@ def ways_of(model: Path) -> dict[str, Way]:
 
 
 def scores_of(
-    pairs: Sequence[Pairs], ways: Mapping[str, Way], every: int = 1, progress: Callable[[str], None] = lambda text: None
+    pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], every: int = 1, progress: Callable[[str], None] = lambda text: None
 ) -> dict[str, Score]:
-    """Returns the score of each way on all views of some shards, or on one of so many."""
-    gathered = {name: Scoring() for name in ways}
+    """Returns the score of each method on all views of some shards, or on one of so many."""
+    gathered = {name: Scoring() for name in methods}
     for number, part in enumerate(pairs):
         for k in range(0, len(part.hole), every):
-            colour, depth, normals, hole = view_of(part, k)
-            for name, way in ways.items():
-                gathered[name].add(way(colour, depth, normals, hole), part.truth[k], is_hole(hole))
+            colour, depth, normals, hole = view_arrays(part, k)
+            for name, method in methods.items():
+                gathered[name].add(method(colour, depth, normals, hole), part.truth[k], is_hole(hole))
             progress(f"scores: view {k + 1} of {len(part.hole)}, shard {number + 1} of {len(pairs)}")
     return {name: scoring.score() for name, scoring in gathered.items()}
 
 
-def flicker_of(places: Places, ways: Mapping[str, Way], seed: int, frames: int) -> dict[str, Flicker]:
-    """Returns the flicker of each way, and of the true pictures, ``truth``, on a drive of 5 cm from picture to picture.
+def flicker_of(scanned: ScannedScene, methods: Mapping[str, FillMethod], seed: int, frames: int) -> dict[str, Flicker]:
+    """Returns the flicker of each method, and of the true images, ``truth``, on a drive of 5 cm from image to image.
 
-    The picture before is warped by the true depth, where both show the same surface.
+    The image before is warped by the true depth, where both show the same surface.
     """
-    rng = shard_rng(f"drive {seed} {places.scene.name}")
-    path = draw_path(places.floor, PathPlanner(places.floor, ROBOT_RADIUS + 0.08), rng, DataSettings())[:frames]
+    rng = shard_rng(f"drive {seed} {scanned.scene.name}")
+    path = draw_path(scanned.floor, PathPlanner(scanned.floor, ROBOT_RADIUS + 0.08), rng, DataSettings())[:frames]
     cameras = [
-        camera_at(pose_from_xyz_rpy((x, y, places.scene.floor_z), (0.0, 0.0, yaw)), _HEIGHT, 0.0, _FOV)
+        camera_at(pose_from_xyz_rpy((x, y, scanned.scene.floor_z), (0.0, 0.0, yaw)), _HEIGHT, 0.0, _FOV)
         for x, y, yaw in path.tolist()
     ]
-    names = (*ways, "truth")
+    names = (*methods, "truth")
     sums = {name: np.zeros(2) for name in names}
     counts = np.zeros(2)
     before: tuple[Frame, dict[str, U8]] | None = None
-    for scan, clean in drawn_pairs(places, cameras):
+    for scan, clean in drawn_pairs(scanned, cameras):
         assert scan.rgb is not None and scan.depth is not None and scan.normal is not None and scan.hole is not None
         assert clean.rgb is not None and clean.depth is not None
-        pictures = {name: way(scan.rgb, scan.depth, scan.normal, scan.hole) for name, way in ways.items()} | {"truth": clean.rgb}
+        images = {name: method(scan.rgb, scan.depth, scan.normal, scan.hole) for name, method in methods.items()} | {
+            "truth": clean.rgb
+        }
         if before is not None:
             last, others = before
             assert last.depth is not None
@@ -110,28 +112,28 @@ def flicker_of(places: Places, ways: Mapping[str, Way], seed: int, frames: int) 
                 moved, known = warped(
                     others[name], clean.T_world_camera, clean.camera.intrinsics(), clean.depth, last.T_world_camera, last.depth
                 )
-                change = np.abs(moved.astype(np.float64) - pictures[name]).mean(axis=2)
+                change = np.abs(moved.astype(np.float64) - images[name]).mean(axis=2)
                 regions = (known, known & is_hole(scan.hole))
                 sums[name] += [change[region].sum() for region in regions]
             counts += [region.sum() for region in regions]
-        before = clean, pictures
+        before = clean, images
     return {name: Flicker(*(sums[name] / np.maximum(counts, 1)).tolist()) for name in names}
 
 
-def sheet(pairs: Sequence[Pairs], ways: Mapping[str, Way], seed: int) -> U8:
-    """Returns a picture, RGB: in each row a view of the scan, filled by push-pull, by the network, and the truth; views by the seed."""
+def sheet(pairs: Sequence[Pairs], methods: Mapping[str, FillMethod], seed: int) -> U8:
+    """Returns an image, RGB: in each row a view of the scan, filled by push-pull, by the network, and the truth; views by the seed."""
     rng = np.random.default_rng(seed)
     views = [(part, k) for part in pairs for k in range(len(part.hole))]
     rows = []
     for number in rng.permutation(len(views))[:_ROWS].tolist():
         part, k = views[number]
-        given = view_of(part, k)
-        chosen = [ways[name](*given) for name in ("nothing", "push_pull", "learned")]
+        given = view_arrays(part, k)
+        chosen = [methods[name](*given) for name in ("nothing", "push_pull", "learned")]
         rows.append(np.concatenate([*chosen, part.truth[k]], axis=1))
     return np.concatenate(rows)
 
 
-def view_of(part: Pairs, k: int) -> tuple[U8, F32, F32, U8]:
+def view_arrays(part: Pairs, k: int) -> tuple[U8, F32, F32, U8]:
     """Returns colours, depth, normals and hole of a view, as of ``Frame``."""
     return np.array(part.drawn[k]), depth_of(part.depth_mm[k]), normals_of(part.normals[k]), np.array(part.hole[k])
 
@@ -162,8 +164,8 @@ def mean_flicker(found: Sequence[Mapping[str, Flicker]]) -> dict[str, Flicker]:
     }
 
 
-def is_worth(scores: Mapping[str, Score]) -> bool:
-    """Returns whether the network beats every classical way in holes, and nothing at all where the scan is seen, by PSNR."""
+def beats_baselines(scores: Mapping[str, Score]) -> bool:
+    """Returns whether the network beats every classical method in holes, and the unfilled image where the scan is seen, by PSNR."""
     learned = scores["learned"]
     return (
         learned.hole_psnr > max(scores[name].hole_psnr for name in CLASSICAL) and learned.seen_psnr > scores["nothing"].seen_psnr

@@ -52,7 +52,7 @@ def export_network(network: FillerNetwork, file: Path, settings: TrainingSetting
             buffer,
             input_names=["input"],
             output_names=["image"],
-            dynamic_axes={name: {0: "pictures", 2: "height", 3: "width"} for name in ("input", "image")},
+            dynamic_axes={name: {0: "images", 2: "height", 3: "width"} for name in ("input", "image")},
             opset_version=_OPSET,
             dynamo=False,
         )
@@ -93,7 +93,7 @@ def write_card(
     lines = [
         "# Card of the filler",
         "",
-        "- **What for**: closing the holes of indoor scans in pictures that the simulator draws, and mending their blur.",
+        "- **What for**: closing the holes of indoor scans in images that the simulator draws, and mending their blur.",
         "- **Not for**: measuring, or finding things: what is in a hole is invented.",
         f"- **Size**: {parameter_count(training.best)} weights, float32; {multiplications(training.best, 256) / 1e9:.2f} billion multiplications for "
         "256x256 pixels.",
@@ -113,7 +113,7 @@ def write_card(
 
 
 class _Exported(nn.Module):
-    """The network with a clipped picture."""
+    """The network with a clipped image."""
 
     def __init__(self, network: FillerNetwork) -> None:
         super().__init__()

@@ -1,7 +1,7 @@
-"""The network of the filler: a small U-Net at half size that corrects pictures whose holes push-pull has closed.
+"""The network of the filler: a small U-Net at half size that corrects images whose holes push-pull has closed.
 
 Four pixels become channels of one at the entrance, and again pixels at the exit. At the bottom, an eighth of the size, dilated layers see
-from one side of a large hole to the other. No layer looks at the statistics of a whole picture, so that pictures of every size are treated alike.
+from one side of a large hole to the other. No layer looks at the statistics of a whole image, so that images of every size are treated alike.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ class FillerNetwork(nn.Module):
         nn.init.zeros_(self.exit.bias)
 
     def forward(self, values: Tensor) -> Tensor:
-        """Returns pictures (B, 3, H, W), sRGB, about 0 to 1, not clipped."""
+        """Returns images (B, 3, H, W), sRGB, about 0 to 1, not clipped."""
         half = self.entrance(functional.pixel_unshuffle(values, 2))
         quarter = self.down_quarter(half)
         eighth = self.down_eighth(quarter)
         quarter = self.join_quarter(torch.cat([quarter, _twice(self.to_quarter(eighth))], dim=1))
         half = self.join_half(torch.cat([half, _twice(self.to_half(quarter))], dim=1))
-        picture: Tensor = values[:, :3] + functional.pixel_shuffle(self.exit(half), 2)
-        return picture
+        image: Tensor = values[:, :3] + functional.pixel_shuffle(self.exit(half), 2)
+        return image
 
 
 def parameter_count(network: nn.Module) -> int:
@@ -52,7 +52,7 @@ def parameter_count(network: nn.Module) -> int:
 
 
 def multiplications(network: nn.Module, side: int) -> int:
-    """Returns the number of multiplications of a picture of a square size, pixels."""
+    """Returns the number of multiplications of an image of a square size, pixels."""
     total = 0
 
     def count(layer: nn.Module, _inputs: object, output: Tensor) -> None:

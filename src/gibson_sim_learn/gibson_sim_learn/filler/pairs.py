@@ -48,13 +48,13 @@ HEIGHTS = (0.2, 1.5)
 FIELDS_OF_VIEW = (math.radians(35.0), math.radians(100.0))
 """Narrow ones are like parts of larger images."""
 _PITCHES = (math.radians(-25.0), math.radians(25.0))
-_MOST_HOLE = 0.7
+_MAX_HOLE_SHARE = 0.7
 """Views with a larger share of holes are left out."""
-_NEAREST = 0.25
+_MIN_DEPTH = 0.25
 """Views are left out that see something nearer than this in more than a tenth of their pixels, metres."""
-_TOGETHER = 16
+_BATCH = 16
 """Images that are drawn side by side."""
-_MOST_TRIED = 12
+_MAX_TRIES = 12
 """Poses that are tried for each view of a shard, at most."""
 _NORMAL_STEPS = 127.0
 _DIGEST = "digest.txt"
@@ -80,7 +80,7 @@ class Pairs:
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class ScannedScene:
     """A scene, its scan, and where cameras may be."""
 
     scene: SceneSpec
@@ -90,7 +90,7 @@ class Places:
     """Of the scene's main storey, with cells of 5 cm."""
 
     @classmethod
-    def load(cls, name: str, scan: Path) -> Places:
+    def load(cls, name: str, scan: Path) -> ScannedScene:
         """Returns a scene by name, with the scan in a folder."""
         scene = replace(load_scene(name), robots=())
         floor = scene_floor_map(scene, robot_height=BODY_HEIGHT)
@@ -118,39 +118,42 @@ def make_pairs(
     missing = [number for number in range(count) if not (folder / shard_name(scene, number)).is_dir()]
     if not missing:
         return
-    places = Places.load(scene, scan)
+    scanned = ScannedScene.load(scene, scan)
     for number in missing:
         progress(f"pairs: {shard_name(scene, number)}, {count} shards of this scene")
-        save_pairs(folder / shard_name(scene, number), draw_pairs(places, seed, number))
+        save_pairs(folder / shard_name(scene, number), draw_pairs(scanned, seed, number))
 
 
-def draw_pairs(places: Places, seed: int, number: int, *, views: int = VIEWS) -> Pairs:
+def draw_pairs(scanned: ScannedScene, seed: int, number: int, *, views: int = VIEWS) -> Pairs:
     """Returns a shard; equal arguments give equal pairs.
 
     Raises:
         ConfigError: too few views see enough of the scan.
     """
-    rng = shard_rng(f"filler {seed} {places.scene.name} {number}")
+    rng = shard_rng(f"filler {seed} {scanned.scene.name} {number}")
     kept: list[tuple[Frame, Frame]] = []
     tried = 0
     while len(kept) < views:
-        if tried >= _MOST_TRIED * views:
+        if tried >= _MAX_TRIES * views:
             raise ConfigError(
-                f"scene {places.scene.name}: only {len(kept)} of {tried} views see enough of its scan; scan it with more frames"
+                f"scene {scanned.scene.name}: only {len(kept)} of {tried} views see enough of its scan; scan it with more frames"
             )
-        cameras = _cameras(places, rng, max(_TOGETHER, views - len(kept)))
-        kept += [pair for pair in drawn_pairs(places, cameras) if _is_useful(*pair)]
+        cameras = _cameras(scanned, rng, max(_BATCH, views - len(kept)))
+        kept += [pair for pair in drawn_pairs(scanned, cameras) if _is_useful(*pair)]
         tried += len(cameras)
     return _packed(kept[:views])
 
 
-def drawn_pairs(places: Places, cameras: Sequence[CameraSpec]) -> Iterator[tuple[Frame, Frame]]:
+def drawn_pairs(scanned: ScannedScene, cameras: Sequence[CameraSpec]) -> Iterator[tuple[Frame, Frame]]:
     """Yields for each camera its frame of the scan and that of the scene: colours, depth, normals and holes of both."""
-    scene = drawn_scene(places.scene, tuple(f"{body.name}/{link}" for body in places.scene.bodies for link in body.links))
-    state, still = _standing(places.scene, scene.links), SceneState.still()
-    with Renderer(scene, cache=default_folder()) as clean, Renderer(drawn_scene(places.scan, ()), cache=default_folder()) as scan:
-        for first in range(0, len(cameras), _TOGETHER):
-            some = cameras[first : first + _TOGETHER]
+    scene = drawn_scene(scanned.scene, tuple(f"{body.name}/{link}" for body in scanned.scene.bodies for link in body.links))
+    state, still = _standing(scanned.scene, scene.links), SceneState.still()
+    with (
+        Renderer(scene, cache=default_folder()) as clean,
+        Renderer(drawn_scene(scanned.scan, ()), cache=default_folder()) as scan,
+    ):
+        for first in range(0, len(cameras), _BATCH):
+            some = cameras[first : first + _BATCH]
             yield from zip(scan.render(still, some), clean.render(state, some), strict=True)
 
 
@@ -238,15 +241,15 @@ def is_hole(hole: U8) -> NDArray[np.bool_]:
     return np.asarray((hole == NOTHING) | (hole == BACK_FACE))
 
 
-def _cameras(places: Places, rng: np.random.Generator, count: int) -> list[CameraSpec]:
-    poses = random_free_poses(places.floor, count, rng, clearance=ROBOT_RADIUS)
+def _cameras(scanned: ScannedScene, rng: np.random.Generator, count: int) -> list[CameraSpec]:
+    poses = random_free_poses(scanned.floor, count, rng, clearance=ROBOT_RADIUS)
     return [camera_at(pose, rng.uniform(*HEIGHTS), rng.uniform(*_PITCHES), rng.uniform(*FIELDS_OF_VIEW)) for pose in poses]
 
 
 def _is_useful(scan: Frame, clean: Frame) -> bool:
     assert scan.hole is not None and clean.depth is not None and clean.hole is not None
     inside = bool((clean.hole == BACK_FACE).mean() < 0.02)  # a camera within furniture sees its back faces
-    return inside and float(is_hole(scan.hole).mean()) <= _MOST_HOLE and float((clean.depth < _NEAREST).mean()) <= 0.1
+    return inside and float(is_hole(scan.hole).mean()) <= _MAX_HOLE_SHARE and float((clean.depth < _MIN_DEPTH).mean()) <= 0.1
 
 
 def _packed(frames: Sequence[tuple[Frame, Frame]]) -> Pairs:

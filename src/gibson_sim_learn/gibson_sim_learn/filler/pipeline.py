@@ -16,15 +16,15 @@ from gibson_sim.quoting import quoted
 from gibson_sim_learn.filler.evaluation import (
     Flicker,
     as_json,
+    beats_baselines,
+    fill_methods,
     flicker_of,
-    is_worth,
     mean_flicker,
     scores_of,
     sheet,
     table,
-    ways_of,
 )
-from gibson_sim_learn.filler.pairs import Places, data_hash, load_pairs, make_pairs
+from gibson_sim_learn.filler.pairs import ScannedScene, data_hash, load_pairs, make_pairs
 from gibson_sim_learn.filler.scans import TEXTURED, make_scan
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
@@ -46,7 +46,7 @@ class Trained:
     size: int
     """Of the model, bytes."""
     summary: str
-    """How near its pictures are to the truth."""
+    """How near its images are to the truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,30 +126,32 @@ def evaluate(
         scenes: that judge.
         model: the network.
         settings: on how much.
-        sheet_file: picture of examples; None = none.
+        sheet_file: image of examples; None = none.
         progress: called with one line now and then.
 
     Raises:
         GibsonSimError: the model is none, pairs are missing, or nothing can be drawn here.
     """
-    ways = ways_of(model)
+    methods = fill_methods(model)
     pairs = load_pairs(folder / PAIRS, scenes)
-    scores = scores_of(pairs, ways, settings.every, progress)
+    scores = scores_of(pairs, methods, settings.every, progress)
     flicker: dict[str, Flicker] = {}
     if settings.drive:
         found = []
         for scene in scenes:
             progress(f"flicker: {scene}")
-            found.append(flicker_of(Places.load(scene, folder / SCANS / scene / TEXTURED), ways, settings.seed, settings.drive))
+            found.append(
+                flicker_of(ScannedScene.load(scene, folder / SCANS / scene / TEXTURED), methods, settings.seed, settings.drive)
+            )
         flicker = mean_flicker(found)
     if sheet_file is not None:
-        write_picture(sheet_file, sheet(pairs, ways, settings.seed)[..., ::-1])
+        write_picture(sheet_file, sheet(pairs, methods, settings.seed)[..., ::-1])
     values: dict[str, Any] = {
         "scenes": list(scenes),
         "views": sum(len(range(0, len(part.hole), settings.every)) for part in pairs),
         "data": data_hash(folder / PAIRS, scenes),
         "scores": as_json(scores),
         "flicker": as_json(flicker),
-        "worth": is_worth(scores),
+        "beats_baselines": beats_baselines(scores),
     }
     return Evaluated(table(scores, flicker), values)

@@ -1,4 +1,4 @@
-"""How near filled pictures are to the truth: PSNR and SSIM in holes and where the scan is seen, GMSD, flicker.
+"""How near filled images are to the truth: PSNR and SSIM in holes and where the scan is seen, GMSD, flicker.
 
 GMSD, the deviation of the similarity of gradients (Xue, Zhang, Mou and Bovik, IEEE TIP 2014), stands for what people see: it falls with
 blur and with edges that are not there. It needs no weights.
@@ -31,17 +31,17 @@ _NEARBY = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How near pictures are to the truth."""
+    """How near images are to the truth."""
 
     hole_psnr: float
-    """dB, of the mean squared error of all pixels in holes, of all pictures together."""
+    """dB, of the mean squared error of all pixels in holes, of all images together."""
     seen_psnr: float
     """dB, of all other pixels."""
     hole_ssim: float
     """Mean of the map of SSIM in holes."""
     seen_ssim: float
     gmsd: float
-    """Mean over the pictures; 0 = equal."""
+    """Mean over the images; 0 = equal."""
 
     def __str__(self) -> str:
         return (
@@ -51,23 +51,23 @@ class Score:
 
 
 class Scoring:
-    """Gathers pictures."""
+    """Gathers images."""
 
     def __init__(self) -> None:
         # Rows: in holes, where seen. Columns: pixels, squared error, SSIM.
         self._sums = np.zeros((2, 3))
         self._gmsd: list[float] = []
 
-    def add(self, picture: U8, truth: U8, hole: Bools) -> None:
-        """Adds a picture (H, W, 3), its truth, and where it has holes."""
-        error = ((picture.astype(np.float64) - truth) ** 2).mean(axis=2)
-        alike = ssim_map(picture, truth)
+    def add(self, image: U8, truth: U8, hole: Bools) -> None:
+        """Adds an image (H, W, 3), its truth, and where it has holes."""
+        error = ((image.astype(np.float64) - truth) ** 2).mean(axis=2)
+        alike = ssim_map(image, truth)
         for row, region in zip(self._sums, (hole, ~hole), strict=True):
             row += (region.sum(), error[region].sum(), alike[region].sum())
-        self._gmsd.append(gmsd(picture, truth))
+        self._gmsd.append(gmsd(image, truth))
 
     def score(self) -> Score:
-        """Returns the score of all pictures so far, at least one; NaN for what they have no pixels of."""
+        """Returns the score of all images so far, at least one; NaN for what they have no pixels of."""
         (hole_psnr, hole_ssim), (seen_psnr, seen_ssim) = (
             (_psnr(error / pixels), alike / pixels) if pixels else (math.nan, math.nan)
             for pixels, error, alike in self._sums.tolist()
@@ -76,7 +76,7 @@ class Scoring:
 
 
 def ssim_map(a: U8, b: U8) -> F64:
-    """Returns the structural similarity of the luma of two pictures for each pixel, (H, W), -1 to 1."""
+    """Returns the structural similarity of the luma of two images for each pixel, (H, W), -1 to 1."""
     x, y = (image @ _LUMA for image in (a, b))
 
     def mean(values: F64) -> F64:
@@ -88,17 +88,17 @@ def ssim_map(a: U8, b: U8) -> F64:
 
 
 def gmsd(a: U8, b: U8) -> float:
-    """Returns the deviation of the similarity of gradients of two pictures, of even size; 0 = equal."""
+    """Returns the deviation of the similarity of gradients of two images, of even size; 0 = equal."""
     one, other = (_gradients(image) for image in (a, b))
     similar = (2.0 * one * other + _GMSD_C) / (one * one + other * other + _GMSD_C)
     return float(similar.std())
 
 
-def warped(picture: U8, T_world_camera: F64, matrix: F64, depth: F32, other_T: F64, other_depth: F32) -> tuple[U8, Bools]:
-    """Returns another camera's picture as seen by this camera, and where that is known: where both see the same surface.
+def warped(image: U8, T_world_camera: F64, matrix: F64, depth: F32, other_T: F64, other_depth: F32) -> tuple[U8, Bools]:
+    """Returns another camera's image as seen by this camera, and where that is known: where both see the same surface.
 
     Args:
-        picture: (H, W, 3), of the other camera.
+        image: (H, W, 3), of the other camera.
         T_world_camera: (4, 4), optical frame of this camera.
         matrix: K of both, (3, 3).
         depth: (H, W), true depth of this camera, metres.
@@ -118,11 +118,11 @@ def warped(picture: U8, T_world_camera: F64, matrix: F64, depth: F32, other_T: F
     inside = finite & (there > 0.0) & (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     seen = cv2.remap(np.where(np.isfinite(other_depth), other_depth, 0.0).astype(np.float32), x, y, cv2.INTER_NEAREST)
     known = inside & (np.abs(seen - there) <= _NEARBY * there)
-    return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR), dtype=np.uint8), np.asarray(known)
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), dtype=np.uint8), np.asarray(known)
 
 
 def _gradients(image: U8) -> F64:
-    """Returns the magnitudes of the gradients of half the picture's luma."""
+    """Returns the magnitudes of the gradients of half the image's luma."""
     luma = cv2.resize(image @ _LUMA, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
     across = np.repeat([[1.0, 0.0, -1.0]], 3, axis=0) / 3.0
     x, y = (cv2.filter2D(luma, cv2.CV_64F, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in (across, across.T))

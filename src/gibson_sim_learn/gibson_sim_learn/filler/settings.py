@@ -12,10 +12,10 @@ from gibson_sim.settings import check_settings, setting
 class PairsSettings:
     """How scenes are scanned, and how many views are drawn."""
 
-    seed: int = setting(0, "Of scans and views", minimum=0, maximum=2**63 - 2)
-    shards: int = setting(8, "Shards of each training scene, of 128 views each; others have two", minimum=1, maximum=999)
-    frames: int = setting(200, "Most images of a scan", minimum=20, maximum=100_000)
-    triangles: int = setting(150_000, "Of the mesh of a scan", minimum=1000, maximum=10_000_000)
+    seed: int = setting(0, "Random seed of scans and views", minimum=0, maximum=2**63 - 2)
+    shards: int = setting(8, "Shards of 128 views for each training scene; other scenes have two", minimum=1, maximum=999)
+    frames: int = setting(200, "Largest number of images of a scan", minimum=20, maximum=100_000)
+    triangles: int = setting(150_000, "Triangles of the mesh of a scan", minimum=1000, maximum=10_000_000)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -25,16 +25,14 @@ class PairsSettings:
 class TrainingSettings:
     """How long and how the network is trained."""
 
-    seed: int = setting(0, "Of the network and the order of the examples", minimum=0, maximum=2**63 - 1)
-    iterations: int = setting(60_000, "Steps of the optimiser", minimum=1, maximum=10_000_000)
-    batch: int = setting(8, "Cuttings of views in a step", minimum=1, maximum=4096)
-    crop: int = setting(128, "Edge of a cutting, a multiple of 16", unit="px", minimum=32, maximum=256)
-    learning_rate: float = setting(
-        0.001, "Largest step size; it rises at the start and falls to 0 along a cosine", minimum=1e-6, maximum=1.0
-    )
-    weight_decay: float = setting(0.001, "Of AdamW", minimum=0.0, maximum=1.0)
+    seed: int = setting(0, "Random seed of the network and of the order of the examples", minimum=0, maximum=2**63 - 1)
+    iterations: int = setting(60_000, "Optimiser steps", minimum=1, maximum=10_000_000)
+    batch: int = setting(8, "Crops of views in a step", minimum=1, maximum=4096)
+    crop: int = setting(128, "Edge of a crop, a multiple of 16", unit="px", minimum=32, maximum=256)
+    learning_rate: float = setting(0.001, "Peak learning rate: a warm-up, then a cosine decay to 0", minimum=1e-6, maximum=1.0)
+    weight_decay: float = setting(0.001, "Weight decay of AdamW", minimum=0.0, maximum=1.0)
     evaluate_every: int = setting(
-        1000, "Iterations between two points of the curve, and between two checkpoints", minimum=1, maximum=100_000
+        1000, "Iterations between two evaluations, and between two checkpoints", minimum=1, maximum=100_000
     )
 
     def __post_init__(self) -> None:
@@ -47,9 +45,9 @@ class TrainingSettings:
 class EvaluationSettings:
     """On how much fillers are compared."""
 
-    seed: int = setting(0, "Of drives, and of the views of the sheet", minimum=0, maximum=2**63 - 1)
-    every: int = setting(1, "Only one of so many views counts", minimum=1, maximum=128)
-    drive: int = setting(60, "Pictures of a drive in each scene, for flicker; 0 = none", minimum=0, maximum=280)
+    seed: int = setting(0, "Random seed of drives and of the views of the contact sheet", minimum=0, maximum=2**63 - 1)
+    every: int = setting(1, "Use every N-th view", minimum=1, maximum=128)
+    drive: int = setting(60, "Images of a drive in each scene, for flicker; 0 = none", minimum=0, maximum=280)
 
     def __post_init__(self) -> None:
         check_settings(self)

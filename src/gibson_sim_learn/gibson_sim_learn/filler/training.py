@@ -34,16 +34,16 @@ _SOFT = 0.05
 _HOLES = 1.0
 """How much more pixels in holes count."""
 _EDGES, _SCALES = 0.5, (1, 2, 4)
-"""Weight of the differences of neighbours relative to that of the pixels; sizes of the pictures that they are taken in."""
+"""Weight of the differences of neighbours relative to that of the pixels; sizes of the images that they are taken in."""
 _GAINS = (0.65, 1.15)
-"""Factors on each colour of a cutting, for variety."""
+"""Factors on each colour of a crop, for variety."""
 _REORDERED = 0.3
-"""Probability that a cutting has its red, green and blue exchanged, for variety."""
+"""Probability that a crop has its red, green and blue exchanged, for variety."""
 
 
 @dataclass(frozen=True, slots=True)
 class FillerPoint(CurvePoint):
-    """How near pictures are to the truth."""
+    """How near images are to the truth."""
 
     hole_psnr: float
     """dB."""
@@ -97,7 +97,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
 
     @property
     def best_point(self) -> FillerPoint:
-        """The point of the curve, which has one at least, with the best pictures of the validation scenes."""
+        """The point of the curve, which has one at least, with the best images of the validation scenes."""
         return max(self.curve, key=lambda point: point.rank)
 
     def run(
@@ -130,11 +130,11 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
         self._train(self.settings.iterations, loss, point, progress, after_point=after_point)
 
     def fill(self, values: F32) -> U8:
-        """Returns a picture (H, W, 3) of an input (1, 9, H, W)."""
+        """Returns an image (H, W, 3) of an input (1, 9, H, W)."""
         with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
             found = self.mean(torch.from_numpy(values).contiguous(memory_format=torch.channels_last))
-        picture = found.float()[0].permute(1, 2, 0).clamp(0.0, 1.0).mul(255.0).round()
-        return np.asarray(picture.to(torch.uint8).numpy())
+        image = found.float()[0].permute(1, 2, 0).clamp(0.0, 1.0).mul(255.0).round()
+        return np.asarray(image.to(torch.uint8).numpy())
 
     def _scored(self, pairs: Sequence[Pairs]) -> Score:
         scoring = Scoring()
@@ -176,7 +176,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
 
 
 def batch_of(data: Sequence[Pairs], rng: np.random.Generator, count: int, side: int) -> tuple[F32, F32]:
-    """Returns random cuttings of views: inputs (count, 9, side, side) and truth (count, 3, side, side), 0 to 1.
+    """Returns random crops of views: inputs (count, 9, side, side) and truth (count, 3, side, side), 0 to 1.
 
     Half of them are mirrored, and their colours are changed, input and truth alike.
     """
@@ -193,7 +193,7 @@ def _example(part: Pairs, rng: np.random.Generator, side: int) -> tuple[F32, F32
     def cut(images: NDArray[Any]) -> NDArray[Any]:
         return np.ascontiguousarray(images[view, top : top + side, left : left + side][:, ::step])
 
-    # A mirrored picture shows a mirrored world: its normals are mirrored, too.
+    # A mirrored image shows a mirrored world: its normals are mirrored, too.
     normals = normals_of(cut(part.normals))
     normals[:, :, 0] *= step
     values = packed(cut(part.filled), depth_of(cut(part.depth_mm)), normals, cut(part.hole))
@@ -205,10 +205,10 @@ def _example(part: Pairs, rng: np.random.Generator, side: int) -> tuple[F32, F32
 
 
 def loss_of(found: Tensor, truth: Tensor, hole: Tensor) -> Tensor:
-    """Returns the mean error of pictures (B, 3, H, W), and of differences of neighbours in several sizes, which keep edges sharp.
+    """Returns the mean error of images (B, 3, H, W), and of differences of neighbours in several sizes, which keep edges sharp.
 
     Args:
-        found: pictures.
+        found: images.
         truth: what they should be.
         hole: (B, 1, H, W), 1 = in a hole.
     """
