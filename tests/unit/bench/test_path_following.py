@@ -18,12 +18,12 @@ from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim_bench.cli import table2
 from gibson_sim_bench.path_following.plan import RunKey, Table2Plan, keys_of, seeds_of
 from gibson_sim_bench.path_following.report import report_page, report_text
-from gibson_sim_bench.path_following.runs import RunResult, SeeingThrough, kind_of, result_of, run_path
+from gibson_sim_bench.path_following.runs import GogglesDriver, RunResult, kind_of, result_of, run_path
 from gibson_sim_bench.path_following.store import Store
 from gibson_sim_bench.path_following.strips import examples, write_strips
 from gibson_sim_bench.path_following.table import Table2, cells_of, differences_of, paired_interval
 from gibson_sim_learn.path_following.cases import PathCase
-from gibson_sim_learn.path_following.drives import Sight, Tick, Trace
+from gibson_sim_learn.path_following.drives import Observation, Tick, Trace
 from support.scenes import write_room
 
 WALL = "  - {name: middle, box: [2.6, 0.2, 2.0], pose: {xyz: [-0.6, 0.0, 1.0]}, semantic_class: wall}\n"
@@ -121,12 +121,12 @@ def test_a_driver_sees_through_goggles_what_the_camera_did_not_show() -> None:
     class Looks:
         needs_view, place, state = True, None, "following"
 
-        def drive(self, sight: Sight) -> Velocity:
+        def drive(self, sight: Observation) -> Velocity:
             return Velocity(float(sight.view[0][0, 0, 0]), sight.stamp_ns)
 
-    driver = SeeingThrough(Looks(), lambda image: image + np.uint8(7))
+    driver = GogglesDriver(Looks(), lambda image: image + np.uint8(7))
     image = np.full((2, 2, 3), 3, np.uint8)
-    assert driver.drive(Sight(5, (image,), (0.0, 0.0, 0.0))) == Velocity(10.0, 5)
+    assert driver.drive(Observation(5, (image,), (0.0, 0.0, 0.0))) == Velocity(10.0, 5)
     assert image.max() == 3
 
 

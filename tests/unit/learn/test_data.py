@@ -13,7 +13,14 @@ from gibson_sim.maps.bodies import body_triangles
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.tasks.episode import item_body
-from gibson_sim_learn.path_following.clutter import FURNITURE, KINDS, OBSTACLES, random_furniture, random_obstacle, random_thing
+from gibson_sim_learn.path_following.clutter import (
+    FURNITURE_KINDS,
+    OBJECT_KINDS,
+    OBSTACLE_KINDS,
+    random_furniture,
+    random_object,
+    random_obstacle,
+)
 from gibson_sim_learn.path_following.data import (
     FREE_EDGES,
     Shard,
@@ -31,7 +38,7 @@ from gibson_sim_learn.path_following.data import (
 )
 from gibson_sim_learn.path_following.distances.obstacles import views_around
 from gibson_sim_learn.path_following.drawing import HFOV
-from gibson_sim_learn.path_following.layout import THINGS, ThingMaker
+from gibson_sim_learn.path_following.layout import OBJECT_MODELS, ItemMaker
 
 CELL = 0.05
 
@@ -115,8 +122,8 @@ def test_labels_of_a_distance_are_around_it_and_sum_to_one() -> None:
     assert labels[1, :, -1].tolist() == [1.0, 1.0], "as far as is looked: nothing is there"
 
 
-@pytest.mark.parametrize(("make", "expected"), [(random_thing, KINDS), (random_obstacle, OBSTACLES)])
-def test_random_things_stand_on_the_floor_and_are_none_of_table_2(make: ThingMaker, expected: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("make", "expected"), [(random_object, OBJECT_KINDS), (random_obstacle, OBSTACLE_KINDS)])
+def test_random_objects_stand_on_the_floor_and_are_none_of_table_2(make: ItemMaker, expected: tuple[str, ...]) -> None:
     kinds = set()
     for seed in range(80):
         item = make(np.random.default_rng(seed), f"thing_{seed}")
@@ -128,7 +135,7 @@ def test_random_things_stand_on_the_floor_and_are_none_of_table_2(make: ThingMak
         assert np.abs(corners[:, :2]).max() < 0.75
         kinds.add(item.model)
     assert kinds == set(expected)
-    assert kinds.isdisjoint(THINGS)
+    assert kinds.isdisjoint(OBJECT_MODELS)
 
 
 def test_random_furniture_stands_on_the_floor_and_is_none_of_table_2() -> None:
@@ -140,8 +147,8 @@ def test_random_furniture_stands_on_the_floor_and_is_none_of_table_2() -> None:
         assert 0.15 <= corners[:, 2].max() <= 2.1
         assert np.linalg.norm(np.ptp(corners[:, :2], axis=0)) < 2.5
         kinds.add(item.model)
-    assert kinds == set(FURNITURE)
-    assert kinds.isdisjoint(THINGS)
+    assert kinds == set(FURNITURE_KINDS)
+    assert kinds.isdisjoint(OBJECT_MODELS)
 
 
 def test_obstacles_are_seen_from_where_the_robot_fits_and_not_through_walls() -> None:

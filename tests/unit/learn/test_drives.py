@@ -13,21 +13,21 @@ import pytest
 from gibson_path_following.types import Place, Velocity
 from gibson_sim.errors import SceneError
 from gibson_sim_learn.path_following.cases import PathCase, draw_cases, greatest_turn
-from gibson_sim_learn.path_following.clutter import random_thing
+from gibson_sim_learn.path_following.clutter import random_object
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
 from gibson_sim_learn.path_following.drives import (
     BlindDriver,
+    Observation,
     OracleDriver,
     PathSite,
     RandomDriver,
     Recording,
-    Sight,
     follow,
     oracle_for,
     record,
 )
-from gibson_sim_learn.path_following.layout import THINGS, Layout, draw_layout
-from gibson_sim_learn.path_following.oracle import dense
+from gibson_sim_learn.path_following.layout import OBJECT_MODELS, Layout, draw_layout
+from gibson_sim_learn.path_following.oracle import resampled
 from support.scenes import write_room
 
 LINE = ((-1.3, -1.2), (1.2, -1.2), (1.2, 1.2))
@@ -56,7 +56,7 @@ class Steady:
     def __init__(self, linear: float) -> None:
         self.velocity = Velocity(linear, 0.0)
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         return self.velocity
 
 
@@ -144,32 +144,32 @@ def test_random_drives_are_random_by_their_seed(site: PathSite, recording: Recor
 
 
 def test_a_watcher_sees_images_and_commands(site: PathSite, recording: Recording) -> None:
-    seen: list[tuple[Sight, Velocity]] = []
+    seen: list[tuple[Observation, Velocity]] = []
     trace = follow(
         site,
         recording,
         lambda _: OracleDriver(recording.line),
         Conditions(),
         seed=0,
-        watch=lambda sight, velocity: seen.append((sight, velocity)),
+        on_tick=lambda observation, velocity: seen.append((observation, velocity)),
     )
     assert [velocity for _, velocity in seen] == [tick.command for tick in trace.ticks]
     assert seen[0][0].view[0].shape == (64, 96, 3)
 
 
-def test_moved_things_leave_the_path_free(site: PathSite, recording: Recording) -> None:
+def test_moved_objects_keep_their_clearance_from_the_path(site: PathSite, recording: Recording) -> None:
     layout = draw_layout(site.ground, recording.line, 3, 0, np.random.default_rng(0))
     assert 1 <= len(layout.moved) <= 3 and not layout.obstacles
-    points, _ = dense(recording.line)
+    points, _ = resampled(recording.line)
     assert (layout.floor.clearance(points) >= site.ground.robot.radius + 0.1).all()
     assert len(layout.bodies) == len(site.ground.scene.bodies) + len(layout.moved)
 
 
-def test_new_things_are_of_the_maker_that_is_given(site: PathSite, recording: Recording) -> None:
-    layout = draw_layout(site.ground, recording.line, 3, 1, np.random.default_rng(0), random_thing)
+def test_added_objects_are_those_of_the_given_maker(site: PathSite, recording: Recording) -> None:
+    layout = draw_layout(site.ground, recording.line, 3, 1, np.random.default_rng(0), random_object)
     new = [body for body in layout.bodies if body.name in {*layout.moved, *layout.obstacles}]
     assert {body.name.rsplit("_", 1)[0] for body in new} == {"new", "on_path"}
-    assert not any(thing in str(body.model) for body in new for thing in THINGS)
+    assert not any(model in str(body.model) for body in new for model in OBJECT_MODELS)
     for body in new:
         assert body.start.position[2] == pytest.approx(site.ground.floor.floor_z, abs=1e-4)
 
@@ -186,7 +186,7 @@ def test_paths_are_drawn_by_a_seed_with_their_length_and_a_turn(tmp_path: Path) 
         drawn, same = (draw_cases(walled.ground, walled.scene, 3.5, 2, seed=1) for _ in range(2))
         assert drawn == same
         for case in drawn:
-            assert dense(case.line)[1][-1] == pytest.approx(3.5, abs=1e-3)
+            assert resampled(case.line)[1][-1] == pytest.approx(3.5, abs=1e-3)
             assert greatest_turn(case.line) >= math.radians(60.0)
         with pytest.raises(SceneError, match=r"room for 0 of 2 paths of 40 m"):
             draw_cases(walled.ground, walled.scene, 40.0, 2, seed=1)

@@ -1,4 +1,4 @@
-"""Which runs a table has: cases, domains, methods, seeds. Equal plans give equal runs."""
+"""Plan of a table: cases, domains, methods, seeds. Equal plans give equal runs."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ METHODS = {
     "blind": "the recorded commands again, without looking",
     "random": "random commands for as long as the recording took",
 }
-"""By name: what it is."""
+"""Method name -> description."""
 GOGGLES = {
     "goggles": "the network of gibson-sim learn goggles",
     "histogram": "the levels of the path's images",
     "grey_world": "grey on average, as bright as the path's images",
 }
-"""What may bring the images that a method sees to the simulator's look, by name: ``learned+goggles``."""
-SEEING = ("learned", "teach_repeat")
-"""Methods that may be seen with ``GOGGLES``."""
+"""Name after the + of a method, as in ``learned+goggles`` -> description of the Goggles that adapt its images."""
+IMAGE_METHODS = ("learned", "teach_repeat")
+"""Methods that use images, which ``GOGGLES`` may adapt."""
 PATHS = 10
-"""Paths of a case, over all scenes."""
+"""Number of paths of a case, over all scenes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table2Plan:
-    """What is run.
+    """Runs of a table.
 
     Raises:
         ConfigError: a value is impossible.
@@ -86,7 +86,7 @@ class Table2Plan:
             method_text(name)
 
     def identity(self) -> dict[str, Any]:
-        """Returns what all runs in one folder must have in common: with another of these they could not be compared."""
+        """Returns the settings that all runs in one folder must share, to be comparable."""
         return {"scenes": list(self.scenes), "paths": self.paths, "camera": self.camera, "seed": self.seed}
 
     def as_json(self) -> dict[str, Any]:
@@ -95,13 +95,13 @@ class Table2Plan:
 
 
 def parts_of(method: str) -> tuple[str, str]:
-    """Returns who drives, and one of ``GOGGLES`` or an empty text: ``learned+goggles`` is learned, goggles."""
+    """Splits a method into its base method and its Goggles: ``learned+goggles`` into learned, goggles; without Goggles the second is empty."""
     base, _, goggles = method.partition("+")
     return base, goggles
 
 
 def method_text(method: str) -> str:
-    """Returns what a method is.
+    """Returns the description of a method.
 
     Raises:
         ConfigError: there is no such method.
@@ -109,9 +109,9 @@ def method_text(method: str) -> str:
     base, goggles = parts_of(method)
     if method in METHODS:
         return METHODS[method]
-    if base in SEEING and goggles in GOGGLES:
+    if base in IMAGE_METHODS and goggles in GOGGLES:
         return f"{base}, whose images first get the simulator's look: {GOGGLES[goggles]}"
-    known = (*METHODS, *(f"{one}+{kind}" for one in SEEING for kind in GOGGLES))
+    known = (*METHODS, *(f"{one}+{kind}" for one in IMAGE_METHODS for kind in GOGGLES))
     hint = nearest(method, known)
     raise ConfigError(f"there is no method {quoted(method)}; {f'{hint} ' if hint else ''}known: {', '.join(known)}")
 
@@ -128,16 +128,16 @@ class RunKey:
     domain: str
     method: str
     policy: str = ""
-    """Digests of the networks, that of ``learned`` and that of the Goggles, joined by +: other weights are another method."""
+    """Digests of the networks, of ``learned`` and of the Goggles, joined by +: other weights make another method."""
 
     @property
     def name(self) -> str:
-        """A name for files."""
+        """Name of its files."""
         return f"{Path(self.scene).name}_{self.length:g}m_{self.path}_{self.domain}_{self.method}_{self.repeat}"
 
 
 def seeds_of(plan_seed: int, key: RunKey) -> list[int]:
-    """Returns the entropy of a run. Domain and method are no part of it: runs that differ in them alone are pairs."""
+    """Returns the entropy of a run. It is independent of domain and method: runs that differ in these alone are pairs."""
     return [plan_seed, zlib.crc32(Path(key.scene).name.encode()), round(1000 * key.length), key.path, key.repeat]
 
 
@@ -158,7 +158,7 @@ def cases_of(plan: Table2Plan) -> tuple[PathCase, ...]:
 
 
 def keys_of(plan: Table2Plan, cases: Sequence[PathCase], policy: str, goggles: str = "") -> dict[PathCase, list[RunKey]]:
-    """Returns the runs of each path: of each case ``plan.runs``, one more on some paths than on others if they cannot be shared out.
+    """Returns the runs of each path: ``plan.runs`` of each case, spread over its paths as evenly as possible.
 
     Args:
         plan: the plan.

@@ -1,4 +1,4 @@
-"""Makes the runs of one path, in this process: ``run_path`` is the unit of work. Each run ends as a line of JSON in the file of its path."""
+"""Runs the drives of one path in this process: ``run_path`` is the unit of work. Each run appends a line of JSON to the file of its path."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from gibson_sim_learn.path_following.drives import (
     BlindDriver,
     Driver,
     FollowerDriver,
+    Observation,
     PathSite,
     RandomDriver,
     Recording,
-    Sight,
     Trace,
     follow,
     oracle_for,
@@ -49,7 +49,7 @@ _MAX_MODEL_BYTES = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """How one run went."""
+    """Result of one run."""
 
     key: RunKey
     kind: str
@@ -59,27 +59,28 @@ class RunResult:
     coverage: float
     collisions: int
     travelled: float
-    """Metres."""
+    """Distance driven, metres."""
     deviation_mean: float
-    """Metres."""
+    """Mean distance from the path, metres."""
     deviation_max: float
-    """Metres."""
+    """Largest distance from the path, metres."""
     end_distance: float
-    """Metres."""
+    """Distance from the last node at the end, metres."""
     spl: float
+    """Success weighted by path length."""
     duration: float
-    """Seconds of simulation time."""
+    """Duration of the drive, seconds of simulation time."""
     ended: str
-    """What ended the drive: finished, standing, time."""
+    """Why the drive ended: finished, standing, time."""
     state: str
-    """Of the driver at the end."""
+    """State of the driver at the end."""
     touched: tuple[str, ...] = ()
     moved: int = 0
-    """Things that stood elsewhere, or were new."""
+    """Number of objects moved or added since the recording."""
     obstacles: int = 0
-    """Things and people on the path."""
+    """Number of obstacles on the path."""
     seconds: float = 0.0
-    """Processor time of the run."""
+    """Processor time of the run, seconds."""
 
     def as_line(self) -> str:
         """Returns the result as a line of JSON."""
@@ -87,10 +88,10 @@ class RunResult:
 
 
 def result_of(values: Any) -> RunResult:
-    """Returns the result that a line of JSON stands for.
+    """Returns the result in a parsed line of JSON.
 
     Raises:
-        ConfigError: it stands for none.
+        ConfigError: the line holds none.
     """
     try:
         fields = dict(values)
@@ -113,7 +114,7 @@ def policy_digest(model: str) -> str:
 
 
 def goggles_digest(model: str) -> str:
-    """Returns the same of the Goggles' network; arguments and errors as of ``policy_digest``."""
+    """Returns the same for the network of the Goggles; arguments and errors as of ``policy_digest``."""
     return _digest("--goggles", model, DEFAULT_GOGGLES)
 
 
@@ -127,39 +128,39 @@ def _digest(option: str, model: str, shipped: Path) -> str:
         raise ConfigError(f"{option} {file}: cannot be read: {error.strerror}; name an ONNX file of gibson-sim learn") from error
 
 
-class SeeingThrough:
-    """A driver whose images get the simulator's look first.
+class GogglesDriver:
+    """A driver whose images pass through Goggles first.
 
     Args:
-        driver: sees the images afterwards.
-        bring: gives an image that look.
+        driver: gets the adapted images.
+        goggles: adapt the images.
     """
 
     needs_view = True
 
-    def __init__(self, driver: Driver, bring: Goggles) -> None:
-        self._driver, self._bring = driver, bring
+    def __init__(self, driver: Driver, goggles: Goggles) -> None:
+        self._driver, self._goggles = driver, goggles
 
     @property
     def place(self) -> Place | None:
-        """That of the driver."""
+        """As of the driver."""
         return self._driver.place
 
     @property
     def state(self) -> str:
-        """That of the driver."""
+        """As of the driver."""
         return self._driver.state
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         """Returns the velocity until the next tick."""
-        return self._driver.drive(replace(sight, view=tuple(self._bring(image) for image in sight.view)))
+        return self._driver.drive(replace(observation, view=tuple(self._goggles(image) for image in observation.view)))
 
 
 class Runner:
-    """Makes runs, and keeps the scene that was used last, and its last recording.
+    """Runs drives; it keeps the scene that was used last, and its last recording.
 
     Args:
-        seed: of the plan.
+        seed: seed of the plan.
         rig: cameras.
         model: ONNX file of ``learned``; empty = the one that is shipped.
         goggles: ONNX file of ``+goggles``; empty = the one that is shipped.
@@ -171,14 +172,14 @@ class Runner:
         self._recording: Recording | None = None
 
     def site(self, scene: str) -> PathSite:
-        """Returns a scene, opened."""
+        """Returns a loaded scene."""
         if self._site is None or self._site.scene != scene:
             self.close()
             self._site = PathSite(scene, rig=self._rig)
         return self._site
 
     def recording(self, case: PathCase) -> Recording:
-        """Returns a path as the oracle drove it."""
+        """Returns the recording of a path by the oracle."""
         if self._recording is None or self._recording.case != case:
             self._recording = record(self.site(case.scene), case, seed=self._seed)
         return self._recording
@@ -205,7 +206,7 @@ class Runner:
         )
 
     def run(self, case: PathCase, key: RunKey) -> RunResult:
-        """Returns how a run went."""
+        """Runs a drive; returns its result."""
         self.recording(case)  # once for many runs: its time is not that of a run
         began = time.process_time()
         try:
@@ -256,7 +257,7 @@ class Runner:
             if not kind:
                 return driver
             mode = "learned" if kind == "goggles" else kind
-            return SeeingThrough(driver, make_goggles(mode, self._goggles, ColourReference.of_path(recording.path)))
+            return GogglesDriver(driver, make_goggles(mode, self._goggles, ColourReference.of_path(recording.path)))
         except PathFollowingError as error:
             raise ConfigError(f"method {method}: {error}") from error
 
@@ -268,7 +269,7 @@ class Runner:
 
 
 def kind_of(trace: Trace, *, success: bool, arrived: bool, collisions: int) -> str:
-    """Returns ``success``, or the kind of failure: what was hit first, else why the robot did not arrive."""
+    """Returns ``success``, or the kind of failure: the first collision, else why the robot did not arrive."""
     if success:
         return SUCCESS
     if collisions and trace.touched:
@@ -291,7 +292,7 @@ _KEPT: dict[tuple[int, str, str, str], Runner] = {}
 
 
 def run_path(arguments: dict[str, Any], folder: Path, context: Context) -> int:
-    """Makes the runs of one path, and appends a line for each to its file; returns their number. A unit of work, see ``jobs``."""
+    """Runs the drives of one path, and appends a line for each to its file; returns their number. A unit of work, see ``jobs``."""
     settings = (arguments["seed"], arguments["camera"], arguments["model"], arguments["goggles"])
     if settings not in _KEPT:
         for runner in _KEPT.values():
@@ -311,7 +312,7 @@ def make_runs(
     stop: Callable[[], bool] = lambda: False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Makes runs of one path, appends their lines to a file, and returns the number that were made.
+    """Runs drives of one path, appends their lines to a file, and returns their number.
 
     Raises:
         WriteError: the file cannot be written.
@@ -322,7 +323,7 @@ def make_runs(
         result = runner.run(case, key)
         try:
             with file.open("ab") as lines:
-                # One write: a line is there as a whole, or its end is missing and it does not count.
+                # One write: a line is complete, or its end is missing and it is ignored.
                 lines.write((result.as_line() + "\n").encode())
         except OSError as error:
             raise cannot_write(file, error) from error
@@ -331,5 +332,5 @@ def make_runs(
 
 
 def case_of(values: dict[str, Any]) -> PathCase:
-    """Returns the path that JSON stands for."""
+    """Returns the path of a parsed JSON object."""
     return PathCase(**{**values, "line": tuple((float(x), float(y)) for x, y in values["line"])})

@@ -1,4 +1,4 @@
-"""Film strips of runs: what the camera saw, what was recorded there, and the way on the map. Runs are made again from their seeds."""
+"""Film strips of runs: images of the camera, recorded images of the same places, and a map. Runs are repeated from their seeds."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _VIEWS = 8
 _GAP = 4
 """Pixels between images."""
 _MAP_M = 0.025
-"""Metres of the floor in a pixel of the map."""
-_LOOKED_AT = ("learned", "teach_repeat", "blind", "random", "oracle")
-"""Methods in the order in which examples are looked for."""
+"""Resolution of the map, metres per pixel."""
+_ORDER = ("learned", "teach_repeat", "blind", "random", "oracle")
+"""Methods in the order in which examples are selected."""
 
 
 def write_strips(store: Store, results: Iterable[RunResult], tell: Callable[[str], None] = lambda line: None) -> dict[str, Path]:
@@ -64,16 +64,16 @@ def write_strips(store: Store, results: Iterable[RunResult], tell: Callable[[str
 
 
 def examples(results: Iterable[RunResult]) -> dict[str, RunResult]:
-    """Returns the runs of which there are strips, by their captions: the first success of each method with images, the first failure of each kind.
+    """Returns the runs to draw strips of, by caption: the first success of each method with images, the first failure of each kind.
 
-    Runs of methods with images come before others, and the domain with everything before those with one thing.
+    Methods with images come first, and the domain ``reality`` before the others.
     """
     found: dict[str, RunResult] = {}
 
     def order(result: RunResult) -> tuple[object, ...]:
         key = result.key
         return (
-            _LOOKED_AT.index(parts_of(key.method)[0]),
+            _ORDER.index(parts_of(key.method)[0]),
             key.method,
             key.domain != "reality",
             key.length,
@@ -90,7 +90,7 @@ def examples(results: Iterable[RunResult]) -> dict[str, RunResult]:
 
 
 def strip(recording: Recording, trace: Trace) -> Picture:
-    """Returns a picture, RGB: above what the camera saw, below the recorded images of the nearest places, and to the right the map."""
+    """Returns (H, W, 3), uint8, RGB: images of the camera above, those of the nearest nodes below, and the map to the right."""
     chosen = np.unique(np.linspace(0, len(trace.views) - 1, _VIEWS).astype(int)).tolist()
     nodes = np.array([pose[:2] for pose in recording.poses])
     upper = [_large(trace.views[k][0]) for k in chosen]
@@ -119,7 +119,7 @@ def _padded(image: Picture, height: int) -> Picture:
 
 
 def _map(recording: Recording, trace: Trace, marked: list[tuple[float, float, float]]) -> Picture:
-    """Returns the floor around the path: recorded blue, driven red, where the images were taken dots, collisions black rings."""
+    """Returns the map around the path: recorded line blue, driven line red, dots where the images were taken, a black ring at a collision."""
     layout = trace.layout
     assert isinstance(layout, Layout)
     floor = layout.floor

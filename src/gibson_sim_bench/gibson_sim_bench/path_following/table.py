@@ -79,7 +79,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Table2:
-    """The table, with where and how it was made."""
+    """The table, with the machine and the plan that it comes from."""
 
     date: str
     version: str

@@ -28,7 +28,7 @@ from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.tasks.episode import item_body
 from gibson_sim.types import Frame, SceneState
 from gibson_sim_learn.arrays import load_arrays, save_arrays
-from gibson_sim_learn.path_following.clutter import random_thing
+from gibson_sim_learn.path_following.clutter import random_object
 from gibson_sim_learn.path_following.data import (
     ROBOT_RADIUS,
     DataSettings,
@@ -212,7 +212,7 @@ def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool, s
     """Yields a frame for each pose, in the scene with random things in it."""
     floor_z = world.scene.floor_z
     places = random_free_poses(world.coarse, int(rng.integers(_THINGS + 1)), rng, clearance=0.25)
-    things = tuple(item_body(random_thing(rng, f"thing_{k}", *pose.position)) for k, pose in enumerate(places))
+    things = tuple(item_body(random_object(rng, f"thing_{k}", *pose.position)) for k, pose in enumerate(places))
     bodies = (*world.scene.bodies, *things)
     links = tuple(f"{body.name}/{link}" for body in bodies for link in body.links)
     scene = drawn_scene(replace(world.scene, bodies=bodies), links)

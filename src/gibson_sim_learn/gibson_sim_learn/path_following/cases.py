@@ -1,4 +1,4 @@
-"""Draws the paths that followers are tried on: by a seed, on the floor of a scene, of a length, with at least one real turn. Pure."""
+"""Draws the paths of the benchmark: on the floor of a scene, of a given length, with at least one real turn; by a seed. Pure."""
 
 from __future__ import annotations
 
@@ -18,58 +18,60 @@ from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.tasks.ground import Ground
-from gibson_sim_learn.path_following.oracle import dense
+from gibson_sim_learn.path_following.oracle import resampled
 
 F64 = NDArray[np.float64]
 LENGTHS = (6.6, 8.4, 12.7)
 """Lengths of the paths of the paper's Table 2, metres."""
 ROBOT = "gibson_bot"
 CLEARANCE = 0.13
-"""Clearance of a path beyond the robot's radius, metres: the robot cuts corners."""
-START_ROOM = 0.25
-"""Clearance at its beginning beyond the robot's radius, metres: drives begin beside it."""
-_TURN = math.radians(60.0)
-"""Least turn within ``_WITHIN`` metres that a path must have."""
-_WITHIN = 1.2
-_TRIES = 1000
-"""Pairs of start and goal that are tried for the paths of a length."""
-_DIRECT = 300
-"""Of these, those that are connected by the shortest way; later ones lead by a third place, since a small scene has few long ways."""
-_SHARE = (0.3, 0.7)
-"""Part of a path on which its third place lies."""
-_SHARPEST = math.radians(120.0)
-"""Greatest turn of a path with a third place: it must not turn back."""
-_OWN_WAY = 0.7
-"""Least distance of such a path from itself, metres, between places that are more than ``_LATER`` apart along it."""
-_LATER = 2.0
+"""Least clearance of a path beyond the robot's radius, metres: the robot cuts corners."""
+START_CLEARANCE = 0.25
+"""Least clearance of its beginning beyond the robot's radius, metres: drives begin beside it."""
+_MIN_TURN = math.radians(60.0)
+"""Least turn within ``_TURN_LENGTH`` that a path must have, radians."""
+_TURN_LENGTH = 1.2
+"""Length over which turns are measured, metres."""
+_ATTEMPTS = 1000
+"""Starts that are tried for the paths of a length."""
+_DIRECT_ATTEMPTS = 300
+"""Attempts with the shortest path to a goal; later ones go through a waypoint, since a small scene has few long paths."""
+_WAYPOINT_SHARE = (0.3, 0.7)
+"""Share of the length at which the waypoint lies."""
+_MAX_TURN = math.radians(120.0)
+"""Greatest turn of a path through a waypoint, radians: it must not turn back."""
+_SELF_DISTANCE = 0.7
+"""Least distance of such a path from itself, metres, between points more than ``_SELF_LENGTH`` apart along it."""
+_SELF_LENGTH = 2.0
+"""Length along the path, metres."""
 _APART = 0.6
-"""Least distance of the starts, or else of the ends, of two paths, metres."""
+"""Least distance between the starts, or between the ends, of two paths, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class PathCase:
-    """A path to be recorded and followed."""
+    """A path of the benchmark, to be recorded and followed."""
 
     scene: str
     """Name or path of the scene."""
     length: float
-    """Metres."""
+    """Length, metres."""
     number: int
-    """Among the paths of this length in this scene."""
+    """Number among the paths of this length in this scene."""
     line: tuple[tuple[float, float], ...]
-    """Its corners, world frame, metres; free of obstacles."""
+    """Corners, world frame, metres; free of obstacles."""
 
     @property
     def start(self) -> tuple[float, float, float]:
-        """Pose at its beginning, looking along it: x, y, yaw, metres and radians."""
-        points, arc = dense(self.line)
-        x, y = (float(np.interp(0.35, arc, points[:, k])) for k in range(2))
+        """Pose at its beginning, with the heading of the path: x, y, yaw, world frame, metres and radians."""
+        points, stations = resampled(self.line)
+        x, y = (float(np.interp(0.35, stations, points[:, k])) for k in range(2))
         return *self.line[0], math.atan2(y - self.line[0][1], x - self.line[0][0])
 
 
 @lru_cache(maxsize=8)
 def path_ground(scene: str, robot: str = ROBOT) -> Ground:
-    """Returns scene, robot and the map of the floor with furniture and things as they stand at load.
+    """Returns scene, robot and the map of the floor with furniture and objects as at load.
 
     Raises:
         GibsonSimError: one of them cannot be loaded.
@@ -85,8 +87,8 @@ def draw_cases(ground: Ground, scene: str, length: float, count: int, seed: int)
 
     Args:
         ground: the floor, see ``path_ground``.
-        scene: its name or path, as it is to stand in the cases.
-        length: metres.
+        scene: name or path of the scene, as in the cases.
+        length: length of the paths, metres.
         count: number of paths.
         seed: of the draws.
 
@@ -98,12 +100,12 @@ def draw_cases(ground: Ground, scene: str, length: float, count: int, seed: int)
     planner = PathPlanner(ground.floor, clearance)
     region = ground.floor.largest_free_region(clearance)
     found: list[PathCase] = []
-    for attempt in range(_TRIES):
+    for attempt in range(_ATTEMPTS):
         if len(found) == count:
             return tuple(found)
-        room = ground.robot.radius + START_ROOM
-        start = random_free_poses(ground.floor, 1, rng, clearance=room, region=region)[0].position[:2]
-        line = (_line_from if attempt < _DIRECT else _line_by)(ground, planner, start, length, rng)
+        start_clearance = ground.robot.radius + START_CLEARANCE
+        start = random_free_poses(ground.floor, 1, rng, clearance=start_clearance, region=region)[0].position[:2]
+        line = (_direct_line if attempt < _DIRECT_ATTEMPTS else _line_through_waypoint)(ground, planner, start, length, rng)
         if line is not None and all(_differ(line, other.line) for other in found):
             corners = tuple((round(float(x), 4), round(float(y), 4)) for x, y in line)
             found.append(PathCase(scene, length, len(found), corners))
@@ -114,61 +116,64 @@ def draw_cases(ground: Ground, scene: str, length: float, count: int, seed: int)
     )
 
 
-def _line_from(
+def _direct_line(
     ground: Ground, planner: PathPlanner, start: Sequence[float], length: float, rng: np.random.Generator
 ) -> F64 | None:
-    """Returns the corners (K, 2) of a path from a place; None = there is none with a turn."""
+    """Returns the corners (K, 2), world frame, metres, of a shortest path from a start; None = it has no turn."""
     floor = ground.floor
-    away = planner.distances(start)
-    cells = np.argwhere((away >= length + 0.05) & (away <= length + 0.5))
+    distance = planner.distances(start)
+    cells = np.argwhere((distance >= length + 0.05) & (distance <= length + 0.5))
     if not len(cells):
         return None
     goal = floor.centers(cells[int(rng.integers(len(cells)))])
     line = _cut(planner.path(start, goal), length)
-    return line if line is not None and greatest_turn(line) >= _TURN else None
+    return line if line is not None and greatest_turn(line) >= _MIN_TURN else None
 
 
-def _line_by(ground: Ground, planner: PathPlanner, start: Sequence[float], length: float, rng: np.random.Generator) -> F64 | None:
-    """Returns the corners (K, 2) of a path from a place by another one; None = there is none that is a way of its own."""
+def _line_through_waypoint(
+    ground: Ground, planner: PathPlanner, start: Sequence[float], length: float, rng: np.random.Generator
+) -> F64 | None:
+    """Returns the corners (K, 2), world frame, metres, of a path from a start through a waypoint; None = it turns back or comes near itself."""
     floor = ground.floor
-    away = planner.distances(start)
-    first = length * float(rng.uniform(*_SHARE))
-    cells = np.argwhere(np.abs(away - first) < 0.2)
+    distance = planner.distances(start)
+    first = length * float(rng.uniform(*_WAYPOINT_SHARE))
+    cells = np.argwhere(np.abs(distance - first) < 0.2)
     if not len(cells):
         return None
-    middle = floor.centers(cells[int(rng.integers(len(cells)))])
-    onward = planner.distances(middle)
-    cells = np.argwhere((onward >= length - first + 0.3) & (onward <= length - first + 0.8) & (away > first))
+    waypoint = floor.centers(cells[int(rng.integers(len(cells)))])
+    onward = planner.distances(waypoint)
+    cells = np.argwhere((onward >= length - first + 0.3) & (onward <= length - first + 0.8) & (distance > first))
     if not len(cells):
         return None
     goal = floor.centers(cells[int(rng.integers(len(cells)))])
-    line = _cut(np.concatenate([planner.path(start, middle), planner.path(middle, goal)[1:]]), length)
-    if line is None or not _TURN <= greatest_turn(line) <= _SHARPEST:
+    line = _cut(np.concatenate([planner.path(start, waypoint), planner.path(waypoint, goal)[1:]]), length)
+    if line is None or not _MIN_TURN <= greatest_turn(line) <= _MAX_TURN:
         return None
-    points, arc = dense(line)
+    points, stations = resampled(line)
     apart = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
-    return line if float(apart[np.abs(arc[:, None] - arc[None]) > _LATER].min()) >= _OWN_WAY else None
+    return line if float(apart[np.abs(stations[:, None] - stations[None]) > _SELF_LENGTH].min()) >= _SELF_DISTANCE else None
 
 
 def greatest_turn(line: ArrayLike) -> float:
-    """Returns the greatest change of heading within ``_WITHIN`` metres of a line (K, 2), radians."""
-    points, arc = dense(line)
+    """Returns the greatest change of heading within ``_TURN_LENGTH`` of a line (K, 2), metres, in radians."""
+    points, stations = resampled(line)
     steps = np.diff(points, axis=0)
     headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
-    span = max(1, round(_WITHIN / float(arc[1])))
+    span = max(1, round(_TURN_LENGTH / float(stations[1])))
     if len(headings) <= span:
         return float(np.ptp(headings))
     return float(np.abs(headings[span:] - headings[:-span]).max())
 
 
 def _differ(one: F64, other: Sequence[tuple[float, float]]) -> bool:
+    """Returns whether the starts or the ends of two paths are ``_APART``."""
     return max(math.dist(one[0], other[0]), math.dist(one[-1], other[-1])) >= _APART
 
 
 def _cut(line: F64, length: float) -> F64 | None:
-    """Returns the first ``length`` metres of a line (K, 2); None = it is shorter."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    if arc[-1] < length:
+    """Returns the first ``length`` metres of a line (K, 2), (M, 2); None = the line is shorter."""
+    stations = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    if stations[-1] < length:
         return None
-    end = np.array([[np.interp(length, arc, line[:, k]) for k in range(2)]])
-    return np.concatenate([line[arc < length - 1e-6], end])
+    end = np.array([[np.interp(length, stations, line[:, k]) for k in range(2)]])
+    return np.concatenate([line[stations < length - 1e-6], end])

@@ -1,6 +1,6 @@
-"""DAgger: drives with the present network in the training scenes, in lockstep, and labels what it saw by what is true.
+"""DAgger: drives with the present network in the training scenes, in lockstep, and labels its images by ground truth.
 
-What a follower sees depends on how it drives. The shards that its own drives make are of the same form as those of ``data.py``.
+The images of a follower depend on how it drives. Shards of its own drives have the same format as those of ``data.py``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gibson_path_following.types import RecordedPath
 from gibson_sim.errors import SceneError
 from gibson_sim_learn.path_following.cases import draw_cases
-from gibson_sim_learn.path_following.clutter import random_thing
+from gibson_sim_learn.path_following.clutter import random_object
 from gibson_sim_learn.path_following.data import (
     Shard,
     World,
@@ -34,14 +34,14 @@ from gibson_sim_learn.path_following.drives import Driver, PathSite, Recording, 
 
 F64 = NDArray[np.float64]
 LENGTHS = (5.0, 7.0, 9.0, 11.0)
-"""Lengths of the paths, metres; one after another."""
+"""Lengths of the paths of successive drives, metres."""
 _MOVED, _TURNED = 0.03, math.radians(3.0)
-"""A view is kept if the robot moved or turned so far since the one before, metres and radians."""
+"""Distance, metres, and turn, radians, since the previous kept view from which on a view is kept."""
 _DOMAIN = replace(TRAINED, obstacles=(0, 2))
-"""That of training, with things on the path."""
+"""Domain of training, with obstacles on the path."""
 
 DriverOf = Callable[[RecordedPath], Driver]
-"""Makes the driver of a path."""
+"""Returns the driver of a path."""
 
 
 def drive_all(
@@ -52,15 +52,15 @@ def drive_all(
     driver_of: DriverOf,
     progress: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Makes the shards of one round that are missing, one of each drive.
+    """Makes the missing shards of one round, one for each drive.
 
     Args:
-        folder: where they are put.
+        folder: folder of the shards.
         scenes: names of the scenes.
         drives: drives in each.
         seed: of paths and conditions; another one for each round.
-        driver_of: makes the driver of a path: a follower with the network.
-        progress: called after each drive, with how it went.
+        driver_of: returns the driver of a path: a follower with the network.
+        progress: called after each drive with one line on it.
     """
     for scene in scenes:
         names = [folder / f"{scene}-{number:03d}" for number in range(drives)]
@@ -76,7 +76,7 @@ def drive_all(
                 try:
                     # Each path has a seed of its own: a small home has no room for a second long one among those of one seed.
                     recording = record(site, draw_cases(site.ground, scene, length, 1, 1000 * seed + number)[0])
-                    trace = _driven(site, recording, driver_of(recording.path), conditions, number)
+                    trace = _drive(site, recording, driver_of(recording.path), conditions, number)
                 except SceneError as error:  # no room for such a path, or the robot cannot be put on it
                     progress(f"{name.name}: {error}")
                     continue
@@ -84,28 +84,28 @@ def drive_all(
                 progress(f"{name.name}: {trace.ended}, coverage {trace.outcome(recording).coverage:.2f}")
 
 
-def _driven(site: PathSite, recording: Recording, driver: Driver, conditions: Conditions, seed: int) -> Trace:
-    # What is new is random, not what table 2 puts on paths.
-    return follow(site, recording, lambda _: driver, conditions, seed, make_thing=random_thing, keep_views=True)
+def _drive(site: PathSite, recording: Recording, driver: Driver, conditions: Conditions, seed: int) -> Trace:
+    # Added objects are random, not the models of table 2.
+    return follow(site, recording, lambda _: driver, conditions, seed, make_item=random_object, keep_views=True)
 
 
 def drive_shard(world: World, site: PathSite, recording: Recording, trace: Trace, conditions: Conditions, seed: int) -> Shard:
-    """Returns what was seen on a drive, and what is true about it.
+    """Returns the images of a drive with their ground truth.
 
     Args:
         world: the scene and its maps.
-        site: where it was driven.
+        site: the scene with its robot.
         recording: the path.
         trace: the drive, with its images.
         conditions: of the drive.
         seed: of the choice of pairs of different places.
     """
-    kept = kept_ticks(np.array([tick.pose for tick in trace.ticks]))
+    kept = keyframe_ticks(np.array([tick.pose for tick in trace.ticks]))
     nodes = np.array(recording.poses)
     later = np.array([trace.ticks[k].pose for k in kept])
     rows = [path_row(node.distance) for node in recording.path.nodes]
     nearest = np.linalg.norm(later[:, None, :2] - nodes[None, :, :2], axis=2).argmin(axis=1)
-    ahead = site.rig.ahead
+    ahead = site.rig.camera_ahead
     before, after = camera_poses(nodes, ahead), camera_poses(later, ahead)
     scene = world.scene
     floor = world.floor
@@ -126,8 +126,8 @@ def drive_shard(world: World, site: PathSite, recording: Recording, trace: Trace
     return Shard(np.stack(images), np.concatenate(free).astype(np.float32), pairs)
 
 
-def kept_ticks(poses: F64) -> list[int]:
-    """Returns the rows of poses (N, 3) at which a robot has moved or turned since the one that was kept before."""
+def keyframe_ticks(poses: F64) -> list[int]:
+    """Returns the rows of poses (N, 3) at which the robot has moved or turned enough since the previous keyframe."""
     kept = [0]
     for k, pose in enumerate(poses):
         last = poses[kept[-1]]

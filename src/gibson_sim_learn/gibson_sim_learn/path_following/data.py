@@ -28,7 +28,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.tasks.episode import item_body
 from gibson_sim_learn.arrays import load_arrays, save_arrays
-from gibson_sim_learn.path_following.clutter import random_furniture, random_thing
+from gibson_sim_learn.path_following.clutter import random_furniture, random_object
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
 from gibson_sim_learn.path_following.drawing import CAMERA_X, HFOV, Drawing
 
@@ -444,7 +444,7 @@ def _things(floor: FloorMap, rng: np.random.Generator, count: int, name: str, ke
     """Returns things at random free places that leave room for drives (K, 3)."""
     places = random_free_poses(floor, 3 * count, rng, clearance=0.25) if count else ()
     points = [pose.position for pose in places if np.hypot(*(keep_off[:, :2] - pose.position[:2]).T).min() > 0.5]
-    return [item_body(random_thing(rng, f"{name}_{k}", *point)) for k, point in enumerate(points[:count])]
+    return [item_body(random_object(rng, f"{name}_{k}", *point)) for k, point in enumerate(points[:count])]
 
 
 def _furniture(floor: FloorMap, rng: np.random.Generator, keep_off: F64) -> list[BodySpec]:
@@ -471,6 +471,6 @@ def _things_on(path: F64, floor_z: float, rng: np.random.Generator, name: str) -
         x, y, yaw = path[row]
         across = rng.uniform(-_ACROSS, _ACROSS)
         bodies.append(
-            item_body(random_thing(rng, f"{name}_{k}", x - math.sin(yaw) * across, y + math.cos(yaw) * across, floor_z))
+            item_body(random_object(rng, f"{name}_{k}", x - math.sin(yaw) * across, y + math.cos(yaw) * across, floor_z))
         )
     return bodies, rows

@@ -1,6 +1,6 @@
-"""In what a drive differs from the recording of its path: light, camera, wheels, furniture, obstacles; named domains to draw it from.
+"""Domain randomisation of drives: conditions that differ from the recording (light, camera, wheels, furniture, obstacles), and named domains.
 
-One generator draws the same numbers for every domain, so that domains differ by their ranges alone.
+A generator draws the same numbers for every domain, so that domains differ by their ranges alone.
 """
 
 from __future__ import annotations
@@ -22,76 +22,76 @@ Counts = tuple[int, int]
 """Smallest and largest number, all equally likely."""
 _DEG = math.pi / 180.0
 _DRAWN = 32
-"""Numbers that are drawn for conditions; some are kept for what may come."""
+"""Numbers that are drawn for conditions; some are reserved."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """In what one drive differs from the recording of its path. The default is no difference."""
+    """Differences of one drive from the recording of its path. The default is none."""
 
     light: RoomLight = field(default_factory=RoomLight)
     photometry: Photometry = field(default_factory=Photometry)
     hfov_change: float = 0.0
-    """Added to the camera's horizontal field of view, radians."""
+    """Change of the camera's horizontal field of view, radians."""
     height_change: float = 0.0
-    """Added to the camera's height, metres."""
+    """Change of the camera's height, metres."""
     pitch_change: float = 0.0
-    """Camera tilted down by this, radians."""
+    """Change of the camera's pitch, radians, positive down."""
     start_ahead: float = 0.0
-    """The robot starts so far ahead of the path's first pose, metres."""
+    """x of the start in the frame of the path's first pose, metres."""
     start_left: float = 0.0
-    """And so far to its left, metres."""
+    """y of the start in that frame, metres."""
     start_yaw: float = 0.0
-    """And turned to the left by so much, radians."""
+    """Yaw of the start in that frame, radians."""
     slip: float = 1.0
-    """Share of the commanded velocity that the wheels bring about."""
+    """True velocity per commanded velocity."""
     yaw_bias: float = 0.0
-    """Turn to the left that is added to each metre driven, rad/m."""
+    """Turn that each metre adds, rad/m, positive to the left."""
     latency_ticks: int = 0
-    """Control ticks from an image to the effect of the command that follows from it."""
+    """Control ticks from an image until its command takes effect."""
     moved: int = 0
-    """Things that stand elsewhere than in the recording, or were not there: beside the path."""
+    """Number of objects moved or added since the recording, beside the path."""
     obstacles: int = 0
-    """Things, or people who stand, on the path: with a way round."""
+    """Number of obstacles on the path, objects or standing people, with a detour around them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """Ranges that conditions are drawn from."""
+    """Ranges of conditions."""
 
     name: str
     text: str = ""
-    """What differs, in a few words."""
+    """Short description."""
     ambient: Range = (1.0, 1.0)
-    """Drawn uniformly in its logarithm."""
+    """Factor on the light of the scene; log-uniform."""
     light_k: Range = (NEUTRAL_K, NEUTRAL_K)
-    """Colour temperature of the light, kelvin; uniform in its inverse, as the eye sees it."""
+    """Colour temperature of the light, kelvin; uniform in its inverse (mired)."""
     sun: Range = (0.0, 0.0)
     unevenness_ev: Range = (0.0, 0.0)
     lamp: Range = (0.0, 0.0)
     lamp_k: Range = (NEUTRAL_K, NEUTRAL_K)
-    """Kelvin; uniform in its inverse."""
+    """Colour temperature of the lamp, kelvin; uniform in its inverse."""
     exposure_ev: Range = (0.0, 0.0)
     auto_exposure: float = 0.0
     """Probability of a camera with automatic exposure."""
     camera_k: Range = (NEUTRAL_K, NEUTRAL_K)
-    """Kelvin; uniform in its inverse."""
+    """White balance of the camera, kelvin; uniform in its inverse."""
     noise: Range = (0.0, 0.0)
     vignette: Range = (0.0, 0.0)
     blur: Range = (0.0, 0.0)
     hfov_deg: float = 0.0
-    """Largest change of the field of view, degrees, either way."""
+    """Largest change of the field of view, degrees, of either sign."""
     height: float = 0.0
-    """Largest change of the camera's height, metres, either way."""
+    """Largest change of the camera's height, metres, of either sign."""
     pitch_deg: float = 0.0
-    """Largest tilt, degrees, either way."""
+    """Largest change of the camera's pitch, degrees, of either sign."""
     start: float = 0.1
     """Largest error of the start along each axis, metres."""
     start_deg: float = 5.0
     """Largest error of the heading at the start, degrees."""
     slip: Range = (0.9, 1.0)
     yaw_bias: float = 0.05
-    """Largest bias, rad/m, either way."""
+    """Largest bias, rad/m, of either sign."""
     latency_ticks: Counts = (0, 0)
     moved: Counts = (0, 0)
     obstacles: Counts = (0, 0)
@@ -208,11 +208,11 @@ DOMAINS: dict[str, Domain] = {
 }
 """By name."""
 SEEN_IN_TRAINING = frozenset({"trained"})
-"""Domains that training draws from; no other one may be used there."""
+"""Domains that training may draw from."""
 FOR_CHOOSING = SEEN_IN_TRAINING | {"development"}
-"""Domains by which parameters may be chosen."""
+"""Domains that parameters may be tuned on."""
 MEASURED = tuple(name for name in DOMAINS if name != "development")
-"""Domains of a table of results, unless others are named."""
+"""Default domains of a table of results."""
 
 
 def domain_of(name: str) -> Domain:
@@ -239,7 +239,7 @@ def draw(domain: Domain, rng: np.random.Generator) -> Conditions:
         drawn = 1.0 / between((1.0 / limits[0], 1.0 / limits[1]))
         return min(max(drawn, limits[0]), limits[1])  # rounding must not make white another colour
 
-    def either_way(most: float) -> float:
+    def symmetric(most: float) -> float:
         return between((-most, most))
 
     def count(limits: Counts) -> int:
@@ -268,14 +268,14 @@ def draw(domain: Domain, rng: np.random.Generator) -> Conditions:
     return Conditions(
         light,
         photometry,
-        hfov_change=either_way(domain.hfov_deg * _DEG),
-        height_change=either_way(domain.height),
-        pitch_change=either_way(domain.pitch_deg * _DEG),
-        start_ahead=either_way(domain.start),
-        start_left=either_way(domain.start),
-        start_yaw=either_way(domain.start_deg * _DEG),
+        hfov_change=symmetric(domain.hfov_deg * _DEG),
+        height_change=symmetric(domain.height),
+        pitch_change=symmetric(domain.pitch_deg * _DEG),
+        start_ahead=symmetric(domain.start),
+        start_left=symmetric(domain.start),
+        start_yaw=symmetric(domain.start_deg * _DEG),
         slip=between(domain.slip),
-        yaw_bias=either_way(domain.yaw_bias),
+        yaw_bias=symmetric(domain.yaw_bias),
         latency_ticks=count(domain.latency_ticks),
         moved=count(domain.moved),
         obstacles=count(domain.obstacles),

@@ -1,6 +1,6 @@
-"""Drives in one process, without ROS: an oracle records a path, then any driver follows it under conditions. Equal seeds give equal bits.
+"""Drives in one process, without ROS: an oracle records a path, then a driver follows it under conditions. Equal seeds give equal bits.
 
-``PathSite`` is a scene with its robot, loaded once for many drives. ``record`` and ``follow`` make one drive each.
+``PathSite`` is a scene with its robot, loaded once for many drives. ``record`` and ``follow`` run one drive each.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from gibson_sim.types import Output, VelocityCommand
 from gibson_sim_learn.path_following.cameras import Rig
 from gibson_sim_learn.path_following.cases import ROBOT, PathCase, path_ground
 from gibson_sim_learn.path_following.domains import Conditions
-from gibson_sim_learn.path_following.layout import Layout, ThingMaker, draw_layout
-from gibson_sim_learn.path_following.oracle import OracleSettings, PurePursuit, around
+from gibson_sim_learn.path_following.layout import ItemMaker, Layout, draw_layout
+from gibson_sim_learn.path_following.oracle import OracleSettings, PurePursuit, avoid_obstacles
 from gibson_sim_learn.path_following.photometry import Photometry, RoomLight, photographed, relit_linear
 
 F64 = NDArray[np.float64]
@@ -37,52 +37,53 @@ STEP_HZ, CONTROL_HZ = 120, 5
 MAX_LINEAR, MAX_ANGULAR = 0.5, 1.0
 """Limits of commands, m/s and rad/s."""
 SPACING = 0.2
-"""Distance of the nodes of a path, metres."""
+"""Distance between the nodes of a path, metres."""
 NODE_TURN = math.radians(20.0)
-"""Turn after which a path gets a node without 0.2 m of way, radians."""
+"""Turn after which a node is recorded at any distance, radians."""
 _PARTS = 2
-"""Parts of a control tick after each of which a node may be recorded."""
+"""Parts of a control tick, after each of which a node may be recorded."""
 _SETTLE_S = 0.3
 """Simulation time before the first image, in which bodies come to rest, seconds."""
-_PATIENCE_S = 6.0
-"""A drive ends when the robot has stood for so long, seconds of simulation time."""
-_STANDING = 0.05
-"""It stands if it moves less than this in that time, metres, ..."""
-_TURNED = 0.2
-"""... and turns less than this, radians: a robot that looks around does not stand."""
-_DONE_S = 0.6
-"""Time that a driver who is finished has to come to rest, seconds."""
-_PURSUIT_DELAY = 1.0 / CONTROL_HZ
-_ORACLE_ROOM = 0.08
-"""Clearance of an oracle's way round obstacles beyond the robot's radius, metres."""
+_STANDSTILL_S = 6.0
+"""Duration of a standstill that ends a drive, seconds of simulation time."""
+_STANDSTILL_DISTANCE = 0.05
+"""Largest motion of a robot in a standstill, metres."""
+_STANDSTILL_TURN = 0.2
+"""Largest turn of a robot in a standstill, radians: a robot that spins to find its path does not stand."""
+_SETTLE_AT_END_S = 0.6
+"""Time after a driver is finished in which the robot comes to rest, seconds."""
+_TICK_S = 1.0 / CONTROL_HZ
+"""Duration of a control tick, seconds."""
+_DETOUR_CLEARANCE = 0.08
+"""Clearance of an oracle's detours beyond the robot's radius, metres."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """What a driver may use at one tick. Only oracles may use ``pose``."""
+class Observation:
+    """Input of a driver at one tick. Only oracles may use ``pose``."""
 
     stamp_ns: int
     view: View
-    """Empty for drivers that need no images."""
+    """Images; empty for drivers that need none."""
     pose: Planar
-    """The true one."""
+    """True pose of the robot."""
 
 
 class Driver(Protocol):
-    """Whatever drives the robot along a path."""
+    """Drives the robot along a path."""
 
     needs_view: bool
     """Whether it uses images."""
 
     @property
     def place(self) -> Place | None:
-        """Where on the path it believes to be; None = it has no belief."""
+        """Estimated place on the path; None = it has no estimate."""
 
     @property
     def state(self) -> str:
-        """What it does, in a word; ``finished`` ends the drive."""
+        """State in a word; ``finished`` ends the drive."""
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         """Returns the velocity until the next tick."""
 
 
@@ -92,15 +93,15 @@ class Tick:
 
     stamp_ns: int
     pose: Planar
-    """The true one, when the image was taken."""
+    """True pose of the robot when the image was taken."""
     command: Velocity
-    """What the driver returned."""
+    """Command of the driver."""
     in_collision: bool
-    """Whether the robot touched anything but the floor since the tick before."""
+    """Whether the robot collided with anything but the floor since the previous tick."""
     index: float
-    """Believed place on the path, nodes; NaN = no belief."""
+    """Estimated place on the path, node index with a fraction; NaN = no estimate."""
     state: str
-    """Of the driver."""
+    """State of the driver."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +112,13 @@ class Trace:
     ended: str
     """finished, standing, or time."""
     touched: tuple[str, ...] = ()
-    """Names of what the robot collided with, in the order of the first touch."""
+    """Names of the bodies that the robot collided with, in the order of the first contact."""
     layout: Layout | None = None
     views: tuple[View, ...] = ()
-    """Of each tick, if they were to be kept."""
+    """Views of each tick; empty unless they were kept."""
 
     def outcome(self, recording: Recording) -> Outcome:
-        """Returns how it went."""
+        """Returns the metrics of the drive."""
         points = [TracePoint(tick.stamp_ns, *tick.pose, tick.in_collision) for tick in self.ticks]
         return evaluate([(x, y) for x, y, _ in recording.poses], points)
 
@@ -131,13 +132,13 @@ class Recording:
     poses: tuple[Planar, ...]
     """True poses of the nodes."""
     commands: tuple[Velocity, ...]
-    """Of all control ticks, in order."""
+    """Command of each control tick."""
     line: tuple[tuple[float, float], ...]
-    """Where the robot truly was at each control tick."""
+    """True position of the robot at each control tick, world frame, metres."""
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Duration of the recording, seconds."""
         return len(self.commands) / CONTROL_HZ
 
 
@@ -163,7 +164,8 @@ class PathSite:
         self.world = self.simulation.world
         self._name = self.ground.robot.name
         self._link = f"{self._name}/{self.ground.robot.base_link}"
-        self._touching = 0.0
+        self._contact_s = 0.0
+        """Total duration of contacts, seconds."""
 
     @property
     def pose(self) -> Planar:
@@ -177,10 +179,14 @@ class PathSite:
         return self.world.stamp_ns
 
     def begin(self, layout: Layout, start: Planar) -> None:
-        """Puts the robot and all bodies in place, at time 0.
+        """Places the robot and all bodies, and sets the time to 0.
+
+        Args:
+            layout: the bodies.
+            start: pose of the robot.
 
         Raises:
-            SceneError: the robot touches something there.
+            SceneError: the robot collides with something there.
         """
         x, y, yaw = start
         pose = pose_from_xyz_rpy((x, y, self.ground.floor.floor_z), (0.0, 0.0, yaw))
@@ -190,28 +196,28 @@ class PathSite:
         self.world.step(round(_SETTLE_S * STEP_HZ))
         self.world.set_step_count(0)
         count = self.world.collisions(self._name)
-        self._touching = count.duration
+        self._contact_s = count.duration
         if count.ongoing:
             raise SceneError(
                 f"scene {self.scene!r}: at {x:.2f}, {y:.2f} m the robot touches {count.last_body}; start it elsewhere"
             )
 
     def advance(self, velocity: Velocity, steps: int = STEP_HZ // CONTROL_HZ) -> str | None:
-        """Drives at a velocity for some physics steps, by default a control tick; returns the name of what it touched, not the floor."""
+        """Drives at a velocity for some physics steps, by default a control tick; returns the body it collided with, except the floor."""
         self.world.command(
             self._name, VelocityCommand((velocity.linear, 0.0, 0.0), (0.0, 0.0, velocity.angular), self.world.stamp_ns)
         )
         self.world.step(steps)
         count = self.world.collisions(self._name)
-        before, self._touching = self._touching, count.duration
+        before, self._contact_s = self._contact_s, count.duration
         return count.last_body if count.duration > before else None
 
     def view(self, conditions: Conditions, rng: np.random.Generator) -> View:
-        """Returns what the cameras see now.
+        """Returns the images of the cameras now.
 
         Args:
             conditions: light and cameras.
-            rng: of the noise.
+            rng: of the image noise.
         """
         outputs: tuple[Output, ...] = ("rgb",) if conditions.light.is_unchanged else ("rgb", "normal_world", "position")
         cameras = self.rig.cameras(self._link, conditions, outputs)
@@ -238,16 +244,16 @@ class PathSite:
         self.close()
 
 
-# Drivers that need no learning
+# Drivers
 
 
 class OracleDriver:
-    """Knows the line, its own pose, and the map with all that stands on it.
+    """Pure pursuit along a line by the true pose.
 
     Args:
-        line: where to drive, (K, 2), world frame, metres.
-        latency_ticks: ticks until its commands count, which it allows for.
-        settings: how it drives; None = the defaults.
+        line: corners (K, 2) of the line, world frame, metres.
+        latency_ticks: ticks until its commands take effect, which it compensates.
+        settings: None = the defaults.
     """
 
     needs_view = False
@@ -260,14 +266,14 @@ class OracleDriver:
         self.state = "following"
         self._pending: deque[Velocity] = deque([STOP] * latency_ticks)
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         """Returns the velocity at a pose."""
-        x, y, yaw = sight.pose
+        x, y, yaw = observation.pose
         for velocity in self._pending:
-            yaw += 0.5 * velocity.angular * _PURSUIT_DELAY
-            x += velocity.linear * _PURSUIT_DELAY * math.cos(yaw)
-            y += velocity.linear * _PURSUIT_DELAY * math.sin(yaw)
-            yaw += 0.5 * velocity.angular * _PURSUIT_DELAY
+            yaw += 0.5 * velocity.angular * _TICK_S
+            x += velocity.linear * _TICK_S * math.cos(yaw)
+            y += velocity.linear * _TICK_S * math.sin(yaw)
+            yaw += 0.5 * velocity.angular * _TICK_S
         found = self.pursuit.velocity(x, y, yaw)
         self._pending.append(found)
         self._pending.popleft()
@@ -286,7 +292,7 @@ class BlindDriver:
         self.place: Place | None = None
         self.state = "following"
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         """Returns the next recorded velocity."""
         if not self._commands:
             self.state = "finished"
@@ -295,7 +301,7 @@ class BlindDriver:
 
 
 class RandomDriver:
-    """Drives at random velocities, a new one every second, for as long as the recording took."""
+    """Drives at random velocities, a new one every second, for the duration of the recording."""
 
     needs_view = False
 
@@ -305,7 +311,7 @@ class RandomDriver:
         self.place: Place | None = None
         self.state = "following"
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         """Returns a random velocity."""
         if not self._left:
             self.state = "finished"
@@ -319,7 +325,7 @@ class RandomDriver:
 
 
 class FollowerDriver:
-    """A follower as it runs on a robot, which sees images alone."""
+    """A follower as on a robot: it gets images alone."""
 
     needs_view = True
 
@@ -328,17 +334,17 @@ class FollowerDriver:
 
     @property
     def place(self) -> Place | None:
-        """Where it believes to be."""
+        """Estimated place on the path."""
         return self.follower.place
 
     @property
     def state(self) -> str:
-        """What it does."""
+        """State of the follower."""
         return self.follower.state
 
-    def drive(self, sight: Sight) -> Velocity:
+    def drive(self, observation: Observation) -> Velocity:
         """Returns the velocity until the next view."""
-        return self.follower.observe(sight.stamp_ns, sight.view)
+        return self.follower.observe(observation.stamp_ns, observation.view)
 
 
 # One drive
@@ -347,17 +353,17 @@ class FollowerDriver:
 def record(
     site: PathSite, case: PathCase, *, light: RoomLight | None = None, settings: OracleSettings | None = None, seed: int = 0
 ) -> Recording:
-    """Returns a path as an oracle drives it, in the scene as it is.
+    """Returns the recording of a path that an oracle drives in the unchanged scene.
 
     Args:
         site: the scene.
         case: the path.
         light: light; None = that of the scene.
-        settings: how the oracle drives.
-        seed: of the noise of images.
+        settings: of the oracle; None = the defaults.
+        seed: of the image noise.
 
     Raises:
-        SceneError: the robot touches something on the way, or does not arrive.
+        SceneError: the robot collides, or does not arrive.
     """
     conditions = Conditions(light=light or RoomLight(), photometry=Photometry())
     rng = np.random.default_rng(seed)
@@ -375,7 +381,7 @@ def record(
         is_tick = part % _PARTS == 0
         if is_tick:
             line.append(pose[:2])
-            velocity = driver.drive(Sight(now_ns, (), pose))
+            velocity = driver.drive(Observation(now_ns, (), pose))
         is_over = driver.state == "finished"
         if not nodes or is_over or _is_due(nodes[-1], pose, travelled, step):
             if is_over and len(nodes) > 1 and travelled - nodes[-1].distance < SPACING / 4.0:
@@ -413,18 +419,29 @@ class _Node:
 
 
 def _is_due(last: _Node, pose: Planar, travelled: float, step: float) -> bool:
-    """Returns whether a path gets a node: at the moment that is nearest to 0.2 m after the last one, or after a turn."""
+    """Returns whether a node is due: at the time nearest to ``SPACING`` after the last one, or after ``NODE_TURN``.
+
+    Args:
+        last: the last node.
+        pose: true pose of the robot.
+        travelled: distance driven, metres.
+        step: distance driven since the previous call, metres.
+    """
     turned = abs(math.remainder(pose[2] - last.pose[2], 2.0 * math.pi))
     return travelled - last.distance >= SPACING - step / 2.0 or turned >= NODE_TURN
 
 
 def oracle_for(site: PathSite, recording: Recording, layout: Layout, conditions: Conditions) -> OracleDriver:
-    """Returns an oracle that follows a recording, around what stands in its way.
+    """Returns an oracle that follows a recording, with detours around obstacles.
 
     Raises:
-        SceneError: there is no way round.
+        SceneError: there is no detour.
     """
-    line = around(layout.floor, recording.line, site.ground.robot.radius + _ORACLE_ROOM) if layout.obstacles else recording.line
+    line = (
+        avoid_obstacles(layout.floor, recording.line, site.ground.robot.radius + _DETOUR_CLEARANCE)
+        if layout.obstacles
+        else recording.line
+    )
     return OracleDriver(line, conditions.latency_ticks)
 
 
@@ -435,27 +452,27 @@ def follow(
     conditions: Conditions,
     seed: int,
     *,
-    make_thing: ThingMaker | None = None,
+    make_item: ItemMaker | None = None,
     keep_views: bool = False,
-    watch: Callable[[Sight, Velocity], None] | None = None,
+    on_tick: Callable[[Observation, Velocity], None] | None = None,
 ) -> Trace:
     """Returns the drive of a driver along a recording. Equal arguments give equal traces, bit for bit.
 
     Args:
         site: the scene.
         recording: the path.
-        driver_of: makes the driver from what stands where.
-        conditions: in what the drive differs from the recording.
-        seed: of places of things and of the noise of images.
-        make_thing: makes what is new, see ``draw_layout``.
-        keep_views: whether the trace has the images.
-        watch: called at each tick with what was to be seen, images included, and with the command.
+        driver_of: returns the driver for a layout.
+        conditions: differences from the recording.
+        seed: of the layout and of the image noise.
+        make_item: returns added objects and obstacles, see ``draw_layout``.
+        keep_views: whether the trace keeps the images.
+        on_tick: called at each tick with the observation, images included, and the command.
 
     Raises:
         SceneError: the robot cannot stand at the start.
     """
     layout_rng, noise = (np.random.default_rng([seed, k]) for k in range(2))
-    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng, make_thing)
+    layout = draw_layout(site.ground, recording.line, conditions.moved, conditions.obstacles, layout_rng, make_item)
     site.begin(layout, _start(recording.case.start, conditions))
     driver = driver_of(layout)
     pending: deque[Velocity] = deque([STOP] * conditions.latency_ticks)
@@ -467,53 +484,63 @@ def follow(
     limit = round((2.0 * recording.duration + 15.0) * CONTROL_HZ)
     ended = "time"
     while len(ticks) < limit:
-        needs_view = driver.needs_view or keep_views or watch is not None
-        sight = Sight(site.stamp_ns, site.view(conditions, noise) if needs_view else (), site.pose)
-        command = _limited(driver.drive(sight))
-        if watch is not None:
-            watch(sight, command)
+        needs_view = driver.needs_view or keep_views or on_tick is not None
+        observation = Observation(site.stamp_ns, site.view(conditions, noise) if needs_view else (), site.pose)
+        command = _clamped(driver.drive(observation))
+        if on_tick is not None:
+            on_tick(observation, command)
         place = driver.place
         ticks.append(
-            Tick(sight.stamp_ns, sight.pose, command, last is not None, math.nan if place is None else place.index, driver.state)
+            Tick(
+                observation.stamp_ns,
+                observation.pose,
+                command,
+                last is not None,
+                math.nan if place is None else place.index,
+                driver.state,
+            )
         )
         if keep_views:
-            views.append(sight.view)
+            views.append(observation.view)
         finished = finished + 1 if driver.state == "finished" else 0
-        if finished > _DONE_S * CONTROL_HZ + conditions.latency_ticks:
+        if finished > _SETTLE_AT_END_S * CONTROL_HZ + conditions.latency_ticks:
             ended = "finished"
             break
-        if _stands(ticks):
+        if _is_standstill(ticks):
             ended = "standing"
             break
         pending.append(command)
-        last = site.advance(_driven(pending.popleft(), conditions))
+        last = site.advance(_with_slip(pending.popleft(), conditions))
         if last is not None and last not in touched:
             touched.append(last)
     return Trace(tuple(ticks), ended, tuple(touched), layout, tuple(views))
 
 
 def _start(pose: Planar, conditions: Conditions) -> Planar:
+    """Returns the start of a drive whose path begins at a pose."""
     x, y, yaw = pose
     c, s = math.cos(yaw), math.sin(yaw)
     ahead, left = conditions.start_ahead, conditions.start_left
     return x + c * ahead - s * left, y + s * ahead + c * left, yaw + conditions.start_yaw
 
 
-def _limited(velocity: Velocity) -> Velocity:
+def _clamped(velocity: Velocity) -> Velocity:
+    """Returns a velocity within ``MAX_LINEAR`` and ``MAX_ANGULAR``."""
     if not (math.isfinite(velocity.linear) and math.isfinite(velocity.angular)):
         raise ConfigError(f"a driver returned {velocity}, must be finite")
     return Velocity(min(max(velocity.linear, -MAX_LINEAR), MAX_LINEAR), min(max(velocity.angular, -MAX_ANGULAR), MAX_ANGULAR))
 
 
-def _driven(command: Velocity, conditions: Conditions) -> Velocity:
-    """Returns what the wheels make of a command."""
+def _with_slip(command: Velocity, conditions: Conditions) -> Velocity:
+    """Returns the true velocity of a command, after slip and yaw bias."""
     linear = conditions.slip * command.linear
     return Velocity(linear, conditions.slip * command.angular + conditions.yaw_bias * linear)
 
 
-def _stands(ticks: Sequence[Tick]) -> bool:
-    count = round(_PATIENCE_S * CONTROL_HZ)
-    if len(ticks) <= count or math.dist(ticks[-1].pose[:2], ticks[-1 - count].pose[:2]) > _STANDING:
+def _is_standstill(ticks: Sequence[Tick]) -> bool:
+    """Returns whether the robot has stood for ``_STANDSTILL_S``."""
+    count = round(_STANDSTILL_S * CONTROL_HZ)
+    if len(ticks) <= count or math.dist(ticks[-1].pose[:2], ticks[-1 - count].pose[:2]) > _STANDSTILL_DISTANCE:
         return False
     x, y, yaw = (np.array([tick.pose[k] for tick in ticks[-1 - count :]]) for k in range(3))
-    return float(max(np.ptp(x), np.ptp(y))) < _STANDING and float(np.ptp(np.unwrap(yaw))) < _TURNED
+    return float(max(np.ptp(x), np.ptp(y))) < _STANDSTILL_DISTANCE and float(np.ptp(np.unwrap(yaw))) < _STANDSTILL_TURN
