@@ -90,7 +90,7 @@ def test_another_scan_or_other_files_are_not_written_over(room, clean, tmp_path)
     with pytest.raises(ScanError, match="another scan"):
         scan(room, folder, replace(SETTINGS, defects=PHONE))
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(ScanError, match="holds no scan"):
+    with pytest.raises(ScanError, match="is not a scan"):
         scan(room, tmp_path, SETTINGS)
 
 

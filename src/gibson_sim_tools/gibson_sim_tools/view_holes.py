@@ -59,8 +59,8 @@ class ViewHoles:
     def text(self) -> str:
         """Returns the measurement in words."""
         return (
-            f"{100.0 * self.share:.1f} % of what a robot sees is hole ({100.0 * self.nothing:.1f} % nothing, {100.0 * self.backs:.1f} % back "
-            f"faces), from {self.places} free place{'' if self.places == 1 else 's'}, camera {CAMERA_HEIGHT:g} m above the floor"
+            f"{100.0 * self.share:.1f} % of a robot's view is holes ({100.0 * self.nothing:.1f} % no surface, {100.0 * self.backs:.1f} % back "
+            f"faces), from {self.places} free position{'' if self.places == 1 else 's'}, camera {CAMERA_HEIGHT:g} m above the floor"
         )
 
 

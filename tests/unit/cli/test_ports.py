@@ -67,9 +67,7 @@ def _refusal(command: str, *words: str) -> str:
 def test_the_address_of_a_page_of_ours_is_told(page: int) -> None:
     with pytest.raises(ConfigError) as error:
         check_port("--port", "127.0.0.1", page)
-    expected = (
-        f"--port {page} is taken on 127.0.0.1; open http://127.0.0.1:{page}/, where a page is served already, or choose another port"
-    )
+    expected = f"--port {page} is taken on 127.0.0.1; open http://127.0.0.1:{page}/, where a page is served already, or choose another port"
     assert str(error.value) == expected
 
 

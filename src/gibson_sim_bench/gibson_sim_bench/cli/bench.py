@@ -51,7 +51,7 @@ def _add_render(kinds: Any) -> None:
         metavar="SCENE",
         help=f"rooms:N for generated rooms with N triangles, or names, folders or files of scenes (default: {_SCENES})",
     )
-    parser.add_argument("--sizes", nargs="+", default=[_SIZES], metavar="WxH", help=f"of images, pixels (default: {_SIZES})")
+    parser.add_argument("--sizes", nargs="+", default=[_SIZES], metavar="WxH", help=f"image sizes, pixels (default: {_SIZES})")
     parser.add_argument(
         "--outputs",
         nargs="+",
@@ -66,9 +66,9 @@ def _add_render(kinds: Any) -> None:
         metavar="PX",
         help=f"levels of detail; several, such as 1,0, are measured each (default: {DETAIL_PX:g})",
     )
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant to DIR")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every case to DIR")
     parser.add_argument(
-        "--growth", action="store_true", help="also print the growth of time from the smallest rooms to the largest"
+        "--growth", action="store_true", help="also print how the time grows from the smallest rooms to the largest"
     )
     parser.add_argument(
         "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"

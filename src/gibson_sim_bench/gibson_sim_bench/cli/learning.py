@@ -13,8 +13,8 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "learning",
-        help="steps per second of many environments: in a process each, or in one process with one renderer for all",
-        description="Random actions; the beginnings of episodes count. Nothing else should run on the machine.",
+        help="steps per second of many environments: each in its own process, or in one process with one renderer for all",
+        description="Random actions; resets of episodes are included. Nothing else should run on the machine.",
     )
     parser.add_argument("--task", default="point-goal", help="name of a task (default: point-goal)")
     parser.add_argument("--scene", default="", help="name or path of a scene (default: that of the task)")
@@ -29,11 +29,11 @@ def add_parser(kinds: Any) -> None:
         metavar="N",
         help="numbers of environments (default: 1 2 4 8)",
     )
-    parser.add_argument("--no-batched", action="store_true", help="measure no environments that share a renderer")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each case (default: 20)")
+    parser.add_argument("--no-batched", action="store_true", help="do not measure environments that share a renderer")
+    parser.add_argument("--seconds", type=float, default=20.0, help="duration of each case, seconds (default: 20)")
     parser.add_argument("--size", type=int, default=128, help="width and height of images, pixels (default: 128)")
-    parser.add_argument("--control-hz", type=int, default=10, help="actions in a second of simulation time (default: 10)")
-    parser.add_argument("--step-hz", type=int, default=240, help="physics steps in a second of simulation time (default: 240)")
+    parser.add_argument("--control-hz", type=int, default=10, help="actions per second of simulation time (default: 10)")
+    parser.add_argument("--step-hz", type=int, default=240, help="physics steps per second of simulation time (default: 240)")
     add_report_options(parser)
     parser.set_defaults(run=run)
 

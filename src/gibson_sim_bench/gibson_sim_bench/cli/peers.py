@@ -14,8 +14,8 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "peers",
-        help="Gibson Sim and those of MuJoCo, pyrender, PyBullet and iGibson that are installed, in turns",
-        description="Each peer is optional, and reported where it is absent: pip install mujoco pyrender pybullet, in any Python.",
+        help="Gibson Sim, and MuJoCo, pyrender, PyBullet and iGibson where installed, in turns",
+        description="Each peer is optional; missing ones are reported: pip install mujoco pyrender pybullet, in any Python.",
     )
     parser.add_argument(
         "--house",
@@ -31,10 +31,12 @@ def add_parser(kinds: Any) -> None:
         metavar="PATH",
         help="interpreter with peers installed; may be repeated (default: this one)",
     )
-    parser.add_argument("--sizes", default="256x256,640x480", metavar="WxH", help="of images, pixels (default: 256x256,640x480)")
+    parser.add_argument(
+        "--sizes", default="256x256,640x480", metavar="WxH", help="image sizes, pixels (default: 256x256,640x480)"
+    )
     parser.add_argument("--frames", type=int, default=36, help="images of each case (default: 36)")
     parser.add_argument("--quick", action="store_true", help="12 images of each case, one house")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant to DIR")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every renderer to DIR")
     add_report_options(parser)
     parser.set_defaults(run=run)
 

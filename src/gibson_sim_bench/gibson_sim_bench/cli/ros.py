@@ -43,7 +43,7 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "ros",
-        help="round trips of a state, transport of images, the cost of /clock, images of a running simulation",
+        help="round-trip time of a state, image transport, the cost of /clock, images of a running simulation",
         description="Measures messages between processes, and the cost of waiting for them. Nothing else should run on the machine.",
     )
     parser.add_argument("--quick", action="store_true", help="fewer and shorter: about four minutes instead of ten")

@@ -14,7 +14,7 @@ def add_parser(kinds: Any) -> None:
     parser = kinds.add_parser(
         "scaling",
         help="time and memory against triangles, resolution, cameras, bodies, robots, environments and processes",
-        description="Every case runs in a process of its own. `gibson-sim bench report` draws the plots. Nothing else should run on the machine.",
+        description="Every case runs in its own process. `gibson-sim bench report` draws the plots. Nothing else should run on the machine.",
     )
     parser.add_argument("--quick", action="store_true", help="two small cases of each")
     parser.add_argument("--only", default="", metavar="A,B", help="some of these quantities (default: all)")

@@ -53,7 +53,7 @@ def add_parser(kinds: Any) -> None:
         action="append",
         default=[],
         metavar="X",
-        help="house to draw instead of the built-in ones, name or path; may be repeated",
+        help="house to render instead of the built-in ones, name or path; may be repeated",
     )
     parser.add_argument("--device", help="EGL device for measurements in this process, as `gibson-sim doctor` lists them")
     add_report_options(parser)

@@ -22,7 +22,7 @@ def add_parser(kinds: Any) -> None:
     parser = kinds.add_parser(
         "table2",
         help="following paths by images: success, coverage and collisions of several methods, in simulation, with intervals",
-        description="Runs in lockstep from seeds, in this process or in workers. A second call with the same folder goes on where the first "
+        description="Runs in lockstep from seeds, in this process or in workers. A second call with the same folder resumes where the first "
         "ended; with more runs, domains or methods it adds them. Sim-to-sim: nothing here is about a real robot.",
     )
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="runs of each case, domain and method (default: 100)")
@@ -37,11 +37,13 @@ def add_parser(kinds: Any) -> None:
         "--methods",
         default="",
         metavar="A,B",
-        help="of oracle, learned, teach_repeat, blind, random (default: all; learned if there is a network); learned and teach_repeat also with "
+        help="oracle, learned, teach_repeat, blind, random (default: all; learned if there is a network); learned and teach_repeat also with "
         "+goggles, +histogram or +grey_world",
     )
     parser.add_argument("--scenes", default="", metavar="A,B", help="scenes (default: those held out from training)")
-    parser.add_argument("--paths", type=int, default=10, metavar="N", help="paths of each case, over all scenes (default: 10)")
+    parser.add_argument(
+        "--paths", type=int, default=10, metavar="N", help="paths of each case, in all scenes together (default: 10)"
+    )
     parser.add_argument(
         "--camera", choices=("pinhole", "fisheye_pair"), default="pinhole", help="cameras of the robot (default: pinhole)"
     )
@@ -49,13 +51,13 @@ def add_parser(kinds: Any) -> None:
     parser.add_argument(
         "--goggles", default="", metavar="FILE", help="network of methods with +goggles, ONNX (default: the one that is shipped)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of paths, conditions and noise (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of paths, conditions and noise (default: 0)")
     parser.add_argument(
         "--folder",
         type=Path,
         default=Path(DEFAULT_FOLDER),
         metavar="DIR",
-        help=f"of the runs and the page (default: {DEFAULT_FOLDER})",
+        help=f"folder of the runs and the page (default: {DEFAULT_FOLDER})",
     )
     parser.add_argument("--no-strips", action="store_true", help="make no film strips")
     parser.add_argument("--report-only", action="store_true", help="run nothing; report what is in the folder")

@@ -29,9 +29,9 @@ def add_parser(subparsers: Any) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     path = kinds.add_parser(
         "path-following",
-        help="train the network that follows paths by images",
+        help="train the network for visual path following",
         description=(
-            "Draws data in the training scenes, trains, drives with the network and trains on. It goes on where it was interrupted. "
+            "Renders data in the training scenes, trains, drives with the network and trains further (DAgger). Resumes where it was interrupted. "
             "docs/path_following_training.md"
         ),
     )
@@ -41,26 +41,26 @@ def add_parser(subparsers: Any) -> None:
         type=Path,
         default=Path("out/path_following"),
         metavar="DIR",
-        help="where data, checkpoints, curve and network are put (default: out/path_following)",
+        help="folder for data, checkpoints, training curve and network (default: out/path_following)",
     )
-    path.add_argument("--seed", type=int, metavar="N", help="of data and training (default: that of the file)")
+    path.add_argument("--seed", type=int, metavar="N", help="random seed of data and training (default: that of the file)")
     path.set_defaults(run=run)
     goggles = kinds.add_parser(
         "goggles",
-        help="train the network that brings a camera's images to the simulator's look",
+        help="train the network that adapts a camera's images to the simulator's appearance",
         description=(
-            "Draws pairs of images in the training scenes and trains. It goes on where it was interrupted. docs/goggles.md"
+            "Renders pairs of images in the training scenes and trains. Resumes where it was interrupted. See docs/goggles.md."
         ),
     )
-    goggles.add_argument("--iterations", type=int, metavar="N", help="steps of the optimiser (default: 3000)")
+    goggles.add_argument("--iterations", type=int, metavar="N", help="optimiser steps (default: 3000)")
     goggles.add_argument(
         "--folder",
         type=Path,
         default=Path("out/goggles"),
         metavar="DIR",
-        help="where pairs, checkpoints, curve and network are put (default: out/goggles)",
+        help="folder for pairs, checkpoints, training curve and network (default: out/goggles)",
     )
-    goggles.add_argument("--seed", type=int, default=0, metavar="N", help="of pairs and training (default: 0)")
+    goggles.add_argument("--seed", type=int, default=0, metavar="N", help="random seed of pairs and training (default: 0)")
     goggles.set_defaults(run=run_goggles)
     _add_filler(kinds)
 
@@ -69,7 +69,7 @@ def _add_filler(kinds: Any) -> None:
     filler = kinds.add_parser(
         "filler",
         help="train the network that fills holes of scans",
-        description="Three steps in one folder; each goes on where it was interrupted. docs/filler_training.md",
+        description="Three steps in one folder; each resumes where it was interrupted. See docs/filler_training.md.",
     )
     steps = filler.add_subparsers(dest="step", required=True, metavar="STEP")
     folder = argparse.ArgumentParser(add_help=False)
@@ -78,17 +78,19 @@ def _add_filler(kinds: Any) -> None:
         type=Path,
         default=Path("out/filler"),
         metavar="DIR",
-        help="where scans, pairs and training are put (default: out/filler)",
+        help="folder for scans, pairs and training (default: out/filler)",
     )
     pairs = steps.add_parser(
         "pairs",
         parents=[folder],
-        help="scan the scenes and draw what cameras see in the scans and in the scenes",
-        description="Needs gibson_sim_tools with its extra scanning.",
+        help="scan the scenes, and render the same views in the scans and in the scenes",
+        description="Needs pip install 'gibson_sim_tools[scanning]'.",
     )
     add_settings(pairs, PairsSettings, ("shards", "frames", "triangles", "seed"))
     pairs.add_argument(
-        "--scenes", metavar="NAMES", help="only these, with commas; several processes may work on different scenes (default: all)"
+        "--scenes",
+        metavar="NAMES",
+        help="only these, separated by commas; several processes may work on different scenes (default: all)",
     )
     pairs.set_defaults(run=run_filler_pairs)
     train = steps.add_parser("train", parents=[folder], help="train with these pairs; writes training/filler.onnx")
@@ -102,13 +104,15 @@ def _add_filler(kinds: Any) -> None:
         "evaluate",
         parents=[folder],
         help="compare a network with fillers that need no training",
-        description="By default in the held-out scenes; whoever chooses a parameter does so with --validation.",
+        description="Evaluates in the held-out scenes; to choose parameters, use --validation.",
     )
     judged.add_argument("--model", type=Path, metavar="FILE", help="the network (default: training/filler.onnx of the folder)")
-    judged.add_argument("--validation", action="store_true", help="in the validation scenes")
+    judged.add_argument("--validation", action="store_true", help="evaluate in the validation scenes")
     add_settings(judged, EvaluationSettings, ("every", "drive", "seed"))
-    judged.add_argument("--sheet", type=Path, metavar="FILE", help="picture of examples: scan, push-pull, network, truth")
-    judged.add_argument("--report", type=Path, metavar="FILE", help="write what was found as JSON")
+    judged.add_argument(
+        "--sheet", type=Path, metavar="FILE", help="contact sheet of examples: scan, push-pull, network, ground truth"
+    )
+    judged.add_argument("--report", type=Path, metavar="FILE", help="write the metrics as JSON")
     judged.set_defaults(run=run_filler_evaluation)
 
 

@@ -53,5 +53,5 @@ def _accepted() -> bool:
         ConfigError: standard input is no terminal.
     """
     if not sys.stdin.isatty():
-        raise ConfigError("there is no terminal to accept the licence in: run it in a terminal, or add --yes if you accept it")
+        raise ConfigError("no terminal to accept the licence in: run it in a terminal, or add --yes if you accept it")
     return input("download it under this licence? [y/N] ").strip().lower() in ("y", "yes")

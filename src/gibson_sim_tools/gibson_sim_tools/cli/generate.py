@@ -22,24 +22,22 @@ def add_parser(subparsers: Any) -> None:
         "generate",
         help="make a home, an office or a shop: floor plan, furniture, baked light (needs Blender: pip install 'gibson_sim_tools[authoring]')",
         description="Plans a building, models it, bakes its light with Cycles and writes a scene folder. The same kind and seed give the same "
-        "building. What an interrupted run has finished is kept: --resume goes on with it.",
+        "building. An interrupted run keeps what it has finished: --resume continues it.",
     )
-    parser.add_argument("--kind", choices=tuple(KINDS), default="flat", help="of building (default: flat)")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="0 or more (default: 1)")
-    parser.add_argument("--name", metavar="NAME", help="of the scene (default: kind and seed)")
+    parser.add_argument("--kind", choices=tuple(KINDS), default="flat", help="kind of building (default: flat)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="random seed, 0 or more (default: 1)")
+    parser.add_argument("--name", metavar="NAME", help="name of the scene (default: kind and seed)")
     parser.add_argument(
         "--output",
         type=Path,
         metavar="DIR",
-        help="folder of the scene (default: its name); with --shipped: the folder that theirs are in (default: scenes)",
+        help="folder of the scene (default: its name); with --shipped: the folder of all scenes (default: scenes)",
     )
     parser.add_argument(
         "--quality", choices=tuple(QUALITIES), default="normal", metavar="QUALITY", help=f"{', '.join(_SHOWN)} (default: normal)"
     )
-    parser.add_argument("--resume", action="store_true", help="go on with what an interrupted run left")
-    parser.add_argument(
-        "--shipped", metavar="NAME", help="a scene that comes with the simulator, or all of them, instead of kind and seed"
-    )
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted run")
+    parser.add_argument("--shipped", metavar="NAME", help="a built-in scene, or all of them, instead of kind and seed")
     parser.add_argument(
         "--blender-python", default=sys.executable, metavar="FILE", help="Python that has bpy (default: this one)"
     )
@@ -82,7 +80,7 @@ def _folder(args: argparse.Namespace, name: str) -> Path:
     """
     folder = (args.output or Path("scenes")) / name if args.shipped else args.output or Path(name)
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "scene.yaml").is_file())):
-        raise ConfigError(f"--output {folder}: is there already and holds no scene; give another folder")
+        raise ConfigError(f"--output {folder}: already exists and is not a scene; give another folder")
     return folder
 
 

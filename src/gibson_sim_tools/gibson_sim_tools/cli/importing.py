@@ -21,9 +21,9 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "import",
-        help="make a scene of a folder of photographs with poses, a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, "
+        help="make a scene from a folder of posed photographs, a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, "
         "a USD file, or an archive",
-        description="docs/importing.md says what is read of each format, docs/your_building.md what becomes of photographs.",
+        description="See docs/importing.md for what is read of each format, docs/your_building.md for photographs.",
     )
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file, folder or archive (.zip, .tar.gz)")
     parser.add_argument(
@@ -38,7 +38,7 @@ def add_parser(subparsers: Any) -> None:
 
 def add_choices(parser: argparse.ArgumentParser) -> None:
     """Adds the options of an import."""
-    parser.add_argument("--name", default="", help="of the scene (default: that of the source)")
+    parser.add_argument("--name", default="", help="name of the scene (default: that of the source)")
     parser.add_argument(
         "--up-axis",
         metavar="UP",
@@ -46,7 +46,9 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
         "floor says)",
     )
     parser.add_argument(
-        "--unit", metavar="UNIT", help="of the file: m, cm, mm, inch, foot, km, or metres per unit (default: as its format says)"
+        "--unit",
+        metavar="UNIT",
+        help="unit of the file: m, cm, mm, inch, foot, km, or metres per unit (default: as its format says)",
     )
     parser.add_argument("--no-semantics", action="store_true", help="leave labels out; the scene is one object")
 

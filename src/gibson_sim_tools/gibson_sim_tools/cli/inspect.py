@@ -46,7 +46,7 @@ def add_parser(subparsers: Any) -> None:
     check.add_argument(
         "--align-splats",
         action="store_true",
-        help="find pose and scale at which the splats lie on the mesh, and write them into scene.yaml",
+        help="register the splats to the mesh: find their pose and scale, and write them into scene.yaml",
     )
     check.set_defaults(run=_check)
 
@@ -79,7 +79,7 @@ def _inspect(args: argparse.Namespace) -> ExitCode:
 
 def _check(args: argparse.Namespace) -> ExitCode:
     if args.fix and args.output is None:
-        raise ConfigError("--fix writes a mended copy: say with --output DIR where")
+        raise ConfigError("--fix writes a repaired copy: give its folder with --output DIR")
     if not args.fix and (args.output is not None or args.unit is not None or args.up is not None):
         raise ConfigError("--output, --unit and --up are for --fix: add it, or leave them out")
     if args.up is not None and args.no_level:
@@ -105,7 +105,7 @@ def _check(args: argparse.Namespace) -> ExitCode:
     file, mended = fix_scene(report, args.output, FixOptions(factor, args.max_texture, not args.no_level, up))
     if not args.json:
         unclear = any(finding.what == "up-unclear" for finding in mended.findings)
-        print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'mended'}: {file}")
+        print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'repaired'}: {file}")
     _print(mended, args.json)
     return ExitCode.OK if mended.clean else ExitCode.ERROR
 
@@ -144,7 +144,7 @@ def _print(report: SceneReport, as_json: bool) -> None:
     faults = sum(finding.level != "note" for finding in report.findings)
     fixable = sum(finding.fixable and finding.level != "note" for finding in report.findings)
     name = "" if report.facts is None else f"{report.facts.name}: "
-    print(f"{name}{'clean' if report.clean else f'{faults} findings, {fixable} of them mended by --fix'}")
+    print(f"{name}{'clean' if report.clean else f'{faults} findings, {fixable} of them repairable by --fix'}")
 
 
 def _print_lines(report: SceneReport) -> None:

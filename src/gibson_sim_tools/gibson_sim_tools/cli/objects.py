@@ -15,7 +15,7 @@ from gibson_sim.picture_files import write_picture
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "objects", help="make our objects with Blender: meshes, URDFs and, with --picture, a picture of them"
+        "objects", help="make the built-in objects with Blender: meshes, URDFs and, with --picture, a picture of them"
     )
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="objects to make (default: all)")
     parser.add_argument("--output", default="scenes/objects", metavar="DIR", help="output folder (default: scenes/objects)")

@@ -27,7 +27,7 @@ _INDENT = "    "
 
 def add_photograph_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options of an import from photographs."""
-    group = parser.add_argument_group("of a folder of photographs")
+    group = parser.add_argument_group("folder of photographs")
     group.add_argument(
         "--mesh",
         type=Path,
@@ -59,10 +59,10 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     found = find(folder, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
     if settings.hold_out_depth and found.mesh is not None:
         raise ConfigError(
-            f"--hold-out-depth is for depth that is fused, and the mesh is {quoted(str(found.mesh))}; leave it out, or give --fuse"
+            f"--hold-out-depth needs a mesh that is fused from depth, but the mesh is {quoted(str(found.mesh))}; leave it out, or give --fuse"
         )
     if scale is not None and any(item.depth is not None for item in found.photographs.items):
-        raise ConfigError("--unit is for photographs without depth: depth images say how large the room is; leave it out")
+        raise ConfigError("--unit is for photographs without depth: depth images define the scale; leave it out")
     up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")
     job = Import(found, output, settings, args.name or output.resolve().name, up, scale, source)
     for warning in dict.fromkeys((*found.photographs.warnings, *(found.rgbd.warnings if found.rgbd is not None else ()))):
@@ -72,7 +72,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     with stage_bars([stage.name for stage in stages], [stage.weight for stage in stages]) as (bar, say):
         job.run(bar, say)
     if settings.hold_out:
-        print(f"photographs beside the simulation: {output / SHEET}")
+        print(f"photographs and re-rendered scene: {output / SHEET}")
     print(f"next: gibson-sim run --scene {output}")
     return ExitCode.OK
 
@@ -111,7 +111,7 @@ def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callabl
         def say(stage: Any) -> None:
             ended[0] += 1
             bars.update(whole, completed=sum(weights[: ended[0]]))
-            time = "made before" if stage.reused else _time(stage.seconds)
+            time = "done before" if stage.reused else _time(stage.seconds)
             text = f"{ended[0]}/{len(names)} {stage.name} ({time}): " + f"\n{_INDENT}".join(stage.lines)
             if errors.is_terminal and sys.stdout.isatty():
                 bars.console.print(text, markup=False, soft_wrap=True, highlight=False)  # above the bars

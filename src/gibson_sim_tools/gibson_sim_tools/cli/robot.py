@@ -42,7 +42,7 @@ def add_parser(subparsers: Any) -> None:
         "--output",
         default="robot.yaml",
         metavar="FILE",
-        help="with --new: the file to write (default: robot.yaml); its picture is beside it",
+        help="with --new: the file to write (default: robot.yaml); its picture is written beside it",
     )
     parser.add_argument(
         "--xacro-arg",
@@ -168,7 +168,7 @@ def _write(description: Path, output: Path, arguments: dict[str, str]) -> Sequen
     if output.suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"--output is {quoted(str(output))}, must end in .yaml")
     if output.exists():
-        raise ConfigError(f"{output}: is there already; name another file with --output, or remove it")
+        raise ConfigError(f"{output}: already exists; name another file with --output, or remove it")
     derived = derive_file(description, mesh_points(), arguments, needs_drive=False)
     beside = description.is_relative_to(output.parent.absolute())
     urdf = os.path.relpath(description, output.parent.absolute()) if beside else str(description)

@@ -30,7 +30,7 @@ from gibson_sim_tools.scanning.settings import (
 
 _LEVEL_DEG = 0.5
 """Tilt below which a floor counts as level, degrees."""
-_PARTS: dict[str, type[Any]] = {"way": TourSettings, "camera": ScanCamera, "defects": Defects}
+_PARTS: dict[str, type[Any]] = {"route": TourSettings, "camera": ScanCamera, "defects": Defects}
 
 
 def add_parser(subparsers: Any) -> None:
@@ -43,12 +43,12 @@ def _add_scan(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "scan",
         help="scan a scene: posed RGB-D images with the errors of real scanners",
-        description="Moves a rig of cameras through the fewest stations that see nearly everything, and writes colour images, depth images and "
+        description="Moves a camera rig through the fewest stations that cover the scene, and writes colour images, depth images and "
         "poses. The same command resumes an interrupted scan.",
     )
     parser.add_argument("scene", help="name, folder or file of a scene")
     parser.add_argument(
-        "--output", required=True, metavar="DIR", help="folder of the scan: new, empty, or with the beginning of the same scan"
+        "--output", required=True, metavar="DIR", help="folder of the scan: new, empty, or with the same scan interrupted"
     )
     parser.add_argument(
         "--preset",
@@ -79,7 +79,7 @@ def _add_fuse(subparsers: Any) -> None:
         "--pose-convention",
         choices=(AS_READ, AUTO, *CAMERA_CONVENTIONS),
         default=AS_READ,
-        help="how the file of the poses is to be taken: as its layout says; auto = as neighbouring depth images agree; or one by name",
+        help="convention of the poses: as-read = that of the layout; auto = the one in which neighbouring depth images agree; or by name",
     )
     parser.add_argument("--compare", metavar="SCENE", help="compare the mesh with this scene, which was scanned")
     parser.add_argument("--report", metavar="FILE", help="write the comparison as JSON")
@@ -102,7 +102,7 @@ def _scan(args: argparse.Namespace) -> ExitCode:
     images = len(plan.views) * len(tour.pitches)
     print(
         f"{folder}: {images} images from {len(plan.views)} views, {plan.stations} stations; "
-        f"the stations see {100.0 * plan.coverage:.1f} % of the surface that can be seen from free places"
+        f"they cover {100.0 * plan.coverage:.1f} % of the surface that is visible from free positions"
     )
     return ExitCode.OK
 
@@ -151,9 +151,11 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         report["snap"] = asdict(fusion.snap)
     print(level_text(T, settings.level))
     if T is not None:
-        with progress_bar("looking for holes") as progress:
+        with progress_bar("measuring holes") as progress:
             holes = robot_view_holes(mesh, np.eye(4) if settings.level else T, progress)
-        print(holes.text() if holes else "no place of the floor is free for a robot, so the holes in its views are not measured")
+        print(
+            holes.text() if holes else "no position on the floor is free for a robot, so the holes in its views are not measured"
+        )
         report["view_holes"] = None if holes is None else {**asdict(holes), "share": holes.share}
     if scene is not None:
         with progress_bar("comparing") as progress:
@@ -164,7 +166,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         print(
             f"images show {100.0 * found.shown:.1f} % of all solid surfaces; the mesh has {100.0 * found.covered:.1f} % of these within 5 cm"
         )
-    print(f"next: gibson-sim scene check {output} tells holes, islands of floor that gaps cut off, and what is out of level")
+    print(f"next: `gibson-sim scene check {output}` reports holes, floor areas that gaps separate, and tilt")
     write_json(Path(args.report) if args.report else None, report)
     return ExitCode.OK
 

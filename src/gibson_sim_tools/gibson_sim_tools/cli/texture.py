@@ -22,53 +22,53 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "texture",
         help="texture a mesh from posed photographs (our scans; Open3D, 7-Scenes, TUM, COLMAP and nerfstudio folders)",
-        description="Writes a scene whose textures are parts of the photographs. docs/texturing.md says how.",
+        description="Writes a scene that is textured from the photographs. See docs/texturing.md.",
     )
     parser.add_argument("photographs", type=Path, metavar="PHOTOS", help="folder of posed photographs; the layout is detected")
     parser.add_argument("mesh", type=Path, metavar="MESH", help="mesh file, z up, metres, in the frame of the poses")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="new folder of the scene")
-    parser.add_argument("--name", default="", help="of the scene (default: that of the folder)")
+    parser.add_argument("--name", default="", help="name of the scene (default: that of the folder)")
     parser.add_argument(
         "--level",
         action="store_true",
-        help="turn the scene so that z is up and the floor is at z = 0, for scans that begin at a camera",
+        help="turn the scene so that z is up and the floor is at z = 0, for scans in the frame of a camera",
     )
     parser.add_argument(
         "--hold-out",
         type=int,
         default=0,
         metavar="N",
-        help="leave out every N-th photograph, from the first on, and compare it with the scene (0 = use all)",
+        help="hold out every N-th photograph, from the first, and compare it with the re-rendered scene (0 = use all)",
     )
     parser.add_argument(
         "--sheet",
         type=Path,
         metavar="FILE",
-        help="with --hold-out: write a picture of photographs beside the scene, .jpg or .png",
+        help="with --hold-out: write a contact sheet of photographs and re-rendered scene, .jpg or .png",
     )
     parser.add_argument(
         "--pose-convention",
         choices=(AS_READ, AUTO, *POSE_CONVENTIONS),
         default=AS_READ,
-        help="how the file of the poses is to be taken: as its layout says; auto = as photographs agree best; or one by name",
+        help="convention of the poses: as-read = that of the layout; auto = the one in which photographs agree best; or by name",
     )
     parser.add_argument(
-        "--unit", metavar="UNIT", help="of poses and mesh: a name as in scene import, or metres per unit (default: metres)"
+        "--unit", metavar="UNIT", help="unit of poses and mesh: a name as in scene import, or metres per unit (default: metres)"
     )
     parser.add_argument(
         "--known-length",
         type=_known_length,
         metavar="MESH,METRES",
-        help="in place of --unit: a length as it is in the mesh, and the true one, such as 1.37,2.0 for a door",
+        help="instead of --unit: a length in the mesh and its true length in metres, such as 1.37,2.0 for a door",
     )
     parser.add_argument(
         "--most-photographs",
         type=int,
         default=MOST_PHOTOGRAPHS,
         metavar="N",
-        help=f"if there are more, use those that together show the mesh best (default: {MOST_PHOTOGRAPHS})",
+        help=f"largest number of photographs; of more, those that together cover the mesh best are used (default: {MOST_PHOTOGRAPHS})",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write what was found as JSON")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     add_settings(parser, TextureSettings, [f.name for f in fields(TextureSettings)])
     parser.set_defaults(run=_run)
 
@@ -101,17 +101,15 @@ def _run(args: argparse.Namespace) -> ExitCode:
 
     settings = settings_from_args(TextureSettings, args)
     if args.output.exists() and (not args.output.is_dir() or any(args.output.iterdir())):
-        raise ConfigError(f"--output {args.output}: is there already and not empty; give another folder, or delete it first")
+        raise ConfigError(f"--output {args.output}: already exists and is not empty; give another folder, or delete it first")
     if args.hold_out < 0 or args.hold_out == 1:
-        raise ConfigError(f"--hold-out {args.hold_out}: must be 0, or 2 or more, so that photographs are left")
+        raise ConfigError(f"--hold-out {args.hold_out}: must be 0, or 2 or more, so that some photographs are used")
     if args.sheet is not None and not args.hold_out:
-        raise ConfigError(
-            f"--sheet {args.sheet}: shows photographs that were held out; give --hold-out, too, such as --hold-out 10"
-        )
+        raise ConfigError(f"--sheet {args.sheet}: shows held-out photographs; give --hold-out, too, such as --hold-out 10")
     if args.most_photographs < 2:
         raise ConfigError(f"--most-photographs {args.most_photographs}: must be 2 or more")
     if args.known_length is not None and args.unit is not None:
-        raise ConfigError("--unit and --known-length both say how long a metre is; give one of them")
+        raise ConfigError("--unit and --known-length both set the scale; give one of them")
     scale = args.known_length or unit_m(args.unit) or 1.0
     photographs = open_photographs(args.photographs, settings.longest_side)
     for warning in photographs.warnings:
@@ -133,7 +131,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
         print(line)
     likeness = held_out_likeness(textured, held_out) if args.hold_out else {}
     for name, alike in likeness.items():
-        print(f"{len(held_out)} photographs that were held out, {name}: PSNR {alike.psnr:.2f} dB, SSIM {alike.ssim:.3f}")
+        print(f"{len(held_out)} held-out photographs, {name}: PSNR {alike.psnr:.2f} dB, SSIM {alike.ssim:.3f}")
     if args.sheet is not None:
         write_picture(args.sheet, contact_sheet(textured, held_out)[:, :, ::-1])
     print(f"next: gibson-sim scene check {file.parent}; gibson-sim run --scene {file.parent}")

@@ -21,8 +21,8 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "view",
-        help="write one picture: views at eye height from free places, from above, and the floor map",
-        description="Writes one picture of a scene: views at eye height from free places, from above, and the floor map. Of several "
+        help="write one picture: views at eye height from free positions, from above, and the floor map",
+        description="Writes one picture of a scene: views at eye height from free positions, from above, and the floor map. For several "
         "scenes: a row of views of each.",
     )
     parser.add_argument("scene", metavar="SCENE", nargs="+", help="name, folder or file of a scene")
@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
         type=int,
         default=None,
         metavar="N",
-        help="number of the floor, 0 = the lowest (default: the one of the starts); for one scene",
+        help="number of the floor, 0 = the lowest (default: that of the start poses); for one scene",
     )
     parser.add_argument(
         "--width", type=int, default=0, metavar="PX", help="scale the sheet to this width (default: 640 pixels a picture)"

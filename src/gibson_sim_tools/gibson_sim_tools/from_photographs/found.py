@@ -106,7 +106,7 @@ def find(folder: Path, mesh: Path | None, *, fuse: bool, longest: int, leave_out
     chosen = mesh if mesh is not None or fuse else _mesh_in(folder, leave_out)
     if chosen is not None:
         if not is_file(chosen):
-            raise ScanError(f"--mesh {chosen}: is no file; give the mesh of the scan")
+            raise ScanError(f"--mesh {chosen}: is not a file; give the mesh of the scan")
         return Found(photographs, None, chosen)
     is_rgbd = photographs.layout in {layout.name for layout in LAYOUTS}
     rgbd = open_posed_rgbd(folder) if is_rgbd else depth_frames(photographs)

@@ -192,7 +192,7 @@ class Import:
             mesh = _simplified(mesh, most)
             lines.append(f"simplified from {count} to {len(mesh.triangles)} triangles")
         write_ply(self.output / _MESH, mesh)
-        return lines or ["nothing was to be changed"]
+        return lines or ["nothing to change"]
 
     def _level(self, progress: Progress) -> Sequence[str]:
         mesh = self._read_mesh(_MESH)
@@ -202,7 +202,7 @@ class Import:
             T = level_transform(mesh, poses) if up is None else level_transform_near(mesh, np.asarray(up))
         except ScanError as error:
             raise ScanError(
-                "the mesh has no floor: no level surface of it faces up, by the cameras, which are taken as roughly upright; say with --up-axis "
+                "the mesh has no floor: no level surface of it faces up, if the cameras are roughly upright; say with --up-axis "
                 "which way is up in the frame of the poses (y, -z, 0.1,0.3,0.9), or photograph the floor, too"
             ) from error
         tilt, floor = math.degrees(math.acos(min(1.0, float(T[2, 2])))), -float(T[2, 3])
@@ -235,7 +235,7 @@ class Import:
         fewer = len(numbers) < len(self.found.photographs)
         return [
             *([f"{len(numbers)} of {len(self.found.photographs)} photographs are used"] if fewer else []),
-            *([f"the {self._unused()} of {len(held_out)} photographs are kept aside"] if held_out else []),
+            *([f"{len(held_out)} photographs are held out ({self._unused()})"] if held_out else []),
             *textured.report.lines(),
         ]
 
@@ -270,8 +270,8 @@ class Import:
         if boards is not None:
             scene.objects.append(ImportedObject(UNSEEN_FLOOR, boards.mesh, semantic_class="floor"))
             lines.append(
-                f"{boards.area:.1f} m^2 of the floor that no image shows are closed with grey boards (object {UNSEEN_FLOOR}); --no-close-floor "
-                "leaves them open"
+                f"{boards.area:.1f} m^2 of unobserved floor are filled with grey boards (object {UNSEEN_FLOOR}); --no-close-floor "
+                "leaves it open"
             )
         progress(0.5)
         _replaced(scene, self.output)
@@ -310,9 +310,9 @@ class Import:
         lines.append(
             f"{holes.text}"
             if holes is not None
-            else "a robot sees no holes"
+            else "no holes in a robot's views"
             if report.free_floor
-            else "no place is free for a robot"
+            else "no position is free for a robot"
         )
         return lines
 
@@ -345,13 +345,13 @@ class Import:
             },
         )
         lines = [
-            f"{len(numbers)} photographs whose {self._unused()} were not used, drawn again: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, "
-            f"where the scene has a surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 would use them, too"
+            f"{len(numbers)} held-out photographs ({self._unused()}), re-rendered: PSNR {alike.psnr:.1f} dB, SSIM {alike.ssim:.2f}, "
+            f"where the scene has a surface ({100.0 * share:.0f} % of their pixels); --hold-out 0 uses them, too"
         ]
         for region, (before, after) in filled.items():
             what = "front faces" if region == FRONTS else "holes"
             lines.append(
-                f"{what} ({100.0 * before.pixels / pixels:.1f} % of the pixels), as drawn and filled by {self.settings.fill}: PSNR "
+                f"{what} ({100.0 * before.pixels / pixels:.1f} % of the pixels), as rendered and filled by {self.settings.fill}: PSNR "
                 f"{before.psnr:.2f} and {after.psnr:.2f} dB, SSIM {before.ssim:.3f} and {after.ssim:.3f}"
                 if before.pixels
                 else f"{what}: none in these photographs"

@@ -29,9 +29,9 @@ def check_pictures(files: Sequence[Path], progress: Callable[[float], None] = la
         else:
             total += len(data)
             if image_size(data) is None:
-                bad.append(f"{path}: is no image that can be read{' (it is empty)' if not data else ''}")
+                bad.append(f"{path}: is not a readable image{' (it is empty)' if not data else ''}")
             elif is_cut(data):
-                bad.append(f"{path}: was cut short, its end is missing")
+                bad.append(f"{path}: is truncated")
         progress((number + 1) / len(files))
     if bad:
         more = f", and {len(bad) - 1} more of {len(files)} images are broken" if len(bad) > 1 else ""

@@ -92,7 +92,7 @@ class Work:
         if not path.exists():
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
                 raise SceneError(
-                    f"{self.folder}: is there already and not empty; give another folder with --output, or delete it first"
+                    f"{self.folder}: already exists and is not empty; give another folder with --output, or delete it first"
                 )
             self._save()
             return
@@ -104,7 +104,7 @@ class Work:
                 raise ValueError("it is of another program")
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise SceneError(
-                f"{path}: is no record of an import from photographs ({error}); give another folder with --output, or delete this one"
+                f"{path}: is not the record of an import from photographs ({error}); give another folder with --output, or delete this one"
             ) from error
         if source != self.source:
             raise SceneError(

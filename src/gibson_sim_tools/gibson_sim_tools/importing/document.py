@@ -104,7 +104,7 @@ def new_folder(output: Path) -> Iterator[Path]:
         SceneError: there is something at ``output`` already, or it cannot be written.
     """
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise SceneError(f"{output}: is there already and not empty; give another folder with --output, or delete it first")
+        raise SceneError(f"{output}: already exists and is not empty; give another folder with --output, or delete it first")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
@@ -274,7 +274,7 @@ def write_in_place(scene: ImportedScene, folder: Path) -> Path:
     """
     path = folder / DESCRIPTION
     if path.exists():
-        raise SceneError(f"{path}: is there already; give another folder with --output, or delete it first")
+        raise SceneError(f"{path}: already exists; give another folder with --output, or delete it first")
     real = Path(os.path.realpath(folder))
     outside = [
         o.shape for o in scene.objects if isinstance(o.shape, Path) and not Path(os.path.realpath(o.shape)).is_relative_to(real)

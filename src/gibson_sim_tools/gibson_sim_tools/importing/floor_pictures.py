@@ -32,11 +32,11 @@ def write_nav2_map(picture: FloorPicture, floor_z: float, folder: Path) -> None:
     data = picture.file.read_bytes()
     size = image_size(data)
     if size is None or size.pixels > MAX_PIXELS:
-        what = "is no image" if size is None else f"has {size.width} x {size.height} pixels"
+        what = "is not an image" if size is None else f"has {size.width} x {size.height} pixels"
         raise SceneError(f"{picture.file}: {what}; a map must be an image of at most {MAX_PIXELS // 2**20} million pixels")
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise SceneError(f"{picture.file}: is cut or broken; copy it again, or delete it: our own maps do not need it")
+        raise SceneError(f"{picture.file}: is truncated or damaged; copy it again, or delete it: our own maps do not need it")
     name = f"floor_{picture.number}"
     # Nav2: 254 = free, 0 = occupied.
     free = np.where(image[::-1] == 255, 254, 0).astype(np.uint8)

@@ -55,7 +55,9 @@ def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]
         try:
             number, (red, green, blue) = int(row[0]), bytes.fromhex(row[1].strip())
         except ValueError as e:
-            raise SceneError(f"{path}: {quoted(','.join(row))} is no number, colour and class ({e}); get the file again") from e
+            raise SceneError(
+                f"{path}: {quoted(','.join(row))} is not a number, a colour and a class ({e}); get the file again"
+            ) from e
         colors[number] = (red, green, blue)
         classes[number] = row[2]
     if not colors:

@@ -121,10 +121,12 @@ def _floor_heights(path: Path) -> tuple[float, ...]:
         heights = [float(word) for word in path.read_text(encoding="utf-8", errors="replace").split()]
     except ValueError as e:
         raise SceneError(
-            f"{path}: must hold one height in metres on each line ({e}); mend it, or delete it to have floors found"
+            f"{path}: must hold one height in metres on each line ({e}); correct it, or delete it to detect floors automatically"
         ) from e
     if not np.isfinite(heights).all():
-        raise SceneError(f"{path}: holds {heights}, heights must be finite numbers; mend it, or delete it to have floors found")
+        raise SceneError(
+            f"{path}: holds {heights}, heights must be finite numbers; correct it, or delete it to detect floors automatically"
+        )
     return tuple(sorted(heights))
 
 

@@ -92,7 +92,9 @@ def replica_classes(path: Path) -> dict[int, str]:
     try:
         return {int(item["id"]): str(item.get("class_name", "")) for item in document["objects"]}
     except (KeyError, TypeError, ValueError, AttributeError) as e:
-        raise SceneError(f"{path}: is no list of objects with id and class_name: {e}; copy the file of the data set again") from e
+        raise SceneError(
+            f"{path}: is not a list of objects with id and class_name: {e}; copy the file of the data set again"
+        ) from e
 
 
 def habitat_classes(path: Path) -> dict[int, str]:
@@ -104,7 +106,7 @@ def habitat_classes(path: Path) -> dict[int, str]:
         try:
             return {int(item["id"]): str(item["class_"]) for item in document["objects"]}
         except (KeyError, TypeError, ValueError) as e:
-            raise SceneError(f"{path}: is no list of objects with id and class_: {e}") from e
+            raise SceneError(f"{path}: is not a list of objects with id and class_: {e}") from e
     return replica_classes(path)
 
 
@@ -120,7 +122,7 @@ def _house_classes(path: Path) -> dict[int, str]:
             elif words[:1] == ["O"]:
                 found[int(words[1])] = categories.get(int(words[3]), "").replace("#", " ")
     except (ValueError, IndexError) as e:
-        raise SceneError(f"{path}: a line cannot be read ({e}); the file is broken") from e
+        raise SceneError(f"{path}: a line cannot be read ({e}); the file is damaged") from e
     return found
 
 
@@ -130,4 +132,4 @@ def _json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as e:
-        raise SceneError(f"{path}: is no JSON ({' '.join(str(e).split())[:120]}); copy or download it again") from e
+        raise SceneError(f"{path}: is not JSON ({' '.join(str(e).split())[:120]}); copy or download it again") from e

@@ -16,7 +16,7 @@ LEFT_OUT = "left_out.yaml"
 """File in the folder of a scene."""
 _LONGEST = 1000
 """Length limit of a line, characters."""
-_HEAD = "# What the source of this scene names and could not be used. `gibson-sim scene check` repeats it; delete what you have mended.\n"
+_HEAD = "# What the source of this scene names and could not be used. `gibson-sim scene check` repeats it; delete what you have fixed.\n"
 
 
 def left_out_text(lines: Iterable[str]) -> str:
@@ -43,7 +43,7 @@ def read_left_out(folder: Path) -> Sequence[Omission]:
     for entry in entries if isinstance(entries, list) else [entries]:
         if not isinstance(entry, dict) or not isinstance(entry.get("text"), str) or entry.get("kind") not in kinds:
             raise SceneError(
-                f"{path}: must be a list of {{kind: .., text: ..}}, kind one of {', '.join(kinds)}; mend it, or delete it"
+                f"{path}: must be a list of {{kind: .., text: ..}}, kind one of {', '.join(kinds)}; correct it, or delete it"
             )
         lines.append(Omission(clipped(entry["text"], _LONGEST), kinds[entry["kind"]]))
     return tuple(lines)

@@ -26,7 +26,7 @@ _ADVICE = {
     ".3ds": "export it as glTF (.glb), for example with Blender", ".max": "export it as glTF (.glb)",
     ".skp": "export it from SketchUp as COLLADA (.dae) or glTF (.glb)", ".ifc": "convert it to glTF, for example with IfcConvert",
     ".rvt": "export it as IFC, and that as glTF", ".wrl": "convert it to glTF, for example with MeshLab or Blender",
-    ".off": "convert it to PLY or OBJ, for example with MeshLab", ".urdf": "it is a body and no scene: spawn it",
+    ".off": "convert it to PLY or OBJ, for example with MeshLab", ".urdf": "it is a body, not a scene: spawn it",
 }  # fmt: skip
 
 
@@ -64,7 +64,7 @@ def identify(path: Path) -> Source:
         SceneError: the kind cannot be read; the message says what to do.
     """
     if not path.exists():
-        raise SceneNotFoundError(f"{path}: there is nothing; give a file or a folder")
+        raise SceneNotFoundError(f"{path}: does not exist; give a file or a folder")
     # Files named in worlds are looked up in parent folders, which a relative path, or one through `..`, does not name.
     if path.is_dir():
         return _folder(Path(os.path.realpath(path)))
@@ -124,7 +124,7 @@ def _described(file: Path, folder: Path) -> Source:
     if suffix in (".yaml", ".yml"):
         return Source(SourceKind.OURS, file, folder)
     known = ", ".join((*MESH_SUFFIXES, *USD_SUFFIXES, ".world", ".sdf", ".dmd.yaml", *ARCHIVE_SUFFIXES))
-    raise SceneError(f"{file}: {quoted(suffix or 'no suffix')} is no format of a scene that can be read; known: {known}")
+    raise SceneError(f"{file}: {quoted(suffix or 'no suffix')} is not a supported scene format; known: {known}")
 
 
 def _existing(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:

@@ -45,7 +45,7 @@ def read_usd(path: Path, up_axis: UpAxis | None, unit_m: float | None) -> tuple[
 
     Raises:
         EnvironmentProblemError: usd-core is not installed.
-        SceneError: the file is broken or has no meshes.
+        SceneError: the file is damaged or has no meshes.
     """
     require_usd()
     from pxr import Tf, Usd
@@ -108,7 +108,7 @@ class _Stage:
         if not len(points) or not len(corners):
             return []
         if sizes.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
-            raise MeshError(f"{self._path}: faces of {prim.GetPath()} do not fit its {len(points)} points; the file is broken")
+            raise MeshError(f"{self._path}: faces of {prim.GetPath()} do not fit its {len(points)} points; the file is damaged")
         matrix = self._to_world @ np.asarray(self._xforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         uvs = self._primvar(prim, ("st", "UVMap", "st0", "map1"), corners, sizes, 2)
         colors = self._primvar(prim, ("displayColor",), corners, sizes, 3)
@@ -177,7 +177,7 @@ class _Stage:
     def _surface(self, material: Any, key: str) -> Material:
         shader = material.ComputeSurfaceSource()[0] or material.ComputeSurfaceSource("mdl")[0]
         if not shader or str(shader.GetIdAttr().Get()) != "UsdPreviewSurface":
-            self.warnings.append(f"material {key} is no UsdPreviewSurface; the surface is light grey")
+            self.warnings.append(f"material {key} is not a UsdPreviewSurface; the surface is light grey")
             return Material(key)
         texture, color = self._input(shader, "diffuseColor")
         values = {name: self._input(shader, name)[1] for name in ("metallic", "roughness", "opacity")}

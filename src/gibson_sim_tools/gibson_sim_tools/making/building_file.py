@@ -58,7 +58,7 @@ def read_plan(path: Path) -> tuple[Building, Quality]:
         values = json.loads(path.read_text(encoding="utf-8"))
         return _read(Building, values["building"]), _read(Quality, values["quality"])
     except (OSError, ValueError, KeyError, TypeError) as e:
-        raise SceneError(f"{path}: is no plan of a building: {e}; make it again") from e
+        raise SceneError(f"{path}: is not the plan of a building: {e}; make it again") from e
 
 
 def _read(kind: Any, value: Any) -> Any:

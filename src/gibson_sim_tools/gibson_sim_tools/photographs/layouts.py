@@ -52,7 +52,7 @@ def open_photographs(folder: Path, longest: int = 0) -> Photographs:
         ScanError: the folder does not exist, has no known layout, or is incomplete; the message says what is missing.
     """
     if not folder.is_dir():
-        raise ScanError(f"{folder}: is no folder; give the one that holds the photographs and their poses")
+        raise ScanError(f"{folder}: is not a folder; give the one that contains the photographs and their poses")
     if is_file(folder / TRANSFORMS):
         return _nerfstudio(folder, longest)
     keyframes = polycam_cameras(folder)
@@ -80,7 +80,7 @@ def open_photographs(folder: Path, longest: int = 0) -> Photographs:
         )
     known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
     raise ScanError(
-        f"{folder}: no layout of posed photographs that is known. Known are: nerfstudio: {TRANSFORMS}; "
+        f"{folder}: unknown layout of posed photographs; known: nerfstudio: {TRANSFORMS}; "
         f"colmap: cameras and images, .txt or .bin, also in sparse/0, and images/; polycam: keyframes/; record3d: metadata.json and rgb/; {known}"
     )
 
@@ -171,7 +171,7 @@ def _colmap(folder: Path, model: Path, longest: int) -> Photographs:
     except OSError as error:
         raise ScanError(f"{model}: cannot be read: {error.strerror or error}") from error
     except (struct.error, ValueError, IndexError) as error:
-        raise ScanError(f"{model}: is no model of COLMAP, or was cut short ({error}); export it again") from error
+        raise ScanError(f"{model}: is not a COLMAP model, or is truncated ({error}); export it again") from error
     items = []
     for quat_wxyz, shift, camera, name in poses:
         if camera not in lenses:

@@ -97,7 +97,7 @@ def _standing(trial: RobotTrial) -> list[str]:
         return lines
     corners = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in stable.support.tolist())
     if len(stable.support) < 3:
-        lines.append(f"support: stands on {corners or 'nothing'}, which is no area")
+        lines.append(f"support: stands on {corners or 'nothing'}, which is not an area")
         return lines
     if stable.margin <= 0.0 or z <= 0.0:
         lines.append(f"support polygon: {corners} m; {_MISPLACED}")

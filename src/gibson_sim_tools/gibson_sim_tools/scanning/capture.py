@@ -213,14 +213,14 @@ def _begun(folder: Path, scene: SceneSpec, settings: ScanSettings) -> ScanPlan |
     path = folder / DESCRIPTION
     if not path.is_file():
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise ScanError(f"--output {folder}: is there already and holds no scan; give another name or remove it")
+            raise ScanError(f"--output {folder}: already exists and is not a scan; give another name or remove it")
         return None
     found = read_json(path)
     wanted = _described(scene, settings)
     other = [key for key in wanted if not isinstance(found, dict) or found.get(key) != wanted[key]]
     if other:
         raise ScanError(
-            f"--output {folder}: holds another scan (it differs in {', '.join(other)}); give another name, or the same options to go on with it"
+            f"--output {folder}: holds another scan (it differs in {', '.join(other)}); give another name, or the same options to resume it"
         )
     try:
         return ScanPlan(tuple(RigView(*values) for values in found["views"]), found["stations"], found["coverage"])

@@ -79,7 +79,7 @@ def open_posed_rgbd(
         ScanError: the folder does not exist, has no known layout, or is incomplete; the message says what is missing.
     """
     if not folder.is_dir():
-        raise ScanError(f"{folder}: is no folder; give the one that holds the images and poses")
+        raise ScanError(f"{folder}: is not a folder; give the one that holds the images and poses")
     for layout in LAYOUTS:
         if layout.looks_like(folder):
             return layout.read(folder, _Overrides(focal, depth_scale))
@@ -87,14 +87,14 @@ def open_posed_rgbd(
     inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and any(layout.looks_like(p) for layout in LAYOUTS))
     if inside:
         raise ScanError(f"{folder}: holds several sets, give one of its folders: {', '.join(inside[:8])}")
-    raise ScanError(f"{folder}: no layout of posed RGB-D that is known. Known are: {known}")
+    raise ScanError(f"{folder}: unknown layout of posed RGB-D; known: {known}")
 
 
 def _read_ours(folder: Path, options: _Overrides) -> PosedRgbd:
     description = read_json(folder / DESCRIPTION)
     wanted = description.get("frames") if isinstance(description, dict) and description.get("format") == FORMAT else None
     if not isinstance(wanted, int):
-        raise ScanError(f"{folder / DESCRIPTION}: is no description of a scan; its format must be {FORMAT!r}")
+        raise ScanError(f"{folder / DESCRIPTION}: is not the description of a scan; its format must be {FORMAT!r}")
     color, depth = _images(folder / "color"), _images(folder / "depth")
     if len(color) != wanted or len(depth) != wanted:
         raise ScanError(
@@ -256,7 +256,7 @@ def read_json(path: Path) -> Any:
     except OSError as error:
         raise ScanError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        raise ScanError(f"{path}: is no JSON: {error}") from error
+        raise ScanError(f"{path}: is not JSON: {error}") from error
 
 
 def _images(folder: Path) -> list[Path]:

@@ -94,9 +94,9 @@ def agreeing_convention(
         return name, ""
     numbers = f"agreement {values[best]:.2f} against {now:.2f}"
     if convention == AUTO:
-        return best, f"poses are taken as {best}: {CAMERA_CONVENTIONS[best]} ({numbers})"
+        return best, f"poses are read as {best}: {CAMERA_CONVENTIONS[best]} ({numbers})"
     raise ScanError(
-        f"{rgbd.folder}: neighbouring depth images agree if poses are {best} ({CAMERA_CONVENTIONS[best]}), and do not as they are taken now "
+        f"{rgbd.folder}: neighbouring depth images agree if poses are read as {best} ({CAMERA_CONVENTIONS[best]}), but not as they are read now "
         f"({numbers}); give --pose-convention {best}, or {AUTO}"
     )
 

@@ -187,7 +187,7 @@ def read_image(path: Path, flags: int) -> NDArray[Any]:
         raise ScanError(f"{path}: cannot be read: {error.strerror or error}") from error
     image = decode_pixels(data, flags)
     if image is None:
-        raise ScanError(f"{path}: is no readable image; was the copy or the scan cut short?")
+        raise ScanError(f"{path}: is not a readable image; was the copy or the scan interrupted?")
     return image
 
 
@@ -199,6 +199,6 @@ def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > _ORTHONORMAL or np.linalg.det(R) < 0.0 or np.abs(T_world_camera[3] - (0, 0, 0, 1)).max() > 1e-6:
         raise ScanError(
-            f"{what}: the pose is no rigid transform (its rotation is off by {off:.2g}); "
+            f"{what}: the pose is not a rigid transform (its rotation is off by {off:.2g}); "
             "it must be T_world_camera as 4x4 numbers by rows, in metres"
         )

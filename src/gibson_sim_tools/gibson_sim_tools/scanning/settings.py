@@ -24,28 +24,28 @@ class TourSettings:
     """Route of the rig and directions of its cameras."""
 
     coverage: float = setting(
-        0.98, "Part of the surface that can be seen from free places that stations are added for", minimum=0.01, maximum=1.0
+        0.98, "Fraction of the surface visible from free positions that the stations must cover", minimum=0.01, maximum=1.0
     )
     frames: int = setting(
-        0, "Most images, of all cameras together; 0 = as many as the coverage needs", minimum=0, maximum=1_000_000
+        0, "Largest number of images of all cameras; 0 = as many as the coverage needs", minimum=0, maximum=1_000_000
     )
-    seed: int = setting(0, "Decides the places, the poses and every defect", minimum=0, maximum=2**63 - 1)
-    height_min: float = setting(1.2, "Lowest height of the cameras above the floor", unit="m", minimum=0.1, maximum=10.0)
-    height_max: float = setting(1.6, "Greatest height of the cameras above the floor", unit="m", minimum=0.1, maximum=10.0)
-    clearance: float = setting(
-        0.3, "Distance that the rig keeps to what stands on the floor", unit="m", minimum=0.05, maximum=2.0
-    )
-    turn_deg: float = setting(30.0, "Turn from one view to the next at a station", unit="deg", minimum=1.0, maximum=120.0)
+    seed: int = setting(0, "Random seed of stations, poses and all defects", minimum=0, maximum=2**63 - 1)
+    height_min: float = setting(1.2, "Minimum height of the cameras above the floor", unit="m", minimum=0.1, maximum=10.0)
+    height_max: float = setting(1.6, "Maximum height of the cameras above the floor", unit="m", minimum=0.1, maximum=10.0)
+    clearance: float = setting(0.3, "Clearance between the rig and obstacles on the floor", unit="m", minimum=0.05, maximum=2.0)
+    turn_deg: float = setting(30.0, "Yaw step between views at a station", unit="deg", minimum=1.0, maximum=120.0)
     path_spacing: float = setting(
-        0.5, "Distance between views on the way from station to station; 0 = none there", unit="m", minimum=0.0, maximum=10.0
+        0.5, "Distance between views on the path between stations; 0 = no views there", unit="m", minimum=0.0, maximum=10.0
     )
     pitches_deg: str = setting(
         "-35,0,35", "Pitch of each camera of the rig, up is positive, as in --pitches-deg=-35,0,35", unit="deg"
     )
-    speed: float = setting(0.4, "Speed on the way; motion blur and drift depend on it", unit="m/s", minimum=0.01, maximum=10.0)
-    turn_speed_deg: float = setting(30.0, "Speed of turns", unit="deg/s", minimum=1.0, maximum=360.0)
+    speed: float = setting(
+        0.4, "Speed along the path; motion blur and drift depend on it", unit="m/s", minimum=0.01, maximum=10.0
+    )
+    turn_speed_deg: float = setting(30.0, "Yaw rate of turns", unit="deg/s", minimum=1.0, maximum=360.0)
     wobble_deg: float = setting(
-        0.0, "Standard deviation of the rig's tilt: a hand is not a tripod", unit="deg", minimum=0.0, maximum=20.0
+        0.0, "Standard deviation of the rig's tilt, as of a hand-held scanner", unit="deg", minimum=0.0, maximum=20.0
     )
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class ScanCamera:
     width: int = setting(640, "Image width", unit="px", minimum=16, maximum=8192)
     height: int = setting(480, "Image height", unit="px", minimum=16, maximum=8192)
     fov_y_deg: float = setting(46.0, "Vertical field of view", unit="deg", minimum=5.0, maximum=150.0)
-    samples: int = setting(4, "Colour samples a pixel: 1 or 4", minimum=1, maximum=4)
+    samples: int = setting(4, "Colour samples per pixel: 1 or 4", minimum=1, maximum=4)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -91,59 +91,63 @@ class ScanCamera:
 class Defects:
     """Errors of a real scanner in depths, poses and colours. The defaults only limit the range."""
 
-    depth_constant: float = setting(
-        0.0, "Depth noise: part that does not depend on the depth z", unit="m", minimum=0.0, maximum=1.0
-    )
-    depth_linear: float = setting(0.0, "Depth noise: part that grows with z", minimum=0.0, maximum=1.0)
-    depth_quadratic: float = setting(0.0, "Depth noise: part that grows with z^2", unit="1/m", minimum=0.0, maximum=1.0)
+    depth_constant: float = setting(0.0, "Depth noise: constant term", unit="m", minimum=0.0, maximum=1.0)
+    depth_linear: float = setting(0.0, "Depth noise: coefficient of the depth z", minimum=0.0, maximum=1.0)
+    depth_quadratic: float = setting(0.0, "Depth noise: coefficient of z^2", unit="1/m", minimum=0.0, maximum=1.0)
     disparity_step_px: float = setting(
-        0.0, "Depths come in steps of this disparity; 0 = no steps", unit="px", minimum=0.0, maximum=8.0
+        0.0, "Quantisation step of the disparity; 0 = no quantisation", unit="px", minimum=0.0, maximum=8.0
     )
     baseline: float = setting(
-        0.075, "Between the camera and its projector: disparity = fx baseline / z", unit="m", minimum=1e-3, maximum=2.0
+        0.075, "Baseline between camera and projector: disparity = fx baseline / z", unit="m", minimum=1e-3, maximum=2.0
     )
-    range_min: float = setting(0.1, "Nearer surfaces give no depth", unit="m", minimum=0.0, maximum=10.0)
-    range_max: float = setting(10.0, "Farther surfaces give no depth", unit="m", minimum=0.1, maximum=1000.0)
+    range_min: float = setting(0.1, "Minimum range; nearer surfaces have no depth", unit="m", minimum=0.0, maximum=10.0)
+    range_max: float = setting(10.0, "Maximum range; farther surfaces have no depth", unit="m", minimum=0.1, maximum=1000.0)
     hole_angle_deg: float = setting(
         90.0,
-        "Surfaces seen under a larger angle from their normal give no depth; 90 = all do",
+        "Largest angle of incidence, from the surface normal, with depth; 90 = no limit",
         unit="deg",
         minimum=1.0,
         maximum=90.0,
     )
-    hole_fraction: float = setting(0.0, "Part of all pixels that give no depth, at random", minimum=0.0, maximum=1.0)
-    edge_px: int = setting(0, "Depth is lost this near to an edge, in patches; 0 = not", unit="px", minimum=0, maximum=50)
+    hole_fraction: float = setting(0.0, "Fraction of pixels without depth, at random", minimum=0.0, maximum=1.0)
+    edge_px: int = setting(
+        0, "Distance from depth edges within which depth is lost, in patches; 0 = no loss", unit="px", minimum=0, maximum=50
+    )
     flying_fraction: float = setting(
-        0.0, "Part of the pixels at an edge whose depth is of neither side", minimum=0.0, maximum=1.0
+        0.0, "Fraction of edge pixels that are flying pixels: their depth is between the two surfaces", minimum=0.0, maximum=1.0
     )
     dark_fraction: float = setting(
-        0.0, "Part of the depth that is lost on black surfaces; none is lost on grey ones", minimum=0.0, maximum=1.0
+        0.0, "Fraction of depth lost on black surfaces; none is lost on grey ones", minimum=0.0, maximum=1.0
     )
-    shiny_fraction: float = setting(0.0, "Part of the depth that is lost on surfaces of shiny_classes", minimum=0.0, maximum=1.0)
+    shiny_fraction: float = setting(0.0, "Fraction of depth lost on surfaces of shiny_classes", minimum=0.0, maximum=1.0)
     shiny_classes: str = setting(
-        "mirror,window,glass,tv,screen", "Semantic classes whose name holds one of these words are shiny"
+        "mirror,window,glass,tv,screen", "Semantic classes whose name contains one of these words are shiny"
     )
-    pose_noise_m: float = setting(0.0, "Standard deviation of the position, along each axis", unit="m", minimum=0.0, maximum=1.0)
+    pose_noise_m: float = setting(0.0, "Standard deviation of the position error, per axis", unit="m", minimum=0.0, maximum=1.0)
     pose_noise_deg: float = setting(
-        0.0, "Standard deviation of the orientation, about each axis", unit="deg", minimum=0.0, maximum=30.0
+        0.0, "Standard deviation of the orientation error, per axis", unit="deg", minimum=0.0, maximum=30.0
     )
     drift_m: float = setting(
-        0.0, "Drift of the position after a metre of way; it grows with the root of the way", unit="m", minimum=0.0, maximum=1.0
+        0.0,
+        "Position drift after 1 m; a random walk, which grows with the square root of the distance",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
     )
-    drift_deg: float = setting(0.0, "Drift of the heading after a metre of way", unit="deg", minimum=0.0, maximum=30.0)
+    drift_deg: float = setting(0.0, "Heading drift after 1 m; a random walk", unit="deg", minimum=0.0, maximum=30.0)
     exposure_jitter_ev: float = setting(
         0.0, "Standard deviation of the exposure from view to view", unit="EV", minimum=0.0, maximum=4.0
     )
     white_balance_jitter: float = setting(
-        0.0, "Standard deviation of the white balance, as a part of 6500 K", minimum=0.0, maximum=0.3
+        0.0, "Standard deviation of the white balance, as a fraction of 6500 K", minimum=0.0, maximum=0.3
     )
-    vignette: float = setting(0.0, "Light that is missing in the corners", minimum=0.0, maximum=1.0)
-    shutter_s: float = setting(0.0, "Time that the shutter is open: motion blur", unit="s", minimum=0.0, maximum=1.0)
+    vignette: float = setting(0.0, "Vignetting: fraction of light lost in the corners", minimum=0.0, maximum=1.0)
+    shutter_s: float = setting(0.0, "Exposure time, which causes motion blur", unit="s", minimum=0.0, maximum=1.0)
     shot_noise: float = setting(
-        0.0, "Sensor noise that grows with the root of the light, at full white", minimum=0.0, maximum=1.0
+        0.0, "Shot noise at full white; it grows with the square root of the light", minimum=0.0, maximum=1.0
     )
-    read_noise: float = setting(0.0, "Sensor noise that is always there", minimum=0.0, maximum=1.0)
-    jpeg_quality: int = setting(95, "Of the colour images", minimum=10, maximum=100)
+    read_noise: float = setting(0.0, "Read noise, independent of the light", minimum=0.0, maximum=1.0)
+    jpeg_quality: int = setting(95, "JPEG quality of the colour images", minimum=10, maximum=100)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -161,30 +165,36 @@ class FuseSettings:
 
     voxel: float = setting(
         0.0,
-        "Edge of a voxel: the size of the smallest triangles; 0 = as fine as the cameras resolve and memory allows, from 0.01 on",
+        "Voxel size, and size of the smallest triangles; 0 = as fine as the cameras resolve and memory allows, at least 0.01",
         unit="m",
         minimum=0.0,
         maximum=0.5,
     )
     memory: float = setting(
-        4.0, "Limit of the memory of the voxels, by which their size is selected", unit="GB", minimum=0.1, maximum=1000.0
+        4.0, "Memory limit of the voxels, which bounds an automatic voxel size", unit="GB", minimum=0.1, maximum=1000.0
     )
-    truncation: float = setting(4.0, "Voxels before and behind a surface that an image counts for", minimum=1.0, maximum=32.0)
-    depth_max: float = setting(4.0, "Farther depths are left out: far ones are noisy", unit="m", minimum=0.1, maximum=1000.0)
-    stride: int = setting(1, "Take every so many frames", minimum=1, maximum=10_000)
-    min_weight: float = setting(2.0, "Voxels that fewer images have seen become holes", minimum=0.0, maximum=100.0)
+    truncation: float = setting(4.0, "Truncation distance of the TSDF, in voxels", minimum=1.0, maximum=32.0)
+    depth_max: float = setting(4.0, "Largest depth that is fused; far depths are noisy", unit="m", minimum=0.1, maximum=1000.0)
+    stride: int = setting(1, "Use every N-th frame", minimum=1, maximum=10_000)
+    min_weight: float = setting(
+        2.0, "Smallest weight (number of images) of a voxel; voxels below it become holes", minimum=0.0, maximum=100.0
+    )
     min_part: float = setting(
-        0.02, "Connected parts with a smaller area are left out; 0 = none", unit="m^2", minimum=0.0, maximum=1000.0
+        0.02,
+        "Smallest area of a connected component; smaller ones are removed; 0 = keep all",
+        unit="m^2",
+        minimum=0.0,
+        maximum=1000.0,
     )
-    triangles: int = setting(0, "Simplify to so many triangles; 0 = keep all", minimum=0, maximum=100_000_000)
+    triangles: int = setting(0, "Simplify the mesh to this many triangles; 0 = keep all", minimum=0, maximum=100_000_000)
     snap: float = setting(
         0.02,
-        "Largest displacement of vertices of walls, floors and ceilings onto their plane; 0 = all stay",
+        "Largest displacement of vertices snapped to the planes of walls, floors and ceilings; 0 = no snapping",
         unit="m",
         minimum=0.0,
         maximum=0.1,
     )
-    level: bool = setting(False, "Turn the mesh so that z is up and the floor is at z = 0, for scans that begin at a camera")
+    level: bool = setting(False, "Turn the mesh so that z is up and the floor is at z = 0, for scans in the frame of a camera")
 
     def __post_init__(self) -> None:
         check_settings(self)

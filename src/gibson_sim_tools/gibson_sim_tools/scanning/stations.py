@@ -94,7 +94,7 @@ def find_storeys(scene: SceneSpec, tour: TourSettings) -> tuple[StoreyFloor, ...
             storeys.append(StoreyFloor(floor_map, floor_z, allowed))
     if not storeys:
         raise ScanError(
-            f"scene {scene.name!r}: no place on the floor is {tour.clearance:g} m from everything; "
+            f"scene {scene.name!r}: no position on the floor has a clearance of {tour.clearance:g} m; "
             "give a smaller --clearance, or the right floor_z in scene.yaml"
         )
     return tuple(storeys)
@@ -150,7 +150,7 @@ def choose_stations(
     visible = seen.any(axis=0)
     if not visible.any():
         raise ScanError(
-            "from no free place is anything in range; check range_max, the heights of the cameras and floor_z of the scene"
+            "no surface is in range of any free position; check range_max, the heights of the cameras and floor_z of the scene"
         )
     covered = np.zeros(len(surface), dtype=bool)
     chosen: list[int] = []

@@ -30,7 +30,7 @@ def read_lines(path: Path) -> list[tuple[int, str]]:
     except OSError as error:
         raise ScanError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise ScanError(f"{path}: is no text file") from error
+        raise ScanError(f"{path}: is not a text file") from error
     lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
     return [(number, line) for number, line in lines if line and not line.startswith("#")]
 

@@ -61,9 +61,7 @@ class VoxelSize:
 
     def text(self, limit_gb: float) -> str:
         """Returns the choice in words."""
-        seen = (
-            f"pixels are {1000.0 * self.pixel:.1f} mm apart at {self.depth:.1f} m, where three quarters of the depths are nearer"
-        )
+        seen = f"pixels are {1000.0 * self.pixel:.1f} mm apart at {self.depth:.1f} m (75th percentile of depth)"
         out = f"voxels of {100.0 * self.voxel:g} cm: {seen}; noise {1000.0 * self.noise:.1f} mm; about {self.memory_gb:.1f} GB"
         if self.finer_gb is not None:
             out += f", finer ones would need {self.finer_gb:.1f} GB (--memory {limit_gb:g})"

@@ -114,11 +114,11 @@ def checked(surface: Surface, photographs: Photographs, convention: str = AS_REA
     if now.value < _GOOD:
         name, best = _best(surface, photographs)
         if best.value >= _GOOD / 2.0 and best.value > _BETTER * now.value:
-            found = f"photographs show alike what poses that are {name} ({POSE_CONVENTIONS[name]}) say, and do not as they are taken now"
+            found = f"photographs agree if poses are read as {name} ({POSE_CONVENTIONS[name]}), but not as they are read now"
             numbers = f"agreement {best.value:.2f} against {now.value:.2f}"
             if convention != AUTO:
                 raise ScanError(f"{photographs.folder}: {found} ({numbers}); give --pose-convention {name}, or {AUTO}")
-            taken, text = in_convention(photographs, name), f"poses are taken as {name}: {POSE_CONVENTIONS[name]} ({numbers})"
+            taken, text = in_convention(photographs, name), f"poses are read as {name}: {POSE_CONVENTIONS[name]} ({numbers})"
     _check_depth(surface, taken)
     return taken, text
 
@@ -149,6 +149,6 @@ def _check_depth(surface: Surface, photographs: Photographs) -> None:
     spread = float(np.median(np.abs(ratio - middle))) / middle
     if abs(middle - 1.0) > _OTHER_SCALE and spread < _SPREAD and float((np.abs(ratio - 1.0) < _SAME_DEPTH).mean()) < _SAME_DEPTH:
         raise ScanError(
-            f"{photographs.folder}: depth images say that everything is {middle:.3g} times as far as in the mesh; if depths are metric, mesh "
+            f"{photographs.folder}: in the depth images everything is {middle:.3g} times as far as in the mesh; if depths are metric, mesh "
             f"and poses are not: give --unit {middle:.4g}; else the unit of the depths is wrong"
         )

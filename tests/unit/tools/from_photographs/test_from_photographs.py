@@ -274,7 +274,7 @@ def test_depth_is_fused_at_poses_in_which_neighbouring_images_agree(tmp_path, fu
     write_trajectory_log(folder / "trajectory.log", right @ np.diag([1.0, -1.0, -1.0, 1.0]))
     job = opened(folder, tmp_path / "out")
     assert job._fuse(lambda part: None)[0].startswith(
-        "poses are taken as opengl: camera-to-world, cameras look along -z with y up"
+        "poses are read as opengl: camera-to-world, cameras look along -z with y up"
     )
     np.testing.assert_allclose(fused[0][0].poses, right, atol=1e-6)
     # Up is that of the cameras at these poses.
@@ -418,9 +418,9 @@ def test_bad_folders_are_one_line_each(room, tmp_path, capsys):
     assert "has photographs but no poses; COLMAP finds them" in message(tmp_path / "unposed")
     assert "--mesh" in message(room, "--mesh", tmp_path / "none.ply")
     assert "must be 0, or 2 or more" in message(room, "--hold-out", 1)
-    assert "'hold_out' is 0: none is" in message(room, "--hold-out", 0, "--hold-out-depth")
+    assert "but 'hold_out' is 0; give" in message(room, "--hold-out", 0, "--hold-out-depth")
     refused = message(room, "--hold-out-depth")
-    assert "--hold-out-depth is for depth that is fused, and the mesh is '" in refused
+    assert "--hold-out-depth needs a mesh that is fused from depth, but the mesh is '" in refused
     assert refused.rstrip().endswith("leave it out, or give --fuse")
     assert "give one of them" in message(room, "--mesh", room / "mesh.ply", "--fuse")
     write_mesh(room / "dense.ply")
@@ -438,7 +438,7 @@ def test_the_zip_of_an_app_is_unpacked_once(tmp_path, monkeypatch, capsys):
         assert exit_code(tmp_path / "room.zip", "--output", tmp_path / "out", "--hold-out", 0) == 0
         lines = capsys.readouterr().out.splitlines()
         assert lines[0].endswith(f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: polycam)")
-    assert all("made before" in line for line in lines if "/9 " in line)
+    assert all("done before" in line for line in lines if "/9 " in line)
     assert (tmp_path / "out/import/photographs/room/keyframes").is_dir()
     assert not is_archive_of_photographs(
         Path(shutil.make_archive(str(tmp_path / "mesh"), "zip", tmp_path / "phone/room", "raw.ply"))
@@ -450,9 +450,7 @@ def test_cut_images_are_named_before_the_work_begins(room, tmp_path, capsys):
         (room / name).write_bytes((room / name).read_bytes()[:-20])
     assert exit_code(room, "--output", tmp_path / "out") == 1
     error = capsys.readouterr().err.splitlines()[-1]
-    assert (
-        "000002.png: was cut short, its end is missing, and 1 more of 24 images are broken; copy the photographs again" in error
-    )
+    assert "000002.png: is truncated, and 1 more of 24 images are broken; copy the photographs again" in error
 
 
 def test_a_jpeg_is_cut_if_its_end_is_missing_although_its_preview_has_one():
@@ -464,14 +462,14 @@ def test_a_jpeg_is_cut_if_its_end_is_missing_although_its_preview_has_one():
 def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/notes.txt").write_text("mine")
-    with pytest.raises(SceneError, match="out: is there already and not empty; give another folder with --output"):
+    with pytest.raises(SceneError, match="out: already exists and is not empty; give another folder with --output"):
         made(opened(room, tmp_path / "out"))
     (tmp_path / "out/notes.txt").unlink()
     Work(tmp_path / "out", "/elsewhere").open()
     with pytest.raises(SceneError, match="out: holds an import of /elsewhere; give another folder"):
         made(opened(room, tmp_path / "out"))
     (tmp_path / "out" / RECORD).write_text("{")
-    with pytest.raises(SceneError, match=f"{RECORD}: is no record of an import from photographs"):
+    with pytest.raises(SceneError, match=f"{RECORD}: is not the record of an import from photographs"):
         made(opened(room, tmp_path / "out"))
 
 

@@ -159,7 +159,7 @@ def test_what_is_wrong_is_told_with_a_remedy_and_exit_code_1(tmp_path: Path, cap
     assert _run("check", _scene(tmp_path / "a", corners, quads, starts), "--json") == 1
     report = json.loads(capsys.readouterr().out)
     (finding,) = [f for f in report["findings"] if f["what"] == "start-blocked"]
-    assert "'bad' at 1.50, 1.00 is not free" in finding["text"] and "nearest free place" in finding["text"]
+    assert "'bad' at 1.50, 1.00 is not free" in finding["text"] and "nearest free position" in finding["text"]
     assert report["scene"]["size"] == pytest.approx(list(SIZE))
 
 
@@ -229,7 +229,7 @@ def test_what_a_robot_would_see_as_a_hole_is_told_before_it_drives(tmp_path: Pat
     assert "view-holes" not in _found(check_path(_scene(tmp_path / "a", corners, quads)))
     report = check_path(_scene(tmp_path / "b", corners, quads[:-1]))
     (found,) = [f for f in report.findings if f.what == "view-holes"]
-    assert found.level == "note" and 0.02 < found.amount < 0.2 and "% of what a robot sees is hole" in found.text
+    assert found.level == "note" and 0.02 < found.amount < 0.2 and "% of a robot's view is holes" in found.text
     assert report.json()["free_floor_m2"] == pytest.approx(5.5 * 3.5, rel=0.1)
     monkeypatch.setattr("gibson_sim_tools.importing.checks.check.SCAN_FROM", 10)
     assert _found(check_path(tmp_path / "b"))["view-holes"] == "warning"

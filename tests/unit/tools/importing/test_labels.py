@@ -74,10 +74,10 @@ def test_classes_of_replica_and_of_scn_files(tmp_path: Path) -> None:
     assert replica_classes(info) == habitat_classes(info) == {3: "chair", 5: ""}
     assert habitat_classes(scn) == {3: "sofa"}
     scn.write_text("[1, 2]")
-    with pytest.raises(SceneError, match="is no list of objects with id and class_"):
+    with pytest.raises(SceneError, match="is not a list of objects with id and class_"):
         habitat_classes(scn)
     scn.write_text("{")
-    with pytest.raises(SceneError, match="is no JSON"):
+    with pytest.raises(SceneError, match="is not JSON"):
         habitat_classes(scn)
 
 
@@ -107,8 +107,8 @@ def test_vertex_colours_of_hm3d_are_objects_if_they_nearly_agree(tmp_path: Path)
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("1,FF00,chair,0", "no number, colour and class"),
-        ("x,FF0000,sofa,0", "no number, colour and class"),
+        ("1,FF00,chair,0", "not a number, a colour and a class"),
+        ("x,FF0000,sofa,0", "not a number, a colour and a class"),
         ("title\n", "names no object"),
         ("1,0000FF,chair,0", "none of its 1 colours"),
     ],

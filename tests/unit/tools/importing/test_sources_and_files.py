@@ -65,7 +65,7 @@ def test_two_usd_files_must_be_chosen_between(tmp_path: Path) -> None:
     _touch(tmp_path, "a.usd", "b.usd")
     with pytest.raises(SceneError, match=r"holds 2 USD files, name one of them: a\.usd, b\.usd"):
         identify(tmp_path)
-    with pytest.raises(SceneNotFoundError, match="there is nothing"):
+    with pytest.raises(SceneNotFoundError, match="does not exist"):
         identify(tmp_path / "c.usd")
 
 
@@ -90,7 +90,7 @@ def test_a_map_of_gibson_is_turned_over_and_its_origin_is_its_corner(tmp_path: P
 
 def test_a_map_that_is_no_image_is_refused(tmp_path: Path) -> None:
     _touch(tmp_path, "floor_trav_0.png")
-    with pytest.raises(SceneError, match="is no image"):
+    with pytest.raises(SceneError, match="is not an image"):
         write_nav2_map(FloorPicture(tmp_path / "floor_trav_0.png", 0.01, 0), 0.0, tmp_path)
 
 

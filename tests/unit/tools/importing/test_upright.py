@@ -139,7 +139,7 @@ def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pyte
     report = check_path(folder)
     up = np.array([0.0, np.sin(np.radians(30)), np.cos(np.radians(30))])
     monkeypatch.setattr("gibson_sim_tools.importing.checks.fix.level_near", lambda *_: tuple(up))
-    with pytest.raises(SceneError, match="nothing was written: a mended copy of 'bent' would be worse than it is"):
+    with pytest.raises(SceneError, match="nothing was written: a repaired copy of 'bent' would be worse than it is"):
         fix_scene(report, tmp_path / "b", FixOptions(up=(0.0, 0.0, 1.0)))
     assert not (tmp_path / "b").exists()
 

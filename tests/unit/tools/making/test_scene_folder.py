@@ -228,7 +228,7 @@ def test_a_plan_comes_back_from_its_file(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_plan_is_refused(tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text('{"building": {}}')
-    with pytest.raises(SceneError, match="is no plan"):
+    with pytest.raises(SceneError, match="is not the plan"):
         read_plan(tmp_path / "plan.json")
 
 

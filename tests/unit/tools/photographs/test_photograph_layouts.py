@@ -57,7 +57,7 @@ def test_colmaps_binary_files_say_the_same(folder):
     np.testing.assert_allclose(found.poses[1], T_WORLD_CAMERA, atol=1e-12)
     assert [item.file.name for item in found.items] == ["a.png", "b.png"] and found.intrinsics(1).cx == 29.5
     (model / "images.bin").write_bytes((struct.pack("<Q", 2) + images)[:-60])
-    with pytest.raises(ScanError, match="cut short"):
+    with pytest.raises(ScanError, match="truncated"):
         open_photographs(folder)
 
 

@@ -127,7 +127,7 @@ def test_files_are_never_overwritten_and_options_are_checked(
 ) -> None:
     (tmp_path / "robot.yaml").write_text("urdf: mine.urdf\n")
     for arguments, said in (
-        (["--new", str(rover)], "robot.yaml: is there already; name another file with --output, or remove it"),
+        (["--new", str(rover)], "robot.yaml: already exists; name another file with --output, or remove it"),
         (["--new", str(rover), "--output", "robot.txt"], "must end in .yaml"),
         (["--new", "robot.yaml"], "is a robot.yaml already: test it with --trial"),
         ([str(rover), "--xacro-arg", "track:=1"], "--xacro-arg goes with --new"),

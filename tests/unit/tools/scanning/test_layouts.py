@@ -110,7 +110,7 @@ def test_a_folder_of_sets_names_them(tmp_path):
 
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "x").write_text("")
-    with pytest.raises(ScanError, match="is no folder"):
+    with pytest.raises(ScanError, match="is not a folder"):
         open_posed_rgbd(tmp_path / "x")
 
 
@@ -286,7 +286,7 @@ def test_an_interrupted_scan_says_how_to_finish_it(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "why"),
     [
-        (lambda p: p.write_bytes(p.read_bytes()[:60]), "cut short"),
+        (lambda p: p.write_bytes(p.read_bytes()[:60]), "interrupted"),
         (lambda p: cv2.imwrite(str(p), np.zeros((HEIGHT, WIDTH), np.uint8)), "16 bit"),
         (lambda p: cv2.imwrite(str(p), np.ones((4, 4), np.uint16)), "has 4x4 pixels"),
         (lambda p: p.unlink(), "cannot be read"),

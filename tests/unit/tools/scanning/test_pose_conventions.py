@@ -47,16 +47,16 @@ def test_right_poses_are_taken_as_they_are(room: PosedRgbd, convention: str) -> 
 )
 def test_another_convention_is_named_and_taken_when_asked(room: PosedRgbd, name: str, written: Callable[[F64], F64]) -> None:
     wrong = room.at(np.stack([written(T) for T in room.poses]))
-    with pytest.raises(ScanError, match=f"agree if poses are {name} .* give --pose-convention {name}, or auto$"):
+    with pytest.raises(ScanError, match=f"agree if poses are read as {name} .* give --pose-convention {name}, or auto$"):
         found(wrong)
     taken, text = found(wrong, "auto")
-    assert taken == name and text.startswith(f"poses are taken as {name}: ")
+    assert taken == name and text.startswith(f"poses are read as {name}: ")
     np.testing.assert_allclose(reread(wrong.poses, wrong.layout, name), room.poses, atol=1e-9)
     assert found(wrong, name) == (name, "")
 
 
 def test_a_wrong_convention_that_was_asked_for_is_refused(room: PosedRgbd) -> None:
-    with pytest.raises(ScanError, match="agree if poses are opencv "):
+    with pytest.raises(ScanError, match="agree if poses are read as opencv "):
         found(room, "opengl")
 
 

@@ -92,8 +92,8 @@ def test_depths_become_millimetres_and_back() -> None:
     [
         ((0, 3, np.nan), "a NaN or an infinity"),
         ((0, 0, 1.1), r"its rotation is off by 0\.21"),
-        ((2, 2, -1.0), "no rigid transform"),
-        ((3, 3, 2.0), "no rigid transform"),
+        ((2, 2, -1.0), "not a rigid transform"),
+        ((3, 3, 2.0), "not a rigid transform"),
     ],
 )
 def test_a_pose_must_be_a_rigid_transform(change: tuple[int, int, float], why: str) -> None:

@@ -39,7 +39,7 @@ def test_stamped_poses_are_read_as_they_were_written_and_sorted(tmp_path):
         ("0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n", "has 4 lines"),
         ("0 0\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", ":1: '0 0'"),
         ("0 0 1\n1 0 0 0\n0 1 0\n0 0 1 0\n0 0 0 1\n", ":3: "),
-        ("0 0 1\n1 0 0 0\n0 2 0 0\n0 0 1 0\n0 0 0 1\n", "no rigid transform"),
+        ("0 0 1\n1 0 0 0\n0 2 0 0\n0 0 1 0\n0 0 0 1\n", "not a rigid transform"),
     ],
 )
 def test_a_broken_log_names_the_line(text, why, tmp_path):

@@ -51,11 +51,11 @@ def test_right_poses_are_taken_as_they_are(taken):
 def test_another_convention_is_named_and_taken_when_asked(taken, name, written):
     wall, photographs = taken
     given = photographs.at(np.stack([written(T) for T in photographs.poses]))
-    with pytest.raises(ScanError, match=f"poses that are {name} .* give --pose-convention {name}, or auto"):
+    with pytest.raises(ScanError, match=f"poses are read as {name} .* give --pose-convention {name}, or auto"):
         checked(wall.surface, given)
     mended, text = checked(wall.surface, given, "auto")
     np.testing.assert_allclose(mended.poses, photographs.poses, atol=1e-12)
-    assert text.startswith(f"poses are taken as {name}")
+    assert text.startswith(f"poses are read as {name}")
     np.testing.assert_allclose(checked(wall.surface, given, name)[0].poses, photographs.poses, atol=1e-12)
 
 

@@ -181,9 +181,7 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
         main([*words, "--hold-out", "3", "--sheet", str(tmp_path / "sheet.png"), "--report", str(tmp_path / "report.json")])
     assert end.value.code == 0
     said = capsys.readouterr().out
-    assert (
-        "1 photographs that were held out, texture: PSNR" in said and "patches" in said and "next: gibson-sim scene check" in said
-    )
+    assert "1 held-out photographs, texture: PSNR" in said and "patches" in said and "next: gibson-sim scene check" in said
     assert load_scene(tmp_path / "made").name == "Wall"
     # A photograph, the grey mesh, the texture.
     sheet = cv2.imread(str(tmp_path / "sheet.png"))
@@ -193,14 +191,14 @@ def test_the_command_makes_a_scene(tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code != 0
-    assert "is there already and not empty" in capsys.readouterr().err
+    assert "already exists and is not empty" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--known-length", "0,2"], "0,2: must be two numbers above 0"),
-        (["--known-length", "1,2", "--unit", "cm"], "--unit and --known-length both say"),
+        (["--known-length", "1,2", "--unit", "cm"], "--unit and --known-length both set the scale"),
         (["--most-photographs", "1"], "--most-photographs 1: must be 2 or more"),
     ],
 )

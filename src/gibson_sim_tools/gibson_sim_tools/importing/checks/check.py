@@ -142,7 +142,7 @@ def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[SceneFinding]:
             "not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True, facts.tilt_deg
         )
     elif facts.tilt_deg > ALIGNED_DEG:
-        text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: things roll, and maps have ghosts"
+        text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: objects roll, and maps have ghost obstacles"
         yield SceneFinding("not-level", "warning", text, "--fix turns it", True, facts.tilt_deg)
 
 
@@ -190,14 +190,14 @@ def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
         )
     if inverted:
         level = "warning" if inverted > _INVERTED * count else "note"
-        text = f"{name}: {inverted} of {count} triangles are turned the other way round than their neighbours, or inside out"
+        text = f"{name}: {inverted} of {count} triangles are wound opposite to their neighbours, or inside out"
         yield SceneFinding("inverted", level, text, "--fix turns them", True, inverted)
     # Holes in a scan are holes in walls.
     scan = _is_scan(faults)
     if faults.crowded_edges:
         level = "warning" if scan and faults.crowded_edges > 0.01 * count else "note"
         text = f"{name}: {faults.crowded_edges} edges belong to more than two triangles (non-manifold)"
-        remedy = "harmless for driving; mend it before making convex parts of it"
+        remedy = "harmless for driving; repair it before making convex parts of it"
         yield SceneFinding("non-manifold", level, text, remedy, amount=faults.crowded_edges)
     holes = [rim for rim in faults.holes if rim >= HOLE_FROM]
     if holes:
@@ -264,7 +264,7 @@ def _starts(scene: SceneSpec, maps: Mapping[float, FloorMap | SceneError]) -> It
             yield SceneFinding("no-floor", "warning", str(floor), "give floor_z in scene.yaml")
             continue
         if not floor.inflate(ROBOT_RADIUS).any():
-            yield SceneFinding("no-room", "warning", f"on the floor at z = {floor_z:.2f} m no place is free for a robot of radius {ROBOT_RADIUS} m",
+            yield SceneFinding("no-room", "warning", f"no free position on the floor at z = {floor_z:.2f} m for a robot of radius {ROBOT_RADIUS} m",
                           "is floor_z right, and the unit?")  # fmt: skip
         pieces = islands(floor, ROBOT_RADIUS)
         if pieces:
@@ -283,7 +283,7 @@ def _starts(scene: SceneSpec, maps: Mapping[float, FloorMap | SceneError]) -> It
             x, y, _ = start.pose.position
             if float(floor.clearance(np.array([x, y]))) < ROBOT_RADIUS:
                 free = floor.nearest_free((x, y), ROBOT_RADIUS)
-                there = f"; the nearest free place is {free[0]:.2f}, {free[1]:.2f}" if free else ""
+                there = f"; the nearest free position is {free[0]:.2f}, {free[1]:.2f}" if free else ""
                 yield SceneFinding("start-blocked", "warning", f"start {quoted(start.name)} at {x:.2f}, {y:.2f} is not free for a robot of radius "
                               f"{ROBOT_RADIUS} m{there}", "move it in scene.yaml")  # fmt: skip
 

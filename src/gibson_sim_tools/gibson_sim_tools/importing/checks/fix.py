@@ -116,9 +116,9 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
         SceneError: the scene cannot be read, the folder cannot be written, or the copy would be worse.
     """
     if report.scene is None or report.geometry is None:
-        raise SceneError(f"the scene cannot be read, so nothing can be mended: {report.findings[0].text}")
+        raise SceneError(f"the scene cannot be read, so nothing can be repaired: {report.findings[0].text}")
     if report.scene.bodies:
-        raise SceneError(f"scene {quoted(report.scene.name)} has bodies that move; mend the meshes that it is made of one by one")
+        raise SceneError(f"scene {quoted(report.scene.name)} has bodies that move; repair its meshes one by one")
     scene = report.scene
     matrix = np.eye(4)
     if fix.level:
@@ -158,7 +158,7 @@ def fix_scene(report: SceneReport, output: Path, fix: FixOptions) -> tuple[Path,
     if worse:
         shutil.rmtree(output, ignore_errors=True)
         raise SceneError(
-            f"nothing was written: a mended copy of {quoted(scene.name)} would be worse than it is: {'; '.join(worse)}"
+            f"nothing was written: a repaired copy of {quoted(scene.name)} would be worse than it is: {'; '.join(worse)}"
             + ("; --no-level leaves it turned as it is, --up says which way is up" if moved else "")
         )
     return file, mended

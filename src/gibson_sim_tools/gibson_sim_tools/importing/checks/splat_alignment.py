@@ -113,7 +113,7 @@ def align_splats(spec: SplatsSpec, corners: F64, rng: np.random.Generator) -> Sp
     if not (high - low).max() > 0.0:
         raise SceneError(f"{spec.file}: all of the splats are at one place, {', '.join(f'{c:g}' for c in low)}")
     if not has_area(corners):
-        raise SceneError(f"{spec.file}: the scene draws no mesh, so nothing tells where the splats belong")
+        raise SceneError(f"{spec.file}: the scene draws no mesh, so the splats cannot be registered to it")
     surface, some = Surface(corners, rng, _SURFACE), some_of(positions, rng)
     before = measured(splats, some, surface)
     matrix = _best(spec.file, _cloud(positions, rng), surface, rng)

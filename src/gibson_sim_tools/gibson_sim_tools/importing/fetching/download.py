@@ -51,7 +51,7 @@ def download(url: str, path: Path, sha256: str, size: int, progress: Progress) -
     if found != sha256:
         part.unlink()
         raise SceneError(
-            f"{url}: has the checksum {found}, must be {sha256}; the file has changed since the recipe was made, nothing of it is kept"
+            f"{url}: has the checksum {found}, must be {sha256}; the file has changed since the recipe was made; it was discarded"
         )
     part.replace(path)
 
@@ -69,7 +69,7 @@ def _fetch(url: str, part: Path, have: int, size: int, progress: Progress) -> No
                     total += len(block)
                     if total > size:
                         raise SceneError(
-                            f"{url}: sends more than the {size} bytes of the recipe; the file has changed, nothing of it is kept"
+                            f"{url}: sends more than the {size} bytes of the recipe; the file has changed; it was discarded"
                         )
                     out.write(block)
                     progress(len(block))

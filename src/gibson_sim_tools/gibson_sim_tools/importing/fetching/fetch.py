@@ -37,7 +37,7 @@ def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None])
         SceneError: a download fails, a file is not the expected one, or the scene cannot be imported.
     """
     if output.exists() and any(output.iterdir()):
-        raise SceneError(f"{output}: is there already and not empty; give another folder with --output, or delete it first")
+        raise SceneError(f"{output}: already exists and is not empty; give another folder with --output, or delete it first")
     cache = download_folder(recipe.name)
     needs_space(cache, _SPACE * recipe.bytes)
     done = 0
