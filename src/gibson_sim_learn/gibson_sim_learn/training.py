@@ -138,11 +138,11 @@ class Training(ABC, Generic[N, P]):
                 self.curve.append(point(CurvePoint(self.iteration, float(np.mean(losses)), round(self._processor_s, 1))))
                 before, losses = time.process_time(), []
                 self._save()
-                progress(f"{self.LABEL}iteration {self.iteration}: {self._told(self.curve[-1])}")
+                progress(f"{self.LABEL}iteration {self.iteration}: {self._summary(self.curve[-1])}")
                 after_point()
 
     @abstractmethod
-    def _told(self, point: P) -> str:
+    def _summary(self, point: P) -> str:
         """Returns the errors of a point in a line."""
 
     def _state(self) -> dict[str, Any]:

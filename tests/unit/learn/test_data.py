@@ -36,7 +36,7 @@ from gibson_sim_learn.path_following.data import (
     save_shard,
     smooth_path,
 )
-from gibson_sim_learn.path_following.distances.obstacles import views_around
+from gibson_sim_learn.path_following.distances.obstacles import poses_around
 from gibson_sim_learn.path_following.drawing import HFOV
 from gibson_sim_learn.path_following.layout import OBJECT_MODELS, ItemMaker
 
@@ -153,7 +153,7 @@ def test_random_furniture_stands_on_the_floor_and_is_none_of_table_2() -> None:
 
 def test_obstacles_are_seen_from_where_the_robot_fits_and_not_through_walls() -> None:
     place = np.array([[2.5, 1.0]])
-    poses = views_around(place, room(), room(), np.random.default_rng(0))
+    poses = poses_around(place, room(), room(), np.random.default_rng(0))
     assert len(poses) > 20
     assert (room().clearance(poses[:, :2]) >= 0.2).all()
     beyond = poses[poses[:, 0] > 3.1]

@@ -95,11 +95,11 @@ def test_free_distances_go_on_as_if_they_had_not_been_interrupted(tmp_path: Path
 
 
 def test_near_things_told_as_far_and_far_ones_as_near_are_counted() -> None:
-    from gibson_sim_learn.path_following.distances.training import near_and_far
+    from gibson_sim_learn.path_following.distances.training import miss_rates
 
     free = np.array([[0.5, 0.8, 2.0, 3.0, 1.5]], np.float32)
     # 0.5 m is told as twice as far; of the three that are free for 1 m, one is told as 0.7 m.
-    assert near_and_far(np.array([[1.0, 0.9, 0.7, 3.0, 0.8]]), free) == pytest.approx((0.5, 1.0 / 3.0))
+    assert miss_rates(np.array([[1.0, 0.9, 0.7, 3.0, 0.8]]), free) == pytest.approx((0.5, 1.0 / 3.0))
 
 
 def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) -> None:
@@ -124,9 +124,9 @@ def test_exported_free_distances_are_those_of_their_own_network(tmp_path: Path) 
 
 
 def test_offsets_that_are_told_too_small_are_measured() -> None:
-    from gibson_sim_learn.path_following.training import offsets_told
+    from gibson_sim_learn.path_following.training import calibrate_offsets
 
     rng = np.random.default_rng(0)
     true = rng.normal(0.0, 0.2, 20_000)
-    found = offsets_told(0.25 * true + rng.normal(0.0, 0.1, true.shape), true)
+    found = calibrate_offsets(0.25 * true + rng.normal(0.0, 0.1, true.shape), true)
     assert (found.ratio, found.deviation) == pytest.approx((0.25, 0.4), rel=0.05)

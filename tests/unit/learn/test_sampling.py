@@ -10,7 +10,7 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim_learn.path_following.data import DIRECTIONS, PAIR, Shard, load_shard, save_shard
-from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
+from gibson_sim_learn.path_following.sampling import Sampler, augment_lens
 
 
 def shard() -> Shard:
@@ -73,8 +73,8 @@ def test_images_can_be_drawn_for_their_free_distances_alone() -> None:
 
 def test_another_lens_changes_each_image_by_itself_and_leaves_it_where_it_is() -> None:
     images = shard().images.repeat(10, axis=0)
-    seen, _ = through_another_lens(images, np.random.default_rng(0))
-    np.testing.assert_array_equal(seen, through_another_lens(images, np.random.default_rng(0))[0])
+    seen, _ = augment_lens(images, np.random.default_rng(0))
+    np.testing.assert_array_equal(seen, augment_lens(images, np.random.default_rng(0))[0])
     assert len({image.tobytes() for image in seen}) == len(seen)
     bright, dark = seen[:, 16:48, 60:84].mean(axis=(1, 2, 3)), seen[:, 16:48, 12:36].mean(axis=(1, 2, 3))
     expected = images[:, 0, 95, 0]
@@ -91,7 +91,7 @@ def _with_earlier() -> Shard:
 
 def test_an_earlier_image_changes_as_its_later_one_but_for_noise() -> None:
     batch = Sampler([_with_earlier()]).batch(np.random.default_rng(1), 60, 0)
-    seen, before = through_another_lens(batch.later, np.random.default_rng(0), batch.earlier)
+    seen, before = augment_lens(batch.later, np.random.default_rng(0), batch.earlier)
     for later, earlier in ((batch.later, batch.earlier), (seen, before)):
         difference = later.astype(float) - earlier
         assert np.abs(difference).mean() < 8.0 and np.abs(difference.mean(axis=(1, 2, 3))).max() < 2.0
@@ -102,14 +102,14 @@ def test_an_earlier_image_changes_as_its_later_one_but_for_noise() -> None:
 
 def test_an_earlier_image_that_is_unknown_stays_black() -> None:
     batch = Sampler([shard()]).batch(np.random.default_rng(1), 20, 0)
-    seen, before = through_another_lens(batch.later, np.random.default_rng(0), batch.earlier)
+    seen, before = augment_lens(batch.later, np.random.default_rng(0), batch.earlier)
     assert not batch.earlier.any() and not before.any() and seen.any()
 
 
 def test_a_black_image_gets_grain_alone() -> None:
     black = np.zeros((6, 64, 96, 3), np.uint8)
-    seen, _ = through_another_lens(black, np.random.default_rng(0))
-    np.testing.assert_array_equal(seen, through_another_lens(black, np.random.default_rng(0))[0])
+    seen, _ = augment_lens(black, np.random.default_rng(0))
+    np.testing.assert_array_equal(seen, augment_lens(black, np.random.default_rng(0))[0])
     assert seen.any() and seen.max() < 25
 
 

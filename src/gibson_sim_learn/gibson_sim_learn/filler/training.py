@@ -160,7 +160,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
                 mean.lerp_(new, 1.0 - share)
         return told
 
-    def _told(self, point: FillerPoint) -> str:
+    def _summary(self, point: FillerPoint) -> str:
         return f"holes {point.hole_psnr:.2f} dB, seen {point.seen_psnr:.2f} dB, GMSD {point.gmsd:.4f}"
 
     def _state(self) -> dict[str, Any]:

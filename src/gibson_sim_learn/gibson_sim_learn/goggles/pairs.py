@@ -38,7 +38,7 @@ from gibson_sim_learn.path_following.data import (
     shard_rng,
 )
 from gibson_sim_learn.path_following.domains import Conditions, domain_of, draw
-from gibson_sim_learn.path_following.drawing import CAMERA_X, HEIGHT, WIDTH, camera_at
+from gibson_sim_learn.path_following.drawing import CAMERA_AHEAD, HEIGHT, WIDTH, camera_at
 from gibson_sim_learn.path_following.photometry import photographed, relit_linear
 
 U8 = NDArray[np.uint8]
@@ -205,7 +205,7 @@ def _poses(world: World, rng: np.random.Generator, count: int) -> F64:
     on_drives = on_drives + rng.normal(0.0, (0.05, 0.05, 0.3), on_drives.shape)
     free = random_free_poses(world.coarse, count - len(on_drives), rng, clearance=ROBOT_RADIUS)
     anywhere = np.array([(*pose.position[:2], rng.uniform(-math.pi, math.pi)) for pose in free])
-    return rng.permutation(camera_poses(np.concatenate([on_drives, anywhere]), CAMERA_X))
+    return rng.permutation(camera_poses(np.concatenate([on_drives, anywhere]), CAMERA_AHEAD))
 
 
 def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool, size: tuple[int, int]) -> Iterator[Frame]:

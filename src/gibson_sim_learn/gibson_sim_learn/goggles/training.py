@@ -88,7 +88,7 @@ class GogglesTraining(Training[GogglesNetwork, GogglesPoint]):
             found = self.network(image, image)
         return _loss(found.float(), truth)
 
-    def _told(self, point: GogglesPoint) -> str:
+    def _summary(self, point: GogglesPoint) -> str:
         return f"{point.psnr:.2f} dB, SSIM {point.ssim:.4f}"
 
 

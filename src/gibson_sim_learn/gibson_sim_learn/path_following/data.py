@@ -1,9 +1,9 @@
-"""Data to learn path following from: images of drives in scenes, with what is true about them.
+"""Training data of path following: images in scenes, with ground truth.
 
-A *shard* is one folder of memory-mapped arrays: images along some paths in one scene, drawn twice: as the path was recorded, and as a follower
-meets it later, off the path, in conditions of the domain ``trained``: another light, another camera; with other things around, and on the
-path. Pairs of a later and a recorded image carry the pose of the one relative to the other. Everything is drawn from the seed, the scene and
-the number of the shard, so that an interrupted run goes on with the shards that are missing, and equal seeds give equal data.
+A *shard* is one folder of memory-mapped arrays: images along some paths in one scene, rendered twice: as recorded, and as a follower may see them
+later, beside the path, in conditions of the domain ``trained`` (light, camera), with moved objects, and obstacles on the path. Pairs of a later
+and a recorded image have their relative pose. Everything is drawn from the seed, the scene and the number of the shard, so that an interrupted
+run goes on with the missing shards, and equal seeds give equal data.
 """
 
 from __future__ import annotations
@@ -30,65 +30,65 @@ from gibson_sim.tasks.episode import item_body
 from gibson_sim_learn.arrays import load_arrays, save_arrays
 from gibson_sim_learn.path_following.clutter import random_furniture, random_object
 from gibson_sim_learn.path_following.domains import TRAINED, Conditions, draw
-from gibson_sim_learn.path_following.drawing import CAMERA_X, HFOV, Drawing
+from gibson_sim_learn.path_following.drawing import CAMERA_AHEAD, HFOV, Drawing
 
 F64 = NDArray[np.float64]
 DIRECTIONS = 24
-"""Number of directions in which the free distance is known: the middles of equal strips of the image, from left to right."""
+"""Number of bearings of free distances: centres of equal strips of the image, from left to right."""
 MAX_FREE = 3.0
-"""Largest free distance, metres; farther is this."""
+"""Largest free distance, metres; larger ones are clamped to it."""
 FREE_EDGES: tuple[float, ...] = (*(0.1 * k for k in range(13)), *(1.2 + 0.15 * k for k in range(1, 13)))
-"""Edges of the bins of free distances, metres, from 0 to ``MAX_FREE``."""
+"""Edges of the range bins, metres, from 0 to ``MAX_FREE``."""
 BODY_HEIGHT = 0.5
-"""Height above the floor up to which things stop the robot, metres."""
+"""Height above the floor up to which objects are obstacles, metres."""
 ROBOT_RADIUS = 0.2
-"""Metres."""
+"""Radius of the robot, metres."""
 PAIR = np.dtype([("later", "<i4"), ("recorded", "<i4"), ("x", "<f4"), ("y", "<f4"), ("yaw", "<f4"), ("match", "?")])
-"""A pair: rows of two images; the pose of the recorded camera in the frame of the later one, x ahead, y to the left, metres and radians;
-whether both show one place, so that the pose can be seen."""
+"""A pair: rows of two images; pose of the recorded camera in the later camera's frame, x ahead, y to the left, metres and radians; whether both show
+the same place, so that the pose can be estimated."""
 
 _RESOLUTION = 0.025
-"""Cell of the maps that distances are measured in, metres."""
+"""Resolution of the maps for free distances, metres."""
 _COARSE = 0.05
-"""Cell of the maps that drives are planned on, metres."""
-_STEP = 0.0125
-"""Step of the rays, metres."""
-_MATCH_AHEAD, _MATCH_BESIDE, _MATCH_YAW = (-0.7, 2.2), 1.2, math.radians(65.0)
-"""Largest relative pose of two images of one place: metres and radians."""
-_LABEL, _LEAST_LABEL = 0.04, 0.02
-"""Standard deviation that true distances are given, as a share of them, and its least, metres: bins beside the right one are nearly right."""
-_IN_THE_WAY = 2
-"""Most things that stand on or close to a path where it is met later."""
-_ACROSS = 0.4
-"""Largest distance of their middles from it, metres."""
-_FURNITURE = 10
-"""Most pieces of furniture that a shard has besides those of its scene."""
-_FURNITURE_ROOM = 0.35
+"""Resolution of the maps for planning, metres."""
+_RAY_STEP = 0.0125
+"""Step of ray casting, metres."""
+_MATCH_X, _MATCH_Y, _MATCH_YAW = (-0.7, 2.2), 1.2, math.radians(65.0)
+"""Limits of the relative pose of two images of one place: x, |y|, |yaw|; metres and radians."""
+_LABEL_DEVIATION_RATIO, _MIN_LABEL_DEVIATION = 0.04, 0.02
+"""Standard deviation of soft labels per true distance, and its least value, metres: neighbouring bins are nearly right."""
+_MAX_OBSTACLES = 2
+"""Largest number of obstacles on or near a path in later images."""
+_MAX_OFFSET = 0.4
+"""Largest lateral offset of their centres from the path, metres."""
+_MAX_FURNITURE = 10
+"""Largest number of pieces of furniture that a shard adds to its scene."""
+_FURNITURE_DISTANCE = 0.35
 """Least distance of such a piece from all paths, metres."""
-_ALWAYS, _EARLIER = ("images", "free", "pairs"), ("earlier", "earlier_pose")
-"""Arrays of a shard: those that it has, and those that it may have."""
-_CLOSE = 0.4
-"""Probability that a later view, on a path with such things, is one from which one of them is near."""
+_ARRAYS, _OPTIONAL_ARRAYS = ("images", "free", "pairs"), ("earlier", "earlier_pose")
+"""Arrays of a shard: required and optional ones."""
+_CLOSE_SHARE = 0.4
+"""Probability that a later view on a path with obstacles is close before one of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class DataSettings:
-    """How much data is drawn, and how varied it is."""
+    """Amount and variety of the data."""
 
     paths: int = 8
     """Paths of a shard."""
     views_per_path: int = 60
     """Later images of a path."""
     free_views: int = 60
-    """Later images of a shard at random free poses, where nothing was recorded: they teach free distances alone."""
+    """Later images of a shard at random free poses, for free distances alone."""
     spacing: float = 0.2
     """Distance between recorded images, metres."""
     length: tuple[float, float] = (3.0, 14.0)
-    """Shortest and longest path, metres; a longer one is cut."""
+    """Shortest and longest path, metres; a longer one is truncated."""
     recolour_chance: float = 0.7
     """Probability that a shard has other colours and textures than its scene."""
     changed_recordings: float = 0.3
-    """Probability that a recorded image, too, is of another camera's exposure and colours."""
+    """Probability that exposure and colours of a recorded image differ, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,34 +96,34 @@ class Shard:
     """The data of one shard; arrays may be memory-mapped."""
 
     images: NDArray[np.uint8]
-    """(N, 64, 96, 3), RGB."""
+    """(N, 64, 96, 3), uint8, RGB."""
     free: NDArray[np.float32]
-    """(N, 24): free distance from the camera at the height of the robot's body, metres, from the left to the right of the image."""
+    """(N, 24), float32: free distances from the camera, below ``BODY_HEIGHT``, metres, leftmost bearing first."""
     pairs: NDArray[Any]
     """(P,) of ``PAIR``."""
     earlier: NDArray[np.uint8] | None = None
-    """(N, 64, 96, 3): what the camera saw a little earlier; None = unknown."""
+    """(N, 64, 96, 3), uint8: earlier images of the same cameras; None = there are none."""
     earlier_pose: NDArray[np.float32] | None = None
-    """(N, 3): where it was then, in the frame of where it is: x ahead, y to the left, yaw; metres and radians."""
+    """(N, 3), float32: poses of the earlier cameras in the present cameras' frames: x ahead, y to the left, yaw; metres and radians."""
 
 
 def column_bearings(hfov: float, columns: int = DIRECTIONS) -> F64:
-    """Returns (columns,): the directions of the middles of equal strips of a pinhole image, radians, positive to the left, left first."""
+    """Returns (columns,), float64: bearings of the centres of equal strips of a pinhole image, radians, positive to the left, leftmost first."""
     across = 1.0 - (np.arange(columns) + 0.5) * 2.0 / columns
     return np.asarray(np.arctan(across * math.tan(hfov / 2.0)))
 
 
 def free_distances(floor: FloorMap, poses: F64, bearings: F64, *, longest: float = MAX_FREE) -> F64:
-    """Returns (N, D): distances from places to the nearest cell that is not free, metres, at most ``longest``.
+    """Returns (N, D), float64: free distances, from poses to the first cell along each ray that is not free, metres.
 
     Args:
         floor: the map.
-        poses: (N, 3): x, y, yaw in the world, metres and radians.
-        bearings: (D,) or (N, D): directions relative to yaw, radians.
-        longest: metres.
+        poses: (N, 3), x, y, yaw, world frame, metres and radians.
+        bearings: (D,) or (N, D), bearings relative to yaw, radians, positive to the left.
+        longest: largest distance, metres.
     """
     angles = poses[:, 2:3] + np.broadcast_to(bearings, (len(poses), np.shape(bearings)[-1]))
-    steps = np.arange(1, math.ceil(longest / _STEP) + 1) * _STEP
+    steps = np.arange(1, math.ceil(longest / _RAY_STEP) + 1) * _RAY_STEP
     out = np.empty(angles.shape)
     blocked = ~floor.free
     for k, (x, y) in enumerate(poses[:, :2]):
@@ -134,9 +134,9 @@ def free_distances(floor: FloorMap, poses: F64, bearings: F64, *, longest: float
 
 
 def distance_labels(free: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Returns (..., bins + 1): shares of the bins of ``FREE_EDGES``, and of beyond them, for free distances (...,), metres."""
+    """Returns (..., B + 1), float32: soft labels of the bins of ``FREE_EDGES``, and of beyond them, for free distances (...,), metres."""
     edges = np.array(FREE_EDGES, np.float32)
-    scale = np.maximum(_LABEL * free, _LEAST_LABEL)[..., None]
+    scale = np.maximum(_LABEL_DEVIATION_RATIO * free, _MIN_LABEL_DEVIATION)[..., None]
     below = 1.0 / (1.0 + np.exp(np.clip(1.702 * (free[..., None] - edges) / scale, -60.0, 60.0)))
     below[..., 0] = 0.0
     below[free >= 0.99 * MAX_FREE] = 0.0
@@ -144,11 +144,11 @@ def distance_labels(free: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def median_distances(edges: F64, hit: F64) -> F64:
-    """Returns (...,): the distances within which a first thing stands with a probability of one half, metres; the last edge if it is less.
+    """Returns (...,), float64: median ranges of the first obstacle, metres; the last edge if they are beyond it.
 
     Args:
-        edges: (B + 1,), of the bins of distance, metres, from 0.
-        hit: (..., B + 1), probability that the first thing stands in each bin; the last: farther than all.
+        edges: (B + 1,), edges of the range bins, metres, from 0.
+        hit: (..., B + 1), probability that the first obstacle lies in each bin; the last: beyond the last edge.
     """
     within = np.cumsum(hit[..., :-1], axis=-1)
     row = np.minimum(np.sum(within < 0.5, axis=-1), within.shape[-1] - 1)[..., None]
@@ -159,7 +159,7 @@ def median_distances(edges: F64, hit: F64) -> F64:
 
 
 def relative_pose(frm: F64, to: F64) -> F64:
-    """Returns (..., 3): planar poses ``to`` in the frames ``frm``, both (..., 3): x, y, yaw; yaw in [-pi, pi)."""
+    """Returns (..., 3), float64: planar poses ``to`` (..., 3) in the frames ``frm`` (..., 3): x, y, yaw; metres and radians, yaw in [-pi, pi)."""
     dx, dy = to[..., 0] - frm[..., 0], to[..., 1] - frm[..., 1]
     c, s = np.cos(frm[..., 2]), np.sin(frm[..., 2])
     yaw = (to[..., 2] - frm[..., 2] + math.pi) % (2.0 * math.pi) - math.pi
@@ -177,18 +177,18 @@ def load_shard(folder: Path) -> Shard:
     Raises:
         ConfigError: it cannot be read.
     """
-    names = _ALWAYS + (_EARLIER if (folder / f"{_EARLIER[0]}.npy").is_file() else ())
+    names = _ARRAYS + (_OPTIONAL_ARRAYS if (folder / f"{_OPTIONAL_ARRAYS[0]}.npy").is_file() else ())
     return Shard(*load_arrays(folder, names))
 
 
 def save_shard(folder: Path, shard: Shard) -> None:
-    """Writes a shard; the folder is there whole or not at all."""
-    names = _ALWAYS if shard.earlier is None else _ALWAYS + _EARLIER
+    """Writes a shard; the folder appears complete or not at all."""
+    names = _ARRAYS if shard.earlier is None else _ARRAYS + _OPTIONAL_ARRAYS
     save_arrays(folder, {name: getattr(shard, name) for name in names})
 
 
 def missing_shards(folder: Path, scenes: Sequence[str], count: int) -> Iterator[tuple[str, int]]:
-    """Yields scene and number of the shards that are not there yet, so that all scenes grow evenly."""
+    """Yields scene and number of the missing shards, in turn for all scenes."""
     for number in range(count):
         for scene in scenes:
             if not (folder / shard_name(scene, number)).is_dir():
@@ -202,14 +202,14 @@ def make_data(
     draw_one: Callable[[World, int], Shard],
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> None:
-    """Draws the shards that are missing.
+    """Draws the missing shards.
 
     Args:
-        folder: where they are put.
+        folder: folder of the shards.
         scenes: names of the scenes.
-        count: shards of each scene.
-        draw_one: draws the shard of a scene with a number.
-        progress: called before each shard with its name, how many are there, and how many there will be.
+        count: number of shards of each scene.
+        draw_one: draws the shard of a scene and a number.
+        progress: called before each shard with its name, the number of shards so far, and the total.
     """
     worlds: dict[str, World] = {}
     total = len(scenes) * count
@@ -221,9 +221,9 @@ def make_data(
         save_shard(folder / shard_name(scene, number), draw_one(worlds[scene], number))
 
 
-def shard_rng(what: str) -> np.random.Generator:
-    """Returns the random generator of a shard, or of other data, which depends on what it is, in words."""
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(what.encode()).digest()[:8], "little"))
+def shard_rng(text: str) -> np.random.Generator:
+    """Returns a random generator seeded by a text, such as the name of a shard."""
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,11 +233,11 @@ class World:
     scene: SceneSpec
     """Without robots."""
     bare: FloorMap
-    """Fine map of the static shapes alone."""
+    """Fine map of the static geometry alone."""
     floor: FloorMap
-    """The same with the bodies where they stand at load."""
+    """Fine map with the bodies at their poses at load."""
     coarse: FloorMap
-    """The same with cells of 5 cm, for planning."""
+    """Coarse map with the same bodies, for planning."""
 
     @classmethod
     def load(cls, name: str) -> World:
@@ -254,11 +254,11 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     paths = [draw_path(world.coarse, planner, rng, settings) for _ in range(settings.paths)]
     drives = np.concatenate(paths)
     count = int(rng.integers(TRAINED.moved[0], TRAINED.moved[1] + 1)) + 1
-    around = _furniture(world.coarse, rng, drives)
-    things = [[*around, *_things(world.coarse, rng, count, name, keep_off=drives)] for name in ("recorded", "later")]
-    in_the_way = [_things_on(path, world.floor.floor_z, rng, f"on_path_{k}") for k, path in enumerate(paths)]
-    things[1] += [body for bodies, _ in in_the_way for body in bodies]
-    floors = [with_bodies(world.scene, world.floor, some) for some in things]
+    furniture = _furniture(world.coarse, rng, drives)
+    objects = [[*furniture, *_random_objects(world.coarse, rng, count, name, keep_off=drives)] for name in ("recorded", "later")]
+    obstacles = [_random_obstacles(path, world.floor.floor_z, rng, f"on_path_{k}") for k, path in enumerate(paths)]
+    objects[1] += [body for bodies, _ in obstacles for body in bodies]
+    floors = [with_bodies(world.scene, world.floor, some) for some in objects]
 
     recorded, later, of_recorded, of_later = [], [], [], []
     every = max(1, round(settings.spacing / _PATH_STEP))
@@ -266,21 +266,21 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
         nodes = path[::every] + rng.normal(0.0, (0.03, 0.03, 0.05), (len(path[::every]), 3))
         recorded.append(nodes)
         of_recorded += [(k, row * every) for row in range(len(nodes))]
-        poses, rows = _off_path(path, in_the_way[k][1], floors[1], rng, settings.views_per_path)
+        poses, rows = _off_path(path, obstacles[k][1], floors[1], rng, settings.views_per_path)
         later.append(poses)
         of_later += [(k, int(row)) for row in rows]
-    anywhere = views_anywhere(world, floors[1], rng, settings.free_views)
-    later.append(anywhere)
-    of_later += [(-1, 0)] * len(anywhere)
+    free_views = random_view_poses(world, floors[1], rng, settings.free_views)
+    later.append(free_views)
+    of_later += [(-1, 0)] * len(free_views)
 
-    before, after = (camera_poses(np.concatenate(poses), CAMERA_X) for poses in (recorded, later))
+    before, after = (camera_poses(np.concatenate(poses), CAMERA_AHEAD) for poses in (recorded, later))
     drawn = [draw(TRAINED, rng) for _ in range(settings.paths + 1)]  # the last one for the free views
     conditions = ([Conditions()] * len(before), [drawn[path] for path, _ in of_later])
     images, free = [], []
     with Drawing(world.scene, rng, settings.recolour_chance) as drawing:
         for poses, some, floor, of_each, chance in (
-            (before, things[0], floors[0], conditions[0], settings.changed_recordings),
-            (after, things[1], floors[1], conditions[1], 1.0),
+            (before, objects[0], floors[0], conditions[0], settings.changed_recordings),
+            (after, objects[1], floors[1], conditions[1], 1.0),
         ):
             images.append(drawing.images(some, poses, of_each, chance))
             bearings = np.array([column_bearings(HFOV + each.hfov_change) for each in of_each])
@@ -290,14 +290,14 @@ def draw_shard(world: World, seed: int, number: int, settings: DataSettings = Da
     return Shard(np.concatenate(images), np.concatenate(free).astype(np.float32), pairs)
 
 
-def views_anywhere(world: World, floor: FloorMap, rng: np.random.Generator, count: int) -> F64:
-    """Returns poses (N, 3), metres and radians, of a robot at free places that looks anywhere and touches nothing.
+def random_view_poses(world: World, floor: FloorMap, rng: np.random.Generator, count: int) -> F64:
+    """Returns random collision-free poses (N, 3) of a robot, float64, x, y, yaw, world frame, metres and radians.
 
     Args:
         world: the scene.
-        floor: its map with all that stands on it.
+        floor: its map with all bodies.
         rng: random generator.
-        count: of the poses, at most.
+        count: largest number of poses.
     """
     places = random_free_poses(world.coarse, count, rng, clearance=ROBOT_RADIUS)
     yaws = rng.uniform(-math.pi, math.pi, len(places))
@@ -310,7 +310,7 @@ _PATH_STEP = 0.05
 
 
 def draw_path(floor: FloorMap, planner: PathPlanner, rng: np.random.Generator, settings: DataSettings) -> F64:
-    """Returns (K, 3): a smooth drive from one free place to another, x, y, yaw every 5 cm, world metres and radians.
+    """Returns (K, 3), float64: a smooth path between two random free places, x, y, yaw every 5 cm, world frame, metres and radians.
 
     Raises:
         SceneError: the scene has no path that is long enough.
@@ -328,7 +328,7 @@ def draw_path(floor: FloorMap, planner: PathPlanner, rng: np.random.Generator, s
 
 
 def smooth_path(corners: F64, places: NDArray[np.bool_], floor: FloorMap) -> F64:
-    """Returns (K, 3): points every 5 cm along corners (C, 2), rounded as a robot drives, and the heading there."""
+    """Returns (K, 3), float64: a smoothed path every 5 cm along corners (C, 2), x, y, yaw, world frame, metres and radians."""
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(lengths)])
     at = np.arange(0.0, arc[-1], _PATH_STEP)
@@ -347,26 +347,28 @@ def smooth_path(corners: F64, places: NDArray[np.bool_], floor: FloorMap) -> F64
 
 
 def _off_path(
-    path: F64, in_the_way: NDArray[np.int64], floor: FloorMap, rng: np.random.Generator, count: int
+    path: F64, obstacle_rows: NDArray[np.int64], floor: FloorMap, rng: np.random.Generator, count: int
 ) -> tuple[F64, NDArray[np.int64]]:
-    """Returns poses (M, 3) of a follower near a path that touch nothing, and the rows (M,) of the path that they are near.
+    """Returns collision-free poses (M, 3) of a follower near a path, world frame, and the nearest rows (M,) of the path.
 
     Args:
-        path: (K, 3).
-        in_the_way: rows at which something stands.
-        floor: map with all that stands on it.
+        path: (K, 3), x, y, yaw, world frame, metres and radians.
+        obstacle_rows: rows of the path with obstacles.
+        floor: map with all bodies.
         rng: random generator.
-        count: of the poses, at most.
+        count: largest number of poses.
     """
     rows = rng.integers(0, len(path), count * 3)
-    if len(in_the_way):
-        before = in_the_way[rng.integers(0, len(in_the_way), len(rows))] - rng.integers(4, round(2.0 / _PATH_STEP), len(rows))
-        rows = np.where((rng.random(len(rows)) < _CLOSE) & (before >= 0), before, rows)
+    if len(obstacle_rows):
+        before = obstacle_rows[rng.integers(0, len(obstacle_rows), len(rows))] - rng.integers(
+            4, round(2.0 / _PATH_STEP), len(rows)
+        )
+        rows = np.where((rng.random(len(rows)) < _CLOSE_SHARE) & (before >= 0), before, rows)
     far, turned = rng.random(len(rows)) < 0.25, rng.random(len(rows)) < 0.25
-    beside = np.where(far, rng.uniform(-0.5, 0.5, len(rows)), rng.normal(0.0, 0.12, len(rows)))
+    offset = np.where(far, rng.uniform(-0.5, 0.5, len(rows)), rng.normal(0.0, 0.12, len(rows)))
     turn = np.where(turned, rng.uniform(-1.1, 1.1, len(rows)), rng.normal(0.0, 0.2, len(rows)))
     x, y, yaw = path[rows].T
-    poses = np.column_stack([x - np.sin(yaw) * beside, y + np.cos(yaw) * beside, yaw + turn])
+    poses = np.column_stack([x - np.sin(yaw) * offset, y + np.cos(yaw) * offset, yaw + turn])
     fits = floor.clearance(poses[:, :2]) >= ROBOT_RADIUS
     return poses[fits][:count], rows[fits][:count]
 
@@ -381,16 +383,16 @@ def make_pairs(
     *,
     negatives: int = 3,
 ) -> NDArray[Any]:
-    """Returns (P,) of ``PAIR``: for each later image those recorded around it, and some that show other places.
+    """Returns (P,) of ``PAIR``: each later image with the recorded ones near it, and with some of other places.
 
     Args:
-        later: (M, 3), poses of the later cameras, world frame.
-        of_later: path and row of each on it; path -1 = none.
-        recorded: (N, 3), the same of the recorded ones.
-        of_recorded: the same.
-        floor: map through which cameras see each other, or not.
+        later: (M, 3), poses of the later cameras, world frame, metres and radians.
+        of_later: path and row on it of each later camera; path -1 = none.
+        recorded: (N, 3), poses of the recorded cameras, world frame.
+        of_recorded: path and row on it of each recorded camera.
+        floor: map for lines of sight.
         rng: random generator.
-        negatives: other places for each later image.
+        negatives: number of images of other places for each later image.
     """
     paths, rows = np.array(of_recorded).T
     pairs: list[tuple[Any, ...]] = []
@@ -402,75 +404,80 @@ def make_pairs(
         others = rng.integers(0, len(recorded), negatives)
         chosen = np.concatenate([near, others])
         pose = relative_pose(later[k], recorded[chosen])
-        match = is_match(pose) & sees(floor, later[k], recorded[chosen])
+        match = is_match(pose) & has_line_of_sight(floor, later[k], recorded[chosen])
         pairs += [(k, j, *p, m) for j, p, m in zip(chosen.tolist(), pose.tolist(), match.tolist(), strict=True)]
     return np.array(pairs, dtype=PAIR)
 
 
 def is_match(pose: F64) -> NDArray[np.bool_]:
-    """Returns (...,): whether cameras at relative poses (..., 3) are near enough, and look alike, to see one place."""
+    """Returns (...,), bool: whether cameras at relative poses (..., 3), metres and radians, are near enough to show the same place."""
     x, y, yaw = np.moveaxis(pose, -1, 0)
-    low, high = _MATCH_AHEAD
-    return np.asarray((x > low) & (x < high) & (np.abs(y) < _MATCH_BESIDE) & (np.abs(yaw) < _MATCH_YAW))
+    low, high = _MATCH_X
+    return np.asarray((x > low) & (x < high) & (np.abs(y) < _MATCH_Y) & (np.abs(yaw) < _MATCH_YAW))
 
 
-def sees(floor: FloorMap, place: F64, others: F64) -> NDArray[np.bool_]:
-    """Returns (N,): whether nothing stands on the lines from a pose (3,) to others (N, 3)."""
+def has_line_of_sight(floor: FloorMap, pose: F64, others: F64) -> NDArray[np.bool_]:
+    """Returns (N,), bool: whether the lines from a pose (3,) to others (N, 3), world frame, are free."""
     along = np.linspace(0.0, 1.0, 60)[:, None]
-    lines = place[:2] + (others[:, None, :2] - place[:2]) * along
+    lines = pose[:2] + (others[:, None, :2] - pose[:2]) * along
     return np.asarray(floor.look_up(floor.free, lines, outside=False).all(axis=1))
 
 
 def camera_poses(poses: F64, ahead: float) -> F64:
-    """Returns (N, 3): planar poses of the cameras of robots at poses (N, 3), metres and radians; ``ahead`` of their middle, metres."""
+    """Returns (N, 3), float64: planar poses of the cameras of robots at poses (N, 3), same frame, metres and radians.
+
+    Args:
+        poses: of the robots.
+        ahead: distance of the cameras ahead of the robots' centres, metres.
+    """
     x, y, yaw = poses.T
     return np.column_stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
 
 
 def path_row(distance: float) -> int:
-    """Returns the row on a path, as ``make_pairs`` takes it, of a distance along it, metres."""
+    """Returns the row of a path, as ``make_pairs`` takes it, at a distance along it, metres."""
     return round(distance / _PATH_STEP)
 
 
-def with_bodies(scene: SceneSpec, floor: FloorMap, things: Sequence[BodySpec]) -> FloorMap:
-    """Returns a map with bodies of a scene on it."""
-    if not things:
+def with_bodies(scene: SceneSpec, floor: FloorMap, bodies: Sequence[BodySpec]) -> FloorMap:
+    """Returns a map with bodies added."""
+    if not bodies:
         return floor
-    vertices, triangles = body_triangles(replace(scene, bodies=tuple(things)))
+    vertices, triangles = body_triangles(replace(scene, bodies=tuple(bodies)))
     return floor.furnished(vertices, triangles, BODY_HEIGHT)
 
 
-def _things(floor: FloorMap, rng: np.random.Generator, count: int, name: str, keep_off: F64) -> list[BodySpec]:
-    """Returns things at random free places that leave room for drives (K, 3)."""
+def _random_objects(floor: FloorMap, rng: np.random.Generator, count: int, name: str, keep_off: F64) -> list[BodySpec]:
+    """Returns objects at random free places, more than 0.5 m from the points of paths (K, 3)."""
     places = random_free_poses(floor, 3 * count, rng, clearance=0.25) if count else ()
     points = [pose.position for pose in places if np.hypot(*(keep_off[:, :2] - pose.position[:2]).T).min() > 0.5]
     return [item_body(random_object(rng, f"{name}_{k}", *point)) for k, point in enumerate(points[:count])]
 
 
 def _furniture(floor: FloorMap, rng: np.random.Generator, keep_off: F64) -> list[BodySpec]:
-    """Returns furniture at random free places that leave room for drives (K, 3)."""
+    """Returns furniture at random free places, ``_FURNITURE_DISTANCE`` from the points of paths (K, 3)."""
     bodies = []
-    for k, pose in enumerate(random_free_poses(floor, int(rng.integers(_FURNITURE + 1)), rng, clearance=0.1)):
+    for k, pose in enumerate(random_free_poses(floor, int(rng.integers(_MAX_FURNITURE + 1)), rng, clearance=0.1)):
         body = item_body(random_furniture(rng, f"furniture_{k}", *pose.position))
-        corners, _ = body_triangles(SceneSpec("thing", Path(), "", (), (), bodies=(body,)))
-        away = np.linalg.norm(corners[:, None, :2] - keep_off[::4, :2], axis=2).min()
+        corners, _ = body_triangles(SceneSpec("object", Path(), "", (), (), bodies=(body,)))
+        distance = np.linalg.norm(corners[:, None, :2] - keep_off[::4, :2], axis=2).min()
         size = np.linalg.norm(np.ptp(corners[:, :2], axis=0))
         # A side may be nearer than its two corners.
         middle = np.linalg.norm(keep_off[:, :2] - pose.position[:2], axis=1).min()
-        if away > _FURNITURE_ROOM and middle > _FURNITURE_ROOM + size / 3.0:
+        if distance > _FURNITURE_DISTANCE and middle > _FURNITURE_DISTANCE + size / 3.0:
             bodies.append(body)
     return bodies
 
 
-def _things_on(path: F64, floor_z: float, rng: np.random.Generator, name: str) -> tuple[list[BodySpec], NDArray[np.int64]]:
-    """Returns things that stand on or close to a path (K, 3), and the rows of the path where they stand."""
-    count = int(rng.integers(_IN_THE_WAY + 1))
+def _random_obstacles(path: F64, floor_z: float, rng: np.random.Generator, name: str) -> tuple[list[BodySpec], NDArray[np.int64]]:
+    """Returns obstacles on or near a path (K, 3), and their rows on the path."""
+    count = int(rng.integers(_MAX_OBSTACLES + 1))
     rows = rng.integers(min(10, len(path) - 1), len(path), count)
     bodies = []
     for k, row in enumerate(rows):
         x, y, yaw = path[row]
-        across = rng.uniform(-_ACROSS, _ACROSS)
+        offset = rng.uniform(-_MAX_OFFSET, _MAX_OFFSET)
         bodies.append(
-            item_body(random_object(rng, f"{name}_{k}", x - math.sin(yaw) * across, y + math.cos(yaw) * across, floor_z))
+            item_body(random_object(rng, f"{name}_{k}", x - math.sin(yaw) * offset, y + math.cos(yaw) * offset, floor_z))
         )
     return bodies, rows

@@ -1,4 +1,4 @@
-"""Draws what the default camera sees in a scene as it is, or in other colours, with things put into it: the images to learn from."""
+"""Renders training images of the default camera: in a scene, or a recoloured one, with added bodies."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ WIDTH, HEIGHT = 96, 64
 """Size of an image, pixels."""
 HFOV = math.radians(100.0)
 """Horizontal field of view of the default camera, radians."""
-CAMERA_X, CAMERA_HEIGHT = 0.15, 0.46
-"""Where the default camera is: ahead of the middle of the robot, and above the floor, metres."""
+CAMERA_AHEAD, CAMERA_HEIGHT = 0.15, 0.46
+"""Position of the default camera: ahead of the robot's centre, and above the floor, metres."""
 _TEXTURES = TextureRules(chance=0.3)
 
 
 def camera_at(x: float, y: float, yaw: float, floor_z: float, conditions: Conditions) -> CameraSpec:
-    """Returns the camera at a planar pose of its own, world frame, metres and radians."""
+    """Returns the camera at its planar pose x, y, yaw, world frame, metres and radians."""
     height = floor_z + CAMERA_HEIGHT + conditions.height_change
     T_world_camera = matrix_from_pose(pose_from_xyz_rpy((x, y, height), (0.0, conditions.pitch_change, yaw)))
     pose = pose_from_matrix(T_world_camera @ _T_CAMERA_OPTICAL)
@@ -45,7 +45,7 @@ _T_CAMERA_OPTICAL = matrix_from_pose(Pose(quat_xyzw=quat_from_rpy(-math.pi / 2.0
 
 
 class Drawing:
-    """Draws images in one scene, as it is or in other colours, with things put into it."""
+    """Renders images in one scene, unchanged or recoloured, with added bodies."""
 
     def __init__(self, scene: SceneSpec, rng: np.random.Generator, recolour_chance: float) -> None:
         """Prepares a scene.
@@ -53,7 +53,7 @@ class Drawing:
         Args:
             scene: the scene, without robots.
             rng: of colours, textures and noise.
-            recolour_chance: probability of other colours and textures than those of the scene.
+            recolour_chance: probability that colours and textures of the scene change.
         """
         self._scene, self._rng = scene, rng
         self._base = drawn_scene(scene, _links(scene.bodies))
@@ -66,28 +66,28 @@ class Drawing:
 
     def images(
         self,
-        things: Sequence[BodySpec],
+        added: Sequence[BodySpec],
         cameras: F64,
         conditions: Sequence[Conditions],
         photometry_chance: float,
         *,
         alike: int = 1,
     ) -> NDArray[np.uint8]:
-        """Returns (N, 64, 96, 3): what cameras see at planar poses (N, 3), each in its conditions, with things in the scene.
+        """Returns (N, 64, 96, 3), uint8, RGB: images at planar poses (N, 3), each in its conditions, with added bodies.
 
         Args:
-            things: bodies that are put into the scene.
-            cameras: poses of the cameras, world frame, metres and radians.
-            conditions: of each image.
+            added: bodies that are added to the scene.
+            cameras: (N, 3), x, y, yaw of the cameras, world frame, metres and radians.
+            conditions: conditions of each image.
             photometry_chance: probability that exposure and colours of an image differ.
-            alike: images in a row that have the same exposure and colours, but for noise; they are drawn anew for the next ones.
+            alike: number of successive images with the same exposure and colours, but for noise.
         """
         if self._renderer is None:
             self._load(self._base)
-        bodies = (*self._scene.bodies, *things)
-        added = drawn_scene(replace(self._scene, visuals=(), bodies=tuple(things)), ())
-        added = randomise(added, int(self._rng.integers(2**31)), _TEXTURED)
-        self._load(replace(self._base, visuals=(*self._base.visuals, *added.visuals), links=_links(bodies)))
+        bodies = (*self._scene.bodies, *added)
+        drawn_bodies = drawn_scene(replace(self._scene, visuals=(), bodies=tuple(added)), ())
+        drawn_bodies = randomise(drawn_bodies, int(self._rng.integers(2**31)), _TEXTURED)
+        self._load(replace(self._base, visuals=(*self._base.visuals, *drawn_bodies.visuals), links=_links(bodies)))
         state = _standing(bodies, self._revision)
         specs = [
             camera_at(float(x), float(y), float(yaw), self._scene.floor_z, each)
@@ -95,8 +95,8 @@ class Drawing:
         ]
         out = np.empty((len(specs), HEIGHT, WIDTH, 3), np.uint8)
         assert self._renderer is not None
-        for first in range(0, len(specs), _TOGETHER):
-            for k, frame in enumerate(self._renderer.render(state, specs[first : first + _TOGETHER]), first):
+        for first in range(0, len(specs), _BATCH):
+            for k, frame in enumerate(self._renderer.render(state, specs[first : first + _BATCH]), first):
                 light = conditions[k].light
                 assert frame.rgb is not None
                 image: NDArray[np.uint8] | NDArray[np.float32] = frame.rgb
@@ -135,7 +135,7 @@ def _links(bodies: Sequence[BodySpec]) -> tuple[str, ...]:
 
 
 def _standing(bodies: Sequence[BodySpec], revision: int) -> SceneState:
-    """Returns the state of a scene in which all bodies stand where they are at load."""
+    """Returns the state of a scene with all bodies at their poses at load."""
     transforms = [(body, link_transforms(body)) for body in bodies]
     poses = [pose_from_matrix(matrices[link]) for body, matrices in transforms for link in body.links]
     return replace(
@@ -145,7 +145,7 @@ def _standing(bodies: Sequence[BodySpec], revision: int) -> SceneState:
     )
 
 
-_TOGETHER = 16
-"""Images that are drawn side by side."""
+_BATCH = 16
+"""Images that are rendered together."""
 _TEXTURED = Rules({"*": ClassRules(texture=TextureRules(chance=0.4))})
 _RECOLOURED = Rules({"*": ClassRules(hue=(-0.5, 0.5), saturation=(0.3, 1.6), value=(0.5, 1.4), texture=_TEXTURES)})

@@ -1,7 +1,7 @@
 """Writes a trained network as ONNX, and its card. Needs PyTorch and onnx.
 
 Inputs: ``present`` (1, 64, 96, 3) and ``recorded`` (K, 64, 96, 3), uint8, RGB; with a network of free distances also ``earlier``
-(1, 64, 96, 3), an earlier image brought onto the present one, black where nothing is known. Outputs: ``pose`` (K, 3), ``scale`` (K, 3),
+(1, 64, 96, 3), an earlier image warped onto the present one, black where unknown. Outputs: ``pose`` (K, 3), ``scale`` (K, 3),
 ``match`` (K,), ``hit`` (24, bins + 1), as ``gibson_path_following.path_model.Prediction`` describes them.
 """
 
@@ -36,10 +36,10 @@ def export_network(network: PathNetwork, file: Path, offsets: OffsetCalibration,
     """Writes a network as ONNX; returns the size of the file, bytes.
 
     Args:
-        network: tells poses.
-        file: where.
-        offsets: how the offsets that it tells relate to the true ones; written into the metadata, for the robot.
-        distances: tells free distances; None = ``network`` does, by its first estimate.
+        network: predicts poses.
+        file: ONNX file.
+        offsets: calibration of its lateral offsets; written into the metadata, for the robot.
+        distances: predicts free distances; None = ``network`` does, by its first estimate.
     """
     parts: list[nn.Module] = [network] if distances is None else [network, distances]
     was_training = [part.training for part in parts]
@@ -91,11 +91,11 @@ def write_card(
     """Writes the card of a network, Markdown.
 
     Args:
-        file: where.
-        settings: of the training.
-        networks: what tells poses, and what tells free distances.
+        file: Markdown file.
+        settings: settings of the training.
+        networks: networks of poses and of free distances.
         points: the last points of their curves.
-        offsets: how the offsets that it tells relate to the true ones.
+        offsets: calibration of the lateral offsets.
         data: name of a quantity of the data -> number.
         results: further lines on how it drives.
     """
@@ -136,7 +136,7 @@ def write_card(
 
 
 class _Exported(nn.Module):
-    """The networks as one function."""
+    """Both networks as one module."""
 
     def __init__(self, network: PathNetwork, distances: DistanceNetwork | None) -> None:
         super().__init__()
@@ -145,6 +145,6 @@ class _Exported(nn.Module):
     def forward(self, present: Tensor, recorded: Tensor, earlier: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         here, there = self.network.encode(present), self.network.encode(recorded)
         estimate = self.network.compare(here.expand(there.shape[0], -1, -1, -1), there)
-        told = self.network.free(here) if self.distances is None else self.distances(present, earlier)
-        hit = torch.softmax(told[0], dim=1)
+        logits = self.network.free(here) if self.distances is None else self.distances(present, earlier)
+        hit = torch.softmax(logits[0], dim=1)
         return estimate.pose, estimate.scale, torch.sigmoid(estimate.match), hit

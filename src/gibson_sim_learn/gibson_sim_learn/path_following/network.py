@@ -1,8 +1,8 @@
-"""The network that follows paths: where a recorded image is from here, whether it shows this place, and how far the floor ahead is free.
+"""The path-following network: relative pose of a recorded image, match probability, and a first estimate of free distances.
 
-One small encoder sees both images. Its features are compared everywhere with everywhere, which yields for each place of the present image
-where in the recorded one it is; a few convolutions turn that into a pose. It also makes a first
-estimate of free distances, from the present image alone, which the drives of DAgger use; the network of ``distances`` then takes its place.
+One small encoder computes features of both images. An all-pairs correlation gives the position in the recorded image of each position of the
+present one; a few convolutions turn that into a pose. Its free distances, from the present image alone, are for the drives of DAgger; the network
+of ``distances`` then replaces them.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 
 _ROWS, _COLUMNS = HEIGHT // 4, WIDTH // 4
 """Size of the features."""
-_DROPPED = 0.15
-"""Share of the features that are left out in training, where distances are told."""
+_DROPOUT = 0.15
+"""Dropout probability of the features before the head of free distances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,35 +29,35 @@ class NetworkSettings:
     channels: int = 48
     """Channels of the features."""
     compared: int = 32
-    """Channels in which features are compared."""
+    """Channels of the correlated features."""
     joint: int = 64
-    """Channels of the layers that see both images."""
+    """Channels of the layers after the correlation."""
     free: int = 96
-    """Channels of the layers that tell free distances."""
+    """Channels of the head of free distances."""
     hidden: int = 128
     """Neurons of the last hidden layer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What the network returns for B pairs."""
+    """Outputs for B pairs."""
 
     pose: Tensor
-    """(B, 3): the recorded camera in the frame of the present one: x ahead, y to the left, yaw; metres and radians."""
+    """(B, 3): pose of the recorded camera in the present camera's frame: x ahead, y to the left, yaw; metres and radians."""
     scale: Tensor
-    """(B, 3): mean absolute error that it expects, same units."""
+    """(B, 3): predicted mean absolute error, same units."""
     match: Tensor
-    """(B,): log-odds that both show one place."""
+    """(B,): log-odds that both images show the same place."""
 
 
 class PathNetwork(nn.Module):
-    """Encoder, comparison and two heads."""
+    """Encoder, correlation and two heads."""
 
     def __init__(self, settings: NetworkSettings = NetworkSettings()) -> None:
         super().__init__()
         c, joint = settings.channels, settings.joint
         if _COLUMNS != DIRECTIONS:
-            raise AssertionError("one direction for each column of the features")
+            raise AssertionError("one bearing for each column of the features")
         self.encoder = nn.Sequential(
             convolution(3, c, kernel=8, stride=4, padding=2),
             _Residual(convolution(c, c), convolution(c, c, active=False)),
@@ -91,36 +91,38 @@ class PathNetwork(nn.Module):
         self.register_buffer("goal_grid", _grid(_ROWS // 2, _COLUMNS // 2), persistent=False)
 
     def encode(self, images: Tensor) -> Tensor:
-        """Returns features (B, C, 16, 24) of images (B, 64, 96, 3), uint8 or float, RGB; exposure and colour of the light do not count."""
+        """Returns features (B, C, 16, 24) of images (B, 64, 96, 3), uint8 or float, RGB; invariant to exposure and white balance."""
         features: Tensor = self.encoder(normalised(images))
         return features
 
     def compare(self, present: Tensor, recorded: Tensor) -> Estimate:
-        """Returns the estimate for features (B, C, 16, 24) of present and recorded images."""
-        # Channels stay last in memory throughout: copies would take most of the time. No size is that of the batch, for the export.
+        """Returns the outputs for features (B, C, 16, 24) of present and recorded images."""
+        # Channels stay last in memory, which avoids slow copies. No size depends on the batch, for the export.
         places, goals = len(self.grid), len(self.goal_grid)
         a = self.compared(present).permute(0, 2, 3, 1).reshape(-1, places, self._compared)
         b = functional.avg_pool2d(self.compared(recorded), 2).permute(0, 2, 3, 1).reshape(-1, goals, self._compared)
-        likeness = torch.bmm(functional.normalize(a, dim=2), functional.normalize(b, dim=2).transpose(1, 2))  # (B, places, goals)
-        where = torch.softmax(likeness * self.sharpness, dim=2)
+        correlation = torch.bmm(
+            functional.normalize(a, dim=2), functional.normalize(b, dim=2).transpose(1, 2)
+        )  # (B, places, goals)
+        where = torch.softmax(correlation * self.sharpness, dim=2)
         moved = torch.matmul(where, self.goal_grid) - self.grid
         peak = (where * where).sum(dim=2, keepdim=True)
         grid = self.grid + torch.zeros_like(moved)
-        seen = torch.cat([likeness, *(part.to(likeness.dtype) for part in (moved, peak, grid))], dim=2)
+        seen = torch.cat([correlation, *(part.to(correlation.dtype) for part in (moved, peak, grid))], dim=2)
         stack = torch.cat([seen.view(-1, _ROWS, _COLUMNS, goals + 5).permute(0, 3, 1, 2), present], dim=1)
         out = self.joint(stack)
         return Estimate(out[:, :3], functional.softplus(out[:, 3:6]) + 0.005, out[:, 6])
 
     def free(self, present: Tensor) -> Tensor:
-        """Returns (B, 24, bins + 1): log-odds of where the first thing stands, by bins of ``FREE_EDGES`` and beyond them, left to right."""
-        # Distances are what it learns by heart, scene by scene: what it may lean on changes from step to step.
-        first = self.columns[:2](functional.dropout(present, _DROPPED, self.training))
-        columns: Tensor = self.columns[2:](functional.dropout(first, _DROPPED, self.training))
+        """Returns (B, 24, bins + 1): logits of the range bin of the first obstacle, of ``FREE_EDGES`` and beyond them, leftmost bearing first."""
+        # Distances overfit to the scenes; dropout counteracts that.
+        first = self.columns[:2](functional.dropout(present, _DROPOUT, self.training))
+        columns: Tensor = self.columns[2:](functional.dropout(first, _DROPOUT, self.training))
         return columns[:, :, 0].transpose(1, 2)
 
 
 def normalised(images: Tensor) -> Tensor:
-    """Returns images (B, H, W, 3), 0 to 255, as (B, 3, H, W) of mean 0 and about deviation 1: neither exposure nor colour of the light counts."""
+    """Returns images (B, H, W, 3), 0 to 255, as (B, 3, H, W) of mean 0 and deviation about 1 per channel: invariant to exposure and white balance."""
     x = images.permute(0, 3, 1, 2).to(torch.float32)
     mean = x.mean(dim=(2, 3), keepdim=True)
     deviation = ((x - mean) ** 2).mean(dim=(2, 3), keepdim=True).sqrt()
@@ -133,7 +135,7 @@ def parameter_count(network: nn.Module) -> int:
 
 
 class _Residual(nn.Module):
-    """Layers whose output is added to their input."""
+    """Residual connection around some layers."""
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__()
@@ -165,7 +167,7 @@ def _separable(channels: int, *, active: bool = True) -> nn.Sequential:
 
 
 def _grid(rows: int, columns: int) -> Tensor:
-    """Returns (rows * columns, 2): places in an image, -1 to 1, left to right and top to bottom, row by row."""
+    """Returns (rows * columns, 2): x and y of positions in an image, -1 to 1, left to right and top to bottom, row by row."""
     y = (torch.arange(rows, dtype=torch.float32) + 0.5) * (2.0 / rows) - 1.0
     x = (torch.arange(columns, dtype=torch.float32) + 0.5) * (2.0 / columns) - 1.0
     return torch.stack([x.expand(rows, columns), y[:, None].expand(rows, columns)], dim=-1).reshape(-1, 2)

@@ -1,6 +1,6 @@
-"""How another light and another camera change an image: relighting of rooms whose light is baked in, exposure, colours, lens, noise.
+"""Photometric simulation: relighting of rooms with baked light, exposure, white balance, lens and noise of a camera.
 
-Pure: images and what was drawn with them go in, images come out.
+Pure: images and their auxiliary outputs go in, images come out.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ F32 = NDArray[np.float32]
 NEUTRAL_K = 6500.0
 """Colour temperature of white, kelvin."""
 _TARGET = 0.25
-"""Mean luminance, linear, that automatic exposure aims at."""
+"""Target of automatic exposure: mean luminance, linear, 0 to 1."""
 _GAINS = (1.0 / 16.0, 64.0)
 """Smallest and largest gain of automatic exposure."""
 _WAVES = 4
-"""Waves that the unevenness of the light is the sum of."""
+"""Number of waves whose sum is the unevenness of the light."""
 _SOFT = 0.09
-"""Added to the squared distance from a lamp, m^2: it is no point."""
+"""Added to the squared distance from a lamp, m^2: it is not a point light."""
 _LINEAR = linear_from_srgb(np.arange(256, dtype=np.float32) / np.float32(255.0))
 
 
 @dataclass(frozen=True, slots=True)
 class RoomLight:
-    """Light that differs from the one in which a path was recorded: factors on what a surface reflects.
+    """Light that differs from the recording: factors on the reflected light of a surface.
 
-    The homes have their light baked into textures, which ``LightSpec`` leaves alone, so that it is changed in the image, by the normal
-    and the position of what a pixel shows.
+    The homes have their light baked into textures, which ``LightSpec`` does not change. It is changed in the image instead, by the normal and
+    the position of each pixel.
     """
 
     ambient: float = 1.0
@@ -45,11 +45,11 @@ class RoomLight:
     temperature_k: float = NEUTRAL_K
     """Colour temperature of that light, kelvin."""
     sun: float = 0.0
-    """Light from one direction, added to surfaces that face it, as a multiple of the scene's light."""
+    """Directional light, as a multiple of the scene's light on a surface that faces it."""
     sun_azimuth: float = 0.0
     """Direction towards that light, radians from +x of the world, counter-clockwise."""
     sun_elevation: float = math.pi / 4
-    """Its height above the horizon, radians."""
+    """Elevation of that light above the horizon, radians."""
     unevenness_ev: float = 0.0
     """Amplitude of brighter and darker places in the scene, photographic stops."""
     period: float = 4.0
@@ -75,16 +75,16 @@ class RoomLight:
 
 @dataclass(frozen=True, slots=True)
 class Photometry:
-    """What a camera makes of the light that reaches it."""
+    """Photometric response of a camera."""
 
     exposure_ev: float = 0.0
-    """Exposure, photographic stops; with automatic exposure: its correction."""
+    """Exposure, photographic stops; with automatic exposure: exposure compensation."""
     auto_exposure: bool = False
     """Whether each image is brought to the same mean luminance before ``exposure_ev``."""
     temperature_k: float = NEUTRAL_K
-    """Colour temperature of what the camera takes for white, kelvin: a lower one makes images redder."""
+    """White balance: colour temperature that the camera renders as white, kelvin; a lower one makes images redder."""
     noise: float = 0.0
-    """Standard deviation of the noise, levels of 255; it grows with the root of what automatic exposure amplifies by."""
+    """Standard deviation of the noise, levels of 255; it grows with the root of the gain of automatic exposure."""
     vignette: float = 0.0
     """Loss of light in the corners, 0 to 1."""
     blur: float = 0.0
@@ -97,13 +97,13 @@ class Photometry:
 
 
 def relit_linear(rgb: Image, normal: F32, position: F32, eye: tuple[float, float, float], light: RoomLight) -> F32:
-    """Returns an image (H, W, 3) in another light, linear; what is brighter than white is above 1, for ``photographed`` to expose.
+    """Returns an image (H, W, 3), float32, in another light, linear; values above 1 are brighter than white, for ``photographed`` to expose.
 
     Args:
-        rgb: (H, W, 3), sRGB.
-        normal: (H, W, 3), unit normals, world frame; NaN or 0 where there is nothing.
-        position: (H, W, 3), world frame, metres; NaN where there is nothing.
-        eye: place of the camera, world frame, metres.
+        rgb: (H, W, 3), uint8, sRGB.
+        normal: (H, W, 3), unit normals, world frame; NaN or 0 where no surface is.
+        position: (H, W, 3), world frame, metres; NaN where no surface is.
+        eye: position of the camera, world frame, metres.
         light: the light.
     """
     if light.is_unchanged:
@@ -128,12 +128,12 @@ def relit_linear(rgb: Image, normal: F32, position: F32, eye: tuple[float, float
 
 
 def photographed(image: Image | F32, camera: Photometry, rng: np.random.Generator) -> Image:
-    """Returns an image as another camera gives it.
+    """Returns an image as a camera renders it, (H, W, 3), uint8, sRGB.
 
     Args:
         image: (H, W, 3), sRGB as uint8, or linear as float32.
         camera: the camera.
-        rng: of the noise, from which as much is drawn for every camera.
+        rng: of the noise; every camera draws the same number of values.
     """
     grain = rng.standard_normal(image.shape, dtype=np.float32)
     height, width = image.shape[:2]
@@ -164,7 +164,7 @@ def white_gains(kelvin: float) -> F32:
 
 
 def _waves(points: F32, period: float, phase: float) -> F32:
-    """Returns (H, W), -1 to 1: a smooth pattern over the floor plan at points (H, W, 3), metres."""
+    """Returns (H, W), float32, -1 to 1: a smooth pattern over the floor plan at points (H, W, 3), world frame, metres."""
     total = np.zeros(points.shape[:2], dtype=np.float32)
     for k in range(_WAVES):
         # The golden angle spreads directions and phases evenly.

@@ -28,23 +28,23 @@ MODEL, CARD = "path_following.onnx", "path_following.md"
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What a training left."""
+    """Result of a training."""
 
     model: Path
     card: Path
     point: PathPoint
-    """Errors of its poses on the validation scenes."""
+    """Errors of poses on the validation scenes."""
     distances: DistancePoint
-    """Errors of its free distances there."""
+    """Errors of free distances on the validation scenes."""
     size: int
-    """Of the model, bytes."""
+    """Size of the model, bytes."""
 
 
 def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], None] = lambda text: None) -> Learned:
-    """Trains in a folder, or goes on there, and writes the network.
+    """Trains in a folder, or resumes there, and writes the network.
 
     Args:
-        folder: data, checkpoint, curve, network and card are put here.
+        folder: folder of data, checkpoint, curve, network and card.
         settings: the configuration.
         progress: called with one line now and then.
 
@@ -53,17 +53,17 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
     """
     data, validation = folder / "data" / "training", folder / "data" / "validation"
 
-    def told(name: str, done: int, total: int) -> None:
+    def report(name: str, done: int, total: int) -> None:
         progress(f"data: {name}, {done} of {total} shards")
 
-    def on_ways(world: World, number: int) -> Shard:
+    def draw_paths(world: World, number: int) -> Shard:
         return draw_shard(world, settings.seed, number, settings.data)
 
-    def of_obstacles(world: World, number: int) -> Shard:
+    def draw_obstacles(world: World, number: int) -> Shard:
         return draw_obstacle_shard(world, settings.seed, number)
 
-    make_data(data, TRAINING, settings.shards, on_ways, told)
-    make_data(validation, VALIDATION, settings.validation_shards, on_ways, told)
+    make_data(data, TRAINING, settings.shards, draw_paths, report)
+    make_data(validation, VALIDATION, settings.validation_shards, draw_paths, report)
     training, judge = PathTraining(folder, settings), Sampler.of_folders([validation])
     training.run(Sampler.of_folders([data]), judge, settings.iterations, progress)
     driven = [folder / "data" / f"dagger-{number + 1}" for number in range(settings.dagger_rounds)]
@@ -76,8 +76,8 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
         training.run(Sampler.of_folders([data, *driven[: number + 1]]), judge, until, progress)
     every = Sampler.of_folders([data, *driven])
     obstacles, judged = folder / "data" / "obstacles", folder / "data" / "obstacles-validation"
-    make_data(obstacles, TRAINING, settings.distances.obstacle_shards, of_obstacles, told)
-    make_data(judged, VALIDATION, settings.validation_shards, of_obstacles, told)
+    make_data(obstacles, TRAINING, settings.distances.obstacle_shards, draw_obstacles, report)
+    make_data(judged, VALIDATION, settings.validation_shards, draw_obstacles, report)
     close = Sampler.of_folders([obstacles])
     distances = DistanceTraining(folder / "distances", settings)
     distances.run(every, close, (judge, Sampler.of_folders([judged])), progress)
@@ -92,7 +92,7 @@ def learn(folder: Path, settings: TrainingSettings, progress: Callable[[str], No
 def _drive(
     folder: Path, model: Path, training: PathTraining, judge: Sampler, number: int, progress: Callable[[str], None]
 ) -> None:
-    """Makes the drives of a round with the network as it is; an interrupted round goes on with the same network."""
+    """Runs the drives of a DAgger round with the present network; an interrupted round resumes with the same network."""
     if not model.is_file():
         export_network(training.network, model, training.offsets(judge))
     network, settings = PathModel(model), training.settings

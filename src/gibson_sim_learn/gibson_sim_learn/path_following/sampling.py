@@ -1,4 +1,4 @@
-"""Draws batches from shards: which images, mirrored or not, with what is true about them. numpy and OpenCV alone."""
+"""Draws augmented batches from shards. NumPy and OpenCV alone."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 
 F32 = NDArray[np.float32]
 _GAMMA = 1.35
-"""Largest exponent of the contrast of an image, and the inverse of the smallest."""
-_OTHER_COLOURS = 0.5
-"""Probability that the colour channels of an image and of its recorded ones are in a drawn order: six scenes have few colours."""
-_MIXED = 0.35
-"""Largest share of each colour channel that is given to the others, in other colours."""
-_UNEVEN = 0.45
-"""Largest change of brightness across an image, in natural logarithms: light that falls from elsewhere."""
-_NOISE = 4.0
+"""Largest gamma of an image, and the inverse of the smallest."""
+_COLOUR_CHANCE = 0.5
+"""Probability that the colour channels of an image and of its recorded ones are permuted: six scenes have few colours."""
+_MAX_MIX = 0.35
+"""Largest share of a colour channel that is mixed into another one."""
+_MAX_UNEVENNESS = 0.45
+"""Largest natural logarithm of the brightness change across an image."""
+_MAX_NOISE = 4.0
 """Largest standard deviation of added noise, grey levels."""
-_BLUR, _BLURRED = 0.9, 0.5
-"""Largest standard deviation of another lens' blur, pixels, and the share of images that have it."""
-_VIGNETTE = 0.4
-"""Largest share of the light that another lens loses in the corners."""
-_SHIFT = 1.0
-"""Largest shift of an image up or down, pixels: 1.4 degrees of tilt."""
-_BURNT = 0.35
-"""Largest natural logarithm of a gain, after which bright parts are white."""
+_MAX_BLUR, _BLUR_CHANCE = 0.9, 0.5
+"""Largest standard deviation of the blur of a lens, pixels, and the probability of a blur."""
+_MAX_VIGNETTE = 0.4
+"""Largest loss of light in the corners, 0 to 1."""
+_MAX_SHIFT = 1.0
+"""Largest vertical shift of an image, pixels: 1.4 degrees of pitch."""
+_MAX_LOG_GAIN = 0.35
+"""Largest natural logarithm of a gain; bright parts saturate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,25 +45,25 @@ class Batch:
     """L later images, and R recorded ones for each."""
 
     later: NDArray[np.uint8]
-    """(L, 64, 96, 3)."""
+    """(L, 64, 96, 3), RGB."""
     recorded: NDArray[np.uint8]
-    """(L, R, 64, 96, 3)."""
+    """(L, R, 64, 96, 3), RGB."""
     pose: F32
-    """(L, R, 3): the recorded camera in the frame of the later one, metres and radians."""
+    """(L, R, 3), float32: poses of the recorded cameras in the later camera's frame: x ahead, y to the left, yaw; metres and radians."""
     match: NDArray[np.bool_]
-    """(L, R): whether both show one place, so that ``pose`` can be seen."""
+    """(L, R): whether both show the same place, so that ``pose`` can be estimated."""
     free: F32
-    """(L, 24): free distances in the later images, metres."""
+    """(L, 24), float32: free distances in the later images, metres, leftmost bearing first."""
     has_pairs: NDArray[np.bool_]
-    """(L,): whether ``recorded`` belongs to the later image; False = it was drawn for its free distances alone."""
+    """(L,): whether the later image has recorded ones; False = it has free distances alone."""
     earlier: NDArray[np.uint8]
-    """(L, 64, 96, 3): what the camera of each later image saw a little earlier, under the same light; black where that is unknown."""
+    """(L, 64, 96, 3), RGB: earlier image of the camera of each later one, in the same light; black = there is none."""
     earlier_pose: F32
-    """(L, 3): where it was then, in its present frame: x ahead, y to the left, yaw; metres and radians."""
+    """(L, 3), float32: pose of the earlier camera in the present one's frame: x ahead, y to the left, yaw; metres and radians."""
 
 
 class Sampler:
-    """All shards of a folder."""
+    """Draws from the shards of some folders."""
 
     def __init__(self, shards: Sequence[Shard]) -> None:
         """Indexes the pairs by their later images.
@@ -76,7 +76,7 @@ class Sampler:
         self._shards = tuple(shards)
         self._pairs: list[NDArray[Any]] = []
         self._first: list[NDArray[np.int64]] = []
-        """By shard: (N + 1,), where the pairs of each image begin."""
+        """(N + 1,) of each shard: row of the first pair of each image."""
         later: list[tuple[int, int]] = []
         for number, shard in enumerate(self._shards):
             pairs = np.sort(np.asarray(shard.pairs), order="later", kind="stable")
@@ -141,39 +141,39 @@ class Sampler:
             earlier_pose[mirrored, 1:] *= -1.0
             free[mirrored] = free[mirrored, ::-1]
             order = rng.permuted(np.tile(np.arange(3), (later, 1)), axis=1)
-            order[rng.random(later) >= _OTHER_COLOURS] = np.arange(3)
+            order[rng.random(later) >= _COLOUR_CHANCE] = np.arange(3)
             images, earlier = (np.take_along_axis(some, order[:, None, None], axis=3) for some in (images, earlier))
             others = np.take_along_axis(others, order[:, None, None, None], axis=4)
-            mix = rng.uniform(-_MIXED, _MIXED, (later, 3, 3)).astype(np.float32)
+            mix = rng.uniform(-_MAX_MIX, _MAX_MIX, (later, 3, 3)).astype(np.float32)
             mix[:, np.arange(3), np.arange(3)] = 0.0
-            mix[rng.random(later) >= _OTHER_COLOURS] = 0.0
+            mix[rng.random(later) >= _COLOUR_CHANCE] = 0.0
             mix += (1.0 - mix.sum(axis=2))[..., None] * np.eye(3, dtype=np.float32)  # grey stays grey
-            images, earlier, others = (_mixed(some, mix) for some in (images, earlier, others))
-            images, earlier = _other_contrast(images, rng, earlier)
-            others = _other_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng)[0].reshape(others.shape)
+            images, earlier, others = (_mix_channels(some, mix) for some in (images, earlier, others))
+            images, earlier = _augment_contrast(images, rng, earlier)
+            others = _augment_contrast(others.reshape(-1, HEIGHT, WIDTH, 3), rng)[0].reshape(others.shape)
         return Batch(images, others, pose, match, free, has, earlier, earlier_pose)
 
 
-def through_another_lens(
+def augment_lens(
     images: NDArray[np.uint8], rng: np.random.Generator, earlier: NDArray[np.uint8] | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Returns images (N, H, W, 3) with a drawn blur, vignette, tilt, gain and grain of each; free distances in them stay what they are.
+    """Returns images and earlier images with a random blur, vignette, pitch, gain and grain; their free distances do not change.
 
     Args:
-        images: uint8.
+        images: (N, H, W, 3), uint8.
         rng: random generator.
-        earlier: (N, H, W, 3), by the same camera: they are returned with the same, but for grain; those that are black stay black. None = black.
+        earlier: (N, H, W, 3), uint8, of the same cameras; they get the same changes, but for grain. Black ones stay black. None = all black.
     """
     count, height, width, _ = images.shape
     y, x = np.mgrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j].astype(np.float32)
     corner = (x**2 + y**2)[..., None] / 2.0
     out = np.empty_like(images), np.zeros_like(images)
     for k in range(count):
-        shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rng.uniform(-_SHIFT, _SHIFT)]])
-        blur = rng.uniform(0.2, _BLUR) if rng.random() < _BLURRED else 0.0
-        gain = math.exp(rng.uniform(-_BURNT, _BURNT)) * (1.0 - rng.uniform(0.0, _VIGNETTE) * corner)
-        grain = rng.uniform(0.0, _NOISE)
-        for row, some in enumerate(_taken_alike(images, earlier, k)):
+        shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rng.uniform(-_MAX_SHIFT, _MAX_SHIFT)]])
+        blur = rng.uniform(0.2, _MAX_BLUR) if rng.random() < _BLUR_CHANCE else 0.0
+        gain = math.exp(rng.uniform(-_MAX_LOG_GAIN, _MAX_LOG_GAIN)) * (1.0 - rng.uniform(0.0, _MAX_VIGNETTE) * corner)
+        grain = rng.uniform(0.0, _MAX_NOISE)
+        for row, some in enumerate(_present_and_earlier(images, earlier, k)):
             image = cv2.warpAffine(some, shift, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             if blur:
                 image = cv2.GaussianBlur(image, (0, 0), blur)
@@ -182,13 +182,13 @@ def through_another_lens(
     return out
 
 
-def _taken_alike(images: NDArray[np.uint8], earlier: NDArray[np.uint8] | None, k: int) -> list[NDArray[np.uint8]]:
-    """Returns an image and, unless it is black, that is, unknown, its earlier one."""
+def _present_and_earlier(images: NDArray[np.uint8], earlier: NDArray[np.uint8] | None, k: int) -> list[NDArray[np.uint8]]:
+    """Returns image ``k`` and, unless that is black, its earlier image."""
     return [images[k]] if earlier is None or not earlier[k].any() else [images[k], earlier[k]]
 
 
-def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
-    """Returns images (L, ..., H, W, 3) with their colours times matrices (L, 3, 3)."""
+def _mix_channels(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
+    """Returns images (L, ..., H, W, 3), uint8, with their colours multiplied by matrices (L, 3, 3)."""
     out = images.copy()
     if not images.size:
         return out
@@ -197,23 +197,20 @@ def _mixed(images: NDArray[np.uint8], mix: F32) -> NDArray[np.uint8]:
     return out
 
 
-def _other_contrast(
+def _augment_contrast(
     images: NDArray[np.uint8], rng: np.random.Generator, earlier: NDArray[np.uint8] | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Returns images (N, H, W, 3) with a drawn exponent of their contrast, light that is uneven, and noise.
-
-    Earlier ones are returned with the same, but for noise; those that are black stay black. None = black.
-    """
+    """Returns images and earlier images, (N, H, W, 3), uint8, with a random gamma, uneven light and noise. Arguments as of ``augment_lens``."""
     out = np.empty_like(images), np.zeros_like(images)
     levels = np.arange(256) / 255.0
     grain = rng.standard_normal((HEIGHT * WIDTH * 3 + 997,), dtype=np.float32)
     for k in range(len(images)):
         table = (255.0 * levels ** (_GAMMA ** rng.uniform(-1.0, 1.0))).astype(np.float32)
         start = int(rng.integers(997))
-        amount = rng.uniform(0.0, _NOISE)
-        light = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32) * rng.uniform(0.0, _UNEVEN)
+        amount = rng.uniform(0.0, _MAX_NOISE)
+        light = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32) * rng.uniform(0.0, _MAX_UNEVENNESS)
         bright = cv2.resize(np.exp(light), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)[..., None]
-        for row, some in enumerate(_taken_alike(images, earlier, k)):
+        for row, some in enumerate(_present_and_earlier(images, earlier, k)):
             begin = (start + 499 * row) % 997
             noise = amount * grain[begin : begin + some.size].reshape(some.shape)
             out[row][k] = np.clip(table[some] * bright + noise, 0.0, 255.0)

@@ -1,4 +1,4 @@
-"""The configuration of a training: one YAML file, or the defaults of the class."""
+"""Configuration of a training: one YAML file, or the defaults of the class."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ DEFAULT_CONFIG = Path(__file__).with_name("path_following.yaml")
 
 @dataclass(frozen=True, slots=True)
 class DistanceSettings:
-    """How the network of free distances is trained, after the other one."""
+    """Training of the network of free distances, after the one of poses."""
 
     obstacle_shards: int = 30
     """Shards of images of obstacles of each training scene, see ``obstacles.py``; each validation scene has ``validation_shards``."""
     obstacle_share: float = 0.5
-    """Share of the images of a step that are of these."""
+    """Share of these images in a step."""
     iterations: int = 14000
     """Steps of the optimiser."""
     images: int = 48
@@ -31,7 +31,7 @@ class DistanceSettings:
     learning_rate: float = 0.002
     """Largest step size; it rises at the start and falls to 0 along a cosine."""
     weight_decay: float = 0.02
-    """Of AdamW."""
+    """Weight decay of AdamW."""
 
     def __post_init__(self) -> None:
         _check(
@@ -47,16 +47,16 @@ class DistanceSettings:
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """What is drawn, and how long and how the network is trained."""
+    """Data and training of the networks."""
 
     seed: int = 0
-    """Of the data, the network and the order of the examples."""
+    """Seed of the data, the network and the order of the examples."""
     shards: int = 40
     """Shards of each training scene."""
     validation_shards: int = 2
     """Shards of each validation scene."""
     iterations: int = 16000
-    """Steps of the optimiser on the data that was drawn."""
+    """Steps of the optimiser on the drawn data."""
     dagger_rounds: int = 2
     """Rounds of drives with the network, each followed by more iterations."""
     dagger_iterations: int = 4000
@@ -68,17 +68,17 @@ class TrainingSettings:
     later: int = 24
     """Later images in a step."""
     recorded: int = 2
-    """Recorded images for each of them; as many pairs of different places are made of the same images."""
+    """Recorded images for each later one; the same images also give pairs of different places."""
     learning_rate: float = 0.002
     """Largest step size; it rises at the start and falls to 0 along a cosine."""
     weight_decay: float = 0.01
-    """Of AdamW."""
+    """Weight decay of AdamW."""
     evaluate_every: int = 250
     """Iterations between two points of the curve, and between two checkpoints."""
     bfloat16: bool = True
     """Compute in bfloat16 where the processor has instructions for it (AVX512-BF16); elsewhere it would be slower."""
     data: DataSettings = field(default_factory=DataSettings)
-    """How varied the data are."""
+    """Amount and variety of the data."""
     distances: DistanceSettings = field(default_factory=DistanceSettings)
     """The network of free distances."""
 

@@ -16,40 +16,41 @@ from torch.nn import functional
 
 from gibson_path_following.pose_filter import OffsetCalibration, lateral_offset
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
-from gibson_sim_learn.path_following.distances.training import near_and_far
+from gibson_sim_learn.path_following.distances.training import miss_rates
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
 
 _EVALUATION = (320, 3)
-"""Later images, and recorded ones for each, that a point of the curve is made of."""
-_OFFSETS_OF, _OFFSETS_UP_TO = (1200, 3), 0.7
-"""Later images, and recorded ones for each, in which offsets are compared; how far apart they are at most, metres: from farther off, an
-offset is told by what the heading is."""
-_LEAST_RATIO = 0.1
-"""Least ratio of offsets that is believed: below it they tell nothing, and their deviation is large."""
+"""Numbers of later images, and of recorded ones for each, for a point of the curve."""
+_CALIBRATION, _CALIBRATION_RANGE = (1200, 3), 0.7
+"""Numbers of later images, and of recorded ones for each, for the calibration of lateral offsets; largest distance of a pair, metres: the offset of
+a farther one depends on the heading."""
+_MIN_RATIO = 0.1
+"""Least ratio of a calibration: below it, predicted offsets mean nothing, and their deviation is large."""
 _FREE_WEIGHT, _MATCH_WEIGHT = 0.6, 1.0
+"""Weights of the losses of free distances and of matches against that of poses."""
 
 
 @dataclass(frozen=True, slots=True)
 class PathPoint(CurvePoint):
-    """The errors of poses, and of the first estimate of free distances."""
+    """Errors of poses, and of the first estimate of free distances."""
 
     ahead: float
-    """Median absolute error of x, metres, of pairs that show one place."""
+    """Median absolute error of x, metres, of pairs of the same place."""
     beside: float
-    """The same of y, metres."""
+    """Median absolute error of y, metres, of the same pairs."""
     yaw_deg: float
-    """The same of the yaw, degrees."""
+    """Median absolute error of yaw, degrees, of the same pairs."""
     match: float
-    """Share of the pairs of which it tells rightly whether they show one place."""
+    """Share of the pairs whose match is classified correctly."""
     free: float
     """Median absolute error of free distances, metres."""
     too_far: float
-    """Share of the directions with something within 1 m, of which it says that 1.3 times as much or more is free."""
+    """Share of the bearings with an obstacle within 1 m whose predicted distance is at least 1.3 times the true one."""
     too_near: float
-    """Share of the directions that are free for 1 m, of which it says that something stands within 1 / 1.3 of that."""
+    """Share of the bearings that are free for 1 m whose predicted distance is below 1 / 1.3 m."""
 
 
 class PathTraining(Training[PathNetwork, PathPoint]):
@@ -76,7 +77,7 @@ class PathTraining(Training[PathNetwork, PathPoint]):
     )
 
     def __init__(self, folder: Path, settings: TrainingSettings) -> None:
-        """Begins, or goes on from the checkpoint in the folder.
+        """Begins, or resumes from the checkpoint in the folder.
 
         Raises:
             ConfigError: the checkpoint in the folder is of other settings, or cannot be read.
@@ -106,13 +107,13 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         self._save()
 
     def run(self, data: Sampler, validation: Sampler, until: int, progress: Progress = lambda text: None) -> None:
-        """Trains until an iteration, with a checkpoint and a point of the curve every so many.
+        """Trains until an iteration, with a checkpoint and a point of the curve every ``evaluate_every``.
 
         The step size falls to 0 at ``until``.
 
         Args:
-            data: what it trains on.
-            validation: what the curve is measured on.
+            data: training data.
+            validation: data of the curve.
             until: number of the last iteration.
             progress: called with one line after each tenth iteration.
         """
@@ -126,7 +127,7 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         self._train(until, loss, point, progress, first=self.first_of_round)
 
     def evaluate(self, validation: Sampler, begun: CurvePoint) -> PathPoint:
-        """Returns a point with the errors on data, always of the same images."""
+        """Returns a point with the errors on the same images at each call."""
         rng = np.random.default_rng(0)
         batch = validation.batch(rng, *_EVALUATION, augment=False)
         self.network.eval()
@@ -146,37 +147,37 @@ class PathTraining(Training[PathNetwork, PathPoint]):
                 rights.append(((estimate.match[:count] > 0.0) == match)[known].numpy())
                 free.append(median_distances(np.array(FREE_EDGES), torch.softmax(distances.float(), dim=2).double().numpy()))
         self.network.train()
-        error, told, found = np.concatenate(errors), np.concatenate(rights), np.minimum(np.concatenate(free), MAX_FREE)
+        error, correct, found = np.concatenate(errors), np.concatenate(rights), np.minimum(np.concatenate(free), MAX_FREE)
         ahead, beside, yaw = np.median(error, axis=0).tolist()
-        too_far, too_near = near_and_far(found, batch.free)
+        too_far, too_near = miss_rates(found, batch.free)
         return PathPoint(
             **asdict(begun),
             ahead=ahead,
             beside=beside,
             yaw_deg=math.degrees(yaw),
-            match=float(told.mean()),
+            match=float(correct.mean()),
             free=float(np.median(np.abs(found - batch.free))),
             too_far=too_far,
             too_near=too_near,
         )
 
     def offsets(self, validation: Sampler) -> OffsetCalibration:
-        """Returns how the offsets from recorded images that the network tells relate to the true ones, in pairs up to ``_OFFSETS_UP_TO`` apart."""
-        batch = validation.batch(np.random.default_rng(1), *_OFFSETS_OF, augment=False)
+        """Returns the calibration of the network's lateral offsets from recorded images, over pairs up to ``_CALIBRATION_RANGE`` apart."""
+        batch = validation.batch(np.random.default_rng(1), *_CALIBRATION, augment=False)
         self.network.eval()
-        told, true = [], []
+        predicted, true = [], []
         with torch.inference_mode():
-            for k in range(0, _OFFSETS_OF[0], 40):
+            for k in range(0, _CALIBRATION[0], 40):
                 part = _part(batch, slice(k, k + 40))
                 _, estimate, _ = self._forward(part)
                 pose = part.pose.reshape(-1, 3).astype(np.float64)
                 found = estimate.pose[: len(pose)].double().numpy()
                 seen = (part.match & part.has_pairs[:, None]).ravel() & (estimate.match[: len(pose)] > 0.0).numpy()
-                near = seen & (np.hypot(pose[:, 0], pose[:, 1]) < _OFFSETS_UP_TO)
-                told.append(lateral_offset(found[near]))
+                near = seen & (np.hypot(pose[:, 0], pose[:, 1]) < _CALIBRATION_RANGE)
+                predicted.append(lateral_offset(found[near]))
                 true.append(lateral_offset(pose[near]))
         self.network.train()
-        return calibrate_offsets(np.concatenate(told), np.concatenate(true))
+        return calibrate_offsets(np.concatenate(predicted), np.concatenate(true))
 
     def _loss(self, batch: Batch) -> Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
@@ -184,18 +185,18 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         return _loss(batch, estimate, distances)
 
     def _forward(self, batch: Batch) -> tuple[Tensor, Estimate, Tensor]:
-        """Returns features of the later images, the estimates of L R pairs and then of L pairs of different images, and the distances."""
+        """Returns features of the later images, estimates of L R pairs and then of L pairs of different images, and logits of distances."""
         count, each = batch.pose.shape[:2]
         images = torch.from_numpy(np.concatenate([batch.later, batch.recorded.reshape(-1, *batch.later.shape[1:])]))
         features = self.network.encode(images)
         present, recorded = features[:count], features[count:]
-        # Each later image with a recorded one of another: different places nearly always.
+        # Each later image with a recorded one of another: nearly always different places.
         shifted = recorded[::each].roll(1, 0)
         pairs = torch.cat([present.repeat_interleave(each, 0), present])
         estimate = self.network.compare(pairs, torch.cat([recorded, shifted]))
         return present, estimate, self.network.free(present)
 
-    def _told(self, point: PathPoint) -> str:
+    def _summary(self, point: PathPoint) -> str:
         return (
             f"ahead {point.ahead:.3f} m, beside {point.beside:.3f} m, yaw {point.yaw_deg:.1f} degrees, match {point.match:.3f}, "
             f"free {point.free:.3f} m, too far {point.too_far:.3f}, too near {point.too_near:.3f}"
@@ -208,11 +209,11 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         self.round = content["round"]
 
 
-def calibrate_offsets(told: NDArray[np.float64], true: NDArray[np.float64]) -> OffsetCalibration:
-    """Returns how offsets (N,) that were told relate to true ones (N,), metres: the least squares fit through 0."""
+def calibrate_offsets(predicted: NDArray[np.float64], true: NDArray[np.float64]) -> OffsetCalibration:
+    """Returns the calibration of predicted offsets (N,) against true ones (N,), metres: the least-squares fit through 0."""
     power = float(true @ true)
-    ratio = max(_LEAST_RATIO, float(told @ true) / power) if power > 0.0 else 1.0
-    return OffsetCalibration(ratio, float(np.sqrt(np.mean(np.square(told - ratio * true)))) / ratio if len(true) else 0.0)
+    ratio = max(_MIN_RATIO, float(predicted @ true) / power) if power > 0.0 else 1.0
+    return OffsetCalibration(ratio, float(np.sqrt(np.mean(np.square(predicted - ratio * true)))) / ratio if len(true) else 0.0)
 
 
 def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
@@ -230,8 +231,8 @@ def _loss(batch: Batch, estimate: Estimate, distances: Tensor) -> Tensor:
     of_match = (functional.binary_cross_entropy_with_logits(odds, truth, reduction="none") * counts).sum() / counts.sum().clamp(
         min=1
     )
-    told = torch.log_softmax(distances.float(), dim=2)
-    of_free = -(torch.from_numpy(distance_labels(batch.free)) * told).sum(dim=2).mean()
+    log_probability = torch.log_softmax(distances.float(), dim=2)
+    of_free = -(torch.from_numpy(distance_labels(batch.free)) * log_probability).sum(dim=2).mean()
     return of_pose + _MATCH_WEIGHT * of_match + _FREE_WEIGHT * of_free
 
 

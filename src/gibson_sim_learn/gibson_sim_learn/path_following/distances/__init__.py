@@ -1,1 +1,1 @@
-"""How far the floor is free: images of obstacles, the network that tells it, and its training."""
+"""Free distances: images of obstacles, the network that predicts them, and its training."""

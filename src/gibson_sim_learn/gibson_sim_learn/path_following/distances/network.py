@@ -1,8 +1,8 @@
-"""The network that tells how far the floor is free, from an image and an earlier one.
+"""The network that predicts free distances from an image and an earlier one.
 
-An encoder with four sizes of features, joined from the coarsest to the finest: where a thing meets the floor is told by a few pixels, what is
-floor and what a thing by much of the image. One column of features is one direction. The earlier image is brought onto the present one by the
-plane of the floor (``gibson_path_following.floor_plane``), so that what stands on the floor differs between them. Needs PyTorch.
+An encoder with a feature pyramid of four levels, merged from coarse to fine: a few pixels show where an obstacle meets the floor, much of the image
+shows what is floor and what is obstacle. One column of features is one bearing. The earlier image is warped onto the present one by the floor
+plane (``gibson_path_following.floor_plane``), so that obstacles differ between them. Needs PyTorch.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.network import convolution, normalised
 
 _CHANNELS = 3 + 3 + 3 + 2
-"""The present image, the earlier one, their difference, and where in the image a pixel is."""
-_DROPPED = 0.1
-"""Share of the features that are left out in training."""
+"""Channels of the present image, the earlier one, their difference, and the coordinates of a pixel."""
+_DROPOUT = 0.1
+"""Dropout probability of the features."""
 
 
 class DistanceNetwork(nn.Module):
-    """An encoder, its features joined, and columns of them told as distances.
+    """Encoder, feature pyramid, and a head on its columns.
 
     Args:
-        channels: of the features at a half, a quarter, an eighth and a sixteenth of the image's size.
-        joined: channels of the joined features.
-        hidden: channels of the columns.
+        channels: channels of the features at 1/2, 1/4, 1/8 and 1/16 of the image size.
+        joined: channels of the merged features.
+        hidden: channels of the head.
     """
 
     def __init__(self, channels: Sequence[int] = (24, 48, 80, 112), joined: int = 48, hidden: int = 96) -> None:
         super().__init__()
         half, quarter, eighth, sixteenth = channels
         if WIDTH // 4 != DIRECTIONS:
-            raise AssertionError("one direction for each column of the features")
+            raise AssertionError("one bearing for each column of the features")
         self.to_half = nn.Sequential(convolution(_CHANNELS, half, kernel=5, stride=2, padding=2), _Block(half))
         self.to_quarter = nn.Sequential(convolution(half, quarter, stride=2), _Block(quarter), _Block(quarter))
         self.to_eighth = nn.Sequential(convolution(quarter, eighth, stride=2), _Block(eighth), _Block(eighth))
@@ -56,11 +56,11 @@ class DistanceNetwork(nn.Module):
         self.register_buffer("grid", torch.stack([x, y])[None], persistent=False)
 
     def forward(self, images: Tensor, earlier: Tensor) -> Tensor:
-        """Returns (B, 24, bins + 1): log-odds of where the first thing stands, by bins of ``FREE_EDGES`` and beyond them, left to right.
+        """Returns (B, 24, bins + 1): logits of the range bin of the first obstacle, of ``FREE_EDGES`` and beyond them, leftmost bearing first.
 
         Args:
             images: (B, 64, 96, 3), uint8 or float, RGB.
-            earlier: (B, 64, 96, 3), the same of earlier images, brought onto these; black where nothing is known.
+            earlier: (B, 64, 96, 3), earlier images warped onto these; black where unknown.
         """
         x = normalised(images)
         known = (earlier.sum(dim=3) > 0).to(x.dtype)[:, None]
@@ -69,15 +69,15 @@ class DistanceNetwork(nn.Module):
         x = torch.cat(parts, dim=1).contiguous(memory_format=torch.channels_last)
         quarter = self.to_quarter(self.to_half(x))
         eighth = self.to_eighth(quarter)
-        joined = self.of_sixteenth(functional.dropout2d(self.to_sixteenth(eighth), _DROPPED, self.training))
+        joined = self.of_sixteenth(functional.dropout2d(self.to_sixteenth(eighth), _DROPOUT, self.training))
         joined = self.join_eighth(self.of_eighth(eighth) + functional.interpolate(joined, scale_factor=2.0, mode="nearest"))
         joined = self.join_quarter(self.of_quarter(quarter) + functional.interpolate(joined, scale_factor=2.0, mode="nearest"))
-        columns: Tensor = self.columns(functional.dropout(joined, _DROPPED, self.training))
+        columns: Tensor = self.columns(functional.dropout(joined, _DROPOUT, self.training))
         return columns[:, :, 0].transpose(1, 2)
 
 
 class _Block(nn.Module):
-    """Two convolutions whose output is added to their input."""
+    """Residual block of two convolutions."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
-"""Trains the network of free distances: steps of the optimiser, a curve on the validation scenes. Needs PyTorch.
+"""Trains the network of free distances, with a curve on the validation scenes. Needs PyTorch.
 
-It has a folder of its own within that of the whole training, and goes on from its last checkpoint as that does.
+It has its own folder within that of the whole training, and resumes from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from gibson_path_following.floor_plane import FloorPlane
 from gibson_sim_learn.path_following.data import FREE_EDGES, MAX_FREE, distance_labels, median_distances
 from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
-from gibson_sim_learn.path_following.sampling import Sampler, through_another_lens
+from gibson_sim_learn.path_following.sampling import Sampler, augment_lens
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
 from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
 
 _NEAR = 1.0
-"""Free distance below which something counts as near, metres."""
+"""Free distance below which an obstacle is near, metres."""
 _RATIO = 1.3
-"""Ratio of distances from which a near thing counts as missed."""
+"""Predicted per true distance above which a near obstacle is missed, and below whose inverse a far one is a false alarm."""
 _EVALUATION = 1200
-"""Images of each kind that a point of the curve is made of."""
-_UNKNOWN = 0.15
-"""Share of the earlier images that count as unknown: a robot that begins, or stands, has none."""
-_BELIEVED = 0.1, 0.01, 0.01
-"""Standard deviations of what a robot believes to have driven since the earlier image: share of way and turn; radians; metres to a side."""
+"""Number of images of each kind for a point of the curve."""
+_NO_EARLIER_SHARE = 0.15
+"""Share of the images without an earlier one: a robot that begins, or stands, has none."""
+_ODOMETRY_NOISE = 0.1, 0.01, 0.01
+"""Standard deviations of the estimated motion since the earlier image: share of distance and of turn; heading, radians; sideways, metres."""
 _FLOOR = FloorPlane(WIDTH, HEIGHT, HFOV, CAMERA_HEIGHT)
 
 
@@ -39,15 +39,15 @@ class DistancePoint(CurvePoint):
     """The errors of free distances."""
 
     free: float
-    """Median absolute error of free distances on ways, metres."""
+    """Median absolute error of free distances along paths, metres."""
     too_far: float
-    """Share of the directions with something within 1 m, of which it says that 1.3 times as much or more is free."""
+    """Share of the bearings with an obstacle within 1 m whose predicted distance is at least 1.3 times the true one."""
     too_near: float
-    """Share of the directions that are free for 1 m, of which it says that something stands within 1 / 1.3 of that."""
+    """Share of the bearings that are free for 1 m whose predicted distance is below 1 / 1.3 m."""
     obstacles_too_far: float
-    """The first share in images of obstacles from close by."""
+    """``too_far`` in images of obstacles from close by."""
     obstacles_too_near: float
-    """The second one there."""
+    """``too_near`` in the same images."""
 
 
 class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
@@ -63,7 +63,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
     LABEL = "distances: "
 
     def __init__(self, folder: Path, settings: TrainingSettings) -> None:
-        """Begins, or goes on from the checkpoint in the folder.
+        """Begins, or resumes from the checkpoint in the folder.
 
         Raises:
             ConfigError: the checkpoint in the folder is of other settings, or cannot be read.
@@ -84,7 +84,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
 
     def run(
         self,
-        ways: Sampler,
+        paths: Sampler,
         obstacles: Sampler,
         validation: tuple[Sampler, Sampler],
         progress: Progress = lambda text: None,
@@ -93,23 +93,23 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         """Trains, with a checkpoint and a point of the curve every 1,000 iterations and at the end.
 
         Args:
-            ways: images along ways.
+            paths: images along paths.
             obstacles: images of obstacles.
-            validation: images of both kinds, which the curve is measured on.
+            validation: images of both kinds, for the curve.
             progress: called with one line after each tenth iteration.
             until: number of the last iteration of this call; None = of the training.
         """
         settings = self.settings
         close = round(settings.obstacle_share * settings.images)
-        shares = [(data, count) for data, count in ((ways, settings.images - close), (obstacles, close)) if count]
+        shares = [(data, count) for data, count in ((paths, settings.images - close), (obstacles, close)) if count]
 
         def loss() -> Tensor:
             parts = [data.batch(self._rng, count, 0) for data, count in shares]
             images, earlier, poses, free = (
                 np.concatenate([getattr(part, name) for part in parts]) for name in ("later", "earlier", "earlier_pose", "free")
             )
-            images, earlier = through_another_lens(images, self._rng, earlier)
-            earlier[self._rng.random(len(earlier)) < _UNKNOWN] = 0
+            images, earlier = augment_lens(images, self._rng, earlier)
+            earlier[self._rng.random(len(earlier)) < _NO_EARLIER_SHARE] = 0
             return self._loss(images, warp_to_present(earlier, poses, self._rng), free)
 
         def point(begun: CurvePoint) -> DistancePoint:
@@ -117,12 +117,12 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
 
         self._train(settings.iterations if until is None else until, loss, point, progress, last=settings.iterations)
 
-    def evaluate(self, ways: Sampler, obstacles: Sampler, begun: CurvePoint) -> DistancePoint:
-        """Returns a point with the errors on data, always of the same images."""
+    def evaluate(self, paths: Sampler, obstacles: Sampler, begun: CurvePoint) -> DistancePoint:
+        """Returns a point with the errors on the same images at each call."""
         rng = np.random.default_rng(0)
-        batches = [data.batch(rng, _EVALUATION, 0, augment=False) for data in (ways, obstacles)]
+        batches = [data.batch(rng, _EVALUATION, 0, augment=False) for data in (paths, obstacles)]
         found = [self.distances(batch.later, warp_to_present(batch.earlier, batch.earlier_pose, rng)) for batch in batches]
-        shares = [near_and_far(told, batch.free) for told, batch in zip(found, batches, strict=True)]
+        shares = [miss_rates(predicted, batch.free) for predicted, batch in zip(found, batches, strict=True)]
         error = float(np.median(np.abs(found[0] - batches[0].free)))
         return DistancePoint(
             **asdict(begun),
@@ -134,7 +134,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         )
 
     def distances(self, images: NDArray[np.uint8], earlier: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Returns (N, 24): the median free distances that it tells in images (N, 64, 96, 3) with earlier ones, metres."""
+        """Returns (N, 24), float64: predicted median free distances, metres, in images (N, 64, 96, 3), uint8, with warped earlier ones."""
         self.network.eval()
         found = []
         with torch.inference_mode():
@@ -147,11 +147,11 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
 
     def _loss(self, images: NDArray[np.uint8], earlier: NDArray[np.uint8], free: NDArray[np.float32]) -> Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
-            told: Tensor = self.network(torch.from_numpy(images), torch.from_numpy(earlier))
-        share = torch.log_softmax(told.float(), dim=2)
+            logits: Tensor = self.network(torch.from_numpy(images), torch.from_numpy(earlier))
+        share = torch.log_softmax(logits.float(), dim=2)
         return -(torch.from_numpy(distance_labels(free)) * share).sum(dim=2).mean()
 
-    def _told(self, point: DistancePoint) -> str:
+    def _summary(self, point: DistancePoint) -> str:
         return (
             f"{point.free:.3f} m, too far {point.too_far:.3f}, too near {point.too_near:.3f}; "
             f"obstacles: too far {point.obstacles_too_far:.3f}, too near {point.obstacles_too_near:.3f}"
@@ -159,25 +159,25 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
 
 
 def warp_to_present(earlier: NDArray[np.uint8], poses: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Returns earlier images (N, 64, 96, 3) as a robot brings them onto the present ones: by what it believes to have driven, see ``_BELIEVED``.
+    """Returns earlier images (N, 64, 96, 3), uint8, warped onto the present ones by a motion with odometry noise, see ``_ODOMETRY_NOISE``.
 
     Args:
-        earlier: black where unknown.
-        poses: (N, 3), true poses of the earlier cameras in the frames of the present ones, metres and radians.
-        rng: of the errors.
+        earlier: (N, 64, 96, 3), uint8; black = there is none.
+        poses: (N, 3), true poses of the earlier cameras in the present cameras' frames, metres and radians.
+        rng: of the noise.
     """
     out = np.zeros_like(earlier)
-    share, drift, beside = _BELIEVED
+    ratio, heading, sideways = _ODOMETRY_NOISE
     for k in np.flatnonzero(earlier.any(axis=(1, 2, 3))):
         x, y, yaw = poses[k]
-        scale, turned = 1.0 + share * rng.standard_normal(2)
-        pose = (scale * x, scale * y + beside * rng.standard_normal(), turned * yaw + drift * rng.standard_normal())
+        scale, turned = 1.0 + ratio * rng.standard_normal(2)
+        pose = (scale * x, scale * y + sideways * rng.standard_normal(), turned * yaw + heading * rng.standard_normal())
         out[k] = _FLOOR.warp(earlier[k], np.array(pose))
     return out
 
 
-def near_and_far(told: NDArray[np.float64], free: NDArray[np.float32]) -> tuple[float, float]:
-    """Returns the shares of near directions that are told as far, and of far ones that are told as near."""
+def miss_rates(predicted: NDArray[np.float64], free: NDArray[np.float32]) -> tuple[float, float]:
+    """Returns the shares of missed near obstacles and of false alarms, of predicted and true free distances (N, 24), metres."""
     near, open_ = free < _NEAR, free >= _NEAR
-    missed = float((told[near] > _RATIO * free[near]).mean()) if near.any() else 0.0
-    return missed, float((told[open_] < _NEAR / _RATIO).mean()) if open_.any() else 0.0
+    missed = float((predicted[near] > _RATIO * free[near]).mean()) if near.any() else 0.0
+    return missed, float((predicted[open_] < _NEAR / _RATIO).mean()) if open_.any() else 0.0
