@@ -115,3 +115,15 @@ def test_exported_network_runs_in_the_simulator_and_gives_what_the_network_gives
         expected = network(torch.from_numpy(network_input(colour, depth, normals, hole)))[0].permute(1, 2, 0).numpy()
     difference = np.abs(found - 255.0 * np.clip(expected, 0.0, 1.0))
     assert difference.max() <= 0.51 and np.abs(found.astype(int) - colour)[hole == 0].max() > 3
+
+
+def test_loss_is_the_squared_error_with_double_weight_in_holes() -> None:
+    from gibson_sim_learn.filler.training import loss_of
+
+    truth, hole = torch.zeros(2, 3, 8, 8), torch.zeros(2, 1, 8, 8)
+    found = truth.clone()
+    found[0], hole[0] = 0.2, 1.0  # one image is a hole with an error of 0.2, the other is right
+    assert float(loss_of(found, truth, hole)) == pytest.approx(2.0 * 0.2**2 / (2.0 + 1.0))
+    # Neighbouring columns that differ by 0.3 add the squared difference, 7 of 7 steps in one direction at full size alone.
+    stripes = 0.3 * (torch.arange(8) % 2) * torch.ones(2, 3, 8, 1)
+    assert float(loss_of(stripes, truth, torch.zeros_like(hole))) == pytest.approx(0.3**2 / 2.0 + 0.5 / 3.0 * 0.3**2)

@@ -31,9 +31,13 @@ class FillerNetwork(nn.Module):
         self.to_quarter, self.join_quarter = nn.Conv2d(_EIGHTH, _QUARTER, 1), _convolution(2 * _QUARTER, _QUARTER)
         self.to_half, self.join_half = nn.Conv2d(_QUARTER, _HALF, 1), _convolution(2 * _HALF, _HALF)
         self.exit = nn.Conv2d(_HALF, 12, 3, padding=1)
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d):
+                # PyTorch's default shrinks signals from layer to layer; a network without normalisation then learns several times as slowly.
+                nn.init.kaiming_normal_(layer.weight, a=_SLOPE, nonlinearity="leaky_relu")
+                assert layer.bias is not None
+                nn.init.zeros_(layer.bias)
         nn.init.zeros_(self.exit.weight)
-        assert self.exit.bias is not None
-        nn.init.zeros_(self.exit.bias)
 
     def forward(self, values: Tensor) -> Tensor:
         """Returns images (B, 3, H, W), sRGB, about 0 to 1, not clipped."""

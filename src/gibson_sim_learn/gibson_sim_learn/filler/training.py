@@ -29,8 +29,6 @@ _MEAN = 0.998
 """Share of the mean of the weights that a step leaves: what is exported is the mean, which is better than the last step."""
 _EVERY = 4
 """A point of the curve is made of every so many views."""
-_SOFT = 0.05
-"""Errors of colours, of 1, below which they count squared, not as they are."""
 _HOLES = 1.0
 """How much more pixels in holes count."""
 _EDGES, _SCALES = 0.5, (1, 2, 4)
@@ -214,8 +212,8 @@ def loss_of(found: Tensor, truth: Tensor, hole: Tensor) -> Tensor:
     """
     error = found - truth
     weight = 1.0 + _HOLES * hole
-    loss = (weight * (torch.sqrt(error * error + _SOFT**2) - _SOFT)).mean() / weight.mean()
+    loss = (weight * error.square()).mean() / weight.mean()
     for scale in _SCALES:
         small = functional.avg_pool2d(error, scale) if scale > 1 else error
-        loss = loss + _EDGES / len(_SCALES) * (small.diff(dim=2).abs().mean() + small.diff(dim=3).abs().mean())
+        loss = loss + _EDGES / len(_SCALES) * (small.diff(dim=2).square().mean() + small.diff(dim=3).square().mean())
     return loss
