@@ -124,7 +124,7 @@ def test_a_key_drives_and_letting_go_stops(page: Any, listener: Listener) -> Non
     begin = truth.x
     page.keyboard.down("w")
     truth.wait_for(lambda: truth.x > begin + 0.3, "robot that drives while W is held")
-    assert page.inner_text("#driver") == "you drive"
+    assert page.inner_text("#driver") == "driving"
     page.keyboard.up("w")
     truth.wait_for(lambda: truth.stands, "robot that stands after W")
     place = truth.x

@@ -24,7 +24,7 @@ const floor = new FloorMap($('map'), { place: placed, select: (name) => panels.s
 const panels = new Panels(send, (name) => { floor.selected = name; floor.draw(); });
 const scene = new Scene3D($('scene3d'), explainScene);
 const driving = new Driving((type, values) => send(type, toRobot(values)), $('stick'), (moving) => {
-  $('driver').textContent = moving ? 'you drive' : 'nobody drives';
+  $('driver').textContent = moving ? 'driving' : 'not driving';
   $('driver').className = moving ? 'badge driving' : 'badge quiet';
 });
 
@@ -35,7 +35,7 @@ function watch() {
 }
 
 function explainScene() {
-  const shown = !$('scene3d').hidden, text = !scene.model ? 'Loading the scene …' : scene.poses ? '' : 'Time is paused, and what moves was not shown before: press Step.';
+  const shown = !$('scene3d').hidden, text = !scene.model ? 'Loading the scene …' : scene.poses ? '' : 'Time is paused, and no poses have arrived yet: press Step.';
   $('scene-note').textContent = text;
   $('scene-note').hidden = !shown || !text;
 }
@@ -85,7 +85,7 @@ const on = {
   entities(value) { panels.setEntities(value); floor.entities = value; floor.draw(); },
   catalogue(value) {
     const before = $('catalogue').value;
-    const groups = [['things', value.filter((c) => !c.robot)], ['robots', value.filter((c) => c.robot)]].filter(([, found]) => found.length);
+    const groups = [['objects', value.filter((c) => !c.robot)], ['robots', value.filter((c) => c.robot)]].filter(([, found]) => found.length);
     $('catalogue').replaceChildren(...groups.map(([label, found]) => {
       const group = Object.assign(document.createElement('optgroup'), { label });
       group.append(...found.map((c) => new Option(c.name, c.uri, false, c.uri === before)));
@@ -129,10 +129,10 @@ setInterval(showLegend, 500);
 
 function placed(pose) {
   const mode = floor.mode;
-  if ((mode === 'spawn' || (mode === 'move' && panels.selected)) && !floor.hasFloor(pose.x, pose.y)) note('The map shows no floor there: what has nothing below it falls.', true);
+  if ((mode === 'spawn' || (mode === 'move' && panels.selected)) && !floor.hasFloor(pose.x, pose.y)) note('The map shows no floor there: an object without floor below it falls.', true);
   if (mode === 'goal' || mode === 'initial_pose') send(mode, toRobot(pose));
   if (mode === 'spawn' && $('catalogue').value) send('spawn', { uri: $('catalogue').value, ...pose });
-  if (mode === 'move') panels.selected ? send('move', { name: panels.selected, ...pose }) : note('Select a thing in the list or on the map first.', true);
+  if (mode === 'move') panels.selected ? send('move', { name: panels.selected, ...pose }) : note('Select an object in the list or on the map first.', true);
 }
 
 for (const button of document.querySelectorAll('.mode')) button.onclick = () => {
@@ -143,7 +143,7 @@ for (const button of document.querySelectorAll('.mode')) button.onclick = () => 
 $('fit').onclick = () => floor.fit();
 $('three').onclick = () => {
   const shown = $('scene3d').hidden;
-  if (shown && !scene.gl) return note('This browser has no WebGL 2.', true);
+  if (shown && !scene.gl) return note('The 3-D view needs WebGL 2, which this browser does not have.', true);
   $('scene3d').hidden = !shown; $('map').hidden = shown; $('legend').hidden = shown; $('follow').hidden = !shown; $('fit').hidden = shown;
   $('three').setAttribute('aria-pressed', shown);
   document.querySelectorAll('.mode').forEach((b) => { b.hidden = shown; });

@@ -84,8 +84,8 @@ export class Panels {
     const info = t.info, result = t.result, ended = 'success' in result;
     $('task-form').hidden = t.running || t.there;
     $('task-next').hidden = !t.there; $('task-stop').hidden = !t.running;
-    $('task-text').textContent = info.task ? `${info.task}, seed ${info.seed}: ${info.text || ''}` : t.running ? 'Being set up …' : '';
-    $('task-result').textContent = ended ? `${result.success ? 'Succeeded' : 'Failed'} after ${Number(result.time ?? 0).toFixed(1)} s` : t.there ? `Under way; at most ${Number(info.time_limit ?? 0).toFixed(0)} s` : '';
+    $('task-text').textContent = info.task ? `${info.task}, seed ${info.seed}: ${info.text || ''}` : t.running ? 'Setting up …' : '';
+    $('task-result').textContent = ended ? `${result.success ? 'Succeeded' : 'Failed'} after ${Number(result.time ?? 0).toFixed(1)} s` : t.there ? `Running; time limit ${Number(info.time_limit ?? 0).toFixed(0)} s` : '';
     $('task-result').className = ended ? (result.success ? 'good' : 'bad') : '';
     const rows = ended ? Object.entries(result).filter(([k, v]) => typeof v === 'number' && !['seed', 'time'].includes(k)) : [];
     $('task-score').replaceChildren(...rows.map(([k, v]) => { const li = element('li'); li.append(element('span', words(k)), element('b', String(Number(v.toFixed(2))))); return li; }));

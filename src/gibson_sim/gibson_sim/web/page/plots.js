@@ -53,7 +53,7 @@ export class Plots {
     if (value.topic !== $('plot-topic').value) return;
     this.fields = value.fields.map(([path, unit, label]) => ({ topic: value.topic, path, unit, label }));
     const options = this.fields.map((f) => new Option(`${f.path}${f.label ? ` (${f.label})` : ''}${f.unit ? `  ${f.unit}` : ''}`, f.path));
-    $('plot-field').replaceChildren(...(options.length ? options : [new Option('its messages have no numbers', '')]));
+    $('plot-field').replaceChildren(...(options.length ? options : [new Option('no numeric fields', '')]));
     if (options.length) $('plot-field').value = useful(this.fields.map((f) => f.path));
     this.enable();
   }

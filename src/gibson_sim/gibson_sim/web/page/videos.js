@@ -53,7 +53,7 @@ export class Videos {
   // Says where there is no image why there is none.
   explain() {
     for (const [topic, video] of this.shown) {
-      const waiting = this.state === 'paused' ? 'Time is paused, and this image was not shown before: press Step.' : 'Waiting for the first image.';
+      const waiting = this.state === 'paused' ? 'Time is paused, and no image has arrived yet: press Step.' : 'Waiting for the first image.';
       const text = this.problems[topic] || (video.canvas.dataset.stamp ? '' : waiting);
       video.why.textContent = text;
       video.why.hidden = !text;
@@ -96,6 +96,6 @@ export class Videos {
     const missing = topics.length - files.length;
     if (files.length) download(zip(files), `pictures_${new Date().toISOString().slice(0, 19).replace(/[T:]/g, '-')}.zip`);
     if (missing) note(`${missing} of ${topics.length} cameras sent no image within 5 s${this.state === 'paused' ? ': time is paused' : ''}`, true);
-    else note(`${files.length} pictures taken`);
+    else note(`${files.length} images saved`);
   }
 }
