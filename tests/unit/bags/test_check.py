@@ -261,7 +261,7 @@ def test_topics_without_a_rate_are_not_judged(messages: Any, tmp_path: Path) -> 
 
 def test_wheels_that_slip_are_named(write_odometry: Callable[..., Path]) -> None:
     report = check_bag(write_odometry([(i, float(i), 0, 0) for i in range(3)], [(i, 0.5 * i, 0, 0) for i in range(3)]))
-    assert "1.000 m driven, 2.000 m by the wheels, which slipped; at the end it is off by 1.000 m" in report.findings()[0]
+    assert "1.000 m driven, 2.000 m by odometry (wheel slip); final error 1.000 m" in report.findings()[0]
 
 
 def test_empty_bag_is_an_error(tmp_path: Path) -> None:

@@ -85,10 +85,10 @@ class OdometryReport:
         """Returns the report as a sentence."""
         slip = self.odometry_distance_m - self.distance_m
         slipped = abs(slip) > max(_SLIP_M, _SLIP_PART * self.distance_m)
-        share = "" if self.stood else f" ({self.end_error_percent:.2f} % of the way)"
+        share = "" if self.stood else f" ({self.end_error_percent:.2f} % of the path length)"
         return (
-            f"odometry{f' of {self.robot}' if self.robot else ''}: {self.distance_m:.3f} m driven, {self.odometry_distance_m:.3f} m by the "
-            f"wheels{', which slipped' if slipped else ''}; at the end it is off by {self.end_error_m:.3f} m{share} "
+            f"odometry{f' of {self.robot}' if self.robot else ''}: {self.distance_m:.3f} m driven, {self.odometry_distance_m:.3f} m by "
+            f"odometry{' (wheel slip)' if slipped else ''}; final error {self.end_error_m:.3f} m{share} "
             f"and {self.end_error_deg:.2f} deg"
         )
 

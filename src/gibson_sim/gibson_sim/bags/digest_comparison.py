@@ -78,7 +78,7 @@ class Verification:
         images = "" if self.without_images else f" and {self.images} ticks with images"
         lines = [f"compared {self.ticks} ticks of physics{images}, {len(self.compared)} topics"]
         if self.missing_ticks:
-            lines.append(f"{self.missing_ticks} ticks of the bag did not come again")
+            lines.append(f"{self.missing_ticks} ticks of the bag are missing from the replay")
         if self.unknown_ticks:
             lines.append(f"{self.unknown_ticks} ticks are not in the bag and were not compared")
         if self.missing_images or self.unknown_images:

@@ -157,7 +157,9 @@ class Recording:
         """Writes the messages in memory to a new bag and keeps them; returns the bag, or None if there are none or the write fails."""
         messages = [] if self._memory is None else list(self._memory.with_latched(self._latched))
         if not messages:
-            _log.warning("no snapshot is written: %s", "nothing came yet" if self.keeps_snapshots else "snapshot_seconds is 0")
+            _log.warning(
+                "no snapshot is written: %s", "no message has arrived yet" if self.keeps_snapshots else "snapshot_seconds is 0"
+            )
             return None
         folder = self._free_folder("snapshot")
         try:

@@ -106,7 +106,7 @@ class RecordedRun:
         ticks = step_hz // publish_hz
         steps = self.duration_ns * step_hz // NS_PER_S // ticks * ticks
         if not steps:
-            raise RecordError("the bag holds less than one tick of time: there is nothing to repeat")
+            raise RecordError("the bag holds less than one tick of time: there is nothing to replay")
         epoch = self.journal[-1].epoch if self.journal else 0
         return epoch, steps
 

@@ -57,7 +57,7 @@ def row(comparison: Comparison, group: str, name: str) -> Row:
 def test_equal_recordings_do_not_differ() -> None:
     same = compare(recording("a"), recording("b"), load_robot("gibson_bot"))
     assert same.differing == ()
-    assert text_table(same) == "nothing differs by more than is worth a look"
+    assert text_table(same) == "no notable differences"
     assert not any(parameter.changes for parameter in same.parameters)
 
 
@@ -65,7 +65,7 @@ def test_differences_are_sorted_by_weight(comparison: Comparison) -> None:
     weights = [one.weight for one in comparison.differing]
     assert weights == sorted(weights, reverse=True)
     assert row(comparison, "velocity, forward", "delay").difference == pytest.approx(100.0, abs=10.0)
-    assert row(comparison, "odometry", "forward way over the true one").real == pytest.approx(1.1, rel=1e-3)
+    assert row(comparison, "odometry", "forward distance over the true one").real == pytest.approx(1.1, rel=1e-3)
 
 
 def test_a_row_names_the_value_to_change(comparison: Comparison) -> None:

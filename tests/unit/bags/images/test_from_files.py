@@ -101,7 +101,7 @@ def test_what_cannot_be_made_into_a_bag_is_one_line_and_leaves_none(photographs:
 
 @pytest.mark.parametrize(
     ("values", "part"),
-    [({"topic": "camera"}, "no full name of a topic"), ({"frame": "a b"}, "no name of a frame"), ({"rate_hz": 0.0}, "rate is 0 Hz"),
+    [({"topic": "camera"}, "not a full topic name"), ({"frame": "a b"}, "not a frame name"), ({"rate_hz": 0.0}, "rate is 0 Hz"),
      ({"hfov_deg": 180.0}, "hfov is 180 degrees")],
 )  # fmt: skip
 def test_settings_are_checked(values: dict[str, Any], part: str) -> None:

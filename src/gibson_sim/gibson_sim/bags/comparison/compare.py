@@ -166,7 +166,7 @@ def _drift(a: Measurements, b: Measurements) -> Iterator[Row]:
     if a.drift is None or b.drift is None:
         return
     group, real, sim = "odometry", a.drift, b.drift
-    yield Row(group, "forward way over the true one", "", real.scales.forward, sim.scales.forward, 0.01, "drive.slip")
+    yield Row(group, "forward distance over the true one", "", real.scales.forward, sim.scales.forward, 0.01, "drive.slip")
     yield Row(group, "turn over the true one", "", real.scales.turn, sim.scales.turn, 0.01, "drive.turn_slip")
     veer = "wheel_odometry.left_radius_factor wheel_odometry.right_radius_factor"
     yield Row(group, "veer", "°/m", math.degrees(real.scales.veer), math.degrees(sim.scales.veer), 0.5, veer)
@@ -177,7 +177,7 @@ def _drift(a: Measurements, b: Measurements) -> Iterator[Row]:
     yield Row(group, "error of heading a metre", "°/m", *per_metre, 0.5, "drive.turn_slip")
     per_turn = 100 * real.turn_per_rad, 100 * sim.turn_per_rad
     yield Row(group, "error of heading, of what it turned", "%", *per_turn, 1.0, "drive.turn_slip")
-    yield Row(group, "error at the end, of the path", "%", _end_error(real), _end_error(sim), 1.0)
+    yield Row(group, "final position error, % of path length", "%", _end_error(real), _end_error(sim), 1.0)
 
 
 def _end_error(drift: Drift) -> float:
@@ -225,7 +225,7 @@ def _lidar(a: Measurements, b: Measurements, matched: Residuals | None) -> Itera
         yield Row("lidar", "beams a turn", "", real.beams, sim.beams, 1.0, "lidar.beams")
     x, y = a.map_residuals, b.map_residuals
     if x is not None and y is not None:
-        group, there = "lidar against the map", "what stands there and not on the map"
+        group, there = "lidar against the map", "obstacles that are not on the map"
         yield Row(group, "bias", "mm", 1e3 * x.bias, 1e3 * y.bias, 10.0, "calibrate the real lidar, or its mount")
         yield Row(group, "spread", "mm", 1e3 * x.spread, 1e3 * y.spread, 10.0, "lidar.range_noise")
         yield Row(group, "beams off by 0.3 m", "%", 100 * x.outliers, 100 * y.outliers, 5.0, there)

@@ -55,7 +55,7 @@ def text_table(comparison: Comparison, most: int = 12) -> str:
         for row in comparison.differing[:most]
     ]
     if len(lines) == 1:
-        return "nothing differs by more than is worth a look"
+        return "no notable differences"
     widths = [max(len(line[i]) for line in lines) for i in range(3)]
     return "\n".join(
         "  ".join([*(word.ljust(width) for word, width in zip(line, widths, strict=False)), line[3]]).rstrip() for line in lines

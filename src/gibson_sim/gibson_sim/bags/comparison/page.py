@@ -91,7 +91,7 @@ def _values(row: Row) -> str:
 def _differing(comparison: Comparison) -> str:
     rows = comparison.differing
     if not rows:
-        return "<h2>What differs most</h2><p>Nothing differs by more than is worth a look.</p>"
+        return "<h2>What differs most</h2><p>No notable differences.</p>"
     lines = []
     for row in rows[:_MOST_ROWS]:
         width = 0.4 + 4.6 * math.log(row.weight + 1.0) / math.log(rows[0].weight + 1.0)
@@ -102,7 +102,7 @@ def _differing(comparison: Comparison) -> str:
         )
     more = f'<p class="quiet">{len(rows) - _MOST_ROWS} more below.</p>' if len(rows) > _MOST_ROWS else ""
     columns = [("figure", False), *_VALUES, ("weight", False), ("change in robot.yaml", False)]
-    caption = '<p class="caption">Sorted by the difference in units of what is worth a look for that figure.</p>'
+    caption = '<p class="caption">Sorted by the difference relative to the smallest notable one of that metric.</p>'
     return f"<h2>What differs most</h2>{caption}{_table(columns, lines)}{more}"
 
 
@@ -158,7 +158,7 @@ def _all(rows: Sequence[Row]) -> str:
             group = row.group
             lines.append(f'<tr class="group"><td colspan="4">{_text(group)}</td></tr>')
         lines.append(f"<tr><td>{_text(row.name)}</td>{_values(row)}</tr>")
-    return f"<h2>All figures</h2>{_table([('figure', False), *_VALUES], lines)}" if lines else ""
+    return f"<h2>All metrics</h2>{_table([('metric', False), *_VALUES], lines)}" if lines else ""
 
 
 def _topics(comparison: Comparison) -> str:
@@ -183,4 +183,4 @@ def _topics(comparison: Comparison) -> str:
 
 def _notes(notes: Sequence[str]) -> str:
     items = "".join(f"<li>{_text(note)}</li>" for note in notes)
-    return f"<h2>Left out, and assumed</h2><ul>{items}</ul>" if items else ""
+    return f"<h2>Omissions and assumptions</h2><ul>{items}</ul>" if items else ""

@@ -92,7 +92,7 @@ class ExportJob:
         self.bag, self.output, self.options, self.advance = bag, output, options, advance
         self.report = ExportReport()
         if output.exists() and (not output.is_dir() or any(output.iterdir())):
-            raise RecordError(f"{output} is there already and is not an empty folder: choose another name or remove it")
+            raise RecordError(f"{output} already exists and is not an empty folder: choose another name or remove it")
         begin, end = bag.span_ns
         self.begin_ns: int = begin + round(options.begin * NS_PER_S)
         self.end_ns: int = min(end, begin + round(options.end * NS_PER_S)) if options.end else end

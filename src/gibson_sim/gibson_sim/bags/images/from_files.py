@@ -63,9 +63,9 @@ class CameraSettings:
 
     def __post_init__(self) -> None:
         if not _TOPIC.fullmatch(self.topic):
-            raise RecordError(f"topic {quoted(self.topic)} is no full name of a topic; give one such as /camera/image_raw")
+            raise RecordError(f"topic {quoted(self.topic)} is not a full topic name; give one such as /camera/image_raw")
         if not _FRAME.fullmatch(self.frame):
-            raise RecordError(f"frame {quoted(self.frame)} is no name of a frame; give one such as camera_optical_frame")
+            raise RecordError(f"frame {quoted(self.frame)} is not a frame name; give one such as camera_optical_frame")
         if self.rate_hz is not None and not 0.001 <= self.rate_hz <= 1000.0:
             raise RecordError(f"rate is {self.rate_hz:g} Hz, must be 0.001 to 1000")
         if self.hfov_deg is not None and not 1.0 <= self.hfov_deg <= 175.0:

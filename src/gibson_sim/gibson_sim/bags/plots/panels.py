@@ -13,9 +13,9 @@ ROBOT_COLOURS = ("#1d4ed8", "#c2410c", "#047857", "#7c3aed", "#be185d", "#0e7490
 """Colours of robots; they repeat."""
 ESTIMATE = "#047857"
 """Colour of the estimate of a single robot."""
-ASKED_STYLE: tuple[str, dict[str, Any]] = ("asked (cmd_vel)", {"linewidth": 1.6, "linestyle": "--"})
-TRUE_STYLE: tuple[str, dict[str, Any]] = ("in truth", {"linewidth": 1.3})
-WHEEL_STYLE: tuple[str, dict[str, Any]] = ("by the wheels", {"linewidth": 1.1, "alpha": 0.5})
+ASKED_STYLE: tuple[str, dict[str, Any]] = ("commanded (cmd_vel)", {"linewidth": 1.6, "linestyle": "--"})
+TRUE_STYLE: tuple[str, dict[str, Any]] = ("ground truth", {"linewidth": 1.3})
+WHEEL_STYLE: tuple[str, dict[str, Any]] = ("wheel odometry", {"linewidth": 1.1, "alpha": 0.5})
 """Labels and lines of velocities."""
 PATH_STYLE: tuple[str, dict[str, Any]] = ("true path", {"linewidth": 2.2, "alpha": 0.85})
 ODOMETRY_STYLE: tuple[str, dict[str, Any]] = ("odometry", {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 4})

@@ -117,7 +117,7 @@ _PATH_CAPTION = (
     "A dot is the start, a triangle the end and its heading; red dots are contacts, with the numbers that they have below."
 )
 _MOTION_CAPTION = (
-    "Asked by commands, by the wheels' odometry, and in truth, where recorded. Red: the robot presses against something. A long rest at the "
+    "Commanded, by wheel odometry, and ground truth, where recorded. Red: the robot is in contact. A long rest at the "
     "end is left out."
 )
 _RATES_CAPTION = "Darker is more messages than usual in that time, white is none; the number is the usual rate."
