@@ -42,7 +42,7 @@ def test_one_simulation_in_lockstep_makes_ticks_of_each_row_in_turn(ros_domain: 
 
 
 def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain: int, tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("gibson_sim_bench.cli.table1.START_S", -110.0)  # of which the patience with a process is more
+    monkeypatch.setattr("gibson_sim_bench.cli.table1.START_S", -110.0)  # the timeout of a process is longer
     left_out: list[str] = []
     plan, sensor_only = Table1Plan(scene="no_such_scene"), [mode for mode in MODES if not mode.outputs]
     with _lockstep(plan, node_environment(), tmp_path, left_out, 24, sensor_only) as make:

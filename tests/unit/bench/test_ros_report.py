@@ -49,7 +49,7 @@ REPORT = RosReport(
     ),
     (ClockCost("standard", False, True, 20.0, 0.01, 0.0), ClockCost("events", True, True, 20.0, 2.5, 20.0)),
     (Pipeline(VGA, 30.0, 60, 57, 2.0, 0.99, Spread(10.0, 11.0, 12.0), Spread(12.0, 13.0, 14.0)),),
-    ("clock, x: it said nothing",),
+    ("clock, x: no output",),
 )
 
 
@@ -93,7 +93,7 @@ def test_text_has_each_row_the_targets_and_what_was_left_out() -> None:
     lines = report_text(REPORT).splitlines()
     assert "events    bytes            5,000        200  250    300" in lines
     assert "640x480  30 Hz   60        57     3   28.5       0.99          10.0         12.0  13.0  14.0" in lines
-    assert "Left out: clock, x: it said nothing" in lines
+    assert "Left out: clock, x: no output" in lines
     assert [line.split()[-1] for line in lines[-3:]] == ["met", "met", "MISSED"]
     assert "2 x CPU" in lines[0] and "2026-01-02" in lines[0]
 

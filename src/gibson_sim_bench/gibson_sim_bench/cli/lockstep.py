@@ -17,7 +17,7 @@ from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
-from gibson_sim_bench.cli.processes import CAMERA, BenchError, conversation, process, role
+from gibson_sim_bench.cli.processes import CAMERA, BenchError, background_node, node_session, process
 from gibson_sim_bench.lockstep import (
     ONE_PROCESS,
     PIPELINED,
@@ -129,10 +129,10 @@ def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | 
             environment = node_environment(domain_id=(first + number) % _DOMAINS)
             if way == ONE_PROCESS:
                 both = {**settings, "participants": "render;bench_controller"}
-                stack.enter_context(role(environment, ONE_PROCESS, physics=both, render={}))
+                stack.enter_context(background_node(environment, ONE_PROCESS, physics=both, render={}))
             else:
                 stack.enter_context(process(_command(settings, bool(size), way == PIPELINED), environment))
-            ask = stack.enter_context(conversation(environment, "controller", START_S, cases=[topics], substeps=plan.substeps))
+            ask = stack.enter_context(node_session(environment, "controller", START_S, cases=[topics], substeps=plan.substeps))
             ways[way] = partial(_make_ticks, ask)
         return in_turns(alone, ways, plan.image_ticks if size else plan.ticks)
 

@@ -1,4 +1,4 @@
-"""``gibson-sim bench ros``: runs the processes that are measured, one scenario after the other, and reports."""
+"""``gibson-sim bench ros``: measures each case with its nodes, one after the other, and reports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_j
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim_bench import timing
-from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, process, role
+from gibson_sim_bench.cli.processes import CAMERA, BenchError, background_node, node_result, process
 from gibson_sim_bench.protocol import write_changed_robot
 from gibson_sim_bench.reports.ros import report_text
 from gibson_sim_bench.ros import (
@@ -35,7 +35,7 @@ from gibson_sim_bench.ros import (
 )
 
 START_S = 90.0
-"""Longest time in which a simulation loads its scene, seconds."""
+"""Timeout for a simulation to load its scene, seconds of wall time."""
 Tell = Callable[[str], None]
 
 
@@ -46,7 +46,7 @@ def add_parser(kinds: Any) -> None:
         help="round-trip time of a state, image transport, the cost of /clock, images of a running simulation",
         description="Measures messages between processes, and the cost of waiting for them. Nothing else should run on the machine.",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer and shorter: about four minutes instead of ten")
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter cases: about four minutes instead of ten")
     parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
     parser.add_argument("--scene", help="scene of the running simulation (default: flat)")
     add_report_options(parser)
@@ -75,7 +75,7 @@ def plan_of(args: argparse.Namespace) -> RosPlan:
 
 
 def measure(plan: RosPlan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> RosReport:
-    """Returns the measurements; a scenario that fails is left out, and the report says why.
+    """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
         plan: what to measure.
@@ -92,14 +92,14 @@ def measure(plan: RosPlan, *, domain_id: int | None = None, tell: Tell = lambda 
     found: dict[str, list[Any]] = {"state": [], "transport": [], "clock": [], "pipeline": []}
     left_out: list[str] = []
     domain = domain_of(environment)
-    for part, scenarios in _scenarios(plan, environment):
-        for name, scenario in scenarios:
+    for part, cases in _cases(plan, environment):
+        for name, case in cases:
             tell(f"{part}: {name}")
             try:
                 # A simulation locks the domain itself. Otherwise the lock keeps other simulations from receiving this /clock.
                 lock = None if part == "pipeline" else DomainLock(domain)
                 try:
-                    found[part].append(scenario())
+                    found[part].append(case())
                 finally:
                     if lock is not None:
                         lock.close()
@@ -116,17 +116,17 @@ def measure(plan: RosPlan, *, domain_id: int | None = None, tell: Tell = lambda 
     )
 
 
-_Scenario = tuple[str, Callable[[], Any]]
+_Case = tuple[str, Callable[[], Any]]
 
 
-def _scenarios(plan: RosPlan, environment: Mapping[str, str]) -> Iterator[tuple[str, list[_Scenario]]]:
-    """Yields each part of the plan with its scenarios: a name, and a function that measures."""
+def _cases(plan: RosPlan, environment: Mapping[str, str]) -> Iterator[tuple[str, list[_Case]]]:
+    """Yields each part of the plan with its cases: a name, and a function that measures."""
 
     def bound(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
         return lambda: function(plan, environment, *arguments)
 
-    parts: dict[str, list[_Scenario]] = {
-        "state": [(f"{way.executor}, {way.form}", bound(_round_trip, way.executor, way.form)) for way in plan.methods],
+    parts: dict[str, list[_Case]] = {
+        "state": [(f"{m.executor}, {m.form}", bound(_round_trip, m.executor, m.form)) for m in plan.methods],
         "transport": [(kind, bound(_transport, kind)) for kind in ("standard", "events", "wait set")],
         "clock": [
             (
@@ -143,24 +143,24 @@ def _scenarios(plan: RosPlan, environment: Mapping[str, str]) -> Iterator[tuple[
 
 
 def _round_trip(plan: RosPlan, environment: Mapping[str, str], executor: str, form: str) -> RoundTrip:
-    with role(environment, "pong", executor=executor, form=form):
+    with background_node(environment, "pong", executor=executor, form=form):
         options = {"executor": executor, "form": form, "bodies": plan.bodies, "count": plan.round_trips}
-        found = answer(environment, "ping", plan.round_trips * 0.05, **options)
+        found = node_result(environment, "ping", plan.round_trips * 0.05, **options)
     return RoundTrip(executor, form, plan.bodies, len(found["us"]), spread(found["us"]))
 
 
 def _transport(plan: RosPlan, environment: Mapping[str, str], executor: str) -> Transport:
     size, hz = plan.transport_size, plan.transport_hz
     options = {"width": size.width, "height": size.height, "hz": hz, "count": plan.transport_images}
-    with role(environment, "image_source", **options):
-        ages = answer(environment, "image_sink", plan.transport_images / hz, executor=executor)["ms"]
-    return Transport(executor, size, hz, plan.transport_images, len(ages), spread(ages))
+    with background_node(environment, "image_source", **options):
+        latencies = node_result(environment, "image_sink", plan.transport_images / hz, executor=executor)["ms"]
+    return Transport(executor, size, hz, plan.transport_images, len(latencies), spread(latencies))
 
 
 def _clock(plan: RosPlan, environment: Mapping[str, str], node: IdleNode) -> ClockCost:
     options = {"executor": node.executor, "use_sim_time": node.use_sim_time, "parameter_services": node.parameter_services}
-    with role(environment, "clock_source", hz=plan.clock_hz):
-        found = answer(environment, "idle_node", plan.clock_s, seconds=plan.clock_s, **options)
+    with background_node(environment, "clock_source", hz=plan.clock_hz):
+        found = node_result(environment, "idle_node", plan.clock_s, seconds=plan.clock_s, **options)
     percent, seconds, clock_s = round(found["cpu_percent"], 3), round(found["seconds"], 2), round(found["clock_s"], 2)
     return ClockCost(node.executor, node.use_sim_time, node.parameter_services, seconds, percent, clock_s)
 
@@ -172,7 +172,9 @@ def _pipeline(plan: RosPlan, environment: Mapping[str, str], size: Size, hz: flo
         command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]
         with process(command, environment):
             topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
-            received = answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
+            received = node_result(
+                environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s
+            )
     return pipeline_of(size, hz, received)
 
 

@@ -16,10 +16,10 @@ from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.resources import cache_folder
-from gibson_sim_bench.cli.processes import CAMERA, answer, process
+from gibson_sim_bench.cli.processes import CAMERA, node_result, process
 
 START_S = 120.0
-"""Longest time in which a simulation loads its scene, seconds."""
+"""Timeout for a simulation to load its scene, seconds of wall time."""
 INTERVAL_S = 5.0
 """Least time between two samples, seconds."""
 _MOST_SAMPLES = 200
@@ -96,7 +96,7 @@ def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callab
 
 
 def _received(environment: Mapping[str, str], seconds: float, interval: float) -> dict[str, Any]:
-    return answer(environment, "soak_subscriber", START_S + seconds, topics=_TOPICS, seconds=seconds, interval=interval)
+    return node_result(environment, "soak_subscriber", START_S + seconds, topics=_TOPICS, seconds=seconds, interval=interval)
 
 
 def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading.Event, tell: Callable[[str], None]) -> None:

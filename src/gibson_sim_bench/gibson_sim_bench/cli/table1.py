@@ -19,20 +19,20 @@ from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, require_device, tell, write_json
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.types import OUTPUTS
-from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, conversation, process, role
+from gibson_sim_bench.cli.processes import CAMERA, BenchError, background_node, node_result, node_session, process
 from gibson_sim_bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Table1Plan, write_robot
 from gibson_sim_bench.reports.paper import MODES, PHYSICS_SIZE, TOGETHER, Mode
 from gibson_sim_bench.reports.table1 import report_text
 from gibson_sim_bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Table1, Table1Row, free_row
 
 START_S = 120.0
-"""Longest time in which a simulation loads its scene, seconds."""
+"""Timeout for a simulation to load its scene, seconds of wall time."""
 _TOPIC: dict[str, str] = {
     "rgb": f"{CAMERA}/image_raw",
     **{name: f"{CAMERA}/{name}/image_raw" for name in OUTPUTS if name != "rgb"},
 }
-_EXCHANGES = 60
-"""Exchanges of messages that are timed for each mode."""
+_ROUND_TRIPS = 60
+"""Timed round trips of the messages of each mode."""
 _MOST = 0.9
 """Fraction of the images in lockstep that must have arrived by the last tick."""
 Tell = Callable[[str], None]
@@ -131,9 +131,9 @@ def _exchanged(environment: Mapping[str, str]) -> dict[str, dict[str, float]]:
     """Returns the milliseconds of the messages of each mode, measured alone."""
     outputs = [list(mode.outputs) for mode in MODES]
     width, height = PHYSICS_SIZE
-    with role(environment, "exchange_back", outputs=outputs):
-        options = {"outputs": outputs, "width": width, "height": height, "bodies": 50, "count": _EXCHANGES}
-        rows = answer(environment, "exchange", 30.0, **options)["rows"]
+    with background_node(environment, "image_pong", outputs=outputs):
+        options = {"outputs": outputs, "width": width, "height": height, "bodies": 50, "count": _ROUND_TRIPS}
+        rows = node_result(environment, "image_ping", 30.0, **options)["rows"]
     return {mode.name: row for mode, row in zip(MODES, rows, strict=True)}
 
 
@@ -162,7 +162,7 @@ def _lockstep(
     try:
         with (
             process(_command(LOCKSTEP, plan.scene, robot, substeps, modes), environment),
-            conversation(environment, "controller", START_S, cases=topics, substeps=substeps) as ask,
+            node_session(environment, "controller", START_S, cases=topics, substeps=substeps) as ask,
         ):
             yield make
             if failed:
@@ -184,7 +184,9 @@ def _free(
     topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
     with process(_command(FREE, plan.scene, robot, substeps, modes), environment):
         expected = START_S + len(modes) * plan.seconds
-        received = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
+        received = node_result(
+            environment, "free_running_subscriber", expected, cases=topics, seconds=plan.seconds, substeps=substeps
+        )
     for k, mode in enumerate(modes):
         if len(received["received"][k]) > 2:
             yield free_row(received["received"][k], received["ticks"][k], alone[mode.name, substeps], exchanged[mode.name])

@@ -14,7 +14,7 @@ from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
 from gibson_sim.errors import ConfigError
 from gibson_sim_bench.browser import chromium
-from gibson_sim_bench.cli.processes import PATIENCE_S, BenchError, answer, process
+from gibson_sim_bench.cli.processes import TIMEOUT_S, BenchError, node_result, process
 
 _SAMPLER = """(seconds) => new Promise((done) => {
   const found = [], begin = performance.now(); let last = '';
@@ -81,7 +81,7 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
     command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene, "--web-port", str(port)]
     with chromium() as browser, process(command, environment), ThreadPoolExecutor(1) as pool:
         page = _opened(browser, f"http://127.0.0.1:{port}/")
-        clock = pool.submit(answer, environment, "clock_arrivals", _SETTLE_S + seconds, seconds=_SETTLE_S + seconds)
+        clock = pool.submit(node_result, environment, "clock_arrivals", _SETTLE_S + seconds, seconds=_SETTLE_S + seconds)
         page.keyboard.down("a")
         page.wait_for_timeout(_SETTLE_S * 1000)
         tell(f"measuring for {seconds:g} s")
@@ -111,7 +111,7 @@ def _opened(browser: Any, url: str) -> Any:
     """Returns the page once it shows images."""
     from playwright.sync_api import Error
 
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while True:
         page = browser.new_page(viewport={"width": 1360, "height": 820}, bypass_csp=True)
         try:

@@ -1,4 +1,4 @@
-"""Roles of ``gibson-sim bench table1`` and ``bench soak``: a subscriber that drives in a free-running simulation; messages alone."""
+"""Nodes of ``gibson-sim bench table1`` and ``bench soak``: a subscriber that drives in a free-running simulation; messages without a simulation."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from gibson_sim.ros.nodes.node_main import make_executor
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.wire.fast_publish import FastSceneState, image_to_bytes
 from gibson_sim.types import NS_PER_S, WORLD_FRAME, SceneState
+from gibson_sim_bench.nodes.spinning import make_spinner, spin_for, spin_until
 from gibson_sim_bench.protocol import SETTLE_S, STEP_HZ, RandomCommands
-from gibson_sim_bench.roles.waiting import settle, wait_until, waiter_of
 
-STATE, PICTURE = "gibson_sim_bench/state", "gibson_sim_bench/picture"
+STATE, IMAGE = "gibson_sim_bench/state", "gibson_sim_bench/image"
 WARM_UP = 20
-"""Exchanges that do not count."""
+"""Round trips of the warm-up, which do not count."""
 FREE_WARM_UP_S = 0.5
-"""Wall time at the start of each case that does not count, seconds."""
+"""Wall time of the warm-up of each case, which does not count, seconds."""
 _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
     "rgb": ("rgb8", np.uint8, (3,)),
     "depth": ("32FC1", np.float32, ()),
@@ -42,18 +42,18 @@ _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
     "flow": ("32FC2", np.float32, (2,)),
     "hole": ("8UC1", np.uint8, ()),
 }
-"""Encoding, type and shape of a pixel, by output."""
+"""Encoding, element type and shape of a pixel, by output."""
 
 
 class ImageSetCounter:
-    """Subscribes to the images of one row at a time, as bytes, and counts complete sets: all images of one stamp."""
+    """Subscribes to the image topics of one case at a time, as bytes, and counts complete sets: one image per topic, with equal stamps."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._subscriptions: list[Any] = []
         self._stamps: dict[str, int] = {}
         self.sets: list[int] = []
-        """Times at which sets were complete, steady clock, nanoseconds."""
+        """Times at which sets became complete, steady clock, nanoseconds."""
 
     def subscribe(self, topics: Sequence[str]) -> None:
         """Subscribes to these topics and no others."""
@@ -92,11 +92,11 @@ class CommandPublisher:
         return self._publisher.topic_name
 
 
-def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[str, Any]:
-    """Receives the images of each case for ``seconds`` of wall time, while the simulation runs as fast as it can.
+def free_running_subscriber(cases: list[list[str]], seconds: float, substeps: int) -> dict[str, Any]:
+    """Receives the images of each case for ``seconds`` of wall time, while the simulation runs as fast as possible.
 
-    Returns, for each case, ``received``: times at which its sets were complete; ``ticks``: number of ticks of the simulation, by the stamps
-    of the odometry.
+    Returns, for each case, ``received``: times at which its sets became complete; ``ticks``: number of ticks of the simulation,
+    from the stamps of the odometry.
     """
     node = Node("bench_controller")
     images, commands, ticks, stamps = ImageSetCounter(node), CommandPublisher(node, substeps), list[int](), list[int]()
@@ -108,24 +108,24 @@ def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[st
             commands.send()
 
     node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
-    waiter = make_executor()
-    waiter.add_node(node)
-    wait_until(lambda: bool(stamps) and stamps[-1] >= SETTLE_S * NS_PER_S, waiter, progress=lambda: len(ticks))
+    spinner = make_executor()
+    spinner.add_node(node)
+    spin_until(lambda: bool(stamps) and stamps[-1] >= SETTLE_S * NS_PER_S, spinner, progress=lambda: len(ticks))
     found: dict[str, Any] = {"received": [], "ticks": []}
     for topics in cases:
         images.subscribe(topics)
-        wait_until(lambda: bool(ticks and (images.sets or not topics)), waiter, progress=lambda: len(ticks))  # noqa: B023
-        settle(waiter, FREE_WARM_UP_S)
-        for kept in (ticks, stamps, images.sets):
-            kept.clear()
-        settle(waiter, seconds)
+        spin_until(lambda: bool(ticks and (images.sets or not topics)), spinner, progress=lambda: len(ticks))  # noqa: B023
+        spin_for(spinner, FREE_WARM_UP_S)
+        for samples in (ticks, stamps, images.sets):
+            samples.clear()
+        spin_for(spinner, seconds)
         found["received"].append(list(images.sets if topics else ticks))
         found["ticks"].append(round((stamps[-1] - stamps[0]) / NS_PER_S * STEP_HZ / substeps) + 1 if stamps else 0)
     return found
 
 
 def soak_subscriber(topics: list[str], seconds: float, interval: float) -> dict[str, Any]:
-    """Drives in a simulation and receives its images for ``seconds`` of wall time, an interval at a time.
+    """Drives in a simulation and receives its images for ``seconds`` of wall time, in intervals.
 
     Returns, for each interval, ``sets``: number of sets of images received; ``factors``: the real-time factor.
     """
@@ -137,65 +137,65 @@ def soak_subscriber(topics: list[str], seconds: float, interval: float) -> dict[
         commands.send()
 
     node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
-    waiter = make_executor()
-    waiter.add_node(node)
+    spinner = make_executor()
+    spinner.add_node(node)
     images.subscribe(topics)
-    wait_until(lambda: bool(images.sets and stamp[0]), waiter)
+    spin_until(lambda: bool(images.sets and stamp[0]), spinner)
     found: dict[str, Any] = {"sets": [], "factors": []}
     for _ in range(max(1, round(seconds / interval))):
         before, began = stamp[0], time.monotonic()
         images.sets.clear()
-        settle(waiter, interval)
+        spin_for(spinner, interval)
         found["sets"].append(len(images.sets))
         found["factors"].append((stamp[0] - before) / NS_PER_S / (time.monotonic() - began))
     return found
 
 
-def exchange_back(outputs: list[list[str]]) -> None:
-    """Answers each set of images with a state until the process ends; images and states are bytes."""
-    node = Node("bench_exchange_back")
+def image_pong(outputs: list[list[str]]) -> None:
+    """Replies to each set of images with a state until the process ends; images and states are bytes."""
+    node = Node("bench_image_pong")
     publisher = node.create_publisher(RosSceneState, STATE, qos.STATE)
-    answer = FastSceneState(WORLD_FRAME, 1).serialize(_state(1), ())
+    reply = FastSceneState(WORLD_FRAME, 1).serialize(_state(1), ())
     missing: dict[int, int] = {}
 
-    def on_picture(case: int, count: int, _: bytes) -> None:
+    def on_image(case: int, count: int, _: bytes) -> None:
         missing[case] = missing.get(case, count) - 1
         if not missing[case]:
             missing[case] = count
-            publisher.publish(answer)
+            publisher.publish(reply)
 
-    for case, names_of in enumerate(outputs):
-        for k in range(max(1, len(names_of))):
-            here = partial(on_picture, case, max(1, len(names_of)))
-            node.create_subscription(Image, f"{PICTURE}_{case}_{k}", here, qos.SENSOR, raw=True)
-    waiter = make_executor()
-    waiter.add_node(node)
+    for case, kinds in enumerate(outputs):
+        for k in range(max(1, len(kinds))):
+            callback = partial(on_image, case, max(1, len(kinds)))
+            node.create_subscription(Image, f"{IMAGE}_{case}_{k}", callback, qos.SENSOR, raw=True)
+    spinner = make_executor()
+    spinner.add_node(node)
     while rclpy.ok():
-        waiter.spin_once(timeout_sec=0.5)
+        spinner.spin_once(timeout_sec=0.5)
 
 
-def exchange(outputs: list[list[str]], width: int, height: int, bodies: int, count: int) -> dict[str, Any]:
-    """Sends sets of images, each after the previous one was answered by a state.
+def image_ping(outputs: list[list[str]], width: int, height: int, bodies: int, count: int) -> dict[str, Any]:
+    """Publishes sets of images, each after a state has replied to the previous one.
 
     Returns ``rows``: for each set of outputs the median milliseconds of ``convert`` (a state to bytes and back), ``encode`` (images to
-    bytes), ``publish`` and ``transport`` (until the answer arrives). Without outputs an image of one pixel is sent.
+    bytes), ``publish`` and ``transport`` (until the reply arrives). Without outputs one image of one pixel is published.
     """
-    node = Node("bench_exchange")
-    answers: list[Any] = []
-    subscription = node.create_subscription(RosSceneState, STATE, answers.append, qos.STATE, raw=True)
-    waiter = waiter_of("events", node, subscription)
+    node = Node("bench_image_ping")
+    replies: list[Any] = []
+    subscription = node.create_subscription(RosSceneState, STATE, replies.append, qos.STATE, raw=True)
+    spinner = make_spinner("events", node, subscription)
     return {
-        "rows": [_exchanged(node, waiter, answers, k, kinds, (width, height), bodies, count) for k, kinds in enumerate(outputs)]
+        "rows": [_message_ms(node, spinner, replies, k, kinds, (width, height), bodies, count) for k, kinds in enumerate(outputs)]
     }
 
 
-def _exchanged(
-    node: Node, waiter: Any, answers: list[Any], case: int, kinds: list[str], size: tuple[int, int], bodies: int, count: int
+def _message_ms(
+    node: Node, spinner: Any, replies: list[Any], case: int, kinds: list[str], size: tuple[int, int], bodies: int, count: int
 ) -> dict[str, float]:
-    pictures = [_picture(kind, size) for kind in kinds] or [("rgb8", np.zeros((1, 1, 3), dtype=np.uint8))]
-    publishers = [node.create_publisher(Image, f"{PICTURE}_{case}_{k}", qos.SENSOR) for k in range(len(pictures))]
-    wait_until(lambda: all(p.get_subscription_count() for p in publishers) and bool(node.count_publishers(STATE)), waiter)
-    settle(waiter, 0.2)
+    images = [_blank_image(kind, size) for kind in kinds] or [("rgb8", np.zeros((1, 1, 3), dtype=np.uint8))]
+    publishers = [node.create_publisher(Image, f"{IMAGE}_{case}_{k}", qos.SENSOR) for k in range(len(images))]
+    spin_until(lambda: all(p.get_subscription_count() for p in publishers) and bool(node.count_publishers(STATE)), spinner)
+    spin_for(spinner, 0.2)
     state, fast = _state(bodies), FastSceneState(WORLD_FRAME, bodies)
     received = conversions.scene_state_to_msg(state, (0,))
     found = []
@@ -203,23 +203,24 @@ def _exchanged(
         began = time.perf_counter_ns()
         fast.serialize(state, (0,))
         conversions.scene_state_from_msg(received, state.links)
-        made = time.perf_counter_ns()
-        messages = [image_to_bytes(pixels, encoding, number, "camera") for encoding, pixels in pictures]
+        converted = time.perf_counter_ns()
+        messages = [image_to_bytes(pixels, encoding, number, "camera") for encoding, pixels in images]
         encoded = time.perf_counter_ns()
         for publisher, message in zip(publishers, messages, strict=True):
             publisher.publish(message)
         published = time.perf_counter_ns()
-        wait_until(lambda: bool(answers), waiter)
-        came = time.perf_counter_ns()
-        answers.clear()
-        found.append((made - began, encoded - made, published - encoded, came - published))
+        spin_until(lambda: bool(replies), spinner)
+        replied = time.perf_counter_ns()
+        replies.clear()
+        found.append((converted - began, encoded - converted, published - encoded, replied - published))
     medians = np.median(np.array(found[WARM_UP:]), axis=0) / 1e6
     return dict(zip(("convert", "encode", "publish", "transport"), np.round(medians, 5).tolist(), strict=True))
 
 
-def _picture(kind: str, size: tuple[int, int]) -> tuple[str, NDArray[Any]]:
-    encoding, number, channels = _PIXELS[kind]
-    return encoding, np.zeros((size[1], size[0], *channels), dtype=number)
+def _blank_image(kind: str, size: tuple[int, int]) -> tuple[str, NDArray[Any]]:
+    """Returns the encoding and the zeroed pixels of an output; ``size`` is width and height."""
+    encoding, dtype, channels = _PIXELS[kind]
+    return encoding, np.zeros((size[1], size[0], *channels), dtype=dtype)
 
 
 def _state(bodies: int) -> SceneState:

@@ -1,4 +1,4 @@
-"""Roles of the lockstep benchmarks: a controller that makes ticks on request, and both nodes in one process."""
+"""Nodes of the lockstep benchmarks: a controller that completes ticks on request, and physics and render node in one process."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gibson_sim.ros.nodes.physics_node import PhysicsNode
 from gibson_sim.ros.nodes.render_node import RenderNode
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.types import NS_PER_S
+from gibson_sim_bench.nodes.spinning import IN_TRANSIT_S, spin_until
+from gibson_sim_bench.nodes.table1 import CommandPublisher, ImageSetCounter
 from gibson_sim_bench.protocol import SETTLE_S
-from gibson_sim_bench.roles.table1 import CommandPublisher, ImageSetCounter
-from gibson_sim_bench.roles.waiting import STRAGGLERS_S, wait_until
 
 
 def one_process(physics: dict[str, Any], render: dict[str, Any]) -> None:
-    """Runs physics node and render node, with these parameters, in one process and one thread, until it ends."""
+    """Runs physics node and render node, with these parameters, in one process and one thread until the process ends."""
     render_node = RenderNode(parameter_overrides=[Parameter(name, value=value) for name, value in render.items()])
     physics_node = PhysicsNode(parameter_overrides=[Parameter(name, value=value) for name, value in physics.items()])
     try:
@@ -36,29 +36,29 @@ def one_process(physics: dict[str, Any], render: dict[str, Any]) -> None:
 
 
 def controller(cases: list[list[str]], substeps: int) -> None:
-    """Joins the lockstep: answers every odometry with a command, and receives the images of one case at a time, as bytes.
+    """Joins the lockstep: replies to every odometry message with a command, and receives the images of one case at a time, as bytes.
 
-    To each line ``{"case": K, "ticks": N}`` on stdin it answers, after N more ticks, with ``tick_ns``: arrival times of these ticks and of
-    the one before, and ``sets``: the number of sets of images received. Between two lines simulation time stands still. Before the first
-    answer, ``SETTLE_S`` of simulation time pass, so that bodies at rest sleep.
+    A line ``{"case": K, "ticks": N}`` on stdin requests N more ticks. The response is a line on stdout with ``tick_ns``: arrival times of
+    these ticks and of the previous one, steady clock, nanoseconds, and ``sets``: the number of sets of images received. Between two requests
+    simulation time stands still. Before the first response ``SETTLE_S`` of simulation time pass, so that bodies at rest sleep.
     """
     node = Node("bench_controller")
     images, commands = ImageSetCounter(node), CommandPublisher(node, substeps)
     ticks = _Ticks(node, commands.send)
     case = -1
     for line in sys.stdin:
-        question = json.loads(line)
+        request = json.loads(line)
         if case < 0:
             while ticks.stamp_ns < SETTLE_S * NS_PER_S:
                 ticks.make(1)
-        if question["case"] != case:
-            case = question["case"]
+        if request["case"] != case:
+            case = request["case"]
             images.subscribe(cases[case])
             while cases[case] and not images.sets:
                 ticks.make(1)
                 ticks.wait_for(lambda: images.oldest_ns >= ticks.stamp_ns)
         before = len(images.sets)
-        tick_ns = ticks.make(question["ticks"])
+        tick_ns = ticks.make(request["ticks"])
         ticks.wait_for(lambda: images.oldest_ns >= ticks.stamp_ns)
         sys.stdout.write(json.dumps({"tick_ns": tick_ns, "sets": len(images.sets) - before}) + "\n")
         sys.stdout.flush()
@@ -89,12 +89,12 @@ class _Ticks:
         if self._held is not None:
             held, self._held = self._held, None
             self._complete(held)
-        wait_until(lambda: self._held is not None, self._executor, progress=lambda: len(self._arrivals))
+        spin_until(lambda: self._held is not None, self._executor, progress=lambda: len(self._arrivals))
         return list(self._arrivals)
 
     def wait_for(self, condition: Callable[[], bool]) -> None:
-        """Spins until ``condition`` holds, or ``STRAGGLERS_S`` have passed."""
-        deadline = time.monotonic() + STRAGGLERS_S
+        """Spins until ``condition`` holds, or ``IN_TRANSIT_S`` have passed."""
+        deadline = time.monotonic() + IN_TRANSIT_S
         while not condition() and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)
 
