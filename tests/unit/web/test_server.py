@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import aiohttp
+import aiohttp.web
 import pytest
 
 from gibson_sim.errors import ConfigError
@@ -324,3 +325,24 @@ def test_requests_beyond_the_limit_do_not_reach_the_backend_but_a_drive_does(ser
     _talk(server, talk)
     assert 60 <= len(backend.asked) < 1000
     assert backend.commands[0] == Drive(0.5, 0.0, 0.0)
+
+
+def test_a_browser_that_closes_while_the_page_loads_leaves_no_traceback(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    prepare = aiohttp.web.WebSocketResponse.prepare
+
+    async def after_the_close(socket: Any, request: Any) -> Any:
+        request.transport.abort()
+        return await prepare(socket, request)
+
+    async def talk(socket: aiohttp.ClientWebSocketResponse) -> None:
+        await socket.close()
+
+    monkeypatch.setattr(aiohttp.web.WebSocketResponse, "prepare", after_the_close)
+    with pytest.raises(aiohttp.ClientError):
+        _talk(server, talk)
+    monkeypatch.undo()
+    assert _get(f"http://127.0.0.1:{server.port}/")[0] == 200
+    _talk(server, talk)
+    assert not [record for record in caplog.records if record.levelname == "ERROR"]

@@ -231,7 +231,11 @@ class PageServer:
         if len(self._pages) >= MAX_PAGES:
             raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are connected already")
         socket = web.WebSocketResponse(heartbeat=_SILENT_S / 2, max_msg_size=MAX_BYTES, compress=False)
-        await socket.prepare(request)
+        try:
+            await socket.prepare(request)
+        except ConnectionError as error:
+            # The browser closed the page while it loaded; as another exception this would be logged with its traceback.
+            raise web.HTTPServiceUnavailable(text="the page was closed") from error
         page = Page(socket, asyncio.Queue(maxsize=64))
         self._pages.add(page)
         for text in self._kept.values():
