@@ -257,7 +257,7 @@ class Localiser:
         likelihood = np.exp(self.settings.score_gain * (scores - scores.max())) + self.settings.outlier_likelihood
         belief = self._belief * likelihood**weight
         if not self._is_lost and self._dead_reckoning is not None:
-            # A robot that is not lost is where it can have driven to, whatever another place looks like.
+            # A robot that is not lost is where it can have driven to, even if another place has a better score.
             belief = belief * (np.abs(self.indices - self._dead_reckoning) <= 2.0 * self.settings.fit_radius)
         self._belief = belief / belief.sum()
         place = self._place(scores, step)

@@ -126,7 +126,7 @@ class EvaluatorOptions(Options):
 
     path: str = option("", "folder of the path; its nodes need poses in the frame of ground_truth/odom")
     file: str = option("path_following.json", "file of the results")
-    collision_topic: str = option("bumper", "topic that tells of collisions; empty = none is counted")
+    collision_topic: str = option("bumper", "topic of collisions; empty = none is counted")
     collision_type: str = option(
         "std_msgs/msg/Bool",
         "its type: a message with a bool `data`, or with `count` and `ongoing` as gibson_msgs/msg/CollisionCount",
@@ -160,7 +160,7 @@ class GogglesOptions(Options):
     image_topic: str = option(
         "camera/image_raw", "topic of the images; a name that ends in /compressed carries sensor_msgs/CompressedImage"
     )
-    mode: str = option("learned", f"how images are brought to the simulator's look: {', '.join(MODES)}")
+    mode: str = option("learned", f"how images are adapted to the appearance of the simulator: {', '.join(MODES)}")
     model: str = option("", "ONNX file of learned; empty = the network in the package")
     reference: str = option("", "folder of a path whose colours the other modes aim at; empty = the simulator's")
 

@@ -1,4 +1,4 @@
-"""The report of a table: text for the terminal or Markdown, and a page (HTML) with film strips. The paper's figures stand beside it."""
+"""Report of a table: text for the terminal or Markdown, and an HTML page with film strips, beside the figures of the paper."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def report_page(found: Table2, strips: Mapping[str, Path], folder: Path) -> str:
     if strips:
         parts.append(
             "<h2>Film strips</h2><p>Above: what the camera saw. Below: the recorded images nearest to there. Map: recorded blue, driven red, "
-            "the first collision a ring, moved things orange, what stands on the path pink.</p>"
+            "the first collision a ring, moved objects orange, obstacles on the path pink.</p>"
         )
     for caption, file in strips.items():
         link = html.escape(file.relative_to(folder).as_posix())

@@ -1,4 +1,4 @@
-"""From runs to a table: rates with intervals, means, kinds of failure, and paired differences. Pure."""
+"""Statistics of runs: success rates with intervals, means, kinds of failure, and paired differences. Pure."""
 
 from __future__ import annotations
 

@@ -146,8 +146,8 @@ _SLIP = Domain(
     yaw_bias=0.15,
     latency_ticks=(0, 2),
 )
-_MOVED = Domain("moved", "0 to 6 things elsewhere than in the recording, or new, beside the path", moved=(0, 6))
-_OBSTACLES = Domain("obstacles", "0 to 2 things or people who stand on the path, with a way round", obstacles=(0, 2))
+_MOVED = Domain("moved", "0 to 6 objects moved or added since the recording, beside the path", moved=(0, 6))
+_OBSTACLES = Domain("obstacles", "0 to 2 obstacles on the path, objects or standing people, with a detour", obstacles=(0, 2))
 _REALITY = replace(
     _LIGHT,
     name="reality",

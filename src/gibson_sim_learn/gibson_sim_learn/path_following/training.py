@@ -62,7 +62,7 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         ("error of the heading, degrees", ["yaw_deg"]),
         ("one place or not: share right", ["match"]),
         ("error of free distances, m", ["free"]),
-        ("near, told as far; far, told as near: shares", ["too_far", "too_near"]),
+        ("missed near obstacles, false alarms: rates", ["too_far", "too_near"]),
     )
     COLUMNS = 3
     MAY_CHANGE = (

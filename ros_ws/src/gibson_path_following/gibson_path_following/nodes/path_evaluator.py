@@ -155,7 +155,7 @@ def _message_type(name: str) -> Any:
     """Returns the class of a message type such as std_msgs/msg/Bool.
 
     Raises:
-        SettingError: there is none, or it tells nothing of collisions.
+        SettingError: there is none, or it has no field for collisions.
     """
     package, _, kind = name.partition("/msg/")
     try:

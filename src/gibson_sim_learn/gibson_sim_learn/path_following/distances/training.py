@@ -56,8 +56,8 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
     PANELS = (
         ("loss of training", ["loss"]),
         ("median error, m", ["free"]),
-        ("on ways: shares told wrongly", ["too_far", "too_near"]),
-        ("obstacles: shares told wrongly", ["obstacles_too_far", "obstacles_too_near"]),
+        ("along paths: error rates", ["too_far", "too_near"]),
+        ("obstacles: error rates", ["obstacles_too_far", "obstacles_too_near"]),
     )
     COLUMNS = 2
     LABEL = "distances: "
