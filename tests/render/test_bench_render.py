@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gibson_sim_bench.measured.scenes import bench_scene, export_for_peers
 from gibson_sim_bench.render import RenderPlan, measure
+from gibson_sim_bench.scenes.bench_scenes import bench_scene, export_for_peers
 from gibson_sim_bench.timing import FIVE
 
 pytestmark = pytest.mark.egl
@@ -40,11 +40,11 @@ def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.usefixtures("egl")
 def test_a_small_scene_is_measured_and_its_picture_written(room: Path, tmp_path: Path) -> None:
-    plan = RenderPlan(scenes=(str(room),), sizes=((64, 64),), outputs=(("rgb",), FIVE), frames=6, pictures=tmp_path / "pictures")
+    plan = RenderPlan(scenes=(str(room),), sizes=((64, 64),), outputs=(("rgb",), FIVE), frames=6, images=tmp_path / "images")
     report = measure(plan)
     assert [(row.scene, row.triangles, row.outputs) for row in report.rows] == [("room", 4, ("rgb",)), ("room", 4, FIVE)]
     assert all(0.0 < row.p5 <= row.fps <= row.p95 for row in report.rows)
-    image = cv2.imread(str(tmp_path / "pictures" / "room_64x64_Gibson_Sim.png"))
+    image = cv2.imread(str(tmp_path / "images" / "room_64x64_Gibson_Sim.png"))
     assert image.shape == (64, 64, 3)
     assert "/" not in "".join(f"{key}{value}" for info in report.contestants.values() for key, value in info.items())
 

@@ -1,4 +1,4 @@
-"""Chromium without a window, for what needs a real browser: the live page's measurements, tests and pictures."""
+"""Headless Chromium, for what needs a real browser: measurements, tests and screenshots of the live page."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gibson_sim.errors import EnvironmentProblemError
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 _WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Options with which WebGL is drawn without a GPU."""
+"""Options with which WebGL is rendered without a GPU."""
 
 
 def chromium_path() -> str:
-    """Returns the program of Chromium on this machine.
+    """Returns the path of the Chromium executable on this machine.
 
     Raises:
         EnvironmentProblemError: there is none.
@@ -32,7 +32,7 @@ def chromium(*, webgl: bool = False) -> Iterator[Any]:
     """Runs Chromium inside the block; the value is a ``playwright.sync_api.Browser``.
 
     Args:
-        webgl: draws WebGL, in software.
+        webgl: whether to render WebGL, in software.
 
     Raises:
         EnvironmentProblemError: there is no Chromium, or no playwright.

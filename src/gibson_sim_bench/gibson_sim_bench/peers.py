@@ -1,7 +1,7 @@
-"""Other renderers as contestants: ``python -m gibson_sim_bench.peers``, in any Python that has them.
+"""Third-party renderers in the renderer benchmark: ``python -m gibson_sim_bench.peers``, in any Python that has them.
 
-Each draws the same triangles with the same unlit texture, without shadows and background, from the same camera. Imports only ``workers`` of
-this package, and each renderer when it is requested.
+Each renders the same triangles with the same unlit texture, without shadows and background, from the same camera. The module imports only
+``workers`` of this package, and each third-party renderer when it is opened.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _triangles(folder: str) -> dict[str, Any]:
 
 
 def _camera(pose: Matrix) -> Any:
-    """Returns T_world_camera, (4, 4), of an OpenGL camera."""
+    """Returns T_world_camera, (4, 4), in OpenGL's camera frame."""
     return np.array(pose, dtype=np.float64).reshape(4, 4) @ _GL_FROM_OPTICAL
 
 
@@ -41,16 +41,16 @@ def _rgb(image: Any) -> tuple[bytes, int, int]:
 
 
 class _Peer:
-    """What all peers share."""
+    """Common part of the third-party renderers."""
 
     info: dict[str, str]
 
-    def picture(self, drawn: Any) -> tuple[bytes, int, int]:
-        """Returns RGB bytes, height and width."""
-        return _rgb(drawn[0])
+    def rgb_image(self, rendered: Any) -> tuple[bytes, int, int]:
+        """Returns RGB bytes, height and width, pixels."""
+        return _rgb(rendered[0])
 
     def triangles(self) -> int:
-        """Returns 0: none of them tells."""
+        """Returns 0: these renderers do not report it."""
         return 0
 
 
@@ -58,7 +58,7 @@ class MuJoCo(_Peer):
     """``mujoco.Renderer``: RGB; depth is a second render.
 
     Args:
-        folder: written by ``scenes.export_for_peers``.
+        folder: written by ``scenes.bench_scenes.export_for_peers``.
         sizes: (width, height) of all images, pixels.
     """
 
@@ -85,7 +85,7 @@ class MuJoCo(_Peer):
         mujoco, arrays = self._mujoco, _triangles(folder)
         spec = mujoco.MjSpec()
         texture = spec.add_texture(name="atlas", type=mujoco.mjtTexture.mjTEXTURE_2D, file=os.path.join(folder, "atlas.png"))
-        # Emission only, so that the texture is drawn unlit.
+        # Emission only, so that the texture is rendered unlit.
         material = spec.add_material(name="atlas", emission=1.0, specular=0.0, shininess=0.0, reflectance=0.0)
         names = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
         names[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
@@ -121,8 +121,8 @@ class MuJoCo(_Peer):
         self._model.cam_fovy[0] = math.degrees(fov_y)
         self._depth = "depth" in outputs
 
-    def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws colour, and depth if it is one of the outputs."""
+    def render(self, pose: Matrix) -> tuple[Any, ...]:
+        """Renders colour, and depth if it is one of the outputs."""
         T = _camera(pose)
         self._data.cam_xpos[0] = T[:3, 3]
         self._data.cam_xmat[0] = T[:3, :3].ravel()
@@ -174,11 +174,11 @@ class Pyrender(_Peer):
         self._renderer.viewport_width, self._renderer.viewport_height = width, height
         self._camera.yfov, self._camera.aspectRatio = fov_y, width / height
 
-    def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws colour and depth."""
+    def render(self, pose: Matrix) -> tuple[Any, ...]:
+        """Renders colour and depth."""
         self._scene.set_pose(self._eye, _camera(pose))
-        drawn: tuple[Any, ...] = self._renderer.render(self._scene, flags=self._flags)
-        return drawn
+        rendered: tuple[Any, ...] = self._renderer.render(self._scene, flags=self._flags)
+        return rendered
 
 
 class PyBullet(_Peer):
@@ -208,8 +208,8 @@ class PyBullet(_Peer):
         self._size = (width, height)
         self._projection = self._bullet.computeProjectionMatrixFOV(math.degrees(fov_y), width / height, NEAR, FAR)
 
-    def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws colour, depth and segmentation."""
+    def render(self, pose: Matrix) -> tuple[Any, ...]:
+        """Renders colour, depth and segmentation."""
         view = np.linalg.inv(_camera(pose)).T.ravel().tolist()
         _, _, rgb, depth, labels = self._bullet.getCameraImage(
             *self._size,
@@ -232,7 +232,7 @@ class IGibson(_Peer):
 
     Args:
         folder: as for ``MuJoCo``.
-        sizes: as for ``MuJoCo``; one renderer at a time, since each assumes that the OpenGL context made last is its own.
+        sizes: as for ``MuJoCo``; one renderer at a time, since each assumes that the most recent OpenGL context is its own.
     """
 
     def __init__(self, folder: str, sizes: Sequence[tuple[int, int]]) -> None:
@@ -260,15 +260,15 @@ class IGibson(_Peer):
         self._renderer.set_fov(math.degrees(fov_y))
         self._modes = tuple(_IGIBSON_MODES[name] for name in outputs)
 
-    def draw(self, pose: Matrix) -> tuple[Any, ...]:
-        """Draws the outputs; each is returned as four floats per pixel."""
+    def render(self, pose: Matrix) -> tuple[Any, ...]:
+        """Renders the outputs; each is returned as four floats per pixel."""
         T = np.array(pose, dtype=np.float64).reshape(4, 4)
         self._renderer.set_camera(T[:3, 3], T[:3, 3] + T[:3, 2], -T[:3, 1])
         return tuple(self._renderer.render(modes=self._modes))
 
-    def picture(self, drawn: Any) -> tuple[bytes, int, int]:
-        """Returns RGB bytes, height and width."""
-        return _rgb(np.clip(drawn[0] * 255.0, 0.0, 255.0))
+    def rgb_image(self, rendered: Any) -> tuple[bytes, int, int]:
+        """Returns RGB bytes, height and width, pixels."""
+        return _rgb(np.clip(rendered[0] * 255.0, 0.0, 255.0))
 
 
 def _bullet_with_egl(folder: str, sizes: Sequence[tuple[int, int]]) -> PyBullet:

@@ -1,7 +1,7 @@
-"""Images per second along a fixed camera path through scenes: Gibson Sim, and other renderers on the same mesh.
+"""Images per second along a fixed camera path through scenes: Gibson Sim, and third-party renderers on the same mesh.
 
-Every contestant has a process of its own, and only one draws at a time: they take turns in rounds, so that any other load on the machine
-affects all alike. An image is complete when all its outputs are in host memory.
+Every renderer (``contestant`` in the JSON report) has its own process. The measurements are interleaved in rounds, so that any other load on the
+machine affects all renderers alike. An image is complete when all its outputs are in host memory.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gibson_sim.errors import GibsonSimError, RenderError
 from gibson_sim.picture_files import write_picture
 from gibson_sim.types import Output
 from gibson_sim_bench import timing
-from gibson_sim_bench.measured.scenes import BenchScene, bench_scene, camera_path, export_for_peers, problem
+from gibson_sim_bench.scenes.bench_scenes import BenchScene, bench_scene, camera_path, export_for_peers, one_line
 from gibson_sim_bench.timing import FIVE, rates_of
 from gibson_sim_bench.workers import Worker, WorkerError
 
@@ -30,22 +30,23 @@ OUTPUT_SETS: tuple[tuple[Output, ...], ...] = (("rgb",), ("rgb", "depth"), FIVE)
 FOV_Y = math.radians(60.0)
 """Vertical field of view of every camera, radians."""
 ROUNDS = 6
-OURS = "Gibson Sim"
+"""Rounds of the interleaved measurement, after one of warm-up."""
+GIBSON_SIM = "Gibson Sim"
 
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Another renderer, and the sets of outputs that it draws."""
+    """A third-party renderer, and the sets of outputs that it renders."""
 
     name: str
     outputs: tuple[tuple[str, ...], ...]
     how: str
-    """How it draws them, for the report."""
+    """How it renders them, for the report."""
 
 
 PEERS = (
     Peer("MuJoCo", (("rgb",), ("rgb", "depth")), "RGB + depth are two renders"),
-    Peer("pyrender", (("rgb", "depth"),), "FLAT; 4 samples a pixel, which it cannot do without"),
+    Peer("pyrender", (("rgb", "depth"),), "FLAT; 4 samples per pixel, which cannot be turned off"),
     Peer("PyBullet TinyRenderer", (("rgb", "depth", "semantic"),), "RGB, depth and segmentation in one call"),
     Peer(
         "PyBullet EGL", (("rgb", "depth", "semantic"),), "RGB, depth and segmentation in one call; its light cannot be turned off"
@@ -53,16 +54,16 @@ PEERS = (
     Peer(
         "iGibson",
         (("rgb",), ("rgb", "depth")),
-        "all outputs in one pass, each read back as four floats a pixel; light without its data",
+        "all outputs in one pass, each read back as four floats per pixel; default lighting, without its data sets",
     ),
 )
 ABSENT = (
     (
         "Habitat-sim",
-        "no package on PyPI; 753 and 688 frames/s on the two houses of the paper, drawing only (its Table 1, GTX 1080 Ti)",
+        "no package on PyPI; 753 and 688 frames/s in the two scenes of the paper, rendering only (its Table 1, GTX 1080 Ti)",
     ),
     ("Isaac Sim", "needs an RTX GPU"),
-    ("Gazebo", "its cameras belong to a running simulation and are no library; docs/comparison.md"),
+    ("Gazebo", "its cameras work only in a running simulation, not as a library; docs/comparison.md"),
 )
 """Renderers that cannot be measured here, and why."""
 
@@ -76,24 +77,25 @@ class RenderPlan:
     """(width, height), pixels."""
     outputs: tuple[tuple[Output, ...], ...] = OUTPUT_SETS
     frames: int = 60
-    """Images of each case; a sixth of them as warm-up, and one at the start of each turn, do not count."""
+    """Images of each case; a sixth of them as warm-up, and one at the start of each block, are additional and do not count."""
     detail_px: tuple[float, ...] = (DETAIL_PX,)
-    """Levels of detail; each value is a contestant."""
+    """Tolerances of the level-of-detail selection, pixels; each value is a contestant of its own."""
     device: int | str | None = None
     peers: bool = False
+    """Whether third-party renderers are measured too."""
     peer_pythons: tuple[str, ...] = ("",)
-    """Interpreters that may have the peers installed, in order of trial; empty = this one."""
-    pictures: Path | None = None
-    """Folder for the first image of every contestant; None = not written."""
+    """Interpreters that may have third-party renderers installed, tried in this order; empty = this one."""
+    images: Path | None = None
+    """Folder for the first image of every renderer; None = not written."""
 
 
 @dataclass(frozen=True, slots=True)
 class RenderRow:
-    """One row of the report: one contestant in one case."""
+    """One row of the report: one renderer in one case."""
 
     scene: str
     triangles: int
-    """Of the scene."""
+    """Triangles of the scene."""
     width: int
     height: int
     outputs: tuple[str, ...]
@@ -103,7 +105,7 @@ class RenderRow:
     p5: float
     p95: float
     drawn: int
-    """Triangles drawn for an image, median; 0 = the contestant does not tell."""
+    """Triangles drawn for an image, median; 0 = unknown."""
 
     @property
     def size(self) -> str:
@@ -120,9 +122,9 @@ class RenderReport:
     machine: str
     cores: int
     load: float
-    """Load average over the minute before."""
+    """Load average over the last minute before the measurement."""
     contestants: dict[str, dict[str, str]]
-    """Library, version and device of each."""
+    """Library, version and device, by contestant."""
     fov_y_deg: float
     frames: int
     rows: tuple[RenderRow, ...]
@@ -139,15 +141,15 @@ class RenderReport:
                 "better": "more",
             }
             for r in self.rows
-            if r.contestant.startswith(OURS)
+            if r.contestant.startswith(GIBSON_SIM)
         ]
-        against = [asdict(a) for a in against_peers(self.rows)]
+        against = [asdict(ratio) for ratio in peer_ratios(self.rows)]
         return {"kind": "render", **asdict(self), "against_peers": against, "figures": figures}
 
 
 @dataclass(frozen=True, slots=True)
-class Against:
-    """Speed of Gibson Sim with five outputs relative to the best peer with RGB and depth."""
+class PeerRatio:
+    """Speed of Gibson Sim with five outputs relative to the fastest peer with RGB and depth."""
 
     scene: str
     width: int
@@ -159,22 +161,22 @@ class Against:
 
 @dataclass(frozen=True, slots=True)
 class RenderCase:
-    """One contestant with one set of outputs."""
+    """One renderer with one set of outputs."""
 
     contestant: str
     worker: Worker
     outputs: tuple[str, ...]
 
 
-def measure(plan: RenderPlan, tell: Callable[[str], None] = lambda line: None) -> RenderReport:
+def measure(plan: RenderPlan, progress: Callable[[str], None] = lambda line: None) -> RenderReport:
     """Returns the measurements.
 
     Args:
         plan: what to measure.
-        tell: called with one line of progress.
+        progress: called with one line of progress.
 
     Raises:
-        GibsonSimError: a scene cannot be loaded, or Gibson Sim cannot draw it. A peer that fails is left out.
+        GibsonSimError: a scene cannot be loaded, or Gibson Sim cannot render it. A peer that fails is left out.
     """
     date, version, load = timing.now(), timing.version(), timing.load()
     rows: list[RenderRow] = []
@@ -182,24 +184,24 @@ def measure(plan: RenderPlan, tell: Callable[[str], None] = lambda line: None) -
     left_out: list[str] = []
     for scene in [bench_scene(name) for name in plan.scenes]:
         with ExitStack() as stack:
-            tell(f"{scene.name}: loading")
-            contestants, lines = _contestants(scene, plan, stack, infos)
+            progress(f"{scene.name}: loading")
+            renderers, lines = _open_renderers(scene, plan, stack, infos)
             left_out += [line for line in lines if line not in left_out]
-            triangles = int(contestants[0][1]["triangles"])
+            triangles = int(renderers[0][1]["triangles"])
             poses = [pose.ravel().tolist() for pose in camera_path(scene, plan.frames)]
             for width, height in plan.sizes:
-                cases = [RenderCase(name, worker, outputs) for name, _, worker, sets in contestants for outputs in sets]
-                _pictures(plan, scene, width, height, contestants, poses[0])
-                found, lines = _measured(cases, width, height, poses)
+                cases = [RenderCase(name, worker, outputs) for name, _, worker, sets in renderers for outputs in sets]
+                _write_images(plan, scene, width, height, renderers, poses[0])
+                measured, lines = _measured(cases, width, height, poses)
                 left_out += [line for line in lines if line not in left_out]
-                for case, seconds, drawn in found:
+                for case, seconds, drawn in measured:
                     rates = rates_of(seconds)
                     fps, p5, p95 = (round(rate, 2) for rate in (rates.median, rates.p5, rates.p95))
                     typical = int(np.median(drawn))
                     rows.append(
                         RenderRow(scene.name, triangles, width, height, case.outputs, case.contestant, fps, p5, p95, typical)
                     )
-                    tell(f"{scene.name} {width}x{height} {case.contestant} {'+'.join(case.outputs)}: {fps:.1f} fps")
+                    progress(f"{scene.name} {width}x{height} {case.contestant} {'+'.join(case.outputs)}: {fps:.1f} fps")
     return RenderReport(
         date=date,
         version=version,
@@ -214,21 +216,21 @@ def measure(plan: RenderPlan, tell: Callable[[str], None] = lambda line: None) -
     )
 
 
-_Contestant = tuple[str, dict[str, str], Worker, tuple[tuple[str, ...], ...]]
+_OpenRenderer = tuple[str, dict[str, str], Worker, tuple[tuple[str, ...], ...]]
 
 
-def _contestants(
+def _open_renderers(
     scene: BenchScene, plan: RenderPlan, stack: ExitStack, infos: dict[str, dict[str, str]]
-) -> tuple[list[_Contestant], list[str]]:
-    """Returns (name, info, worker, output sets) of all contestants that loaded the scene, Gibson Sim first, and why others did not."""
-    found: list[_Contestant] = []
+) -> tuple[list[_OpenRenderer], list[str]]:
+    """Returns (name, info, worker, output sets) of all renderers that loaded the scene, Gibson Sim first, and the errors of all others."""
+    found: list[_OpenRenderer] = []
     for detail_px in plan.detail_px:
-        name = OURS if detail_px == plan.detail_px[0] else f"{OURS}, detail {detail_px:g} px"
-        worker = stack.enter_context(Worker("gibson_sim_bench.ours"))
+        name = GIBSON_SIM if detail_px == plan.detail_px[0] else f"{GIBSON_SIM}, detail {detail_px:g} px"
+        worker = stack.enter_context(Worker("gibson_sim_bench.own_renderer"))
         try:
-            info = worker.ask("open", engine=OURS, scene=str(scene.path), detail_px=detail_px, device=plan.device)
+            info = worker.request("open", renderer=GIBSON_SIM, scene=str(scene.path), detail_px=detail_px, device=plan.device)
         except WorkerError as error:
-            raise RenderError(f"{scene.name}: {name} cannot draw it: {problem(error)}") from error
+            raise RenderError(f"{scene.name}: {name} cannot render it: {one_line(error)}") from error
         infos[name] = {key: value for key, value in info.items() if key not in ("triangles", "textures")}
         infos[name]["detail_px"] = f"{detail_px:g}"
         found.append((name, info, worker, plan.outputs))
@@ -237,7 +239,7 @@ def _contestants(
         try:
             folder = export_for_peers(scene)
         except GibsonSimError as error:
-            return found, [f"peers: {problem(error)}"]
+            return found, [f"peers: {one_line(error)}"]
         for peer in PEERS:
             opened = _opened(peer, plan, str(folder), stack)
             if isinstance(opened, str):
@@ -250,25 +252,25 @@ def _contestants(
 
 
 def _opened(peer: Peer, plan: RenderPlan, folder: str, stack: ExitStack) -> tuple[Worker, dict[str, str]] | str:
-    """Returns the worker of a peer that loaded the scene, in the first interpreter that has it, with its info; else the reason."""
-    why = ""
+    """Returns the worker of a peer that loaded the scene, in the first interpreter that has it, with its info; else the error."""
+    first_error = ""
     for python in plan.peer_pythons:
         with ExitStack() as attempt:
             try:
                 worker = attempt.enter_context(Worker("gibson_sim_bench.peers", python))
-                info = worker.ask("open", engine=peer.name, folder=folder, sizes=plan.sizes)
+                info = worker.request("open", renderer=peer.name, folder=folder, sizes=plan.sizes)
             except WorkerError as error:
-                why = why or problem(error)
+                first_error = first_error or one_line(error)
                 continue
             stack.enter_context(attempt.pop_all())
             return worker, info
-    return why
+    return first_error
 
 
 def _measured(
     cases: Sequence[RenderCase], width: int, height: int, poses: list[list[float]]
 ) -> tuple[list[tuple[RenderCase, list[float], list[int]]], list[str]]:
-    """Returns seconds and triangles of each image for every case that succeeded, and the errors of the others."""
+    """Returns the seconds and drawn triangles of each image for every case that succeeded, and the errors of all others."""
     seconds: dict[int, list[float]] = {k: [] for k in range(len(cases))}
     drawn: dict[int, list[int]] = {k: [] for k in range(len(cases))}
     lines: list[str] = []
@@ -277,13 +279,13 @@ def _measured(
             if k not in seconds:
                 continue
             try:
-                times, triangles = case.worker.ask(
+                times, triangles = case.worker.request(
                     "frames", width=width, height=height, fov_y=FOV_Y, outputs=case.outputs, poses=part
                 )
             except WorkerError as error:
-                if case.contestant.startswith(OURS):
-                    raise RenderError(f"{case.contestant} at {width}x{height}: {problem(error)}") from error
-                lines.append(f"{case.contestant} at {width}x{height}: {problem(error)}")
+                if case.contestant.startswith(GIBSON_SIM):
+                    raise RenderError(f"{case.contestant} at {width}x{height}: {one_line(error)}") from error
+                lines.append(f"{case.contestant} at {width}x{height}: {one_line(error)}")
                 del seconds[k]
                 continue
             if number > 0:
@@ -293,52 +295,52 @@ def _measured(
 
 
 def rounds(poses: list[list[float]]) -> Iterator[list[list[float]]]:
-    """Yields the poses of each round; the first is the warm-up, whose images are drawn again later."""
+    """Yields the poses of each round; the first is the warm-up, whose images are rendered again later."""
     parts = [list(part) for part in np.array_split(np.arange(len(poses)), min(ROUNDS, len(poses)))]
     for part in (parts[-1], *parts):
         yield [poses[k] for k in part]
 
 
-def _pictures(
-    plan: RenderPlan, scene: BenchScene, width: int, height: int, contestants: Sequence[_Contestant], pose: list[float]
+def _write_images(
+    plan: RenderPlan, scene: BenchScene, width: int, height: int, renderers: Sequence[_OpenRenderer], pose: list[float]
 ) -> None:
-    """Writes the first image of each contestant."""
-    if plan.pictures is None:
+    """Writes the first image of each renderer."""
+    if plan.images is None:
         return
-    plan.pictures.mkdir(parents=True, exist_ok=True)
-    for name, _, worker, sets in contestants:
+    plan.images.mkdir(parents=True, exist_ok=True)
+    for name, _, worker, sets in renderers:
         try:
-            request = {"width": width, "height": height, "fov_y": FOV_Y, "outputs": sets[-1], "poses": [pose]}
-            pixels, rows, columns = worker.ask("picture", **request)
+            options = {"width": width, "height": height, "fov_y": FOV_Y, "outputs": sets[-1], "poses": [pose]}
+            pixels, rows, columns = worker.request("image", **options)
         except WorkerError:
             continue  # reported when it is measured
         image = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns, 3)
         file = f"{scene.name}_{width}x{height}_{name}.png".replace(" ", "_").replace(":", "_").replace(",", "")
-        write_picture(plan.pictures / file, image[:, :, ::-1])
+        write_picture(plan.images / file, image[:, :, ::-1])
 
 
-def against_peers(rows: Sequence[RenderRow]) -> list[Against]:
-    """Returns, for each scene and size, the speed with five outputs relative to the best peer with RGB and depth."""
+def peer_ratios(rows: Sequence[RenderRow]) -> list[PeerRatio]:
+    """Returns, for each scene and size, the speed with five outputs relative to the fastest peer with RGB and depth."""
     found = []
-    for ours in rows:
-        if ours.outputs != FIVE or not ours.contestant.startswith(OURS):
+    for own in rows:
+        if own.outputs != FIVE or not own.contestant.startswith(GIBSON_SIM):
             continue
         peers = [
             row
             for row in rows
-            if not row.contestant.startswith(OURS)
+            if not row.contestant.startswith(GIBSON_SIM)
             and {"rgb", "depth"} <= set(row.outputs)
-            and (row.scene, row.size) == (ours.scene, ours.size)
+            and (row.scene, row.size) == (own.scene, own.size)
         ]
         if peers:
             best = max(peers, key=lambda row: row.fps)
-            times = round(timing.ratio(ours.fps, best.fps), 2)
-            found.append(Against(ours.scene, ours.width, ours.height, ours.contestant, best.contestant, times))
+            ratio = round(timing.ratio(own.fps, best.fps), 2)
+            found.append(PeerRatio(own.scene, own.width, own.height, own.contestant, best.contestant, ratio))
     return found
 
 
 def growth(rows: Sequence[RenderRow]) -> list[tuple[RenderRow, float]]:
-    """Returns, for each case of the largest rooms, the time of an image relative to the smallest rooms."""
+    """Returns, for each case of the largest rooms, the time of an image relative to that of the smallest rooms."""
     sizes = sorted({(row.triangles, row.scene) for row in rows if row.scene.startswith("rooms:")})
     if len(sizes) < 2:
         return []

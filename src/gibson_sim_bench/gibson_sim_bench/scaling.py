@@ -31,10 +31,10 @@ from gibson_sim.tasks.episode import Item, item_body
 from gibson_sim.tasks.ground import ground_of
 from gibson_sim.types import CameraSpec
 from gibson_sim_bench import timing
-from gibson_sim_bench.measured.scenes import bench_scene, camera_path
 from gibson_sim_bench.memory import resident_mb
-from gibson_sim_bench.ours import STILL, pose_of
+from gibson_sim_bench.own_renderer import STILL, pose_of
 from gibson_sim_bench.ros import without_nan
+from gibson_sim_bench.scenes.bench_scenes import bench_scene, camera_path
 from gibson_sim_bench.tasks import LOOSE_MODELS
 from gibson_sim_bench.timing import FIVE, Facts
 

@@ -32,11 +32,11 @@ from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
 from gibson_sim_bench import timing
 from gibson_sim_bench.clocks import Clock, calls_of, copy_ms, opengl_calls
 from gibson_sim_bench.loop import Loop
-from gibson_sim_bench.measured.scenes import bench_scene, camera_path
-from gibson_sim_bench.ours import STILL, pose_of
+from gibson_sim_bench.own_renderer import STILL, pose_of
 from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, WARM_UP, WAYS, Table1Plan
 from gibson_sim_bench.reports.paper import HOUSE_SIZE, PHYSICS_SIZE, TOGETHER, Mode
 from gibson_sim_bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Table1, Table1Row, lockstep_row, row_of
+from gibson_sim_bench.scenes.bench_scenes import bench_scene, camera_path
 from gibson_sim_bench.tensors import synchronize
 
 

@@ -1,4 +1,4 @@
-"""Speed of images as tensors: the comparison of the paper, one view with all outputs, and 64 views at once.
+"""Images per second as tensors: the comparison of the paper, one view with all outputs, and 64 views per call.
 
 Without CUDA the same cases run, and the report says that the tensors are on the CPU.
 """
@@ -27,13 +27,16 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Output, Pose
 from gibson_sim_bench import timing
-from gibson_sim_bench.ours import STILL
+from gibson_sim_bench.own_renderer import STILL
 from gibson_sim_tools.generator.rooms import rooms_camera_path, rooms_mesh
 
 RGB_DEPTH: tuple[Output, ...] = ("rgb", "depth")
 PAPER_SIZES = (512, 1024)
+"""Width and height of the images in the paper's comparison, pixels."""
 VIEWS = 64
+"""Images per call of the batched cases."""
 WARM_UP = 5
+"""Calls of the warm-up, which do not count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +62,9 @@ class TensorReport:
     date: str
     machine: str
     renderer: str
-    """Name of the GPU, or of the software that draws."""
+    """Name of the GPU, or of the software renderer."""
     driver: str
-    """OpenGL version with that of the driver."""
+    """Versions of OpenGL and of the driver."""
     tensors_on: str
     """``cuda:0``, or ``cpu`` where there is no CUDA."""
     torch: str
@@ -86,9 +89,9 @@ def measure(
     """Returns the measurements on a generated floor of twelve rooms.
 
     Args:
-        triangles: of the scene.
-        blocks: timed blocks of each case.
-        calls: calls in each block, which ends when the last image is complete.
+        triangles: number of triangles of the scene.
+        blocks: number of timed blocks of each case.
+        calls: number of calls in each block, which ends when the last image is complete.
         device: EGL device; None = a GPU if there is one.
         progress: called with each case.
     """
@@ -143,7 +146,7 @@ _Finish = Callable[[Any], None]
 
 
 def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], _Call, _Finish]]:
-    """Returns, for each case, name, size, views, outputs, the function that draws a set of cameras, and one that completes its last result."""
+    """Returns, for each case, name, size, views, outputs, a function that renders a list of cameras, and one that waits for its last result."""
 
     def nothing(_: Any) -> None:
         return None
@@ -156,10 +159,10 @@ def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], 
 
     cases: list[tuple[str, int, int, tuple[Output, ...], _Call, _Finish]] = []
     for size in PAPER_SIZES:
-        ahead = _Ahead(renderer)
+        pipelined = _Pipelined(renderer)
         cases += [
             ("(a) float RGBA, synchronous", size, 1, ("rgb",), FloatRgba(renderer), nothing),
-            ("(b) 8 bit, asynchronous", size, 1, ("rgb",), ahead, ahead.finish),
+            ("(b) 8 bit, asynchronous", size, 1, ("rgb",), pipelined, pipelined.finish),
             ("(c) tensors", size, 1, ("rgb",), tensors, synchronize),
         ]
     cases.append(("host arrays", 256, 1, OUTPUTS, frames, nothing))
@@ -170,8 +173,8 @@ def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], 
     return cases
 
 
-class _Ahead:
-    """Draws image k + 1 while image k is read back."""
+class _Pipelined:
+    """Renders image k + 1 while image k is read back."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
@@ -179,18 +182,18 @@ class _Ahead:
 
     def __call__(self, cameras: list[CameraSpec]) -> list[Frame]:
         """Returns the frames of the previous call."""
-        before, self._pending = self._pending, self._renderer.start(STILL, cameras)
-        return [] if before is None else before.result()
+        previous, self._pending = self._pending, self._renderer.start(STILL, cameras)
+        return [] if previous is None else previous.result()
 
     def finish(self, _: Any) -> None:
-        """Completes the last frames."""
+        """Waits for the last frames."""
         if self._pending is not None:
             self._pending.result()
             self._pending = None
 
 
 class FloatRgba:
-    """Reads colours back synchronously as four floats per pixel, as the original simulator did."""
+    """Reads RGBA back synchronously as four floats per pixel, as the original simulator did."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
@@ -237,7 +240,7 @@ def synchronize(frames: Any) -> None:
     """Waits until the tensors on a GPU hold their values."""
     tensor = frames[0].rgb
     if getattr(tensor, "is_cuda", False):
-        # Copying one number to the host waits for all earlier work, without importing PyTorch here.
+        # Copying one element to the host waits for all earlier work, without importing PyTorch here.
         tensor[0, 0, 0].item()
 
 

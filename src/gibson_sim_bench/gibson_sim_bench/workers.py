@@ -1,6 +1,6 @@
-"""Renderers in processes of their own, one command at a time over a pipe: OpenGL of several libraries does not mix in one process.
+"""Runs each renderer in its own process, with one command at a time over a pipe: OpenGL of several libraries does not mix in one process.
 
-Imports the standard library only, so that it runs in any Python that has a peer installed.
+Imports the standard library only, so that it runs in any Python that has a third-party renderer installed.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from gibson_sim_tools import package_path
 
 if TYPE_CHECKING:
     Matrix = Sequence[float]
-    """T_world_camera (optical frame), 16 numbers by rows."""
+    """T_world_camera (optical frame), 16 numbers in row-major order."""
 else:
-    Matrix = Any  # Python 3.8, which some peers need, cannot subscript the type
+    Matrix = Any  # Python 3.8, which some renderers need, cannot subscript the type
 
 
 class WorkerError(Exception):
-    """A command to a worker failed; one line says why."""
+    """A command to a worker failed; the message is one line."""
 
 
-class Engine(Protocol):
+class BenchRenderer(Protocol):
     """A renderer that has loaded its scene."""
 
     info: dict[str, str]
@@ -37,22 +37,22 @@ class Engine(Protocol):
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
         """Prepares for images of a size, pixels, and a vertical field of view, radians, with these outputs."""
 
-    def draw(self, pose: Matrix) -> Any:
-        """Draws an image, and returns all its outputs as host arrays."""
+    def render(self, pose: Matrix) -> Any:
+        """Renders an image, and returns all its outputs as host arrays."""
 
-    def picture(self, drawn: Any) -> tuple[bytes, int, int]:
-        """Returns RGB bytes, height and width of what ``draw`` returned, row 0 = top."""
+    def rgb_image(self, rendered: Any) -> tuple[bytes, int, int]:
+        """Returns RGB bytes, height and width, pixels, of what ``render`` returned; row 0 is the top."""
 
     def triangles(self) -> int:
         """Returns the number of triangles drawn for the last image; 0 = unknown."""
 
 
 class Worker:
-    """A renderer in a process of its own, seen from the caller. Use it in a ``with`` statement, which ends the process.
+    """A renderer in its own process, as the parent process sees it. Use it in a ``with`` statement, which ends the process.
 
     Args:
-        module: run with ``python -m``; calls ``serve``.
-        python: the interpreter; empty = this one.
+        module: module that ``python -m`` runs; it calls ``serve``.
+        python: path of the interpreter; empty = this one.
         environment: additional environment variables.
 
     Raises:
@@ -60,8 +60,8 @@ class Worker:
     """
 
     def __init__(self, module: str, python: str = "", environment: Mapping[str, str] | None = None) -> None:
-        ours = (str(Path(__file__).resolve().parents[1]), package_path())
-        path = os.pathsep.join(p for p in (*ours, os.environ.get("PYTHONPATH", "") if not python else "") if p)
+        own_paths = (str(Path(__file__).resolve().parents[1]), package_path())
+        path = os.pathsep.join(p for p in (*own_paths, os.environ.get("PYTHONPATH", "") if not python else "") if p)
         try:
             self._process = subprocess.Popen(
                 [python or sys.executable, "-m", module],
@@ -73,8 +73,8 @@ class Worker:
         except OSError as error:
             raise WorkerError(f"{python or sys.executable} cannot be run: {error.strerror}") from error
 
-    def ask(self, command: str, **values: Any) -> Any:
-        """Returns the answer to a command.
+    def request(self, command: str, **values: Any) -> Any:
+        """Sends a command, and returns its response.
 
         Raises:
             WorkerError: the command failed, or the process has ended.
@@ -83,13 +83,13 @@ class Worker:
         assert self._process.stdout is not None
         try:
             _send(self._process.stdin, (command, values))
-            good, answer = _receive(self._process.stdout)
+            succeeded, response = _receive(self._process.stdout)
         except (OSError, EOFError) as error:
             code = self._process.wait()
             raise WorkerError(f"its process ended with code {code} at the command {command!r}") from error
-        if not good:
-            raise WorkerError(str(answer))
-        return answer
+        if not succeeded:
+            raise WorkerError(str(response))
+        return response
 
     def close(self) -> None:
         """Ends the process."""
@@ -110,13 +110,17 @@ class Worker:
         self.close()
 
 
-def serve(engines: Mapping[str, Callable[..., Engine]]) -> None:
-    """Runs in the worker: executes commands until the pipe is closed."""
-    commands, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    # Output of libraries must not mix with the answers.
+def serve(renderers: Mapping[str, Callable[..., BenchRenderer]]) -> None:
+    """Runs in the worker process: executes commands until the pipe is closed.
+
+    Args:
+        renderers: constructors, by the name that the command ``open`` gives.
+    """
+    commands, responses = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    # Output of libraries must not mix with the responses.
     os.dup2(2, 1)
-    engine: Engine | None = None
-    with commands, answers:
+    renderer: BenchRenderer | None = None
+    with commands, responses:
         while True:
             try:
                 command, values = _receive(commands)
@@ -124,36 +128,36 @@ def serve(engines: Mapping[str, Callable[..., Engine]]) -> None:
                 break
             try:
                 if command == "open":
-                    engine = engines[values.pop("engine")](**values)
-                    answer: Any = engine.info
+                    renderer = renderers[values.pop("renderer")](**values)
+                    response: Any = renderer.info
                 else:
-                    assert engine is not None
-                    answer = _execute(engine, command, **values)
-            except Exception as error:  # of a foreign library, whatever it is: the caller reports it
+                    assert renderer is not None
+                    response = _execute(renderer, command, **values)
+            except Exception as error:  # any error of a third-party library: the parent process reports it
                 text = " ".join(str(error).split())[:300]
-                _send(answers, (False, f"{type(error).__name__}: {text}" if text else type(error).__name__))
+                _send(responses, (False, f"{type(error).__name__}: {text}" if text else type(error).__name__))
             else:
-                _send(answers, (True, answer))
+                _send(responses, (True, response))
     # Some libraries crash in their destructors.
     os._exit(0)
 
 
 def _execute(
-    engine: Engine, command: str, width: int, height: int, fov_y: float, outputs: Sequence[str], poses: list[Matrix]
+    renderer: BenchRenderer, command: str, width: int, height: int, fov_y: float, outputs: Sequence[str], poses: list[Matrix]
 ) -> Any:
-    engine.prepare(width, height, fov_y, tuple(outputs))
-    if command == "picture":
-        return engine.picture(engine.draw(poses[0]))
+    renderer.prepare(width, height, fov_y, tuple(outputs))
+    if command == "image":
+        return renderer.rgb_image(renderer.render(poses[0]))
     assert command == "frames"
     seconds, triangles = [], []
-    # Another contestant has just used the processor and its caches.
-    engine.draw(poses[0])
+    # Warms the CPU caches, which another renderer has just used.
+    renderer.render(poses[0])
     for pose in poses:
         started = time.perf_counter()
-        drawn = engine.draw(pose)
+        rendered = renderer.render(pose)
         seconds.append(time.perf_counter() - started)
-        triangles.append(engine.triangles())
-        del drawn
+        triangles.append(renderer.triangles())
+        del rendered
     return seconds, triangles
 
 

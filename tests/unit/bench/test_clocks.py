@@ -9,7 +9,7 @@ import pytest
 
 from gibson_sim_bench import clocks
 from gibson_sim_bench.clocks import Clock, calls_of, copy_ms
-from gibson_sim_bench.ours import pose_of
+from gibson_sim_bench.own_renderer import pose_of
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The bench of renderers: turns, ratios, text and JSON, from numbers made by hand."""
+"""The benchmark of renderers: rounds, ratios, text and JSON, from numbers made by hand."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import pytest
 from gibson_sim.errors import ConfigError
 from gibson_sim_bench import render
 from gibson_sim_bench.cli import bench as cli, peers as bench_peers
-from gibson_sim_bench.measured.scenes import parse_count, path_along
-from gibson_sim_bench.render import RenderPlan, RenderReport, RenderRow, against_peers, growth, rounds
+from gibson_sim_bench.render import RenderPlan, RenderReport, RenderRow, growth, peer_ratios, rounds
 from gibson_sim_bench.reports.render import report_text, table
+from gibson_sim_bench.scenes.bench_scenes import parse_count, path_along
 from gibson_sim_bench.timing import FIVE
 from gibson_sim_bench.workers import Worker, WorkerError
 
@@ -45,12 +45,12 @@ REPORT = RenderReport(
 
 
 def test_five_outputs_are_compared_with_the_quickest_peer_that_gives_rgb_and_depth() -> None:
-    found = [(a.scene, a.peer, a.ratio) for a in against_peers(ROWS)]
+    found = [(a.scene, a.peer, a.ratio) for a in peer_ratios(ROWS)]
     assert found == [("rooms:100k", "MuJoCo", 3.0), ("rooms:1m", "PyBullet EGL", 8.0)]
 
 
 def test_without_peers_there_are_no_ratios() -> None:
-    assert against_peers([row for row in ROWS if row.contestant == "Gibson Sim"]) == []
+    assert peer_ratios([row for row in ROWS if row.contestant == "Gibson Sim"]) == []
 
 
 def test_growth_is_time_of_the_largest_rooms_over_time_of_the_smallest() -> None:
@@ -72,9 +72,8 @@ def test_the_text_names_machine_driver_date_and_who_was_left_out() -> None:
     text = report_text(REPORT, show_growth=True)
     parts = ("2 x CPU", "llvmpipe", "2026-01-02", "abc", "load 0.25", "Left out: MuJoCo: ModuleNotFoundError")
     assert [part for part in parts if part not in text] == []
-    assert (
-        "rooms:100k    100,000  256x256  Gibson Sim    rgb+depth+sem+inst+normal  120.0   60.0  240.0  1,234" in text.splitlines()
-    )
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    assert "rooms:100k 100,000 256x256 Gibson Sim rgb+depth+sem+inst+normal 120.0 60.0 240.0 1,234" in lines
 
 
 def test_markdown_has_one_row_for_each_case() -> None:
@@ -137,12 +136,12 @@ def test_what_the_command_line_says_is_planned() -> None:
     assert (plan.frames, plan.detail_px, plan.device, plan.peers) == (6, (0.5, 0.0), 1, False)
 
 
-def test_the_peers_are_asked_on_houses_of_scan_size_at_the_sizes_of_the_paper() -> None:
+def test_peers_are_measured_on_scan_like_meshes_at_the_image_sizes_of_the_paper() -> None:
     parser = argparse.ArgumentParser()
     bench_peers.add_parser(parser.add_subparsers())
     plan = bench_peers.plan_of(parser.parse_args(["peers", "--peer-python", "python9", "--frames", "6"]))
     assert (plan.peers, plan.peer_pythons, plan.frames, plan.sizes) == (True, ("python9",), 6, ((256, 256), (640, 480)))
-    assert all(house.startswith("scan:") for house in plan.scenes)
+    assert all(scene.startswith("scan:") for scene in plan.scenes)
 
 
 @pytest.mark.parametrize(
@@ -155,12 +154,12 @@ def test_what_cannot_be_planned_is_refused(words: tuple[str, str]) -> None:
 
 def test_a_worker_that_cannot_start_its_renderer_says_so_in_one_line() -> None:
     with Worker("gibson_sim_bench.peers") as worker, pytest.raises(WorkerError, match="KeyError: 'none'"):
-        worker.ask("open", engine="none")
+        worker.request("open", renderer="none")
 
 
 def test_a_worker_whose_process_is_gone_is_an_error() -> None:
     with Worker("gibson_sim_bench.not_there") as worker, pytest.raises(WorkerError, match="ended with code 1"):
-        worker.ask("open", engine="none")
+        worker.request("open", renderer="none")
 
 
 def test_an_interpreter_that_is_not_there_is_an_error_of_the_worker() -> None:
@@ -179,15 +178,15 @@ def test_missing_peers_are_lines_and_not_errors(tmp_path: Path, monkeypatch: pyt
 
 
 def _measure(monkeypatch: pytest.MonkeyPatch, plan: RenderPlan) -> RenderReport:
-    """Measures with workers that do not draw, but for the peers."""
+    """Measures with workers that do not render, except for the peers."""
 
     class Still:
         def __init__(self, module: str, python: str = "") -> None:
             self._real = Worker(module, python) if module.endswith("peers") else None
 
-        def ask(self, command: str, **values: object) -> object:
+        def request(self, command: str, **values: object) -> object:
             if self._real is not None:
-                return self._real.ask(command, **values)
+                return self._real.request(command, **values)
             poses = values.get("poses")
             if isinstance(poses, list):
                 return [0.01] * len(poses), [7] * len(poses)

@@ -64,11 +64,11 @@ def _add_render(kinds: Any) -> None:
         "--detail-px",
         default=f"{DETAIL_PX:g}",
         metavar="PX",
-        help=f"levels of detail; several, such as 1,0, are measured each (default: {DETAIL_PX:g})",
+        help=f"tolerance of the level-of-detail selection, pixels; several, such as 1,0, are each measured (default: {DETAIL_PX:g})",
     )
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every case to DIR")
     parser.add_argument(
-        "--growth", action="store_true", help="also print how the time grows from the smallest rooms to the largest"
+        "--growth", action="store_true", help="also print the time per image of the largest rooms relative to the smallest"
     )
     parser.add_argument(
         "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"
@@ -84,7 +84,7 @@ def run_render(args: argparse.Namespace) -> int:
     from gibson_sim_bench.render import measure
     from gibson_sim_bench.reports.render import report_text
 
-    report = measure(plan, tell=tell)
+    report = measure(plan, progress=tell)
     print(report_text(report, markdown=args.markdown, show_growth=args.growth))
     write_json(args.json, report.as_json())
     return 0
@@ -107,7 +107,7 @@ def plan_of(args: argparse.Namespace) -> Any:
         frames=args.frames,
         detail_px=tuple(_number("--detail-px", text) for text in _words([args.detail_px])),
         device=parse_device(args.device),
-        pictures=args.pictures,
+        images=args.pictures,
     )
 
 

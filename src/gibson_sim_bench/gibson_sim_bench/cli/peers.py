@@ -1,4 +1,4 @@
-"""``gibson-sim bench peers``: Gibson Sim and other renderers in turns, on the same mesh and along the same camera path."""
+"""``gibson-sim bench peers``: Gibson Sim and third-party renderers, interleaved, on the same mesh and along the same camera path."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "peers",
-        help="Gibson Sim, and MuJoCo, pyrender, PyBullet and iGibson where installed, in turns",
-        description="Each peer is optional; missing ones are reported: pip install mujoco pyrender pybullet, in any Python.",
+        help="images per second of Gibson Sim, MuJoCo, pyrender, PyBullet and iGibson, where installed, interleaved",
+        description="Each third-party renderer is optional; missing ones are reported: pip install mujoco pyrender pybullet, in any Python.",
     )
     parser.add_argument(
         "--house",
@@ -29,13 +29,13 @@ def add_parser(kinds: Any) -> None:
         action="append",
         default=[],
         metavar="PATH",
-        help="interpreter with peers installed; may be repeated (default: this one)",
+        help="interpreter with third-party renderers installed; may be repeated (default: this one)",
     )
     parser.add_argument(
         "--sizes", default="256x256,640x480", metavar="WxH", help="image sizes, pixels (default: 256x256,640x480)"
     )
     parser.add_argument("--frames", type=int, default=36, help="images of each case (default: 36)")
-    parser.add_argument("--quick", action="store_true", help="12 images of each case, one house")
+    parser.add_argument("--quick", action="store_true", help="12 images of each case, one scene")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every renderer to DIR")
     add_report_options(parser)
     parser.set_defaults(run=run)
@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim_bench.render import ABSENT, measure
     from gibson_sim_bench.reports.render import report_text
 
-    report = measure(plan_of(args), tell=tell)
+    report = measure(plan_of(args), progress=tell)
     print(report_text(report, markdown=args.markdown))
-    print("".join(f"\nNot here: {name}: {why}." for name, why in ABSENT))
+    print("".join(f"\nNot measured: {name}: {why}." for name, why in ABSENT))
     write_json(args.json, {**report.as_json(), "kind": "peers", "absent": dict(ABSENT)})
     return 0
 
@@ -70,5 +70,5 @@ def plan_of(args: argparse.Namespace) -> Any:
         frames=12 if args.quick else max(1, args.frames),
         peers=True,
         peer_pythons=tuple(args.peer_python) or ("",),
-        pictures=args.pictures,
+        images=args.pictures,
     )

@@ -1,4 +1,4 @@
-"""``gibson-sim bench web``: how late the images of the live page are, from the tick to the pixels of a real browser, and how many there are."""
+"""``gibson-sim bench web``: rate of the live page's images, and their latency from the tick to the pixels of a real browser."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ _SAMPLER = """(seconds) => new Promise((done) => {
   };
   look();
 })"""
-"""Notes, in each frame of the browser, when another image is on the page: wall time and stamp, seconds."""
+"""Samples, in each animation frame of the browser, whether the page shows a new image: wall time and stamp, seconds."""
 _SETTLE_S = 3.0
+"""Wall time before the measurement, seconds."""
 
 
 def add_parser(kinds: Any) -> None:
@@ -34,7 +35,7 @@ def add_parser(kinds: Any) -> None:
     parser = kinds.add_parser(
         "web",
         help="latency and rate of the live page's images in a real browser (needs Chromium and playwright)",
-        description="Runs a simulation with its page, opens it in Chromium without a window, and drives.",
+        description="Runs a simulation with its page, opens the page in headless Chromium, and drives.",
     )
     parser.add_argument("--scene", default="linden_flat", help="scene (default: linden_flat)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="wall time to measure (default: 20)")
@@ -44,7 +45,7 @@ def add_parser(kinds: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints what was measured, and writes the JSON file if one is named."""
+    """Prints the measurements, and writes the JSON file if one is named."""
     from gibson_sim_bench import timing
 
     if args.seconds <= 0:
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[str, Any]:
-    """Returns what a page in Chromium shows of a running simulation whose robot it drives.
+    """Measures the live page of a running simulation in Chromium, while the page drives the robot.
 
     Args:
         scene: name or path.
@@ -89,14 +90,14 @@ def measure(scene: str, seconds: float, domain_id: int | None = None) -> dict[st
         marks = clock.result()
     if len(images) < 2:
         raise BenchError(f"the page showed {len(images)} images in {seconds:g} s")
-    late = sorted(1000.0 * (wall - stamp - marks["offset_s"]) for wall, stamp in images)
+    latencies = sorted(1000.0 * (wall - stamp - marks["offset_s"]) for wall, stamp in images)
     passed = images[-1][0] - images[0][0]
     return {
         "scene": scene,
         "images": len(images),
         "seconds": passed,
         "images_per_s": (len(images) - 1) / passed,
-        "latency_ms": {"median": late[len(late) // 2], "p95": late[int(0.95 * len(late))]},
+        "latency_ms": {"median": latencies[len(latencies) // 2], "p95": latencies[int(0.95 * len(latencies))]},
         "real_time_factor": (images[-1][1] - images[0][1]) / passed,
     }
 

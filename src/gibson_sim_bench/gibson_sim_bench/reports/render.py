@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gibson_sim_bench.render import RenderReport, against_peers, growth
+from gibson_sim_bench.render import RenderReport, growth, peer_ratios
 
 _SHORT = {"rgb": "rgb", "depth": "depth", "semantic": "sem", "instance": "inst", "normal": "normal"}
 
@@ -17,7 +17,7 @@ def outputs_text(outputs: Sequence[str]) -> str:
 def report_text(report: RenderReport, *, markdown: bool = False, show_growth: bool = False) -> str:
     """Returns the whole report."""
     parts = ["\n".join(_header(report, markdown))]
-    head = ("scene", "triangles", "size", "contestant", "outputs", "fps", "p5", "p95", "drawn")
+    head = ("scene", "triangles", "size", "renderer", "outputs", "fps", "p5", "p95", "drawn triangles")
     body = [
         (
             *(r.scene, f"{r.triangles:,}", r.size, r.contestant, outputs_text(r.outputs)),
@@ -26,25 +26,25 @@ def report_text(report: RenderReport, *, markdown: bool = False, show_growth: bo
         for r in report.rows
     ]
     parts.append(table(head, body, markdown, left=(0, 3, 4)))
-    ratios = against_peers(report.rows)
+    ratios = peer_ratios(report.rows)
     if ratios:
         lines = [(a.scene, f"{a.width}x{a.height}", a.contestant, a.peer, f"{a.ratio:.2f}") for a in ratios]
-        parts.append("Our five outputs against RGB + depth of the best peer, times as fast:")
-        parts.append(table(("scene", "size", "ours", "best peer", "times"), lines, markdown, left=(0, 2, 3)))
+        parts.append("Speed of Gibson Sim with five outputs relative to the fastest third-party renderer with RGB and depth:")
+        parts.append(table(("scene", "size", "Gibson Sim", "fastest third party", "ratio"), lines, markdown, left=(0, 2, 3)))
     grown = growth(report.rows) if show_growth else []
     if grown:
         smallest = min((r for r in report.rows if r.scene.startswith("rooms:")), key=lambda r: r.triangles)
-        title = f"Time of an image in {grown[0][0].scene} against {smallest.scene}, times as long:"
-        grown_lines = [(row.size, row.contestant, outputs_text(row.outputs), f"{times:.2f}") for row, times in grown]
+        title = f"Time per image in {grown[0][0].scene} relative to {smallest.scene}:"
+        grown_lines = [(row.size, row.contestant, outputs_text(row.outputs), f"{ratio:.2f}") for row, ratio in grown]
         parts.append(title)
-        parts.append(table(("size", "contestant", "outputs", "times"), grown_lines, markdown, left=(1, 2)))
+        parts.append(table(("size", "renderer", "outputs", "ratio"), grown_lines, markdown, left=(1, 2)))
     return "\n\n".join(parts)
 
 
 def _header(report: RenderReport, markdown: bool) -> list[str]:
     lines = [
         f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
-        f"{report.frames} images each, vertical field of view {report.fov_y_deg:g} degrees. fps = 1 / median time of an image.",
+        f"{report.frames} images each, vertical field of view {report.fov_y_deg:g} degrees. fps = 1 / median time per image.",
     ]
     for name, info in report.contestants.items():
         lines.append(f"{name}: {', '.join(f'{key} {value}' for key, value in info.items())}")
@@ -53,7 +53,7 @@ def _header(report: RenderReport, markdown: bool) -> list[str]:
 
 
 def table(head: Sequence[str], body: Sequence[Sequence[str]], markdown: bool, left: Sequence[int] = (0,)) -> str:
-    """Returns a table; columns with an index in ``left`` are left-aligned, others right-aligned."""
+    """Returns a table; columns with an index in ``left`` are left-aligned, all others right-aligned."""
     if markdown:
         rule = ["---" if k in left else "---:" for k in range(len(head))]
         return "\n".join("| " + " | ".join(row) + " |" for row in (head, rule, *body))

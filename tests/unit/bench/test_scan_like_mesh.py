@@ -1,4 +1,4 @@
-"""Scans made of scenes: the requested number of triangles, no cracks, one texture."""
+"""Scan-like meshes: the requested number of triangles, no cracks, one texture."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from gibson_sim.formats.load_mesh import load_mesh, primitive_mesh
 from gibson_sim.formats.mesh import MeshPart, area_normals
 from gibson_sim.render.culling.closed_surfaces import find_closed_surfaces
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_bench.measured.houses import divided, make_scan, opened
 from gibson_sim_bench.memory import drift, growth
+from gibson_sim_bench.scenes.scan_like_mesh import make_scan_like_mesh, subdivided, without_closed_surfaces
 
 CORNERS = np.array([[0.0, 0, 0], [4, 0, 0], [4, 1, 0], [0, 1, 0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -26,16 +26,16 @@ def _area(vertices: np.ndarray, triangles: np.ndarray) -> float:
     return float(np.cross(b - a, c - a)[:, 2].sum() / 2)
 
 
-def test_divided_surfaces_keep_their_area_their_side_and_their_texture() -> None:
-    vertices, uvs, triangles = divided(CORNERS, CORNERS[:, :2] / 4, TRIANGLES, 500)
+def test_subdivided_surfaces_keep_their_area_their_side_and_their_texture() -> None:
+    vertices, uvs, triangles = subdivided(CORNERS, CORNERS[:, :2] / 4, TRIANGLES, 500)
     assert len(triangles) >= 500
     assert _area(vertices, triangles) == pytest.approx(4.0)
     np.testing.assert_allclose(uvs, vertices[:, :2] / 4, atol=1e-12)
 
 
-def test_divided_surfaces_have_no_cracks_where_corners_are_stored_twice() -> None:
+def test_subdivided_surfaces_have_no_cracks_where_corners_are_stored_twice() -> None:
     split = CORNERS[[0, 1, 2, 0, 2, 3]]
-    vertices, _, triangles = divided(split, split[:, :2], np.arange(6).reshape(2, 3), 300)
+    vertices, _, triangles = subdivided(split, split[:, :2], np.arange(6).reshape(2, 3), 300)
     where = np.unique(np.rint(vertices * 1e6), axis=0, return_inverse=True)[1].reshape(-1)[triangles]
     edges = np.sort(where[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, uses = np.unique(edges, axis=0, return_counts=True)
@@ -44,8 +44,8 @@ def test_divided_surfaces_have_no_cracks_where_corners_are_stored_twice() -> Non
     assert set(uses[~rim].tolist()) == {2}
 
 
-def test_enough_triangles_stay_as_they_are() -> None:
-    assert divided(CORNERS, CORNERS[:, :2], TRIANGLES, 2)[2] is TRIANGLES
+def test_enough_triangles_stay_unchanged() -> None:
+    assert subdivided(CORNERS, CORNERS[:, :2], TRIANGLES, 2)[2] is TRIANGLES
 
 
 def _scene(folder: Path, uv: float) -> Path:
@@ -62,7 +62,7 @@ def _scene(folder: Path, uv: float) -> Path:
 def test_a_scan_is_one_uneven_mesh_with_one_texture_that_shows_what_was_there(tmp_path: Path) -> None:
     (tmp_path / "from").mkdir()
     (tmp_path / "to").mkdir()
-    made = make_scan(load_scene(_scene(tmp_path / "from", 1.0)), 400, tmp_path / "to")
+    made = make_scan_like_mesh(load_scene(_scene(tmp_path / "from", 1.0)), 400, tmp_path / "to")
     scan = load_scene(tmp_path / "to")
     (part,) = load_mesh(Path(scan.visuals[0].shape.mesh), [tmp_path / "to"]).parts
     assert len(scan.visuals) == 1
@@ -78,7 +78,7 @@ def test_a_scan_is_one_uneven_mesh_with_one_texture_that_shows_what_was_there(tm
 
 def test_a_repeated_texture_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="repeated"):
-        make_scan(load_scene(_scene(tmp_path, 3.0)), 400, tmp_path)
+        make_scan_like_mesh(load_scene(_scene(tmp_path, 3.0)), 400, tmp_path)
 
 
 def test_growth_and_drift_compare_the_last_third_with_the_first_after_the_warm_up() -> None:
@@ -94,7 +94,7 @@ def test_nothing_in_a_scan_is_closed() -> None:
         np.vstack([vertices, CORNERS - 3.0]),
         np.vstack([triangles, TRIANGLES + len(vertices)]),
     )  # a floor is open
-    left = opened(vertices, triangles)
+    left = without_closed_surfaces(vertices, triangles)
     assert len(left) == len(triangles) - 2
     gone = vertices[np.array([t for t in triangles.tolist() if t not in left.tolist()])]
     assert sorted(gone[:, :, 2].mean(axis=1).tolist()) == pytest.approx([-0.2, 1.7], abs=0.01)

@@ -1,4 +1,4 @@
-"""Makes scans of shipped scenes for measuring renderers: one uneven mesh with one texture and a given number of triangles."""
+"""Converts shipped scenes to scan-like meshes for measuring renderers: one uneven open mesh, one texture atlas, a given triangle count."""
 
 from __future__ import annotations
 
@@ -30,44 +30,44 @@ I64 = NDArray[np.int64]
 TILE = 2048
 """Width and height of each texture in the atlas, pixels."""
 _STRIP, _SWATCH = 64, 16
-"""Height of the strip of plain colours below the textures, and width and height of a colour, pixels."""
-_WAVES = ((0.35, 0.004), (0.07, 0.0015))
-"""Unevenness: wavelength and amplitude of each wave, metres."""
+"""Height of the strip of untextured colours below the textures, and side of the square of a colour, pixels."""
+_NOISE = ((0.35, 0.004), (0.07, 0.0015))
+"""Surface noise: wavelength and amplitude of each octave, metres."""
 _WELD = 1e5
-"""Inverse of the distance below which corners are merged, 1/m."""
+"""Inverse of the distance below which vertices are welded, 1/m."""
 
 
-def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
-    """Writes scene.yaml, mesh.glb and atlas.jpg of a scene's static visuals; returns the number of triangles.
+def make_scan_like_mesh(scene: SceneSpec, triangles: int, folder: Path) -> int:
+    """Writes scene.yaml, mesh.glb and atlas.jpg with a scene's static visuals; returns the number of triangles.
 
     Args:
-        scene: the scene; all materials are drawn opaque, and textures must not repeat.
-        triangles: least number of triangles; surfaces are subdivided to reach it.
+        scene: the scene; all materials become opaque, and textures must not repeat.
+        triangles: minimum number of triangles; surfaces are subdivided to reach it.
         folder: an existing folder.
 
     Raises:
-        SceneError: it has no meshes, or a texture is repeated across a surface.
+        SceneError: it has no static visuals, or a texture is repeated across a surface.
     """
-    vertices, uvs, corners, atlas = _merged(scene)
-    vertices, uvs, corners = divided(vertices, uvs, corners, triangles)
-    vertices = vertices + np.stack([_unevenness(vertices, axis) for axis in range(3)], axis=1)
-    corners = opened(vertices, corners)
+    vertices, uvs, faces, atlas = _merged_visuals(scene)
+    vertices, uvs, faces = subdivided(vertices, uvs, faces, triangles)
+    vertices = vertices + np.stack([_surface_noise(vertices, axis) for axis in range(3)], axis=1)
+    faces = without_closed_surfaces(vertices, faces)
     write_picture(folder / "atlas.jpg", cv2.cvtColor(atlas, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, 92))
-    solid = MeshBuilder()
-    solid.add(MeshMaterial("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, corners), uvs, corners)
-    write_glb(folder / "mesh.glb", solid)
-    described = {
+    mesh = MeshBuilder()
+    mesh.add(MeshMaterial("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, faces), uvs, faces)
+    write_glb(folder / "mesh.glb", mesh)
+    spec = {
         "name": f"scan_{scene.name}",
-        "description": f"{scene.name} as a scan would give it, {len(corners)} triangles, for measurements",
+        "description": f"scan-like mesh of {scene.name}, {len(faces)} triangles, for measurements",
         "floor_z": scene.floor_z,
         "floors": list(scene.floors),
         "objects": [{"name": "scan", "mesh": "mesh.glb", "semantic_class": "building"}],
     }
-    write_file(folder / "scene.yaml", yaml.safe_dump(described, sort_keys=False))
-    return len(corners)
+    write_file(folder / "scene.yaml", yaml.safe_dump(spec, sort_keys=False))
+    return len(faces)
 
 
-def _merged(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]:
+def _merged_visuals(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]:
     """Returns vertices (V, 3), uvs (V, 2), triangles (F, 3) and the atlas (H, W, 3) RGB of all static visuals."""
     loader = MeshLoader(scene_roots(scene))
     found: list[tuple[F64, MeshPart]] = []
@@ -75,18 +75,18 @@ def _merged(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]:
         T = matrix_from_pose(visual.pose)
         found += [(T, part) for part in loader.shape(visual.shape).parts]
     if not found:
-        raise SceneError(f"{scene.name}: has no standing shapes, so there is nothing to make a scan of")
+        raise SceneError(f"{scene.name}: has no static visuals, from which a scan-like mesh could be made")
     textures = list({id(p.material.texture): p.material.texture for _, p in found if p.material.texture is not None}.values())
-    places = _Atlas(textures, sorted({p.material.base_color[:3] for _, p in found if p.material.texture is None}))
+    atlas = _Atlas(textures, sorted({p.material.base_color[:3] for _, p in found if p.material.texture is None}))
     vertices = [part.vertices @ T[:3, :3].T + T[:3, 3] for T, part in found]
-    starts = np.cumsum([0, *(len(v) for v in vertices)])
-    corners = [part.triangles.astype(np.int64) + start for (_, part), start in zip(found, starts, strict=False)]
-    uvs = [places.uvs(scene.name, part) for _, part in found]
-    return np.concatenate(vertices), np.concatenate(uvs), np.concatenate(corners), places.pixels
+    first_vertex = np.cumsum([0, *(len(v) for v in vertices)])
+    faces = [part.triangles.astype(np.int64) + first for (_, part), first in zip(found, first_vertex, strict=False)]
+    uvs = [atlas.uvs(scene.name, part) for _, part in found]
+    return np.concatenate(vertices), np.concatenate(uvs), np.concatenate(faces), atlas.pixels
 
 
 class _Atlas:
-    """Textures side by side in squares, with plain colours in a strip below."""
+    """A texture atlas: textures side by side in squares, untextured colours in a strip below."""
 
     def __init__(self, textures: list[TextureSource], colors: list[tuple[float, ...]]) -> None:
         self._columns = max(1, math.ceil(math.sqrt(len(textures))))
@@ -112,35 +112,37 @@ class _Atlas:
             middle = np.array([column + _SWATCH / 2, row + _SWATCH / 2]) / (width, height)
             return np.tile(middle, (len(part.vertices), 1))
         if part.uvs.min() < -0.01 or part.uvs.max() > 1.01:
-            raise SceneError(f"{name}: a texture is repeated across a surface; scans are made of scenes whose textures are not")
+            raise SceneError(
+                f"{name}: a texture is repeated across a surface; scan-like meshes are made from scenes whose textures do not repeat"
+            )
         row, column = self._cell[id(part.material.texture)]
         placed: F64 = (np.clip(part.uvs.astype(np.float64), 0.0, 1.0) + np.array([column, row])) * TILE / (width, height)
         return placed
 
 
-def divided(vertices: F64, uvs: F64, triangles: I64, least: int) -> tuple[F64, F64, I64]:
-    """Returns vertices (V, 3), uvs (V, 2) and at least ``least`` triangles (F, 3) of the same surface, without cracks.
+def subdivided(vertices: F64, uvs: F64, triangles: I64, min_triangles: int) -> tuple[F64, F64, I64]:
+    """Returns vertices (V, 3), uvs (V, 2) and at least ``min_triangles`` triangles (F, 3) of the same surface, without cracks.
 
     All edges longer than a limit are repeatedly bisected, in both adjacent triangles; the limit shrinks until there are enough triangles.
     """
-    if len(triangles) >= least:
+    if len(triangles) >= min_triangles:
         return vertices, uvs, triangles
     area = float(np.linalg.norm(_normals(vertices, triangles), axis=1).sum()) / 2.0
-    limit = 10.0 * math.sqrt(area / least)
+    limit = 10.0 * math.sqrt(area / min_triangles)
     while True:
-        made = _cut(vertices, uvs, triangles, limit)
-        if len(made[2]) >= least:
-            return made
-        limit *= max(0.75, 0.97 * math.sqrt(len(made[2]) / least))
+        result = _bisected(vertices, uvs, triangles, limit)
+        if len(result[2]) >= min_triangles:
+            return result
+        limit *= max(0.75, 0.97 * math.sqrt(len(result[2]) / min_triangles))
 
 
-def opened(vertices: F64, triangles: I64) -> I64:
-    """Returns the triangles (F, 3) without the lowest one of each closed solid: a scanner sees no undersides, so scans have no closed solids."""
+def without_closed_surfaces(vertices: F64, triangles: I64) -> I64:
+    """Returns the triangles (F, 3) without the lowest one of each closed surface: scans, without undersides, have none."""
     normals = area_normals(vertices, triangles).astype(np.float32)
     mesh = MeshPart(vertices.astype(np.float32), normals, None, triangles.astype(np.uint32))
     closed = np.flatnonzero(find_closed_surfaces([mesh], [True]).triangles[0])
-    place = weld(mesh.vertices)
-    solid = components(place[triangles[closed]], int(place.max()) + 1)
+    welded = weld(mesh.vertices)
+    solid = components(welded[triangles[closed]], int(welded.max()) + 1)
     order = np.lexsort((vertices[triangles[closed], 2].mean(axis=1), solid))
     lowest = order[np.unique(solid[order], return_index=True)[1]]
     return np.delete(triangles, closed[lowest], axis=0)
@@ -151,11 +153,12 @@ def _normals(vertices: F64, triangles: I64) -> F64:
     return np.cross(b - a, c - a)
 
 
-def _cut(vertices: F64, uvs: F64, triangles: I64, limit: float) -> tuple[F64, F64, I64]:
+def _bisected(vertices: F64, uvs: F64, triangles: I64, limit: float) -> tuple[F64, F64, I64]:
+    """Returns vertices, uvs and triangles in which all edges longer than ``limit``, metres, are bisected."""
     rows = np.hstack([vertices, uvs])
     while True:
         ends = triangles[:, [[0, 1], [1, 2], [2, 0]]]  # (F, 3, 2)
-        # Rounded, so that both sides of an edge are cut alike although their corners are stored twice.
+        # Rounded, so that both sides of an edge are bisected alike although their vertices are stored twice.
         at = np.rint(rows[:, :3] * _WELD)
         length = np.linalg.norm(at[ends[:, :, 0]] - at[ends[:, :, 1]], axis=2) / _WELD
         long = length > limit
@@ -166,14 +169,14 @@ def _cut(vertices: F64, uvs: F64, triangles: I64, limit: float) -> tuple[F64, F6
         middle = np.full(long.shape, -1, dtype=np.int64)
         middle[long] = len(rows) + number
         rows = np.vstack([rows, (rows[unique // len(rows)] + rows[unique % len(rows)]) / 2.0])
-        triangles = _pieces(triangles, middle)
+        triangles = _split(triangles, middle)
 
 
-def _pieces(triangles: I64, middle: I64) -> I64:
-    """Returns the pieces of triangles (F, 3); ``middle`` (F, 3) is the new vertex on each edge, -1 = none."""
-    cuts = (middle >= 0).sum(axis=1)
-    # Rotated so that the first edge is cut and, if two are cut, the last one is not.
-    turn = np.where(cuts == 2, np.argmax(middle < 0, axis=1) + 1, np.argmax(middle >= 0, axis=1)) % 3
+def _split(triangles: I64, middle: I64) -> I64:
+    """Returns triangles (F, 3) split at the new vertices on their edges, ``middle`` (F, 3), -1 = none."""
+    splits = (middle >= 0).sum(axis=1)
+    # Rotated so that the first edge is split and, if two are split, the last one is not.
+    turn = np.where(splits == 2, np.argmax(middle < 0, axis=1) + 1, np.argmax(middle >= 0, axis=1)) % 3
     order = (turn[:, None] + np.arange(3)) % 3
     t, m = np.take_along_axis(triangles, order, axis=1), np.take_along_axis(middle, order, axis=1)
     (a, b, c), (ab, bc, ca) = t.T, m.T
@@ -183,13 +186,13 @@ def _pieces(triangles: I64, middle: I64) -> I64:
         2: ((a, ab, c), (ab, bc, c), (ab, b, bc)),
         3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
     }
-    found = [np.stack(corners, axis=1)[cuts == count] for count, pieces in parts.items() for corners in pieces]
+    found = [np.stack(corners, axis=1)[splits == count] for count, pieces in parts.items() for corners in pieces]
     return np.concatenate(found)
 
 
-def _unevenness(vertices: F64, axis: int) -> F64:
-    """Returns the displacement of a scan along an axis, (V,), metres: a function of position, so that no crack opens."""
+def _surface_noise(vertices: F64, axis: int) -> F64:
+    """Returns the displacement along an axis, (V,), metres: a function of position, so that no crack opens."""
     off: F64 = sum(
-        (height * wobble(vertices, 10 * axis + k, length) for k, (length, height) in enumerate(_WAVES)), start=np.zeros(1)
+        (height * wobble(vertices, 10 * axis + k, length) for k, (length, height) in enumerate(_NOISE)), start=np.zeros(1)
     )
     return off

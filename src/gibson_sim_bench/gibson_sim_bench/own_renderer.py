@@ -1,4 +1,4 @@
-"""Gibson Sim as a contestant of the renderer benchmark: ``python -m gibson_sim_bench.ours`` receives commands over a pipe."""
+"""Gibson Sim's renderer in the renderer benchmark: ``python -m gibson_sim_bench.own_renderer`` receives commands over a pipe."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gibson_sim_bench.workers import Matrix, serve
 
 NEAR, FAR = 0.05, 100.0
 STILL = SceneState.still()
-"""State of a scene in which nothing moves."""
+"""Scene state without bodies that move."""
 
 
 class GibsonSim:
@@ -29,7 +29,7 @@ class GibsonSim:
 
     Args:
         scene: folder or file of the scene.
-        detail_px: as ``Renderer`` takes it.
+        detail_px: tolerance of the level-of-detail selection, pixels.
         device: EGL device; None = a GPU if there is one.
     """
 
@@ -49,16 +49,16 @@ class GibsonSim:
         known = cast("tuple[Output, ...]", outputs)
         self._camera = CameraSpec("eye", "", Pose(), width, height, fov_y, near=NEAR, far=FAR, outputs=known)
 
-    def draw(self, pose: Matrix) -> Frame:
-        """Draws one image with all its outputs."""
+    def render(self, pose: Matrix) -> Frame:
+        """Renders one image with all its outputs."""
         c = self._camera
         camera = CameraSpec(c.name, c.link, pose_of(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs)
         return self._renderer.render(STILL, [camera])[0]
 
-    def picture(self, drawn: Frame) -> tuple[bytes, int, int]:
-        """Returns RGB bytes, height and width."""
-        assert drawn.rgb is not None
-        return drawn.rgb.tobytes(), drawn.camera.height, drawn.camera.width
+    def rgb_image(self, rendered: Frame) -> tuple[bytes, int, int]:
+        """Returns RGB bytes, height and width, pixels."""
+        assert rendered.rgb is not None
+        return rendered.rgb.tobytes(), rendered.camera.height, rendered.camera.width
 
     def triangles(self) -> int:
         """Returns the number of triangles drawn for the last image."""
@@ -66,7 +66,7 @@ class GibsonSim:
 
 
 def pose_of(matrix: Sequence[float]) -> Pose:
-    """Returns the pose of a 4x4 matrix given as 16 numbers by rows."""
+    """Returns the pose of a homogeneous 4x4 matrix, given as 16 numbers in row-major order."""
     T = np.array(matrix, dtype=np.float64).reshape(4, 4)
     assert math.isclose(T[3, 3], 1.0)
     return Pose((float(T[0, 3]), float(T[1, 3]), float(T[2, 3])), quat_from_matrix(T[:3, :3]))

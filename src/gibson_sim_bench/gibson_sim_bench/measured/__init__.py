@@ -1,1 +1,0 @@
-"""Scenes and meshes that are measured."""

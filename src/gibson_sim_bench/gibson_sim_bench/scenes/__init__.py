@@ -1,0 +1,1 @@
+"""Scenes of the benchmarks, and their meshes."""
