@@ -104,30 +104,30 @@ def write_card(
     lines = [
         "# Card of the path-following network",
         "",
-        "- **What for**: following a path that was recorded as images, with a pinhole camera about 0.46 m above the floor, indoors. "
-        "Perception alone; geometry drives.",
-        "- **Not for**: people's safety. Free distances are estimates of a small network: a robot needs a bumper or a scanner of its own.",
-        f"- **Size**: {weights[0]} weights tell poses, {weights[1]} free distances; float32.",
+        "- **Intended use**: following a path recorded as images, indoors, with a pinhole camera about 0.46 m above the floor. "
+        "The network only perceives; planning is geometric.",
+        "- **Not intended for**: safety functions. Free distances are estimates of a small network: a robot needs a bumper or a safety scanner.",
+        f"- **Size**: {weights[0]} weights for relative poses, {weights[1]} for free distances; float32.",
         f"- **Trained in**: {', '.join(TRAINING)}, domain `trained`. **Validated in**: {', '.join(VALIDATION)}. "
-        f"**Never seen**: {', '.join(HELD_OUT)}.",
-        f"- **Data**: {', '.join(f'{number} {name}' for name, number in data.items())}; drawn by Gibson Sim, no photograph of the world.",
+        f"**Held out**: {', '.join(HELD_OUT)}.",
+        f"- **Data**: {', '.join(f'{number} {name}' for name, number in data.items())}; rendered by Gibson Sim, no photographs.",
         f"- **Command**: `gibson-sim learn path-following --seed {settings.seed}`",
-        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; of the free "
-        f"distances {free.iteration}, {free.processor_s / 60.0:.0f} minutes.",
+        f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; free "
+        f"distances: {free.iteration}, {free.processor_s / 60.0:.0f} minutes.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
         "- **Licence**: Apache-2.0, as Gibson Sim.",
         "",
         "| error on the validation scenes | |",
         "|---|---|",
-        f"| ahead, median | {point.ahead:.3f} m |",
-        f"| beside, median | {point.beside:.3f} m |",
+        f"| longitudinal error, median | {point.ahead:.3f} m |",
+        f"| lateral error, median | {point.beside:.3f} m |",
         f"| lateral offset, predicted by true; deviation after division by that | {offsets.ratio:.2f}; {offsets.deviation:.2f} m |",
-        f"| heading, median | {point.yaw_deg:.1f} degrees |",
-        f"| one place or not, right | {100.0 * point.match:.1f} % |",
-        f"| free distance, median | {free.free:.3f} m |",
+        f"| heading error, median | {point.yaw_deg:.1f} degrees |",
+        f"| same place or not, accuracy | {100.0 * point.match:.1f} % |",
+        f"| free distance error, median | {free.free:.3f} m |",
         f"| obstacle within 1 m, predicted distance at least 1.3 times the true one | {100.0 * free.too_far:.1f} % of the bearings |",
         f"| free for 1 m, predicted distance below {1.0 / 1.3:.2f} m | {100.0 * free.too_near:.1f} % of the bearings |",
-        f"| the same two in images of obstacles from close by | {100.0 * free.obstacles_too_far:.1f} % and "
+        f"| the same two in close-up images of obstacles | {100.0 * free.obstacles_too_far:.1f} % and "
         f"{100.0 * free.obstacles_too_near:.1f} % |",
         "",
         *results,
