@@ -38,7 +38,7 @@ def export_network(network: FillerNetwork, file: Path, settings: TrainingSetting
 
     Args:
         network: the network.
-        file: where.
+        file: Markdown file.
         settings: of the training.
         data: hash of the pairs.
         iteration: until which it was trained.
@@ -83,23 +83,23 @@ def write_card(
     """Writes the card of a network, Markdown.
 
     Args:
-        file: where.
-        settings: of the training.
-        training: the training, with a point of its curve.
-        pairs: number of pairs that it was trained on.
-        results: further lines on what it reaches.
+        file: Markdown file.
+        settings: settings of the training.
+        training: the training; its curve has at least one point.
+        pairs: number of training pairs.
+        results: further lines, such as results on held-out scenes.
     """
     point, best = training.curve[-1], training.best_point
     lines = [
         "# Card of the filler",
         "",
-        "- **What for**: closing the holes of indoor scans in images that the simulator draws, and mending their blur.",
-        "- **Not for**: measuring, or finding things: what is in a hole is invented.",
+        "- **Intended use**: filling holes and reducing artefacts in images of indoor scans that the simulator renders.",
+        "- **Not intended for**: measuring or detecting objects: the content of a hole is invented.",
         f"- **Size**: {parameter_count(training.best)} weights, float32; {multiplications(training.best, 256) / 1e9:.2f} billion multiplications for "
         "256x256 pixels.",
-        f"- **Trained in**: {', '.join(TRAINING)}. **Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
-        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{training.data}`; drawn by Gibson Sim, "
-        "no photograph of the world.",
+        f"- **Trained in**: {', '.join(TRAINING)}. **Validated in**: {', '.join(VALIDATION)}. **Held out**: {', '.join(HELD_OUT)}.",
+        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{training.data}`; rendered by Gibson Sim, "
+        "no photographs.",
         f"- **Command**: `gibson-sim learn filler pairs`, `{command_of(settings)}`",
         f"- **Training**: {point.iteration} of {settings.iterations} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; "
         f"the weights are those of iteration {best.iteration}, the best on the validation scenes.",
