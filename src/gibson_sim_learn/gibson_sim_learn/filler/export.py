@@ -98,8 +98,8 @@ def write_card(
         f"- **Size**: {parameter_count(training.best)} weights, float32; {multiplications(training.best, 256) / 1e9:.2f} billion multiplications for "
         "256x256 pixels.",
         f"- **Trained in**: {', '.join(TRAINING)}. **Validated in**: {', '.join(VALIDATION)}. **Held out**: {', '.join(HELD_OUT)}.",
-        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{training.data}`; rendered by Gibson Sim, "
-        "no photographs.",
+        f"- **Data**: {pairs} pairs of 256x256 pixels from simulated scans (preset `kinect`, textured), hash `{training.data}`; "
+        "rendered by Gibson Sim, no photographs.",
         f"- **Command**: `gibson-sim learn filler pairs`, `{command_of(settings)}`",
         f"- **Training**: {point.iteration} of {settings.iterations} iterations, {point.processor_s / 60.0:.0f} minutes of processor time; "
         f"the weights are those of iteration {best.iteration}, the best on the validation scenes.",
