@@ -12,21 +12,21 @@ from support.simulation import require
 require("rclpy", "gibson_msgs")
 
 from gibson_sim.cli.environment import node_environment  # noqa: E402
-from gibson_sim_bench.cli.table1 import _exchanged, _free, _lockstep  # noqa: E402
+from gibson_sim_bench.cli.table1 import _free, _lockstep, _message_ms  # noqa: E402
 from gibson_sim_bench.protocol import Table1Plan, write_robot  # noqa: E402
-from gibson_sim_bench.reports.paper import MODES, TOGETHER  # noqa: E402
+from gibson_sim_bench.reports.paper import MODE_GROUPS, MODES  # noqa: E402
 from gibson_sim_bench.rows import DDS, FREE, HOST, IN_PROCESS, OPENGL, Table1Row  # noqa: E402
 
 pytestmark = pytest.mark.ros
-EXCHANGED = {mode.name: {"convert": 0.1, "encode": 0.1, "publish": 0.1, "transport": 0.1} for mode in MODES}
-ALONE = {
+MESSAGE_MS = {mode.name: {"convert": 0.1, "encode": 0.1, "publish": 0.1, "transport": 0.1} for mode in MODES}
+IN_PROCESS_ROWS = {
     (mode.name, 24): Table1Row(IN_PROCESS, HOST, mode.name, "arena", 10, 256, 256, 24, 9.0, 9.0, 9.0, 3, {}, {OPENGL: 1.0})
     for mode in MODES
 }
 
 
 def test_messages_alone_are_timed_for_every_row(ros_domain: int) -> None:
-    found = _exchanged(node_environment())
+    found = _message_ms(node_environment())
     assert set(found) == {mode.name for mode in MODES}
     assert all(ms > 0.0 for row in found.values() for ms in row.values())
 
@@ -53,6 +53,8 @@ def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain
 
 def test_a_free_simulation_gives_all_its_rows(ros_domain: int, tmp_path: Path) -> None:
     plan = Table1Plan(scene="arena", seconds=0.3)
-    rows = list(_free(plan, node_environment(), write_robot(tmp_path, (256, 256)), 24, TOGETHER[0], ALONE, EXCHANGED))
+    rows = list(
+        _free(plan, node_environment(), write_robot(tmp_path, (256, 256)), 24, MODE_GROUPS[0], IN_PROCESS_ROWS, MESSAGE_MS)
+    )
     assert [row.mode for row in rows] == [mode.name for mode in MODES if not mode.outputs]
     assert all(row.way == FREE and row.fps > 0.0 and DDS not in row.bounds for row in rows)

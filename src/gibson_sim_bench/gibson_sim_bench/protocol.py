@@ -1,4 +1,4 @@
-"""Protocol of the paper's table: robot, time step, commands, amount of measurements. Imports neither ROS, physics nor OpenGL."""
+"""Protocol of the paper's table: robot, time step, commands, number of measurements. Imports neither ROS, physics nor OpenGL."""
 
 from __future__ import annotations
 
@@ -18,38 +18,40 @@ SUBSTEPS = (24, 4, 1)
 """Physics steps per frame."""
 COMMANDS_PER_S = 10
 """Commands per second of simulation time."""
-HOUSES = ("scan:linden_flat:300k", "scan:garden_house:500k")
-"""Houses of the size of a scan; the second has two floors."""
-HOUSES_ONLY = "houses"
-WAYS = ("in process", "lockstep", "free-running", HOUSES_ONLY)
-"""Parts of the table that can be measured alone."""
+SCAN_SCENES = ("scan:linden_flat:300k", "scan:garden_house:500k")
+"""Scan-like meshes; the second has two floors."""
+RENDERING_ONLY = "houses"
+"""Name of the part that renders ``SCAN_SCENES`` without physics."""
+PARTS = ("in process", "lockstep", "free-running", RENDERING_ONLY)
+"""Parts of the table that can be measured separately, in its order."""
 FOV_Y_DEG = 90.0
+"""Vertical field of view of the camera, degrees."""
 ROBOT = "gibson_bot"
-HOUSE_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")), Mode(FILLED, ("rgb", "depth"), fill=FILL))
+RENDERING_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")), Mode(FILLED, ("rgb", "depth"), fill=FILL))
 WARM_UP = 10
-"""Least number of frames that do not count."""
+"""Minimum number of frames of the warm-up, which do not count."""
 SETTLE_S = 4.0
 """Simulation time before the first frame, seconds: by then bodies at rest sleep, in every row."""
 BLOCK = 12
-"""Frames between two measurements of the limits."""
+"""Frames of an interleaved block."""
 TICK_WARM_UP = 3
-"""Ticks at the start of each block that do not count."""
+"""Ticks at the start of each block, which do not count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table1Plan:
-    """What to measure, and how much."""
+    """Parts, scenes and number of measurements."""
 
     scene: str = "linden_flat"
-    houses: tuple[str, ...] = HOUSES
+    scan_scenes: tuple[str, ...] = SCAN_SCENES
     substeps: tuple[int, ...] = SUBSTEPS
     frames: int = 150
-    """Frames with images."""
+    """Frames of each mode with images."""
     sensor_frames: int = 1500
-    """Frames without images."""
+    """Frames of the mode without images."""
     seconds: float = 4.0
     """Wall time for each mode of the free-running simulation, seconds."""
-    ways: tuple[str, ...] = WAYS
+    parts: tuple[str, ...] = PARTS
     device: int | str | None = None
 
     @classmethod
@@ -64,13 +66,13 @@ def write_robot(folder: Path, size: tuple[int, int]) -> Path:
 
 
 def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float | None = None, lidar: bool = True) -> Path:
-    """Writes ``ROBOT`` with other images into a folder; returns its file.
+    """Writes ``ROBOT`` with another image size into a folder; returns its file.
 
     Args:
-        folder: where to write.
+        folder: folder of the file.
         size: width and height of the images, pixels.
         fov_y_deg: vertical field of view, degrees; None = unchanged.
-        lidar: whether it keeps its lidar.
+        lidar: whether the robot keeps its lidar.
     """
     home = find_robot(ROBOT)
     settings = read_yaml_file(home / "robot.yaml")
@@ -85,7 +87,7 @@ def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float
 
 
 class RandomCommands:
-    """Random velocities of a robot, (m/s, rad/s), from one seed. Their mean is 0, so the robot stays near its start in every row."""
+    """Random velocity commands, (m/s, rad/s), from seed 0. Their mean is 0, so that the robot stays near its start in every row."""
 
     def __init__(self, substeps: int) -> None:
         self._rng = np.random.default_rng(0)
@@ -94,7 +96,7 @@ class RandomCommands:
         self._command = (0.0, 0.0)
 
     def next(self) -> tuple[float, float]:
-        """Returns the velocities of the next frame."""
+        """Returns linear and angular velocity of the next frame, m/s and rad/s."""
         if self._frame % self._frames == 0:
             self._command = float(self._rng.uniform(-0.2, 0.2)), float(self._rng.uniform(-1.0, 1.0))
         self._frame += 1

@@ -1,4 +1,4 @@
-"""The rows of ``gibson-sim bench table1``: a configuration, its stages, and the limits that were measured beside it. Pure."""
+"""The rows of ``gibson-sim bench table1``: a configuration, its stages, and the limits measured with it. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gibson_sim_bench.reports.paper import FILL, HOUSE_SIZE, HOUSES, SENSOR_ONLY, mode_of
+from gibson_sim_bench.reports.paper import FILL, PAPER_SCENES, RENDERING_SIZE, SENSOR_ONLY, mode_of
 from gibson_sim_bench.ros import PerformanceTarget, without_nan
 from gibson_sim_bench.timing import Facts
 
@@ -17,7 +17,7 @@ IN_PROCESS, LOCKSTEP, FREE = "in process", "lockstep", "free-running"
 HOST, TENSOR = "host", "tensor"
 BULLET, OPENGL, COPY, DDS = "Bullet alone", "OpenGL alone", "copies alone", "DDS alone"
 ENOUGH = 0.7
-"""Fraction of the limit from which on a row needs no explanation."""
+"""Fraction of the limit at which a row needs no explanation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +25,11 @@ class Table1Row:
     """Frames per second of one configuration."""
 
     way: str
-    """``in process``, ``lockstep`` or ``free-running``."""
+    """Configuration: ``in process``, ``lockstep`` or ``free-running``."""
     to: str
-    """``host`` or ``tensor``."""
+    """Destination of the images: ``host`` or ``tensor``."""
     mode: str
-    """Name in ``paper.MODES``."""
+    """Name in ``paper.MODES``, or in ``protocol.RENDERING_MODES``."""
     scene: str
     triangles: int
     width: int
@@ -42,48 +42,48 @@ class Table1Row:
     p95: float
     frames: int
     stages: dict[str, float] = field(default_factory=dict)
-    """Median milliseconds per frame, each stage completed before the next; their sum may exceed the time of a frame."""
+    """Median milliseconds per frame by stage, each completed before the next; their sum may exceed the time of a frame."""
     bounds: dict[str, float] = field(default_factory=dict)
-    """Milliseconds per frame of each part alone, on the same machine."""
+    """Milliseconds per frame of each part measured alone, on the same machine."""
     lost: float = math.nan
-    """Fraction of ticks of which the subscriber received nothing: not drawn in time, or lost; NaN = not applicable."""
+    """Fraction of ticks without a received message: not rendered in time, or lost in transport; NaN = not applicable."""
 
     @property
     def key(self) -> str:
-        """The configuration in one line; equal in two reports for the same row."""
+        """Identifies the row in one line, equal in all reports."""
         physics = f"{self.substeps} substeps" if self.substeps else "no physics"
         return f"{self.way}, {self.to}: {self.mode}, {self.scene}, {self.width}x{self.height}, {physics}"
 
     @property
     def bound_fps(self) -> float:
-        """Frames per second if only the parts measured alone took time, one after the other; NaN = not measured."""
+        """Limit: frames per second if only the parts measured alone took time, one after the other; NaN = not measured."""
         total = sum(self.bounds.values())
         return 1e3 / total if total > 0.0 else math.nan
 
     @property
     def share(self) -> float:
-        """Fraction of ``bound_fps`` that is reached."""
+        """Fraction of ``bound_fps`` that the row reaches."""
         return self.fps / self.bound_fps
 
     @property
-    def between(self) -> dict[str, float]:
-        """Milliseconds per frame beyond the parts alone, by cause, the largest first."""
+    def overhead_ms(self) -> dict[str, float]:
+        """Milliseconds per frame beyond the parts measured alone, by cause, the largest first."""
         s, b = self.stages, self.bounds
         found = {
-            "our Python around a step": s.get("step", 0.0) - b.get(BULLET, 0.0) if BULLET in b else 0.0,
+            "Python around the step": s.get("step", 0.0) - b.get(BULLET, 0.0) if BULLET in b else 0.0,
             "reading the state": s.get("convert", 0.0),
-            "choosing what to draw": s.get("draw", 0.0) - b.get(OPENGL, 0.0),
-            "filling holes": s.get("fill", 0.0),
-            "reading back": s.get("read back", 0.0) - b.get(COPY, 0.0),
-            "making messages": s.get("encode", 0.0),
+            "level of detail, culling": s.get("draw", 0.0) - b.get(OPENGL, 0.0),
+            "hole filling": s.get("fill", 0.0),
+            "readback": s.get("read back", 0.0) - b.get(COPY, 0.0),
+            "serialization": s.get("encode", 0.0),
         }
         total = 1e3 / self.fps - sum(b.values())
-        found["waiting, and cores that are shared"] = total - sum(found.values())
+        found["waiting, CPU contention"] = total - sum(found.values())
         return dict(sorted(((n, ms) for n, ms in found.items() if ms > 0.0), key=lambda pair: -pair[1])) if s else {}
 
     @property
     def bound_by(self) -> str:
-        """The slowest part alone; empty = none was measured."""
+        """The slowest of the parts measured alone; empty = none was measured."""
         return max(self.bounds, key=lambda name: self.bounds[name], default="")
 
 
@@ -105,7 +105,7 @@ class Table1:
                 "bound_by": row.bound_by,
                 "bound_fps": row.bound_fps,
                 "share": row.share,
-                "between": row.between,
+                "between": row.overhead_ms,
                 "paper": paper_of(row),
             }
             for row in self.rows
@@ -134,14 +134,14 @@ def table_of(read: Mapping[str, Any]) -> Table1:
 
 def paper_of(row: Table1Row) -> dict[str, float | None]:
     """Returns the paper's values for a row, ``v2``, ``v1`` and ``habitat``, frames per second; None = not in the paper."""
-    none: dict[str, float | None] = {"v2": None, "v1": None, "habitat": None}
+    not_in_paper: dict[str, float | None] = {"v2": None, "v1": None, "habitat": None}
     if row.substeps:
         mode = mode_of(row.mode)
-        return {**none, "v2": mode.v2, "v1": mode.v1}
-    if (row.width, row.height) != HOUSE_SIZE or row.mode != "RGB":
-        return none
-    fastest = max(HOUSES, key=lambda house: house[1])
-    return {**none, "v2": fastest[1], "habitat": fastest[2]}
+        return {**not_in_paper, "v2": mode.v2, "v1": mode.v1}
+    if (row.width, row.height) != RENDERING_SIZE or row.mode != "RGB":
+        return not_in_paper
+    fastest = max(PAPER_SCENES, key=lambda scene: scene[1])
+    return {**not_in_paper, "v2": fastest[1], "habitat": fastest[2]}
 
 
 def row_of(times: Sequence[float], **values: Any) -> Table1Row:
@@ -151,51 +151,52 @@ def row_of(times: Sequence[float], **values: Any) -> Table1Row:
     return Table1Row(fps=middle, p5=low, p95=high, frames=len(times), **values)
 
 
-def lockstep_row(times: Sequence[float], alone: Table1Row, exchanged: Mapping[str, float]) -> Table1Row:
+def lockstep_row(times: Sequence[float], in_process: Table1Row, message_ms: Mapping[str, float]) -> Table1Row:
     """Returns the lockstep row that corresponds to a row in process.
 
     Args:
         times: seconds from tick to tick.
-        alone: the row in process.
-        exchanged: milliseconds of convert, encode, publish and transport, measured alone.
+        in_process: the corresponding row in process.
+        message_ms: milliseconds of convert, encode, publish and transport, measured alone.
     """
-    bounds = {**alone.bounds, DDS: _dds(exchanged)}
-    return row_of(times, way=LOCKSTEP, stages=_stages(alone, exchanged), bounds=bounds, **_what(alone))
+    bounds = {**in_process.bounds, DDS: _dds(message_ms)}
+    return row_of(times, way=LOCKSTEP, stages=_stages(in_process, message_ms), bounds=bounds, **_shared_fields(in_process))
 
 
-def free_row(received_ns: Sequence[int], ticks: int, alone: Table1Row, exchanged: Mapping[str, float]) -> Table1Row:
+def free_row(received_ns: Sequence[int], ticks: int, in_process: Table1Row, message_ms: Mapping[str, float]) -> Table1Row:
     """Returns the row of a free-running simulation with a subscriber; physics and rendering are separate processes.
 
     Args:
-        received_ns: times at which sets of images were complete, or odometry arrived.
-        ticks: ticks of the simulation in that time.
-        alone: the row in process.
-        exchanged: as for ``lockstep_row``.
+        received_ns: times at which sets of images became complete, or odometry arrived, nanoseconds.
+        ticks: number of ticks of the simulation in that time.
+        in_process: the corresponding row in process.
+        message_ms: as for ``lockstep_row``.
     """
     times = np.diff(np.asarray(received_ns, dtype=np.float64)) / 1e9
-    bounds = {name: ms for name, ms in alone.bounds.items() if name != BULLET or alone.mode == SENSOR_ONLY}
-    if alone.mode != SENSOR_ONLY:
-        bounds[DDS] = _dds(exchanged)
-    row = row_of(times.tolist(), way=FREE, stages=_stages(alone, exchanged), bounds=bounds, **_what(alone))
+    bounds = {name: ms for name, ms in in_process.bounds.items() if name != BULLET or in_process.mode == SENSOR_ONLY}
+    if in_process.mode != SENSOR_ONLY:
+        bounds[DDS] = _dds(message_ms)
+    row = row_of(times.tolist(), way=FREE, stages=_stages(in_process, message_ms), bounds=bounds, **_shared_fields(in_process))
     # The mean rate: messages that arrive in bursts would distort a median.
     return replace(row, fps=round(1.0 / float(times.mean()), 2), lost=max(0.0, 1.0 - len(received_ns) / max(1, ticks)))
 
 
-def _what(row: Table1Row) -> dict[str, Any]:
+def _shared_fields(row: Table1Row) -> dict[str, Any]:
+    """Returns the fields that a row over ROS has in common with its row in process."""
     names = ("to", "mode", "scene", "triangles", "width", "height", "substeps")
     return {name: getattr(row, name) for name in names}
 
 
-def _dds(exchanged: Mapping[str, float]) -> float:
-    return round(exchanged["publish"] + exchanged["transport"], 5)
+def _dds(message_ms: Mapping[str, float]) -> float:
+    return round(message_ms["publish"] + message_ms["transport"], 5)
 
 
-def _stages(alone: Table1Row, exchanged: Mapping[str, float]) -> dict[str, float]:
-    return {**alone.stages, **exchanged, "convert": round(alone.stages.get("convert", 0.0) + exchanged["convert"], 5)}
+def _stages(in_process: Table1Row, message_ms: Mapping[str, float]) -> dict[str, float]:
+    return {**in_process.stages, **message_ms, "convert": round(in_process.stages.get("convert", 0.0) + message_ms["convert"], 5)}
 
 
-SENSOR_FPS, RGBD_FPS, ALL_FPS, SENSOR_24_FPS, LOCKSTEP_PART = 3000.0, 150.0, 100.0, 400.0, 0.8
-"""Targets for two cores without a GPU, frames per second in process with 1 substep and with 24; lockstep as a fraction of in process."""
+SENSOR_FPS, RGBD_FPS, ALL_FPS, SENSOR_24_FPS, MIN_LOCKSTEP_RATIO = 3000.0, 150.0, 100.0, 400.0, 0.8
+"""Targets for two cores without a GPU, frames per second in process with 1 substep and with 24; rate in lockstep relative to in process."""
 _IN_PROCESS_TARGETS = (
     (SENSOR_ONLY, 1, SENSOR_FPS),
     ("RGB-D, pre-filled", 1, RGBD_FPS),
@@ -209,16 +210,18 @@ def targets(rows: Sequence[Table1Row]) -> list[PerformanceTarget]:
     found = []
     physics = [row for row in rows if row.substeps and row.to == HOST]
     alone = {(row.mode, row.substeps): row.fps for row in physics if row.way == IN_PROCESS}
-    for mode, substeps, wanted in _IN_PROCESS_TARGETS:
+    for mode, substeps, required in _IN_PROCESS_TARGETS:
         if (mode, substeps) in alone:
             fps = alone[mode, substeps]
             what = f"{mode}, {substeps} substep{'s' if substeps > 1 else ''}, in process"
-            found.append(PerformanceTarget(what, f"> {wanted:,.0f}/s", f"{fps:,.0f}/s", "", fps > wanted))
+            found.append(PerformanceTarget(what, f"> {required:,.0f}/s", f"{fps:,.0f}/s", "", fps > required))
     for row in physics:
         if row.way == LOCKSTEP and row.substeps == 1 and row.mode != SENSOR_ONLY and (row.mode, 1) in alone:
-            part = row.fps / alone[row.mode, 1]
-            what = f"{row.mode}, lockstep against one process"
+            ratio = row.fps / alone[row.mode, 1]
+            what = f"{row.mode}, lockstep relative to in process"
             found.append(
-                PerformanceTarget(what, f"> {100 * LOCKSTEP_PART:.0f} %", f"{100 * part:.0f} %", "", part > LOCKSTEP_PART)
+                PerformanceTarget(
+                    what, f"> {100 * MIN_LOCKSTEP_RATIO:.0f} %", f"{100 * ratio:.0f} %", "", ratio > MIN_LOCKSTEP_RATIO
+                )
             )
     return found

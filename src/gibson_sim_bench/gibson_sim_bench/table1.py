@@ -1,8 +1,8 @@
-"""The paper's table in this process: physics, sensors and images, one after the other, each stage timed; and rendering alone.
+"""The paper's table in this process: physics, sensors and images, one after the other, each stage timed; and rendering only.
 
-Protocol: a differential robot of a TurtleBot's size with one camera of 90 degrees; physics steps of 1/240 s; random velocities, ten per
-second of simulation time, from one seed; warm-up frames that do not count. A frame is complete when all its outputs are in host memory, or
-in tensors that are synchronised.
+Protocol: a differential-drive robot of a TurtleBot's size with one camera, field of view 90 degrees; physics steps of 1/240 s; random
+velocity commands, ten per second of simulation time, from one seed; warm-up frames, which do not count. A frame is complete when all its
+outputs are in host memory, or in synchronized tensors.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from gibson_sim_bench import timing
 from gibson_sim_bench.clocks import Clock, calls_of, copy_ms, opengl_calls
 from gibson_sim_bench.loop import Loop
 from gibson_sim_bench.own_renderer import STILL, pose_of
-from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, WARM_UP, WAYS, Table1Plan
-from gibson_sim_bench.reports.paper import HOUSE_SIZE, PHYSICS_SIZE, TOGETHER, Mode
+from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, PARTS, RENDERING_MODES, RENDERING_ONLY, ROBOT, WARM_UP, Table1Plan
+from gibson_sim_bench.reports.paper import MODE_GROUPS, PHYSICS_SIZE, RENDERING_SIZE, Mode
 from gibson_sim_bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Table1, Table1Row, lockstep_row, row_of
 from gibson_sim_bench.scenes.bench_scenes import bench_scene, camera_path
 from gibson_sim_bench.tensors import synchronize
@@ -42,57 +42,57 @@ from gibson_sim_bench.tensors import synchronize
 
 @dataclass(frozen=True, slots=True)
 class LockstepRunner:
-    """Runs simulations in lockstep, whose ticks take turns with the frames in this process."""
+    """Runs simulations in lockstep, whose ticks are interleaved with the frames in this process."""
 
     start: Callable[[int, Sequence[Mode]], AbstractContextManager[Callable[[int, int], Sequence[float]]]]
     """Starts a simulation: (substeps, modes) -> context manager of a function that makes ticks of one mode: (index of the mode, count) ->
-    seconds of each tick, or nothing if that failed."""
-    messages: Mapping[str, Mapping[str, float]]
-    """Milliseconds of the messages alone, by mode."""
+    seconds of each tick; empty = failed."""
+    message_ms: Mapping[str, Mapping[str, float]]
+    """Milliseconds of the messages, measured alone, by mode and stage."""
 
 
 def measure(
-    plan: Table1Plan, robot: Path, tell: Callable[[str], None] = lambda line: None, lockstep: LockstepRunner | None = None
+    plan: Table1Plan, robot: Path, progress: Callable[[str], None] = lambda line: None, lockstep: LockstepRunner | None = None
 ) -> Table1:
-    """Returns the measurements in this process, and those in lockstep that take turns with them.
+    """Returns the measurements in this process, and those in lockstep that are interleaved with them.
 
     Args:
         plan: what to measure.
         robot: file of the robot, as ``write_robot`` writes it.
-        tell: called with one line of progress.
+        progress: called with one line of progress.
         lockstep: runs the rows in lockstep; None = no such rows.
 
     Raises:
-        GibsonSimError: a scene cannot be loaded, or nothing here can draw.
+        GibsonSimError: a scene cannot be loaded, or there is no OpenGL device.
     """
     began = timing.facts()
     rows: list[Table1Row] = []
     with ExitStack() as stack:
         loop = Loop(plan.scene, robot, 1)
         stack.callback(loop.close)
-        drawn = drawn_scene(loop.world.scene, loop.world.links)
-        pair = RendererPair(drawn, plan.device, None, stack)
-        if IN_PROCESS in plan.ways:
-            for substeps, modes in ((k, together) for k in plan.substeps for together in TOGETHER):
+        scene = drawn_scene(loop.world.scene, loop.world.links)
+        pair = RendererPair(scene, plan.device, None, stack)
+        if IN_PROCESS in plan.parts:
+            for substeps, modes in ((k, group) for k in plan.substeps for group in MODE_GROUPS):
                 with ExitStack() as running:
                     ticks = running.enter_context(lockstep.start(substeps, modes)) if lockstep else None
-                    for which, mode in enumerate(modes):
-                        tell(f"{'in process and in lockstep' if ticks else 'in process'}: {mode.name}, {substeps} substeps")
-                        other = partial(ticks, which) if ticks else None
+                    for index, mode in enumerate(modes):
+                        progress(f"{'in process and in lockstep' if ticks else 'in process'}: {mode.name}, {substeps} substeps")
+                        lockstep_ticks = partial(ticks, index) if ticks else None
                         rows += _with_physics(
-                            plan, robot, substeps, mode, pair, other, lockstep.messages[mode.name] if lockstep else {}
+                            plan, robot, substeps, mode, pair, lockstep_ticks, lockstep.message_ms[mode.name] if lockstep else {}
                         )
         info, tensors_on = pair.plain.info, pair.plain.tensors_on
-    for house in plan.houses if HOUSES_ONLY in plan.ways else ():
-        tell(f"drawing only: {house}")
-        rows += _house(plan, house)
+    for name in plan.scan_scenes if RENDERING_ONLY in plan.parts else ():
+        progress(f"rendering only: {name}")
+        rows += _rendering_only(plan, name)
     facts = replace(began, gpu=str(info["renderer"]), driver=str(info["version"]))
-    in_order = sorted(rows, key=lambda row: WAYS.index(row.way))
+    in_order = sorted(rows, key=lambda row: PARTS.index(row.way))
     return Table1(facts, f"{ROBOT}, {FOV_Y_DEG:g} degrees", tensors_on, tuple(in_order))
 
 
 class RendererPair:
-    """Two renderers of a scene: one unmodified, one whose OpenGL calls are timed; what fills holes is timed in both."""
+    """Two renderers of a scene: one unmodified, one whose OpenGL calls are timed; hole filling is timed in both."""
 
     def __init__(self, scene: DrawnScene, device: int | str | None, roots: list[Path] | None, stack: ExitStack) -> None:
         options: dict[str, Any] = {"device": device, "cache": default_folder(), "allowed_roots": roots}
@@ -101,11 +101,11 @@ class RendererPair:
         self._timed = stack.enter_context(Renderer(scene, **options))
         self._readback = Readback(self._timed.context)
         self._finish = GL.Gl(self._timed.context).glFinish
-        self._fill = stack.enter_context(filling(self._finish))
+        self._fill = stack.enter_context(timed_hole_filling(self._finish))
         self.triangles = int(self.plain.info["triangles"])
 
-    def apart(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, dict[str, float]]:
-        """Returns a frame, and the milliseconds of drawing, filling, readback, and of the OpenGL calls while drawing and filling."""
+    def render_in_stages(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, dict[str, float]]:
+        """Returns a frame, and the milliseconds of rendering, hole filling, readback, and of the OpenGL calls in the first two."""
         self.clock.pop_ms()
         self._fill.pop_ms()
         began = time.perf_counter_ns()
@@ -119,8 +119,8 @@ class RendererPair:
 
 
 @contextmanager
-def filling(finish: Callable[[], None]) -> Iterator[Clock]:
-    """Times all filling of holes inside the block; ``finish`` waits for what is drawn before, which filling would wait for."""
+def timed_hole_filling(finish: Callable[[], None]) -> Iterator[Clock]:
+    """Times hole filling inside the block; ``finish`` completes the earlier rendering, for which hole filling would wait otherwise."""
     with calls_of(HoleFilling, "fill") as clock:
         timed = HoleFilling.fill
 
@@ -138,10 +138,10 @@ def _with_physics(
     substeps: int,
     mode: Mode,
     pair: RendererPair,
-    other: Callable[[int], Sequence[float]] | None,
-    messages: Mapping[str, float],
+    lockstep_ticks: Callable[[int], Sequence[float]] | None,
+    message_ms: Mapping[str, float],
 ) -> Iterable[Table1Row]:
-    """Yields the rows of a mode: to the host, in lockstep if ``other`` makes its ticks, and for the fewest substeps to tensors."""
+    """Yields the rows of a mode: to the host, in lockstep if ``lockstep_ticks`` is given, and to tensors for the fewest substeps."""
     loop = Loop(plan.scene, robot, substeps)
     try:
         loop.settle()
@@ -154,9 +154,9 @@ def _with_physics(
             return loop.read()
 
         def to_host() -> None:
-            here = state()
+            current = state()
             if camera is not None:
-                pair.plain.render(here, [camera])
+                pair.plain.render(current, [camera])
 
         def to_tensors() -> None:
             assert camera is not None
@@ -165,13 +165,13 @@ def _with_physics(
         common: dict[str, Any] = {"way": IN_PROCESS, "mode": mode.name, "scene": plan.scene, "triangles": pair.triangles}
         common |= {"width": PHYSICS_SIZE[0], "height": PHYSICS_SIZE[1], "substeps": substeps}
         with calls_of(pybullet, "stepSimulation") as engine:
-            parts = FrameStages(loop, camera, pair, engine)
-            times, ticks = in_turns(to_host, parts.measure, frames, warm_up, other)
-        stages, bounds = parts.result()
-        here = row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
-        yield here
+            stages_timer = FrameStages(loop, camera, pair, engine)
+            times, ticks = measure_interleaved(to_host, stages_timer.measure, frames, warm_up, lockstep_ticks)
+        stages, bounds = stages_timer.result()
+        row = row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
+        yield row
         if ticks:
-            yield lockstep_row(ticks, here, messages)
+            yield lockstep_row(ticks, row, message_ms)
         if camera is not None and substeps == min(plan.substeps):
             yield row_of(seconds_of(to_tensors, frames, warm_up), to=TENSOR, bounds=bounds, **common)
     finally:
@@ -193,34 +193,34 @@ def seconds_of(work: Callable[[], Any], count: int, warm_up: int) -> list[float]
     return found[warm_up:]
 
 
-def in_turns(
-    whole: Callable[[], Any],
-    apart: Callable[[], Any],
+def measure_interleaved(
+    frame: Callable[[], Any],
+    staged_frame: Callable[[], Any],
     count: int,
     warm_up: int,
-    other: Callable[[int], Sequence[float]] | None = None,
+    other_frames: Callable[[int], Sequence[float]] | None = None,
 ) -> tuple[list[float], list[float]]:
-    """Returns the durations of ``count`` calls of ``whole``, and of ``other``; blocks of both and of ``apart`` take turns.
+    """Returns the durations of ``count`` calls of ``frame``, and of ``other_frames``; blocks of both and of ``staged_frame`` are interleaved.
 
-    Other load on the machine then affects the frames and the limits that they are compared with alike.
+    Load on the machine then affects the frames and their limits alike.
 
     Args:
-        whole: makes a frame.
-        apart: makes a frame whose parts are measured.
-        count: calls of ``whole`` that count.
-        warm_up: calls before them.
-        other: makes ``n`` frames in another configuration, and returns the duration of each, seconds.
+        frame: makes a frame.
+        staged_frame: makes a frame whose stages are timed separately.
+        count: number of calls of ``frame`` that count.
+        warm_up: number of calls before them.
+        other_frames: makes ``n`` frames in another configuration, and returns the duration of each, seconds.
     """
-    found, others = seconds_of(whole, 0, warm_up), list[float]()
-    if other is not None:
-        other(warm_up)
+    found, others = seconds_of(frame, 0, warm_up), list[float]()
+    if other_frames is not None:
+        other_frames(warm_up)
     while len(found) < count:
         for _ in range(BLOCK // 3 + 1):
-            apart()
+            staged_frame()
         block = min(BLOCK, count - len(found))
-        found += seconds_of(whole, block, 1)
-        if other is not None:
-            others += other(block)
+        found += seconds_of(frame, block, 1)
+        if other_frames is not None:
+            others += other_frames(block)
     return found, others
 
 
@@ -245,20 +245,20 @@ class FrameStages:
             BULLET: self._engine.pop_ms(),
         }
         if self._camera is not None:
-            frame, parts = self._pair.apart(state, self._camera)
+            frame, parts = self._pair.render_in_stages(state, self._camera)
             values |= parts
             self._bytes = bytes_of(frame)
         self._found.append(values)
 
     def result(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Returns the median milliseconds of each stage, and of the parts alone."""
+        """Returns the median milliseconds of each stage, and of each part measured alone."""
         counted = self._found[2:] or self._found
         found = {name: float(np.median([values[name] for values in counted])) for name in counted[0]}
-        return parted({**found, **({COPY: copy_ms(self._bytes)} if self._bytes else {})})
+        return split_bounds({**found, **({COPY: copy_ms(self._bytes)} if self._bytes else {})})
 
 
-def parted(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns the stages and the limits, rounded."""
+def split_bounds(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns the stages and the parts measured alone, rounded."""
     alone = (BULLET, OPENGL, COPY)
     rounded = {name: round(value, 5) for name, value in values.items()}
     return {n: v for n, v in rounded.items() if n not in alone}, {n: v for n, v in rounded.items() if n in alone}
@@ -269,13 +269,13 @@ def bytes_of(frame: Frame) -> int:
     return sum(image.nbytes for output in OUTPUTS if (image := getattr(frame, output)) is not None)
 
 
-def _house(plan: Table1Plan, name: str) -> Iterable[Table1Row]:
-    """Yields the rows of rendering a house along a fixed camera path, without physics."""
+def _rendering_only(plan: Table1Plan, name: str) -> Iterable[Table1Row]:
+    """Yields the rows of rendering a scene along a fixed camera path, without physics."""
     scene = bench_scene(name)
     spec = load_scene(scene.path)
-    width, height = HOUSE_SIZE
+    width, height = RENDERING_SIZE
     path = [pose_of(T.ravel().tolist()) for T in camera_path(scene, plan.frames)]
-    for mode in HOUSE_MODES:
+    for mode in RENDERING_MODES:
         with ExitStack() as stack:
             pair = RendererPair(drawn_scene(spec, ()), plan.device, list(scene_roots(spec)), stack)
             fov_y = math.radians(FOV_Y_DEG)
@@ -283,23 +283,23 @@ def _house(plan: Table1Plan, name: str) -> Iterable[Table1Row]:
                 CameraSpec("eye", "", pose, width, height, fov_y, near=0.05, far=100.0, outputs=mode.outputs, fill=mode.fill)
                 for pose in path
             ]
-            several = iter(cameras * 2)
-            every = iter(cameras[:WARM_UP] + cameras * 2)
+            staged = iter(cameras * 2)
+            upcoming = iter(cameras[:WARM_UP] + cameras * 2)
             found: list[tuple[Frame, dict[str, float]]] = []
-            times, _ = in_turns(
-                lambda: pair.plain.render(STILL, [next(every)]),  # noqa: B023
-                lambda: found.append(pair.apart(STILL, next(several))),  # noqa: B023
+            times, _ = measure_interleaved(
+                lambda: pair.plain.render(STILL, [next(upcoming)]),  # noqa: B023
+                lambda: found.append(pair.render_in_stages(STILL, next(staged))),  # noqa: B023
                 len(cameras),
                 len(cameras[:WARM_UP]),
             )
             middle = {name: float(np.median([values[name] for _, values in found[2:]])) for name in found[0][1]}
-            stages, bounds = parted({**middle, COPY: copy_ms(bytes_of(found[0][0]))})
+            stages, bounds = split_bounds({**middle, COPY: copy_ms(bytes_of(found[0][0]))})
             common: dict[str, Any] = {"way": IN_PROCESS, "mode": mode.name, "scene": name, "triangles": pair.triangles}
             common |= {"width": width, "height": height, "substeps": 0, "bounds": bounds}
             yield row_of(times, to=HOST, stages=stages, **common)
-            every = iter(cameras[:WARM_UP] + cameras)
+            upcoming = iter(cameras[:WARM_UP] + cameras)
 
             def tensors() -> None:
-                synchronize(pair.plain.render_tensors(STILL, [next(every)]))  # noqa: B023
+                synchronize(pair.plain.render_tensors(STILL, [next(upcoming)]))  # noqa: B023
 
             yield row_of(seconds_of(tensors, len(cameras), len(cameras[:WARM_UP])), to=TENSOR, **common)

@@ -54,7 +54,7 @@ def _figure(name: str, value: float, better: str = "more") -> dict[str, object]:
 
 def test_two_machines_are_said_to_be_two() -> None:
     other = replace(TABLE, facts=replace(FACTS, machine="another"))
-    assert "two machines" in compare_text(TABLE.as_json(), other.as_json())
+    assert "different machines" in compare_text(TABLE.as_json(), other.as_json())
 
 
 def test_comparing_is_information_and_never_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,15 +84,15 @@ def test_the_page_has_every_report_with_its_plots_and_keeps_what_people_wrote(tm
     _write(tmp_path / "data", **reports, peers_cpu={**PEERS.as_json(), "kind": "peers"}, other={"x": 1})
     page = tmp_path / "benchmarks.md"
     page.write_text(f"# Mine\n\n{BEGIN}\nold\n{END}\n\nAfter.\n")
-    said = write_page(tmp_path / "data", page, tmp_path / "images")
+    messages = write_page(tmp_path / "data", page, tmp_path / "images")
     text = page.read_text()
     assert text.startswith("# Mine\n")
     assert text.endswith("After.\n")
     assert "old" not in text
     for part in (
         "## The paper's table",
-        "## Other renderers",
-        "## How cost grows",
+        "## Third-party renderers",
+        "## Scaling",
         "## Long runs",
         "(data/table1_cpu.json)",
         "RGB-D, pre-filled",
@@ -101,7 +101,7 @@ def test_the_page_has_every_report_with_its_plots_and_keeps_what_people_wrote(tm
     assert sorted(p.name for p in (tmp_path / "images").iterdir()) == [
         "bench_long_cpu.png", "bench_scaling_cpu.png", "bench_table1_cpu.png",
     ]  # fmt: skip
-    assert "other.json: has no figures, left out" in said
+    assert "other.json: has no figures, left out" in messages
 
 
 def test_the_page_of_a_summary_says_what_bounds_and_what_is_not_reached(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_the_page_of_a_summary_says_what_bounds_and_what_is_not_reached(tmp_path
     _write(tmp_path / "data", table1_cpu=TABLE.as_json())
     write_page(tmp_path / "data", tmp_path / "b.md", tmp_path)
     text = (tmp_path / "b.md").read_text()
-    assert "Of 3 rows 2 reach 70 % or more" in text
+    assert "2 of 3 rows reach 70 % or more" in text
     assert "In process: from 160 frames/s (RGB-D, pre-filled, 1 substep) to 800 (sensor only, 1)" in text
 
 

@@ -38,7 +38,7 @@ from gibson_sim_bench.rows import (
 from gibson_sim_bench.timing import Facts
 
 MS = 1_000_000
-EXCHANGED = {"convert": 0.1, "encode": 0.2, "publish": 0.3, "transport": 0.7}
+MESSAGE_MS = {"convert": 0.1, "encode": 0.2, "publish": 0.3, "transport": 0.7}
 FACTS = Facts("2026-01-02T03:04:05+00:00", "0.1.0 (abc)", "x86_64, 2 x CPU", 2, 0.25, "3.11", "llvmpipe", "4.5")
 
 
@@ -60,14 +60,14 @@ def test_the_limit_is_one_second_by_the_sum_of_the_parts_and_the_largest_bounds(
     assert (RGBD.bound_fps, RGBD.share, RGBD.bound_by) == (200.0, 0.8, OPENGL)
 
 
-def test_what_lies_between_limit_and_frame_is_named_the_largest_first() -> None:
+def test_overheads_beyond_the_limit_are_named_the_largest_first() -> None:
     row = replace(RGBD, fps=100.0, stages={"step": 1.5, "convert": 0.5, "draw": 6.0, "read back": 0.25})
-    assert row.between == {
-        "choosing what to draw": 2.0,
-        "waiting, and cores that are shared": 1.75,
-        "our Python around a step": 0.5,
+    assert row.overhead_ms == {
+        "level of detail, culling": 2.0,
+        "waiting, CPU contention": 1.75,
+        "Python around the step": 0.5,
         "reading the state": 0.5,
-        "reading back": 0.25,
+        "readback": 0.25,
     }
 
 
@@ -84,17 +84,17 @@ def test_rates_are_those_of_the_median_time() -> None:
 
 
 def test_lockstep_counts_from_tick_to_tick_and_is_bound_by_messages_too() -> None:
-    row = lockstep_row([0.01, 0.01, 0.01], RGBD, EXCHANGED)
+    row = lockstep_row([0.01, 0.01, 0.01], RGBD, MESSAGE_MS)
     assert (row.way, row.fps, row.bounds[DDS], row.stages["convert"]) == (LOCKSTEP, 100.0, 1.0, 0.6)
     assert row.bounds[BULLET] == 1.0
 
 
 def test_a_subscriber_receives_what_came_not_what_was_made() -> None:
     # 3 sets in the last 100 ms, in a burst; 10 ticks were made.
-    row = free_row([0, 1 * MS, 100 * MS], 10, RGBD, EXCHANGED)
+    row = free_row([0, 1 * MS, 100 * MS], 10, RGBD, MESSAGE_MS)
     assert (row.fps, row.lost) == (20.0, 0.7)
     assert BULLET not in row.bounds  # it has a process of its own
-    assert set(free_row([0, MS, 2 * MS], 3, _row(SENSOR_ONLY, 800.0), EXCHANGED).bounds) == {BULLET}
+    assert set(free_row([0, MS, 2 * MS], 3, _row(SENSOR_ONLY, 800.0), MESSAGE_MS).bounds) == {BULLET}
 
 
 def test_targets_are_those_of_two_cores() -> None:
@@ -102,16 +102,16 @@ def test_targets_are_those_of_two_cores() -> None:
     assert found == {
         "sensor only, 1 substep, in process": ("800/s", False),
         "RGB-D, pre-filled, 1 substep, in process": ("160/s", True),
-        "RGB-D, pre-filled, lockstep against one process": ("75 %", False),
+        "RGB-D, pre-filled, lockstep relative to in process": ("75 %", False),
     }
 
 
 def test_the_paper_stands_beside_its_own_rows_alone() -> None:
     assert paper_of(RGBD) == {"v2": 264.2, "v1": 58.5, "habitat": None}
     assert paper_of(_row("all outputs", 1.0))["v2"] is None
-    house = replace(RGBD, substeps=0, mode="RGB", width=640, height=480)
-    assert paper_of(house) == {"v2": 620.4, "v1": None, "habitat": 752.9}
-    assert paper_of(replace(house, mode="RGB-D"))["v2"] is None
+    scene = replace(RGBD, substeps=0, mode="RGB", width=640, height=480)
+    assert paper_of(scene) == {"v2": 620.4, "v1": None, "habitat": 752.9}
+    assert paper_of(replace(scene, mode="RGB-D"))["v2"] is None
 
 
 def test_a_report_comes_back_from_its_json() -> None:
@@ -128,7 +128,7 @@ def test_the_text_has_the_row_with_filled_holes_and_what_is_not_comparable() -> 
     filled = replace(RGBD, mode=FILLED, fps=40.0, stages={**RGBD.stages, "fill": 12.5})
     text = report_text(replace(REPORT, rows=(*REPORT.rows, filled)))
     assert any(line.startswith("RGB-D, filled") and line.endswith("30.6") for line in text.splitlines())
-    assert filled.between["filling holes"] == 12.5
+    assert filled.overhead_ms["hole filling"] == 12.5
     for part in ("GTX 1080 Ti", "Tesla V100", "24,400 Bullet steps", "2 x CPU", "abc", "load 0.25", "Left out: x: y", "MISSED"):
         assert part in text
 
@@ -161,12 +161,12 @@ def test_command_line_alone_is_the_plan_alone() -> None:
     assert _plan() == Table1Plan()
 
 
-def test_houses_of_the_user_take_the_place_of_ours() -> None:
+def test_scenes_of_the_user_replace_the_built_in_ones() -> None:
     plan = _plan("--quick", "--only", "houses", "--house", "a", "--house", "b", "--device", "1", "--scene", "flat")
-    assert plan == replace(Table1Plan.quick(), ways=("houses",), houses=("a", "b"), device=1, scene="flat")
+    assert plan == replace(Table1Plan.quick(), parts=("houses",), scan_scenes=("a", "b"), device=1, scene="flat")
 
 
-def test_an_unknown_way_is_refused() -> None:
+def test_an_unknown_part_is_refused() -> None:
     with pytest.raises(ConfigError, match="must be of in process, lockstep, free-running, houses"):
         _plan("--only", "speed")
 

@@ -13,7 +13,7 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "compare",
-        help="compare two JSON files of one measurement: ratios, and what became slower",
+        help="compare two JSON files of one measurement: ratios and regressions",
         description="For information: the exit code is always 0.",
     )
     parser.add_argument("before", type=Path, metavar="A.json")

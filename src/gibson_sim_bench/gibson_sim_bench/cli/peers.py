@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.report_file import add_report_options, parse_size, tell, write_json
-from gibson_sim_bench.protocol import HOUSES
+from gibson_sim_bench.protocol import SCAN_SCENES
 
 
 def add_parser(kinds: Any) -> None:
@@ -62,9 +62,9 @@ def plan_of(args: argparse.Namespace) -> Any:
     from gibson_sim_bench.render import RenderPlan
     from gibson_sim_bench.timing import FIVE
 
-    houses = tuple(args.house) or (HOUSES[:1] if args.quick else HOUSES)
+    scenes = tuple(args.house) or (SCAN_SCENES[:1] if args.quick else SCAN_SCENES)
     return RenderPlan(
-        scenes=houses,
+        scenes=scenes,
         sizes=tuple(parse_size(text) for text in args.sizes.split(",") if text),
         outputs=(("rgb",), ("rgb", "depth"), FIVE),
         frames=12 if args.quick else max(1, args.frames),

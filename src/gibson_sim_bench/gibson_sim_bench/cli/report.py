@@ -1,4 +1,4 @@
-"""``gibson-sim bench report``: writes the page of all measurements from their JSON files."""
+"""``gibson-sim bench report``: writes the benchmark page from JSON files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def add_parser(kinds: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Writes the page, and prints what is in it."""
+    """Writes the page, and prints which files it contains."""
     from gibson_sim_bench.reports.page import write_page
 
     for line in write_page(args.data, args.output, args.images):

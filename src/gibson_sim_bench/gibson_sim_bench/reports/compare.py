@@ -1,4 +1,4 @@
-"""Compares two reports of one kind: what became slower. For information only: machines differ, and so does their load."""
+"""Compares two reports of one kind and lists regressions. For information only: machines and their load differ."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim_bench.reports.render import table
 
 TOLERANCE = 0.15
-"""Fraction up to which runs differ by chance."""
+"""Relative difference that is attributed to noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class FigureChange:
     before: float
     after: float
     gain: float
-    """Factor of improvement; below 1 = worse, whether more or less is better."""
+    """Factor of improvement; below 1 = regression, whether more or less is better."""
 
     def verdict(self, tolerance: float) -> str:
         """Returns ``SLOWER``, ``faster`` or an empty text."""
@@ -65,12 +65,12 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[FigureC
 def compare_text(
     before: Mapping[str, Any], after: Mapping[str, Any], tolerance: float = TOLERANCE, *, markdown: bool = False
 ) -> str:
-    """Returns the origins of both reports, all figures that both have, and those that only one has."""
+    """Returns date, version and machine of both reports, all figures that both have, and those that only one has."""
     found = changes(before, after)
     names = [{figure["name"] for figure in report["figures"]} for report in (before, after)]
     lines = [f"{which}: {_origin(report)}" for which, report in (("before", before), ("after", after))]
     if _facts(before, "machine") != _facts(after, "machine"):
-        lines.append("These are two machines: ratios say nothing about the program.")
+        lines.append("The reports are from different machines: ratios do not compare versions of the program.")
     slower = [change for change in found if change.verdict(tolerance) == "SLOWER"]
     mean = math.exp(sum(math.log(change.gain) for change in found) / len(found)) if found else math.nan
     lines.append(
@@ -84,7 +84,7 @@ def compare_text(
     rows = [(c.name, f"{c.before:.4g}", f"{c.after:.4g}", c.unit, f"{c.gain:.2f}", c.verdict(tolerance)) for c in found]
     parts = ["\n".join(f"- {line}" if markdown else line for line in lines)]
     if rows:
-        parts.append(table(("figure", "before", "after", "unit", "times as good", ""), rows, markdown, left=(0, 3, 5)))
+        parts.append(table(("figure", "before", "after", "unit", "improvement", ""), rows, markdown, left=(0, 3, 5)))
     return "\n\n".join(parts)
 
 

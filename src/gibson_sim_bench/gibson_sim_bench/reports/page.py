@@ -1,4 +1,4 @@
-"""Writes the page of all measurements from the JSON files in a folder."""
+"""Writes the benchmark page from the JSON files in a folder."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, Tabl
 
 _TITLES = {
     "table1": "The paper's table",
-    "peers": "Other renderers",
-    "scaling": "How cost grows",
+    "peers": "Third-party renderers",
+    "scaling": "Scaling",
     "soak": "Long runs",
 }
 """Headings by kind of report, in the order of the page."""
@@ -32,7 +32,7 @@ BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 
 
 def write_page(data: Path, output: Path, images: Path) -> list[str]:
-    """Writes the figures into the page, and the plots; returns one line for each file that was used or left out.
+    """Writes the reports into the page, and the plots; returns one line for each file, whether used or left out.
 
     Args:
         data: folder of JSON files.
@@ -44,18 +44,18 @@ def write_page(data: Path, output: Path, images: Path) -> list[str]:
     """
     plots.require_matplotlib()
     reports: dict[str, list[tuple[str, dict[str, Any]]]] = {kind: [] for kind in _TITLES}
-    said: list[str] = []
+    messages: list[str] = []
     for path in sorted(data.glob("*.json")):
         try:
             read = read_report(path)
         except ConfigError:
-            said.append(f"{path.name}: has no figures, left out")
+            messages.append(f"{path.name}: has no figures, left out")
             continue
         if read.get("kind") in reports:
             reports[read["kind"]].append((path.stem, read))
-            said.append(f"{path.name}: {read['kind']}")
+            messages.append(f"{path.name}: {read['kind']}")
         else:
-            said.append(f"{path.name}: of another kind, left out")
+            messages.append(f"{path.name}: kind {read.get('kind')}, left out")
     if not any(reports.values()):
         raise ConfigError(
             f"{data}: holds no report of {', '.join(_TITLES)}; run `gibson-sim bench table1 --json {data}/table1_cpu.json`"
@@ -68,10 +68,10 @@ def write_page(data: Path, output: Path, images: Path) -> list[str]:
         if reports[kind]:
             parts.append(f"## {title}")
             for name, read in reports[kind]:
-                parts.append(f"### {name.replace('_', ' ')}\n\n[All figures]({links[1]}/{name}.json).")
+                parts.append(f"### {name.replace('_', ' ')}\n\n[Data]({links[1]}/{name}.json).")
                 parts += _SECTIONS[kind](name, read, images, links[0])
     write_file(output, f"{before}{BEGIN}\n\n{joined(parts)}\n\n{END}{after}")
-    return [*said, f"written: {output}"]
+    return [*messages, f"written: {output}"]
 
 
 def joined(parts: list[str]) -> str:
@@ -80,23 +80,24 @@ def joined(parts: list[str]) -> str:
 
 
 def _around(page: Path) -> tuple[str, str]:
-    """Returns the text before and after the figures of a page; a heading and nothing for a new page."""
+    """Returns the text before and after the generated part of a page; a heading and an empty line for a new page."""
     if not page.is_file():
         return "# Benchmarks\n\n", "\n"
     text = page.read_text(encoding="utf-8")
     before, begun, rest = text.partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not (begun and ended):
-        raise ConfigError(
-            f"{page}: has no lines {BEGIN} and {END}; put them where the figures are to stand, or name another file"
-        )
+        raise ConfigError(f"{page}: has no lines {BEGIN} and {END}; put them around the generated part, or name another file")
     return before, after
 
 
 def _table1(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
     report = table_of(read)
     plots.plot_table1(report, images / f"bench_{name}.png")
-    return [f"![Frames a second by row, way and substeps]({link}/bench_{name}.png)", table1_text(report, markdown=True)]
+    return [
+        f"![Frames per second by mode, configuration and substeps]({link}/bench_{name}.png)",
+        table1_text(report, markdown=True),
+    ]
 
 
 def _peers(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
@@ -108,7 +109,7 @@ def _peers(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[
 def _scaling(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
     report = scaling.report_of(dict(read))
     plots.plot_scaling(report, images / f"bench_{name}.png")
-    return [f"![Time and memory against what grows]({link}/bench_{name}.png)", scaling_text(report, markdown=True)]
+    return [f"![Time and memory by problem size]({link}/bench_{name}.png)", scaling_text(report, markdown=True)]
 
 
 def _soak(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
@@ -126,41 +127,45 @@ _SECTIONS: dict[str, Callable[[str, Mapping[str, Any], Path, str], list[str]]] =
 
 
 def summary(tables: list[Table1]) -> list[str]:
-    """Returns a summary for each machine: which rows reach their limit, and what bounds them."""
+    """Returns a summary for each machine: which rows reach their limit, and their bottlenecks."""
     found = []
     for report in tables:
         rows = [row for row in report.rows if row.to == HOST and row.bounds]
         if not rows:
             continue
-        lines = [f"## In short: {report.facts.gpu or 'no drawing'}, {report.facts.cores} cores", report.facts.text + "."]
+        lines = [f"## Summary: {report.facts.gpu or 'no rendering'}, {report.facts.cores} cores", report.facts.text + "."]
         near, far = [r for r in rows if r.share >= ENOUGH], [r for r in rows if r.share < ENOUGH]
         lines.append(
-            f"- Of {len(rows)} rows {len(near)} reach {100 * ENOUGH:.0f} % or more of the limit that was measured beside them, {len(far)} do not."
+            f"- {len(near)} of {len(rows)} rows reach {100 * ENOUGH:.0f} % or more of the limit measured with them, {len(far)} do not."
         )
         lines += [
-            _sentence(way, [row for row in rows if row.way == way and row.substeps]) for way in (IN_PROCESS, LOCKSTEP, FREE)
+            _sentence(name, [row for row in rows if row.way == name and row.substeps]) for name in (IN_PROCESS, LOCKSTEP, FREE)
         ]
         found.append("\n".join((lines[0], "", lines[1], "", *lines[2:])))
     return found
 
 
-def _sentence(way: str, rows: list[Table1Row]) -> str:
+def _sentence(configuration: str, rows: list[Table1Row]) -> str:
     """Returns the best and the worst rows of a configuration."""
     if not rows:
-        return f"- {way.capitalize()}: not measured."
-    pictures = [row for row in rows if row.mode != SENSOR_ONLY]
-    by: dict[str, int] = {}
+        return f"- {configuration.capitalize()}: not measured."
+    with_images = [row for row in rows if row.mode != SENSOR_ONLY]
+    counts: dict[str, int] = {}
     for row in rows:
-        by[row.bound_by] = by.get(row.bound_by, 0) + 1
-    bounds = ", ".join(f"{name} in {count}" for name, count in sorted(by.items(), key=lambda pair: -pair[1]))
-    quick, slow = max(rows, key=lambda r: r.fps), min(rows, key=lambda r: r.fps)
+        counts[row.bound_by] = counts.get(row.bound_by, 0) + 1
+    bounds = ", ".join(
+        f"{name.removesuffix(' alone')} in {count}" for name, count in sorted(counts.items(), key=lambda pair: -pair[1])
+    )
+    fastest, slowest = max(rows, key=lambda r: r.fps), min(rows, key=lambda r: r.fps)
     worst = min(rows, key=lambda r: r.share)
     rest = (
-        f" With pictures {min(r.fps for r in pictures):,.0f} to {max(r.fps for r in pictures):,.0f} frames/s." if pictures else ""
+        f" With images {min(r.fps for r in with_images):,.0f} to {max(r.fps for r in with_images):,.0f} frames/s."
+        if with_images
+        else ""
     )
     return (
-        f"- {way.capitalize()}: from {slow.fps:,.0f} frames/s ({slow.mode}, {_substeps(slow)}) to {quick.fps:,.0f} ({quick.mode}, "
-        f"{quick.substeps}).{rest} The largest part alone is {bounds}; farthest from its limit: {worst.mode} with {_substeps(worst)}, "
+        f"- {configuration.capitalize()}: from {slowest.fps:,.0f} frames/s ({slowest.mode}, {_substeps(slowest)}) to {fastest.fps:,.0f} "
+        f"({fastest.mode}, {fastest.substeps}).{rest} Bottleneck: {bounds} rows; farthest from its limit: {worst.mode} with {_substeps(worst)}, "
         f"{100 * worst.share:.0f} %."
     )
 

@@ -1,4 +1,4 @@
-"""Plots of reports, with matplotlib, which is optional."""
+"""Plots of the reports, with matplotlib, which is optional."""
 
 from __future__ import annotations
 
