@@ -2,7 +2,7 @@
 
 python check_sensors.py BAG SCENE [--images 20]
 
-Depth is compared with a drawing of the mesh that does not use the renderer, at the true poses of the camera; lidar points with the
+Depth is compared with a CPU rasterisation of the mesh, independent of the renderer, at the true poses of the camera; lidar points with the
 occupied cells of the map, 0 within a cell. Needs gibson_sim_tools.
 """
 
@@ -19,7 +19,7 @@ from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.types import Pose
 from gibson_sim_tools.scanning.clean_scene import solid_triangles
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
-from gibson_sim_tools.texturing.drawing import draw
+from gibson_sim_tools.texturing.rasteriser import rasterise
 from gibson_sim_tools.texturing.surface import Surface, split_long_edges
 
 DEPTH, SCAN, ODOMETRY = "/camera/depth/image_raw", "/scan", "/ground_truth/odom"
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=20)
     args = parser.parse_args()
     vertices, triangles = solid_triangles(gs.load_scene(args.scene))
-    # Small triangles: the drawing leaves out those that reach behind the camera.
+    # Small triangles: the rasteriser drops those that reach behind the camera.
     surface = split_long_edges(Surface(vertices, triangles.astype(np.int64)), 0.1)
     with BagReader(args.bag) as bag:
         static = {}
@@ -68,9 +68,9 @@ def main() -> None:
         depths = []
         for number, (_, _, msg) in enumerate(bag.messages([DEPTH])):
             if number in chosen and stamp(msg) in poses:
-                seen, drawn = image_to_array(msg), draw(surface, lens, pose(msg)).depth
-                both = np.isfinite(seen) & np.isfinite(drawn)
-                depths.append(np.abs(seen[both] - drawn[both]))
+                measured, rasterised = image_to_array(msg), rasterise(surface, lens, pose(msg)).depth
+                both = np.isfinite(measured) & np.isfinite(rasterised)
+                depths.append(np.abs(measured[both] - rasterised[both]))
         chart = bag.first("/map")
         cell, at = chart.info.resolution, chart.info.origin.position
         rows, columns = np.nonzero(np.asarray(chart.data).reshape(chart.info.height, chart.info.width) == 100)

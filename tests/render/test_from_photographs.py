@@ -8,7 +8,7 @@ import pytest
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs.sheet import FRONTS, HOLES, contact_sheet, photograph_renderer
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.texturing.measure import compare
+from gibson_sim_tools.texturing.evaluation import image_similarity
 from support.photographed_room import HEIGHT, WIDTH, write_mesh, write_nerfstudio
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
@@ -19,7 +19,7 @@ def test_the_simulation_at_the_place_of_a_photograph_looks_like_it(tmp_path):
     scene = load_scene(write_mesh(tmp_path / "room.ply", np.eye(4)))
     (name,) = {visual.name for visual in scene.visuals}
     with photograph_renderer(scene, photographs, "unseen_floor") as draw:
-        alike = compare(photographs, draw, numbers=[0, 4, 7])
+        alike = image_similarity(photographs, draw, numbers=[0, 4, 7])
         sheet = contact_sheet(photographs, draw, [0, 4, 7], "colours")
     # Colours that are linear between vertices 0.2 m apart, of waves of 2 m.
     assert alike.psnr > 30.0 and alike.pixels > 0.9 * 3 * WIDTH * HEIGHT
@@ -36,7 +36,9 @@ def test_filled_images_are_compared_in_holes_and_on_front_faces(tmp_path):
     with photograph_renderer(scene, photographs, "unseen_floor") as draw:
         everywhere = range(len(photographs))
         found = {
-            (fill, region): compare(photographs, lambda k, fill=fill, region=region: draw(k, fill, region), numbers=everywhere)
+            (fill, region): image_similarity(
+                photographs, lambda k, fill=fill, region=region: draw(k, fill, region), numbers=everywhere
+            )
             for fill in ("", "push_pull")
             for region in (FRONTS, HOLES)
         }

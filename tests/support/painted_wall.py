@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
 from gibson_sim_tools.photographs.photographs import Lens, Photograph, Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
-from gibson_sim_tools.texturing.quality import sampled
+from gibson_sim_tools.texturing.quality import sample_bilinear
 from gibson_sim_tools.texturing.surface import Surface
 
 F64 = NDArray[np.float64]
@@ -35,7 +35,7 @@ class PaintedWall:
     def color_at(self, points: F64) -> F32:
         """Returns the paint (..., 3) at points (..., 3) of the wall."""
         x, y = (points[..., k] / SIZE[k] + 0.5 for k in range(2))
-        return sampled(self.paint, np.stack([x * 799, y * 599], axis=-1).astype(np.float32))
+        return sample_bilinear(self.paint, np.stack([x * 799, y * 599], axis=-1).astype(np.float32))
 
     def depth(self, T_world_camera: F64, scale: float) -> NDArray[np.uint16]:
         """Returns its depth image, in units of which ``scale`` are a metre."""

@@ -127,7 +127,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     settings = settings_from_args(FuseSettings, args)
     frames = chosen_frames(rgbd, settings)
     convention, text = agreeing_convention(rgbd, frames, settings.depth_max, args.pose_convention)
-    rgbd = rgbd.at(reread(rgbd.poses, rgbd.layout, convention))
+    rgbd = rgbd.with_poses(reread(rgbd.poses, rgbd.layout, convention))
     if text:
         print(text)
     named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"

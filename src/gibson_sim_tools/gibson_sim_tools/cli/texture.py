@@ -92,11 +92,11 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim_tools.cli.importing import unit_m
     from gibson_sim_tools.from_photographs.pictures import check_pictures
     from gibson_sim_tools.photographs.layouts import open_photographs
-    from gibson_sim_tools.texturing.choosing import choose_photographs
-    from gibson_sim_tools.texturing.conventions import checked
-    from gibson_sim_tools.texturing.measure import contact_sheet, held_out_likeness
-    from gibson_sim_tools.texturing.surface import split_long_edges, surface_of
-    from gibson_sim_tools.texturing.texture import texture
+    from gibson_sim_tools.texturing.conventions import resolve_convention
+    from gibson_sim_tools.texturing.evaluation import contact_sheet, evaluate_held_out
+    from gibson_sim_tools.texturing.photograph_selection import select_photographs
+    from gibson_sim_tools.texturing.surface import split_long_edges, surface_from_mesh
+    from gibson_sim_tools.texturing.texture import texture_surface
     from gibson_sim_tools.texturing.textured_scene import write_textured_scene
 
     settings = settings_from_args(TextureSettings, args)
@@ -114,26 +114,28 @@ def _run(args: argparse.Namespace) -> ExitCode:
     photographs = open_photographs(args.photographs, settings.longest_side)
     for warning in photographs.warnings:
         print(f"gibson-sim: {photographs.folder}: {warning}", file=sys.stderr)
-    surface = surface_of(load_mesh(args.mesh, [args.mesh.resolve().parent])).times(scale)
+    surface = surface_from_mesh(load_mesh(args.mesh, [args.mesh.resolve().parent])).scaled(scale)
     surface = split_long_edges(surface, settings.longest_edge)
-    photographs, text = checked(surface, photographs.times(scale), args.pose_convention)
+    photographs, text = resolve_convention(surface, photographs.scaled(scale), args.pose_convention)
     if text:
         print(text)
     if len(photographs) > args.most_photographs:
-        with progress_bar(f"choosing {args.most_photographs} of {len(photographs)} photographs") as progress:
-            photographs = photographs.only(choose_photographs(surface, photographs, args.most_photographs, progress))
+        with progress_bar(f"selecting {args.most_photographs} of {len(photographs)} photographs") as progress:
+            photographs = photographs.subset(select_photographs(surface, photographs, args.most_photographs, progress))
     check_pictures([item.file for item in photographs.items])
     with progress_bar(f"texturing from {len(photographs)} photographs ({photographs.layout})") as progress:
         held_out = range(0, len(photographs), args.hold_out) if args.hold_out else range(0)
-        textured = texture(surface, photographs, settings, progress, held_out=held_out)
+        textured = texture_surface(surface, photographs, settings, progress, held_out=held_out)
     file = write_textured_scene(textured, args.output, args.name, level=args.level)
     for line in textured.report.lines():
         print(line)
-    likeness = held_out_likeness(textured, held_out) if args.hold_out else {}
-    for name, alike in likeness.items():
-        print(f"{len(held_out)} held-out photographs, {name}: PSNR {alike.psnr:.2f} dB, SSIM {alike.ssim:.3f}")
+    metrics = evaluate_held_out(textured, held_out) if args.hold_out else {}
+    for name, similarity in metrics.items():
+        print(f"{len(held_out)} held-out photographs, {name}: PSNR {similarity.psnr:.2f} dB, SSIM {similarity.ssim:.3f}")
     if args.sheet is not None:
         write_picture(args.sheet, contact_sheet(textured, held_out)[:, :, ::-1])
     print(f"next: gibson-sim scene check {file.parent}; gibson-sim run --scene {file.parent}")
-    write_json(args.report, {**textured.report.as_dict(), "held_out": {name: asdict(alike) for name, alike in likeness.items()}})
+    write_json(
+        args.report, {**textured.report.as_dict(), "held_out": {name: asdict(similarity) for name, similarity in metrics.items()}}
+    )
     return ExitCode.OK

@@ -36,19 +36,19 @@ class DepthFrames(PosedRgbd):
         u, v = np.meshgrid(np.arange(common.width, dtype=np.float32), np.arange(common.height, dtype=np.float32))
         x = ((u - common.cx) * (own.fx / common.fx) + own.cx).astype(np.float32)
         y = ((v - common.cy) * (own.fy / common.fy) + own.cy).astype(np.float32)
-        rgb = np.asarray(cv2.remap(self.photographs.picture(number), x, y, cv2.INTER_LINEAR), dtype=np.uint8)
+        rgb = np.asarray(cv2.remap(self.photographs.image(number), x, y, cv2.INTER_LINEAR), dtype=np.uint8)
         nearest: NDArray[np.float32] = np.asarray(
             cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")), dtype=np.float32
         )
         return RgbdFrame(number % len(self), rgb, nearest, self.photographs.items[number].T_world_camera.copy())
 
-    def at(self, poses: NDArray[np.float64]) -> DepthFrames:
+    def with_poses(self, poses: NDArray[np.float64]) -> DepthFrames:
         """Returns the same frames at other poses, (N, 4, 4)."""
-        return replace(self, files=PosedRgbd.at(self, poses).files, photographs=self.photographs.at(poses))
+        return replace(self, files=PosedRgbd.with_poses(self, poses).files, photographs=self.photographs.with_poses(poses))
 
-    def only(self, numbers: Sequence[int]) -> DepthFrames:
+    def subset(self, numbers: Sequence[int]) -> DepthFrames:
         """Returns some of the frames."""
-        return replace(self, files=PosedRgbd.only(self, numbers).files, photographs=self.photographs.only(numbers))
+        return replace(self, files=PosedRgbd.subset(self, numbers).files, photographs=self.photographs.subset(numbers))
 
 
 def depth_frames(photographs: Photographs) -> DepthFrames | None:
@@ -66,7 +66,7 @@ def depth_frames(photographs: Photographs) -> DepthFrames | None:
     if units.ndim != 2:
         raise ScanError(f"{first.depth}: is an image of shape {units.shape}; depth must have one channel")
     height, width = units.shape
-    small = photographs.only(numbers)
+    small = photographs.subset(numbers)
     small = Photographs(small.folder, small.layout, small.items, longest=max(width, height))
     lenses = [small.intrinsics(k) for k in range(len(small))]
     fx, fy, cx, cy = np.median(

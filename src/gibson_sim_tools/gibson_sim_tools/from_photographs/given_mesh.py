@@ -16,8 +16,8 @@ from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, thinned
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.texturing.drawing import draw
-from gibson_sim_tools.texturing.surface import Surface, surface_of
+from gibson_sim_tools.texturing.rasteriser import rasterise
+from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
 
 F64 = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def given_mesh(
         MeshError: it cannot be read.
         ScanError: hardly any photograph shows it from its front.
     """
-    surface = surface_of(load_mesh(path, [path.resolve().parent]))
+    surface = surface_from_mesh(load_mesh(path, [path.resolve().parent]))
     coloured = surface.colors is not None
     colors = np.full((len(surface.vertices), 3), GREY, dtype=np.uint8) if surface.colors is None else surface.colors
     mesh = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), colors)
@@ -75,7 +75,7 @@ def front_share(vertices: F64, triangles: NDArray[np.integer], photographs: Phot
     for number in np.unique(np.linspace(0, len(photographs) - 1, _VIEWS).round().astype(int)).tolist():
         full, pose = photographs.intrinsics(number), photographs.items[number].T_world_camera
         small = full.resized(_WIDTH, max(round(_WIDTH * full.height / full.width), 1))
-        face = draw(surface, small, pose).face
+        face = rasterise(surface, small, pose).face
         seen = face[face >= 0]
         front = np.einsum("ij,ij->i", normals[seen], pose[:3, 3] - middles[seen]) > 0.0
         shares.append((int(front.sum()) - int((~front).sum())) / face.size)

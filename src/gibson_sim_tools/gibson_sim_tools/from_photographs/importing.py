@@ -45,13 +45,13 @@ from gibson_sim_tools.scanning.planes import snapped
 from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AUTO, FuseSettings
-from gibson_sim_tools.texturing.choosing import choose_photographs
-from gibson_sim_tools.texturing.conventions import checked
-from gibson_sim_tools.texturing.measure import Drawn, Likeness, compare
+from gibson_sim_tools.texturing.conventions import resolve_convention
+from gibson_sim_tools.texturing.evaluation import ImageSimilarity, RenderedImage, image_similarity
+from gibson_sim_tools.texturing.photograph_selection import select_photographs
 from gibson_sim_tools.texturing.settings import MOST_PHOTOGRAPHS, TextureSettings
-from gibson_sim_tools.texturing.surface import Surface, surface_of
-from gibson_sim_tools.texturing.texture import texture
-from gibson_sim_tools.texturing.textured_scene import mesh_of
+from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
+from gibson_sim_tools.texturing.texture import texture_surface
+from gibson_sim_tools.texturing.textured_scene import textured_mesh
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -157,9 +157,9 @@ class Import:
         files_aside = {photographs.items[k].file for k in self._aside()}
         aside = [k for k, files in enumerate(rgbd.files) if files.color in files_aside]
         if self.settings.hold_out_depth:
-            rgbd, aside = rgbd.only(np.setdiff1d(np.arange(len(rgbd)), aside).tolist()), []
+            rgbd, aside = rgbd.subset(np.setdiff1d(np.arange(len(rgbd)), aside).tolist()), []
         convention, said = agreeing_convention(rgbd, range(len(rgbd)), settings.depth_max, AUTO)
-        fusion = fuse_scan(rgbd.at(reread(rgbd.poses, rgbd.layout, convention)), settings, progress, depth_only=aside)
+        fusion = fuse_scan(rgbd.with_poses(reread(rgbd.poses, rgbd.layout, convention)), settings, progress, depth_only=aside)
         write_ply(self.output / _FUSED, fusion.mesh)
         poses = reread(photographs.poses, photographs.layout, convention)
         self._write("fused", {"voxel": fusion.voxel, "coloured": True, "T_scan_camera": poses.tolist()})
@@ -173,7 +173,7 @@ class Import:
         mesh, coloured, text = given_mesh(self.found.mesh, self.found.photographs, progress)
         mesh = replace(mesh, vertices=mesh.vertices * np.float32(self.unit_m or 1.0))
         surface = Surface(mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64))
-        posed, said = checked(surface, self.found.photographs.times(self.unit_m or 1.0), AUTO)
+        posed, said = resolve_convention(surface, self.found.photographs.scaled(self.unit_m or 1.0), AUTO)
         corners = mesh.vertices[mesh.triangles[:: max(len(mesh.triangles) // 100_000, 1)]]
         edge = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
         write_ply(self.output / _FUSED, mesh)
@@ -224,11 +224,11 @@ class Import:
         surface = Surface(transform_points(T, mesh.vertices), mesh.triangles.astype(np.int64), colors)
         photographs = self._level_photographs(T)
         numbers, held_out = self._used(surface, photographs, lambda part: progress(0.1 * part))
-        photographs = photographs.only(numbers)
+        photographs = photographs.subset(numbers)
         settings = TextureSettings(longest_side=self.settings.longest_side)
-        textured = texture(surface, photographs, settings, lambda part: progress(0.1 + 0.9 * part), held_out=held_out)
+        textured = texture_surface(surface, photographs, settings, lambda part: progress(0.1 + 0.9 * part), held_out=held_out)
         (self.output / WORK).mkdir(exist_ok=True)
-        write_glb(self.output / _TEXTURED, mesh_of(textured))
+        write_glb(self.output / _TEXTURED, textured_mesh(textured))
         poses = textured.photographs.poses.tolist()
         facts = {"numbers": numbers.tolist(), "held_out": held_out, "T_world_camera": poses}
         self._write("texture", {**textured.report.as_dict(), **facts})
@@ -250,7 +250,7 @@ class Import:
         if self.settings.hold_out and len(photographs) > MOST_PHOTOGRAPHS:
             few = min(len(aside), max(MOST_PHOTOGRAPHS // self.settings.hold_out, 1))
             aside = aside[np.linspace(0, len(aside) - 1, few).round().astype(int)]
-        chosen = choose_photographs(surface, photographs.only(others), MOST_PHOTOGRAPHS - len(aside), progress)
+        chosen = select_photographs(surface, photographs.subset(others), MOST_PHOTOGRAPHS - len(aside), progress)
         numbers = np.sort(np.concatenate([others[chosen], aside]))
         return numbers, np.flatnonzero(np.isin(numbers, aside)).tolist()
 
@@ -318,18 +318,18 @@ class Import:
 
     def _compare(self, progress: Progress) -> Sequence[str]:
         facts = self._read("texture")
-        photographs = self.found.photographs.only(facts["numbers"]).at(np.array(facts["T_world_camera"]))
+        photographs = self.found.photographs.subset(facts["numbers"]).with_poses(np.array(facts["T_world_camera"]))
         numbers, done = facts["held_out"], 0
         pixels = sum(photographs.intrinsics(k).width * photographs.intrinsics(k).height for k in numbers)
         with photograph_renderer(load_scene(self.output), photographs, UNSEEN_FLOOR) as draw:
 
-            def counted(number: int) -> Drawn:
+            def counted(number: int) -> RenderedImage:
                 nonlocal done
                 done += 1
                 progress((0.5 if self.settings.fill else 0.9) * done / len(numbers))
                 return draw(number)
 
-            alike = compare(photographs, counted, numbers=numbers)
+            alike = image_similarity(photographs, counted, numbers=numbers)
             filled = self._compare_filled(photographs, numbers, draw) if self.settings.fill else {}
             sheet = contact_sheet(photographs, draw, numbers, self._unused())
         share = alike.pixels / pixels
@@ -360,11 +360,11 @@ class Import:
 
     def _compare_filled(
         self, photographs: Photographs, numbers: Sequence[int], draw: DrawPhotograph
-    ) -> dict[str, tuple[Likeness, Likeness]]:
+    ) -> dict[str, tuple[ImageSimilarity, ImageSimilarity]]:
         """Returns region -> likeness of images as drawn, and with their holes filled."""
 
-        def alike(fill: str, region: str) -> Likeness:
-            return compare(photographs, lambda number: draw(number, fill, region), numbers=numbers)
+        def alike(fill: str, region: str) -> ImageSimilarity:
+            return image_similarity(photographs, lambda number: draw(number, fill, region), numbers=numbers)
 
         return {region: (alike("", region), alike(self.settings.fill, region)) for region in (FRONTS, HOLES)}
 
@@ -372,11 +372,11 @@ class Import:
         return np.array(self._read("level")["T_level_scan"])
 
     def _level_photographs(self, T_level_scan: F64) -> Photographs:
-        return self.found.photographs.at(T_level_scan @ np.array(self._read("fused")["T_scan_camera"]))
+        return self.found.photographs.with_poses(T_level_scan @ np.array(self._read("fused")["T_scan_camera"]))
 
     def _read_mesh(self, name: str) -> ColouredMesh:
         path = self.output / name
-        surface = surface_of(load_mesh(path, [path.parent]))
+        surface = surface_from_mesh(load_mesh(path, [path.parent]))
         assert surface.colors is not None
         return ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), surface.colors)
 

@@ -18,7 +18,7 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Output, SceneState
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.clean_scene import still_scene
-from gibson_sim_tools.texturing.measure import Drawn, matched
+from gibson_sim_tools.texturing.evaluation import RenderedImage, exposure_matched
 
 U8 = NDArray[np.uint8]
 
@@ -31,7 +31,7 @@ _PAPER, _INK = 250, (50, 50, 50)
 class DrawPhotograph(Protocol):
     """Draws the simulation at the pose of a photograph."""
 
-    def __call__(self, number: int, fill: str = "", region: str = ALL) -> Drawn:
+    def __call__(self, number: int, fill: str = "", region: str = ALL) -> RenderedImage:
         """Returns the image.
 
         Args:
@@ -55,7 +55,7 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
     others = [number for number, name in enumerate(still.instances) if number and name != unseen]
     with Renderer(still, cache=default_folder()) as renderer:
 
-        def picture(number: int, fill: str = "", region: str = ALL) -> Drawn:
+        def picture(number: int, fill: str = "", region: str = ALL) -> RenderedImage:
             lens = photographs.intrinsics(number)
             pose = pose_from_matrix(photographs.items[number].T_world_camera)
             outputs: tuple[Output, ...] = ("rgb", "instance") if region == ALL else ("rgb", "instance", "hole")
@@ -67,14 +67,14 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
             assert frame.rgb is not None and frame.instance is not None
             rgb, seen = (frame.rgb / 255.0).astype(np.float32), np.isin(frame.instance, others)
             if frame.hole is None:
-                return Drawn(rgb, seen)
+                return RenderedImage(rgb, seen)
             fronts = seen & (frame.hole == SURFACE)
-            return Drawn(rgb, fronts, fronts if region == FRONTS else is_hole(frame.hole))
+            return RenderedImage(rgb, fronts, fronts if region == FRONTS else is_hole(frame.hole))
 
         yield picture
 
 
-def contact_sheet(photographs: Photographs, drawn: Callable[[int], Drawn], numbers: Sequence[int], unused: str) -> U8:
+def contact_sheet(photographs: Photographs, drawn: Callable[[int], RenderedImage], numbers: Sequence[int], unused: str) -> U8:
     """Returns pairs of a photograph and the simulation, (H, W, 3), sRGB; at most ``_PAIRS`` of the numbers, spread evenly.
 
     Args:
@@ -86,9 +86,9 @@ def contact_sheet(photographs: Photographs, drawn: Callable[[int], Drawn], numbe
     shown = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _PAIRS).round().astype(int))]
     cells = []
     for number in shown:
-        truth, picture = photographs.picture(number), drawn(number)
-        simulated = np.rint(np.clip(matched(picture.rgb, truth, picture.seen), 0.0, 1.0) * 255.0).astype(np.uint8)
-        simulated[~picture.seen] = np.rint(picture.rgb[~picture.seen] * 255.0)
+        truth, picture = photographs.image(number), drawn(number)
+        simulated = np.rint(np.clip(exposure_matched(picture.rgb, truth, picture.visible), 0.0, 1.0) * 255.0).astype(np.uint8)
+        simulated[~picture.visible] = np.rint(picture.rgb[~picture.visible] * 255.0)
         cells.append(
             np.concatenate(
                 [

@@ -82,7 +82,7 @@ class Photographs:
             return full
         return full.resized(max(round(full.width * share), 1), max(round(full.height * share), 1))
 
-    def picture(self, number: int) -> U8:
+    def image(self, number: int) -> U8:
         """Returns a picture (H, W, 3), sRGB, without distortion; row 0 is the top.
 
         Raises:
@@ -131,17 +131,17 @@ class Photographs:
             units = cv2.resize(units, (wanted.width, wanted.height), interpolation=cv2.INTER_NEAREST)
         return metres(np.asarray(units, dtype=np.uint16), item.depth_scale)
 
-    def at(self, poses: F64) -> Photographs:
+    def with_poses(self, poses: F64) -> Photographs:
         """Returns the same photographs at other poses, (N, 4, 4)."""
         return replace(self, items=tuple(replace(item, T_world_camera=T) for item, T in zip(self.items, poses, strict=True)))
 
-    def times(self, scale: float) -> Photographs:
+    def scaled(self, scale: float) -> Photographs:
         """Returns the same photographs at positions that are larger by a factor."""
         poses = self.poses
         poses[:, :3, 3] *= scale
-        return self.at(poses)
+        return self.with_poses(poses)
 
-    def only(self, numbers: Sequence[int] | NDArray[np.integer]) -> Photographs:
+    def subset(self, numbers: Sequence[int] | NDArray[np.integer]) -> Photographs:
         """Returns some of the photographs."""
         return replace(self, items=tuple(self.items[k] for k in numbers))
 

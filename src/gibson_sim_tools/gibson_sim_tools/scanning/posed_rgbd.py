@@ -143,11 +143,11 @@ class PosedRgbd:
         """T_world_camera of all frames, (N, 4, 4)."""
         return np.stack([f.T_world_camera for f in self.files])
 
-    def at(self, poses: NDArray[np.float64]) -> PosedRgbd:
+    def with_poses(self, poses: NDArray[np.float64]) -> PosedRgbd:
         """Returns the same frames at other poses, (N, 4, 4)."""
         return replace(self, files=tuple(replace(file, T_world_camera=T) for file, T in zip(self.files, poses, strict=True)))
 
-    def only(self, numbers: Sequence[int]) -> PosedRgbd:
+    def subset(self, numbers: Sequence[int]) -> PosedRgbd:
         """Returns some of the frames."""
         return replace(self, files=tuple(self.files[k] for k in numbers))
 

@@ -1,4 +1,5 @@
-"""Textures of scanned meshes, made from posed photographs, after Waechter, Moehrle and Goesele, "Let There Be Color!", ECCV 2014.
+"""Texturing of reconstructed meshes from posed photographs, after Waechter, Moehrle and Goesele, "Let There Be Color!", ECCV 2014.
 
-``texture`` runs the whole; each other module is one step and knows no other step but by its values.
+``texture`` runs the pipeline: visibility, exposure compensation, pose refinement, outlier removal, view selection (``labelling``), texture atlas,
+seam levelling. Each other module is one stage. Stages exchange arrays and dataclasses only.
 """

@@ -1,8 +1,8 @@
-"""Chooses the photograph of each triangle: good views, few seams.
+"""View selection: labels each triangle with a photograph, by a Markov random field (Lempitsky and Ivanov, CVPR 2007).
 
-A Markov random field over the triangles: the cost of a photograph is what its quality falls short of the best one's, and each edge between two
-triangles of different photographs costs ``smoothness`` (Potts). It is minimised by loopy belief propagation (min-sum, damped), where a label
-set has only the best photographs of each triangle; then small patches take the label of a neighbour where that costs less.
+Data term: relative loss of quality against the best view of the triangle. Smoothness term: Potts, ``smoothness`` for each edge between two
+labels. Damped min-sum loopy belief propagation minimises the energy over the best candidates of each triangle. Then whole patches take the
+label of a neighbouring patch wherever that lowers the energy.
 """
 
 from __future__ import annotations
@@ -25,34 +25,35 @@ I32 = NDArray[np.int32]
 
 UNSEEN = -1
 """Label of a triangle that no photograph shows."""
-_CANDIDATES = 12
-"""Photographs that a triangle can choose from, the best ones."""
-_ROUNDS = 40
+_MAX_CANDIDATES = 12
+"""Largest number of candidate labels of a triangle: those of highest quality."""
+_ITERATIONS = 40
+"""Iterations of belief propagation."""
 _DAMPING = 0.5
-"""Share of the old message in a new one: without it, messages can swing for ever."""
-_MERGES = 30
-"""Most rounds in which patches join neighbours."""
+"""Weight of the old message in a new one; without damping, messages can oscillate."""
+_MAX_MERGE_ROUNDS = 30
+"""Largest number of rounds of patch merging."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """The photographs that each triangle can choose from."""
+    """Candidate labels of each triangle, best first."""
 
     label: I32
-    """(F, K), -1 = none."""
+    """(F, K), photograph of each candidate, -1 = none."""
     cost: F32
-    """(F, K), 0 = the best photograph of the triangle; +inf where there is no label."""
+    """(F, K), data term: 0 = best view of the triangle, 1 = no quality; +inf where there is no label."""
     quality: F32
-    """(F, K), 0 where there is no label."""
+    """(F, K), see ``Views.quality``; 0 where there is no label."""
 
 
-def candidates_of(views: Views, face_count: int, most: int = _CANDIDATES) -> Candidates:
-    """Returns the ``most`` best photographs of each triangle, best first."""
+def label_candidates(views: Views, face_count: int, max_candidates: int = _MAX_CANDIDATES) -> Candidates:
+    """Returns the candidates of ``face_count`` triangles: their ``max_candidates`` views of highest quality, best first."""
     order = np.lexsort((views.photograph, -views.quality, views.face))
     face = views.face[order]
     starts = np.searchsorted(face, np.arange(face_count))
     rank = np.arange(len(face)) - starts[face] if len(face) else np.zeros(0, dtype=np.int64)
-    kept = rank < most
+    kept = rank < max_candidates
     width = max(int(rank[kept].max(initial=0)) + 1, 1)
     label = np.full((face_count, width), UNSEEN, dtype=np.int32)
     quality = np.zeros((face_count, width), dtype=np.float32)
@@ -64,121 +65,130 @@ def candidates_of(views: Views, face_count: int, most: int = _CANDIDATES) -> Can
 
 
 def best_labels(candidates: Candidates) -> I32:
-    """Returns the best photograph of each triangle, (F,)."""
+    """Returns the photograph of highest quality of each triangle, (F,), -1 = unseen: labels without a smoothness term."""
     return candidates.label[:, 0].copy()
 
 
-def choose_labels(candidates: Candidates, adjacency: Adjacency, smoothness: float) -> I32:
-    """Returns the photograph of each triangle, (F,), -1 = unseen.
+def optimise_labels(candidates: Candidates, adjacency: Adjacency, smoothness: float) -> I32:
+    """Returns the label of each triangle, (F,), -1 = unseen, that approximately minimises the energy of the Markov random field.
 
     Args:
-        candidates: what can be chosen.
-        adjacency: neighbouring triangles.
-        smoothness: cost of an edge between two photographs, where a triangle without its best photograph costs at most 1.
+        candidates: candidate labels and their data terms.
+        adjacency: edges of the field.
+        smoothness: cost of an edge between two labels; a data term is at most 1.
     """
     label = candidates.label
-    seen = label[:, 0] >= 0
-    pairs = adjacency.faces[seen[adjacency.faces].all(axis=1)]
-    choice = _belief_propagation(candidates, pairs, smoothness)
-    labels = np.where(seen, np.take_along_axis(label, choice[:, None], axis=1)[:, 0], UNSEEN).astype(np.int32)
-    return _merged(labels, candidates, pairs, smoothness)
+    has_label = label[:, 0] >= 0
+    edges = adjacency.faces[has_label[adjacency.faces].all(axis=1)]
+    selected = _belief_propagation(candidates, edges, smoothness)
+    labels = np.where(has_label, np.take_along_axis(label, selected[:, None], axis=1)[:, 0], UNSEEN).astype(np.int32)
+    return _merge_patches(labels, candidates, edges, smoothness)
 
 
 def quality_loss(labels: I32, candidates: Candidates) -> float:
-    """Returns the share of the quality of the best photographs that labels (F,) give up."""
+    """Returns the quality that labels (F,) lose against the best views, as a fraction of the best views' quality."""
     total = float(candidates.quality[:, 0].sum())
-    chosen = np.where(candidates.label == labels[:, None], candidates.quality, 0.0).sum()
-    return 1.0 - float(chosen) / max(total, 1e-12)
+    selected = np.where(candidates.label == labels[:, None], candidates.quality, 0.0).sum()
+    return 1.0 - float(selected) / max(total, 1e-12)
 
 
-def patches_of(labels: NDArray[np.integer], adjacency: Adjacency) -> I64:
-    """Returns the number of the patch of each triangle, (F,): triangles of one label that are connected by edges; -1 = unseen."""
-    same = labels[adjacency.faces[:, 0]] == labels[adjacency.faces[:, 1]]
-    a, b = adjacency.faces[same].T
+def connected_patches(labels: NDArray[np.integer], adjacency: Adjacency) -> I64:
+    """Returns the patch of each triangle, (F,), -1 = unseen: connected components of triangles with equal labels (F,)."""
+    is_same = labels[adjacency.faces[:, 0]] == labels[adjacency.faces[:, 1]]
+    a, b = adjacency.faces[is_same].T
     graph = sparse.coo_matrix((np.ones(len(a), dtype=bool), (a, b)), shape=(len(labels), len(labels)))
-    _, part = csgraph.connected_components(graph, directed=False)
-    seen = labels >= 0
-    out = np.full(len(labels), -1, dtype=np.int64)
-    out[seen] = np.unique(part[seen], return_inverse=True)[1]
-    return out
+    _, component = csgraph.connected_components(graph, directed=False)
+    has_label = labels >= 0
+    patch = np.full(len(labels), -1, dtype=np.int64)
+    patch[has_label] = np.unique(component[has_label], return_inverse=True)[1]
+    return patch
 
 
-def _belief_propagation(candidates: Candidates, pairs: I64, smoothness: float) -> I64:
-    """Returns the index of the candidate of each triangle, (F,)."""
+def _belief_propagation(candidates: Candidates, edges: I64, smoothness: float) -> I64:
+    """Returns the selected candidate of each triangle, (F,), an index below K.
+
+    Args:
+        candidates: (F, K) candidates.
+        edges: (E, 2), pairs of neighbouring triangles that have candidates.
+        smoothness: Potts cost.
+    """
     count, width = candidates.label.shape
     cost = np.where(np.isfinite(candidates.cost), candidates.cost, np.float32(1e6)).astype(np.float32)
-    if width == 1 or not len(pairs):
+    if width == 1 or not len(edges):
         return np.zeros(count, dtype=np.int64)
-    source = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    target = np.concatenate([pairs[:, 1], pairs[:, 0]])
-    half = len(pairs)
-    # Where each candidate of the target stands among those of the source; ``width`` = it is none of them.
-    where = np.full((len(source), width), width, dtype=np.int8)
+    source = np.concatenate([edges[:, 0], edges[:, 1]])
+    target = np.concatenate([edges[:, 1], edges[:, 0]])
+    edge_count = len(edges)
+    # Index of each candidate label of the target among those of the source; ``width`` = the source lacks it.
+    candidate_index = np.full((len(source), width), width, dtype=np.int8)
     for k in range(width):
         match = candidates.label[source, k][:, None] == candidates.label[target]
-        where[match & (candidates.label[target] >= 0)] = k
-    into = sparse.csr_matrix(
+        candidate_index[match & (candidates.label[target] >= 0)] = k
+    incoming = sparse.csr_matrix(
         (np.ones(len(target), dtype=np.float32), (target, np.arange(len(target)))), shape=(count, len(target))
     )
     message = np.zeros((len(source), width), dtype=np.float32)
-    reverse = np.concatenate([np.arange(half, 2 * half), np.arange(half)])
-    smooth = np.float32(smoothness)
-    for _ in range(_ROUNDS):
-        belief = cost + into @ message
-        without = belief[source] - message[reverse]
-        least = without.min(axis=1, keepdims=True)
-        padded = np.concatenate([without, np.full((len(source), 1), np.inf, dtype=np.float32)], axis=1)
-        new = np.minimum(np.take_along_axis(padded, where.astype(np.int64), axis=1), least + smooth) - least
-        message = (_DAMPING * message + (1.0 - _DAMPING) * new).astype(np.float32)
-    return np.asarray((cost + into @ message).argmin(axis=1), dtype=np.int64)
+    reverse_edge = np.concatenate([np.arange(edge_count, 2 * edge_count), np.arange(edge_count)])
+    smoothness_cost = np.float32(smoothness)
+    for _ in range(_ITERATIONS):
+        belief = cost + incoming @ message
+        cavity = belief[source] - message[reverse_edge]
+        minimum = cavity.min(axis=1, keepdims=True)
+        padded_cavity = np.concatenate([cavity, np.full((len(source), 1), np.inf, dtype=np.float32)], axis=1)
+        new_message = (
+            np.minimum(np.take_along_axis(padded_cavity, candidate_index.astype(np.int64), axis=1), minimum + smoothness_cost)
+            - minimum
+        )
+        message = (_DAMPING * message + (1.0 - _DAMPING) * new_message).astype(np.float32)
+    return np.asarray((cost + incoming @ message).argmin(axis=1), dtype=np.int64)
 
 
-def _merged(labels: I32, candidates: Candidates, pairs: I64, smoothness: float) -> I32:
-    """Returns labels (F,) after whole patches took the label of a neighbouring patch wherever that lowers the cost."""
+def _merge_patches(labels: I32, candidates: Candidates, edges: I64, smoothness: float) -> I32:
+    """Returns labels (F,) after whole patches were relabelled with a neighbouring patch's label wherever that lowers the energy."""
     labels = labels.copy()
-    for _ in range(_MERGES):
-        patch = patches_of(labels, Adjacency(pairs, pairs))
-        a, b = pairs.T
-        cut = labels[a] != labels[b]
-        if not cut.any():
+    for _ in range(_MAX_MERGE_ROUNDS):
+        patch = connected_patches(labels, Adjacency(edges, edges))
+        a, b = edges.T
+        is_seam = labels[a] != labels[b]
+        if not is_seam.any():
             break
-        own = np.concatenate([patch[a[cut]], patch[b[cut]]])
-        other = np.concatenate([labels[b[cut]], labels[a[cut]]]).astype(np.int64)
+        patch_ids = np.concatenate([patch[a[is_seam]], patch[b[is_seam]]])
+        neighbour_labels = np.concatenate([labels[b[is_seam]], labels[a[is_seam]]]).astype(np.int64)
         span = int(labels.max()) + 1
-        keys, edges = np.unique(own * span + other, return_counts=True)
-        patches, options = keys // span, keys % span
-        gain = smoothness * edges - _price(patch, patches, options, labels, candidates)
-        # Neighbours that move together may miss each other: a patch moves if it gains most among its neighbours.
+        keys, seam_counts = np.unique(patch_ids * span + neighbour_labels, return_counts=True)
+        patches, new_labels = keys // span, keys % span
+        gain = smoothness * seam_counts - _relabel_cost(patch, patches, new_labels, labels, candidates)
+        # Neighbouring patches that were relabelled at once could swap labels: a relabelled patch locks its neighbours for this round.
         order = np.argsort(-gain, kind="stable")
         order = order[gain[order] > 1e-6]
         if not len(order):
             break
-        beside: dict[int, set[int]] = {}
-        for p, q in zip(own.tolist(), np.concatenate([patch[b[cut]], patch[a[cut]]]).tolist(), strict=True):
-            beside.setdefault(p, set()).add(q)
-        frozen = np.zeros(int(patch.max()) + 1, dtype=bool)
-        target = np.full(len(frozen), UNSEEN, dtype=np.int64)
+        neighbours: dict[int, set[int]] = {}
+        for p, q in zip(patch_ids.tolist(), np.concatenate([patch[b[is_seam]], patch[a[is_seam]]]).tolist(), strict=True):
+            neighbours.setdefault(p, set()).add(q)
+        is_locked = np.zeros(int(patch.max()) + 1, dtype=bool)
+        target = np.full(len(is_locked), UNSEEN, dtype=np.int64)
         for row in order.tolist():
             p = int(patches[row])
-            if not frozen[p]:
-                target[p] = options[row]
-                frozen[[p, *beside[p]]] = True
-        moves = (patch >= 0) & (target[patch] >= 0)
-        labels[moves] = target[patch[moves]]
+            if not is_locked[p]:
+                target[p] = new_labels[row]
+                is_locked[[p, *neighbours[p]]] = True
+        is_relabelled = (patch >= 0) & (target[patch] >= 0)
+        labels[is_relabelled] = target[patch[is_relabelled]]
     return labels
 
 
-def _price(patch: I64, patches: I64, options: I64, labels: I32, candidates: Candidates) -> F64:
-    """Returns what each patch (N,) pays for another label (N,) in all its triangles; +inf if one of them cannot have it."""
-    known = candidates.label >= 0
-    face, k = np.nonzero(known)
+def _relabel_cost(patch: I64, patches: I64, new_labels: I64, labels: I32, candidates: Candidates) -> F64:
+    """Returns the change of the data term, (N,), if patches (N,) take new labels (N,); +inf if a triangle lacks that candidate."""
+    is_candidate = candidates.label >= 0
+    face, k = np.nonzero(is_candidate)
     count, span = int(patch.max()) + 1, int(candidates.label.max()) + 1
     keys = patch[face] * span + candidates.label[face, k]
     order = np.argsort(keys, kind="stable")
     keys, costs = keys[order], candidates.cost[face, k][order].astype(np.float64)
-    sums, numbers = np.concatenate([[0.0], np.cumsum(costs)]), patches * span + options
-    low, high = np.searchsorted(keys, numbers, "left"), np.searchsorted(keys, numbers, "right")
-    own = np.where(candidates.label == labels[:, None], np.where(known, candidates.cost, 0.0), 0.0).sum(axis=1)
-    now = np.bincount(patch[patch >= 0], own[patch >= 0], minlength=count)
+    cumulative, wanted_keys = np.concatenate([[0.0], np.cumsum(costs)]), patches * span + new_labels
+    low, high = np.searchsorted(keys, wanted_keys, "left"), np.searchsorted(keys, wanted_keys, "right")
+    own_cost = np.where(candidates.label == labels[:, None], np.where(is_candidate, candidates.cost, 0.0), 0.0).sum(axis=1)
+    current_cost = np.bincount(patch[patch >= 0], own_cost[patch >= 0], minlength=count)
     size = np.bincount(patch[patch >= 0], minlength=count)
-    return np.where(high - low == size[patches], sums[high] - sums[low] - now[patches], np.inf)
+    return np.where(high - low == size[patches], cumulative[high] - cumulative[low] - current_cost[patches], np.inf)

@@ -1,4 +1,4 @@
-"""What texturing found."""
+"""Report of texturing: corrections of the poses, outliers, patches, steps across seams."""
 
 from __future__ import annotations
 
@@ -8,44 +8,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.texturing.levelling import mean_edge_step, mean_step
+from gibson_sim_tools.texturing.levelling import mean_color_step, mean_edge_color_step
 
 
 @dataclass(slots=True)
 class TextureReport:
-    """What texturing found."""
+    """Report of texturing. The names of the fields are keys of its JSON."""
 
     triangles: int = 0
     photographs: int = 0
     views: int = 0
     moved_mm: float = 0.0
-    """Median correction of the positions."""
+    """Median correction of the positions, millimetres."""
     turned_deg: float = 0.0
-    """Median correction of the orientations."""
+    """Median correction of the orientations, degrees."""
     kept_poses: int = 0
-    """Photographs whose correction was beyond the limits."""
+    """Number of photographs whose correction exceeded the limits and was rejected."""
     outliers: int = 0
-    """Views that show something else."""
+    """Number of rejected views."""
     unseen: int = 0
-    """Triangles that no photograph shows."""
+    """Number of triangles that no photograph shows."""
     patches: int = 0
     best_patches: int = 0
-    """Patches if each triangle had its best photograph."""
+    """Number of patches if each triangle had its view of highest quality."""
     quality_loss: float = 0.0
-    """Share of quality given up for fewer patches."""
+    """Quality lost against the best views, as a fraction."""
     seam_edges: int = 0
     seam_steps: dict[str, float] = field(default_factory=dict)
-    """Mean step over the seams, 8-bit steps: ``before``, ``global``, ``local``."""
+    """Mean colour step across seams, 8-bit steps, by stage of levelling: ``before``, ``global``, ``local``."""
     edge_steps: dict[str, float] = field(default_factory=dict)
-    """The same of the mean colours of each edge, without noise and fine detail."""
+    """Mean step of the mean colours of each seam edge, without noise and fine detail, by the same stages."""
     page_sizes: tuple[tuple[int, int], ...] = ()
+    """Width and height of each page, pixels."""
 
     def add_steps(self, name: str, colors: NDArray[np.float32]) -> None:
-        """Enters the steps between the colours (S, 2, T, 3) of both sides of the seams."""
-        self.seam_steps[name], self.edge_steps[name] = mean_step(colors), mean_edge_step(colors)
+        """Records the colour steps after a stage of levelling, from the colours of both sides of the seams, (S, 2, T, 3)."""
+        self.seam_steps[name], self.edge_steps[name] = mean_color_step(colors), mean_edge_color_step(colors)
 
     def lines(self) -> list[str]:
-        """Returns the report for people."""
+        """Returns the report as text, one line per stage."""
         share = 100.0 * self.unseen / max(self.triangles, 1)
         steps = ", ".join(f"{value:.2f} {name}" for name, value in self.seam_steps.items())
         edges = ", ".join(f"{value:.2f} {name}" for name, value in self.edge_steps.items())

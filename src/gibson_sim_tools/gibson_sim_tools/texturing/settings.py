@@ -8,16 +8,16 @@ from gibson_sim.settings import check_settings, setting
 from gibson_sim_tools.scanning.settings import CAMERA_CONVENTIONS
 
 LARGEST_PAGE = 8192
-"""Longest side of a texture, pixels: what every graphics card can load."""
+"""Longest side of a texture that every GPU supports, pixels."""
 
 POSE_CONVENTIONS = {
     **CAMERA_CONVENTIONS,
     "y-up": "of a world with y up, while the mesh is z up",
     "before-applied-transform": "of nerfstudio's world, while the mesh is in the one before its applied_transform",
 }
-"""Conventions by name, and what each is."""
+"""Pose conventions: name -> meaning."""
 MOST_PHOTOGRAPHS = 600
-"""Photographs that are used, unless asked for more: memory and time grow with them."""
+"""Default of the largest number of photographs; it bounds memory and time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The surface that gets a texture: a welded triangle mesh, its neighbourhoods, and projections of it."""
+"""Triangle surface to be textured: a welded mesh, edge splitting, face adjacency, pinhole projection."""
 
 from __future__ import annotations
 
@@ -22,93 +22,93 @@ _EDGES = ((0, 1), (1, 2), (2, 0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Triangles, counter-clockwise seen from outside; world frame."""
+    """Triangle mesh, world frame; triangles are counter-clockwise from outside."""
 
     vertices: F64
     """(V, 3), metres, no two equal."""
     triangles: I64
-    """(F, 3), rows of ``vertices``, the three different; some may have no area."""
+    """(F, 3), three distinct rows of ``vertices`` each; some triangles may be degenerate."""
     colors: NDArray[np.uint8] | None = None
-    """(V, 3), sRGB of the vertices, or None."""
+    """(V, 3), vertex colours, sRGB; None = the mesh has none."""
 
     @property
     def corners(self) -> F64:
-        """(F, 3, 3), metres."""
+        """(F, 3, 3), corners of the triangles, metres."""
         return np.asarray(self.vertices[self.triangles])
 
-    def times(self, scale: float) -> Surface:
-        """Returns the surface, larger by a factor."""
+    def scaled(self, scale: float) -> Surface:
+        """Returns the surface scaled about the origin."""
         return Surface(self.vertices * scale, self.triangles, self.colors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjacency:
-    """Pairs of triangles with a common edge. An edge of more than two triangles gives a chain of pairs."""
+    """Face adjacency: E pairs of triangles with a common edge. A non-manifold edge gives a chain of pairs."""
 
     faces: I64
-    """(E, 2), rows of ``triangles``."""
+    """(E, 2), triangles of each pair."""
     edges: I64
-    """(E, 2), the common vertices."""
+    """(E, 2), vertices of the common edge."""
 
 
-def surface_of(mesh: Mesh) -> Surface:
-    """Returns the triangles of a mesh, welded, with the colours of its vertices if all its parts have them.
+def surface_from_mesh(mesh: Mesh) -> Surface:
+    """Returns the welded triangles of a mesh, with vertex colours if all its parts have them.
 
     Raises:
-        ScanError: no triangle is left.
+        ScanError: the mesh has no triangle.
     """
     vertices, triangles = weld(*mesh.merged())
     if not len(triangles):
         raise ScanError("the mesh has no triangle; give the mesh of the scan")
     colors = None
     if all(part.colors is not None for part in mesh.parts):
-        given = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64)
-        of_given = np.concatenate([part.colors for part in mesh.parts if part.colors is not None])
-        colors = of_given[cKDTree(given).query(vertices)[1]]
+        part_vertices = np.concatenate([part.vertices for part in mesh.parts]).astype(np.float64)
+        part_colors = np.concatenate([part.colors for part in mesh.parts if part.colors is not None])
+        colors = part_colors[cKDTree(part_vertices).query(vertices)[1]]
     return Surface(vertices, triangles, colors)
 
 
-def split_long_edges(surface: Surface, longest: float) -> Surface:
-    """Returns the surface with every edge at most ``longest`` metres long.
+def split_long_edges(surface: Surface, max_length: float) -> Surface:
+    """Returns the surface with all edges at most ``max_length`` metres long.
 
-    A triangle is textured by one photograph, so that it has to be small beside what a photograph shows. Each round splits all edges that are
-    too long at their middles, in all their triangles alike, so that no gap opens.
+    One photograph textures a triangle, so triangles must be small against the field of view. Each round splits all longer edges at their
+    midpoints, in all their triangles, which avoids T-junctions.
     """
     vertices, triangles, colors = surface.vertices, surface.triangles, surface.colors
     while True:
-        ends = np.sort(np.concatenate([triangles[:, edge] for edge in _EDGES]), axis=1)
-        edges, number = np.unique(ends, axis=0, return_inverse=True)
-        long = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > longest
-        if not long.any():
+        sorted_ends = np.sort(np.concatenate([triangles[:, edge] for edge in _EDGES]), axis=1)
+        edges, edge_of_side = np.unique(sorted_ends, axis=0, return_inverse=True)
+        is_long = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > max_length
+        if not is_long.any():
             return Surface(vertices, triangles, colors)
-        middle = np.where(long, np.cumsum(long) - 1 + len(vertices), -1)
-        new = edges[long]
+        midpoint = np.where(is_long, np.cumsum(is_long) - 1 + len(vertices), -1)
+        split_edges = edges[is_long]
         if colors is not None:
-            colors = np.concatenate([colors, (colors[new].astype(np.uint16).sum(axis=1) // 2).astype(np.uint8)])
-        vertices = np.concatenate([vertices, vertices[new].mean(axis=1)])
-        triangles = _split(triangles, middle[number.reshape(3, -1).T])
+            colors = np.concatenate([colors, (colors[split_edges].astype(np.uint16).sum(axis=1) // 2).astype(np.uint8)])
+        vertices = np.concatenate([vertices, vertices[split_edges].mean(axis=1)])
+        triangles = _split_triangles(triangles, midpoint[edge_of_side.reshape(3, -1).T])
 
 
-def _split(triangles: I64, middles: I64) -> I64:
-    """Returns triangles (F, 3) split at the middles (F, 3) of their edges 01, 12 and 20; -1 = the edge stays whole."""
-    count = (middles >= 0).sum(axis=1)
-    out = [triangles[count == 0]]
-    # Turn each triangle so that a lone split edge, or a lone whole one, comes first.
+def _split_triangles(triangles: I64, midpoints: I64) -> I64:
+    """Returns triangles (F, 3) split at the midpoint vertices (F, 3) of their edges 01, 12 and 20; -1 = the edge is not split."""
+    count = (midpoints >= 0).sum(axis=1)
+    parts = [triangles[count == 0]]
+    # Each triangle is rotated so that its only split edge, or its only edge that is not split, comes first.
     for k in range(3):
         order = [k, (k + 1) % 3, (k + 2) % 3]
-        one = (count == 1) & (middles[:, k] >= 0)
-        (a, b, c), m = triangles[one][:, order].T, middles[one, k]
-        out += [np.stack([a, m, c], 1), np.stack([m, b, c], 1)]
-        two = (count == 2) & (middles[:, k] < 0)
-        (a, b, c), (_, m, n) = triangles[two][:, order].T, middles[two][:, order].T
-        out += [np.stack([a, b, m], 1), np.stack([a, m, n], 1), np.stack([m, c, n], 1)]
-    (a, b, c), (m, n, o) = triangles[count == 3].T, middles[count == 3].T
-    out += [np.stack([a, m, o], 1), np.stack([m, b, n], 1), np.stack([o, n, c], 1), np.stack([m, n, o], 1)]
-    return np.concatenate(out)
+        one = (count == 1) & (midpoints[:, k] >= 0)
+        (a, b, c), m = triangles[one][:, order].T, midpoints[one, k]
+        parts += [np.stack([a, m, c], 1), np.stack([m, b, c], 1)]
+        two = (count == 2) & (midpoints[:, k] < 0)
+        (a, b, c), (_, m, n) = triangles[two][:, order].T, midpoints[two][:, order].T
+        parts += [np.stack([a, b, m], 1), np.stack([a, m, n], 1), np.stack([m, c, n], 1)]
+    (a, b, c), (m, n, o) = triangles[count == 3].T, midpoints[count == 3].T
+    parts += [np.stack([a, m, o], 1), np.stack([m, b, n], 1), np.stack([o, n, c], 1), np.stack([m, n, o], 1)]
+    return np.concatenate(parts)
 
 
-def adjacency(triangles: I64) -> Adjacency:
-    """Returns which triangles (F, 3) share an edge."""
+def face_adjacency(triangles: I64) -> Adjacency:
+    """Returns the face adjacency of triangles (F, 3), vertex indices."""
     ends = np.sort(np.concatenate([triangles[:, edge] for edge in _EDGES]), axis=1)
     face = np.tile(np.arange(len(triangles)), 3)
     order = np.lexsort((face, ends[:, 1], ends[:, 0]))
@@ -118,7 +118,10 @@ def adjacency(triangles: I64) -> Adjacency:
 
 
 def project(points: F64, intrinsics: Intrinsics, T_world_camera: F64) -> tuple[F64, F64]:
-    """Returns the pixels (N, 2) of points (N, 3), world frame, and their depths (N,), metres; NaN pixels for points not in front."""
+    """Returns the projections (N, 2), columns and rows, of points (N, 3), world frame, and their depths (N,), metres.
+
+    Points that are not in front of the camera have NaN projections.
+    """
     T = invert(T_world_camera)
     p = points @ T[:3, :3].T + T[:3, 3]
     z = p[:, 2]

@@ -1,4 +1,4 @@
-"""A textured surface as a mesh and as a scene."""
+"""Converts a textured surface to a mesh, and writes it as a scene."""
 
 from __future__ import annotations
 
@@ -12,73 +12,76 @@ from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, Importe
 from gibson_sim_tools.importing.scans import is_scan
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform
 from gibson_sim_tools.texturing.surface import Surface
-from gibson_sim_tools.texturing.texture import Textured
+from gibson_sim_tools.texturing.texture import TexturedSurface
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 UNSEEN_MATERIAL = "unseen"
-"""Material of the triangles that no photograph shows."""
+"""Name of the material of unseen triangles."""
 
 
-def write_textured_scene(textured: Textured, output: Path, name: str = "", *, level: bool = False) -> Path:
-    """Writes a scene into a new folder and returns its scene.yaml.
+def write_textured_scene(textured: TexturedSurface, output: Path, name: str = "", *, level: bool = False) -> Path:
+    """Writes a scene into a new folder and returns the path of its scene.yaml.
 
     Args:
-        textured: metres; z up, or to be levelled.
+        textured: the surface, metres; z up unless ``level``.
         output: the folder.
-        name: of the scene; empty = that of the folder.
-        level: whether to turn it so that z is up and the floor is at z = 0.
+        name: name of the scene; empty = that of the folder.
+        level: rotate and translate the mesh so that z is up and the floor is at z = 0.
 
     Raises:
         SceneError: the folder is not empty, or cannot be written.
-        ScanError: it is to be levelled, and has no level surface.
+        ScanError: ``level`` is set, and the mesh has no level surface.
     """
-    mesh = mesh_of(textured)
+    mesh = textured_mesh(textured)
     if level:
         surface = textured.surface
-        whole = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), textured.vertex_colors)
-        mesh = mesh.transformed(level_transform(whole, textured.photographs.poses))
+        coloured = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), textured.vertex_colors)
+        mesh = mesh.transformed(level_transform(coloured, textured.photographs.poses))
     name = name or output.resolve().name
     scene = ImportedScene(name, "textured scan", output.parent, light=BAKED_LIGHT)
     scene.objects = [ImportedObject(name, mesh, collision=SIMPLIFIED if is_scan(mesh) else "same")]
     return write_scene(scene, output)
 
 
-def mesh_of(textured: Textured) -> Mesh:
-    """Returns the textured surface as a mesh: a part for each page, and one with vertex colours for what no photograph shows. Colours include
-    the light of the room, so that nothing is shaded.
+def textured_mesh(textured: TexturedSurface) -> Mesh:
+    """Returns the textured surface as a mesh: one part per page, and one with vertex colours for the unseen triangles.
+
+    Materials are unlit, because the photographs include the lighting of the room.
     """
-    surface, plan = textured.surface, textured.atlas
+    surface, atlas = textured.surface, textured.atlas
     normals = area_normals(surface.vertices, surface.triangles)
     parts = []
-    for number, (width, height) in enumerate(plan.pages):
-        rows = np.flatnonzero(plan.page[plan.patch] == number)
-        vertices = surface.triangles[plan.faces[rows]]
+    for number, (width, height) in enumerate(atlas.pages):
+        rows = np.flatnonzero(atlas.page[atlas.patch] == number)
+        vertices = surface.triangles[atlas.faces[rows]]
         keys, first, index = np.unique(
-            plan.patch[rows][:, None] * len(surface.vertices) + vertices, return_index=True, return_inverse=True
+            atlas.patch[rows][:, None] * len(surface.vertices) + vertices, return_index=True, return_inverse=True
         )
-        of_vertex = vertices.ravel()[first]
-        uvs = (plan.corners[rows].reshape(-1, 2)[first] + 0.5) / (width, height)
+        vertex_rows = vertices.ravel()[first]
+        uvs = (atlas.corners[rows].reshape(-1, 2)[first] + 0.5) / (width, height)
         source = TextureSource(f"page {number}", textured.pages[number])
         material = Material(f"page_{number}", (1.0, 1.0, 1.0, 1.0), source, unlit=True)
-        parts.append(_part(surface, normals, of_vertex, index.reshape(-1, 3), material, uvs.astype(np.float32), None))
-        assert len(keys) == len(of_vertex)
+        parts.append(_mesh_part(surface, normals, vertex_rows, index.reshape(-1, 3), material, uvs.astype(np.float32), None))
+        assert len(keys) == len(vertex_rows)
     unseen = surface.triangles[textured.labels < 0]
     if len(unseen):
-        of_vertex, index = np.unique(unseen, return_inverse=True)
+        vertex_rows, index = np.unique(unseen, return_inverse=True)
         material = Material(UNSEEN_MATERIAL, (1.0, 1.0, 1.0, 1.0), unlit=True, colored=True)
-        parts.append(_part(surface, normals, of_vertex, index.reshape(-1, 3), material, None, textured.vertex_colors[of_vertex]))
+        parts.append(
+            _mesh_part(surface, normals, vertex_rows, index.reshape(-1, 3), material, None, textured.vertex_colors[vertex_rows])
+        )
     return Mesh(tuple(parts))
 
 
-def _part(
-    surface: Surface, normals: F64, of_vertex: I64, triangles: I64, material: Material, uvs: F32 | None, colors: NDArray[np.uint8] | None
+def _mesh_part(
+    surface: Surface, normals: F64, vertex_rows: I64, triangles: I64, material: Material, uvs: F32 | None, colors: NDArray[np.uint8] | None
 ) -> MeshPart:  # fmt: skip
     return MeshPart(
-        surface.vertices[of_vertex].astype(np.float32),
-        normals[of_vertex].astype(np.float32),
+        surface.vertices[vertex_rows].astype(np.float32),
+        normals[vertex_rows].astype(np.float32),
         uvs,
         triangles.astype(np.uint32),
         material,

@@ -29,7 +29,7 @@ from gibson_sim_tools.scanning.coloured_mesh import moved
 from gibson_sim_tools.scanning.fusion import Fusion
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
-from gibson_sim_tools.texturing.surface import surface_of
+from gibson_sim_tools.texturing.surface import surface_from_mesh
 from support.photographed_room import (
     COUNT,
     T_ARKIT_WORLD,
@@ -259,7 +259,7 @@ def test_neither_depth_nor_colours_of_photographs_that_are_kept_aside_are_fused_
 
 def test_of_many_photographs_as_large_a_share_is_kept_aside(room, tmp_path, monkeypatch):
     job = opened(room, tmp_path / "out", settings=replace(SETTINGS, hold_out=3))
-    surface, photographs = surface_of(load_mesh(room / "mesh.ply", [room])), job.found.photographs
+    surface, photographs = surface_from_mesh(load_mesh(room / "mesh.ply", [room])), job.found.photographs
     numbers, aside = job._used(surface, photographs, lambda part: None)
     assert (numbers.tolist(), aside) == (list(range(COUNT)), [0, 3, 6, 9])
     monkeypatch.setattr(importing, "MOST_PHOTOGRAPHS", 7)

@@ -41,7 +41,7 @@ def test_colmaps_text_has_its_poses_the_other_way_round_and_pixel_centres_at_hal
     np.testing.assert_allclose(found.poses[0], T_WORLD_CAMERA, atol=1e-12)
     k = found.intrinsics(0)
     assert (k.width, k.height, k.fx, k.fy, k.cx, k.cy) == (60, 40, 50.0, 51.0, 29.5, 19.5)
-    assert found.picture(0)[20, 30].tolist() == [255, 0, 0]
+    assert found.image(0)[20, 30].tolist() == [255, 0, 0]
 
 
 def test_colmaps_binary_files_say_the_same(folder):
@@ -74,7 +74,7 @@ def test_nerfstudios_cameras_look_along_minus_z(folder):
     # Half the size: the middle of the picture stays its middle.
     k = found.intrinsics(0)
     assert (k.width, k.height, k.fx, k.cx, k.cy) == (30, 20, 25.0, 14.5, 9.5)
-    assert found.items[1].file.name == "b.png" and found.picture(1).shape == (20, 30, 3)
+    assert found.items[1].file.name == "b.png" and found.image(1).shape == (20, 30, 3)
 
 
 def test_photographs_without_poses_are_told_who_finds_them(folder):
@@ -101,7 +101,7 @@ def test_what_is_wrong_is_named(folder):
 def test_a_photograph_of_another_size_than_its_camera_is_refused(folder):
     colmap_text(folder, "1 PINHOLE 61 40 50 51 30 20\n")
     with pytest.raises(ScanError, match="has 60x40 pixels, its camera 61x40"):
-        open_photographs(folder).picture(0)
+        open_photographs(folder).image(0)
 
 
 def test_nerfstudios_frames_may_have_cameras_and_depths_of_their_own_and_lost_poses(folder):

@@ -75,7 +75,7 @@ def test_frames_can_give_their_depth_without_their_colours(board):
     assert (full.colors[:, 2] > 60).any()
     # The surface is that of all three, in the colour of two.
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), np.ptp(full.vertices, axis=0), atol=1e-4)
-    assert mesh.area == pytest.approx(full.area, rel=1e-3) and mesh.area > 1.05 * fuse(board.only([0, 1]), SETTINGS).area
+    assert mesh.area == pytest.approx(full.area, rel=1e-3) and mesh.area > 1.05 * fuse(board.subset([0, 1]), SETTINGS).area
     assert mesh.colors[:, 2].max() <= 53
 
 
@@ -83,7 +83,7 @@ def test_a_depth_image_with_hardly_a_valid_pixel_is_left_out(board):
     depth = np.zeros((72, 96), np.uint16)
     depth[1, 1] = depth[30, 41] = 1000  # between the pixels at which Open3D looks for voxels
     cv2.imwrite(str(board.folder / "depth" / "2.png"), depth)
-    assert fuse(board, SETTINGS).area == pytest.approx(fuse(board.only([0, 1]), SETTINGS).area, rel=1e-4)
+    assert fuse(board, SETTINGS).area == pytest.approx(fuse(board.subset([0, 1]), SETTINGS).area, rel=1e-4)
 
 
 def test_what_too_few_images_show_becomes_a_hole(board):

@@ -46,7 +46,7 @@ def test_right_poses_are_taken_as_they_are(room: PosedRgbd, convention: str) -> 
     ],
 )
 def test_another_convention_is_named_and_taken_when_asked(room: PosedRgbd, name: str, written: Callable[[F64], F64]) -> None:
-    wrong = room.at(np.stack([written(T) for T in room.poses]))
+    wrong = room.with_poses(np.stack([written(T) for T in room.poses]))
     with pytest.raises(ScanError, match=f"agree if poses are read as {name} .* give --pose-convention {name}, or auto$"):
         found(wrong)
     taken, text = found(wrong, "auto")
@@ -61,13 +61,13 @@ def test_a_wrong_convention_that_was_asked_for_is_refused(room: PosedRgbd) -> No
 
 
 def test_poses_that_are_right_in_no_convention_are_taken_as_they_are(room: PosedRgbd) -> None:
-    assert found(room.at(np.roll(room.poses, COUNT // 2 - 1, axis=0)[::-1])) == ("as-read", "")
+    assert found(room.with_poses(np.roll(room.poses, COUNT // 2 - 1, axis=0)[::-1])) == ("as-read", "")
 
 
 def test_frames_that_turned_alike_tell_nothing(room: PosedRgbd) -> None:
-    still = room.only([3, 3, 3])
-    assert found(still.at(still.poses @ OPENGL)) == ("as-read", "")
-    assert found(room.only([3])) == ("as-read", "")
+    still = room.subset([3, 3, 3])
+    assert found(still.with_poses(still.poses @ OPENGL)) == ("as-read", "")
+    assert found(room.subset([3])) == ("as-read", "")
 
 
 def test_scene_fuse_names_the_convention_before_it_fuses(

@@ -1,4 +1,4 @@
-"""Poses in another convention, and depths of another scale, are found out."""
+"""Poses in another convention and depths of another scale are detected; photographs are selected by coverage."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.transforms import invert
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
-from gibson_sim_tools.texturing.choosing import choose_photographs
-from gibson_sim_tools.texturing.conventions import agreement, checked, in_convention
+from gibson_sim_tools.texturing.conventions import photo_consistency, resolve_convention, with_convention
+from gibson_sim_tools.texturing.photograph_selection import select_photographs
 from gibson_sim_tools.texturing.surface import Surface
 from support.painted_wall import painted_wall, photographed, row_of_cameras
 
@@ -31,11 +31,11 @@ def taken(tmp_path_factory):
     return wall, replace(found, items=tuple(replace(item, depth=item.file.with_suffix(".depth.png")) for item in found.items))
 
 
-def test_right_poses_are_taken_as_they_are(taken):
+def test_correct_poses_stay_as_read(taken):
     wall, photographs = taken
-    found = agreement(wall.surface, photographs)
-    assert found.share > 0.7 and found.likeness > 0.9
-    same, text = checked(wall.surface, photographs)
+    found = photo_consistency(wall.surface, photographs)
+    assert found.coverage > 0.7 and found.correlation > 0.9
+    same, text = resolve_convention(wall.surface, photographs)
     assert same is photographs and text == ""
 
 
@@ -48,53 +48,53 @@ def test_right_poses_are_taken_as_they_are(taken):
         ("y-up", lambda T: np.block([[TO_Z_UP["y"].T, np.zeros((3, 1))], [0.0, 0.0, 0.0, 1.0]]) @ T),
     ],
 )
-def test_another_convention_is_named_and_taken_when_asked(taken, name, written):
+def test_another_convention_is_named_and_used_on_request(taken, name, written):
     wall, photographs = taken
-    given = photographs.at(np.stack([written(T) for T in photographs.poses]))
+    given = photographs.with_poses(np.stack([written(T) for T in photographs.poses]))
     with pytest.raises(ScanError, match=f"poses are read as {name} .* give --pose-convention {name}, or auto"):
-        checked(wall.surface, given)
-    mended, text = checked(wall.surface, given, "auto")
+        resolve_convention(wall.surface, given)
+    mended, text = resolve_convention(wall.surface, given, "auto")
     np.testing.assert_allclose(mended.poses, photographs.poses, atol=1e-12)
     assert text.startswith(f"poses are read as {name}")
-    np.testing.assert_allclose(checked(wall.surface, given, name)[0].poses, photographs.poses, atol=1e-12)
+    np.testing.assert_allclose(resolve_convention(wall.surface, given, name)[0].poses, photographs.poses, atol=1e-12)
 
 
 def test_conventions_are_those_of_the_file_whatever_its_layout(taken):
     photographs = taken[1]
     # nerfstudio's layout was read as OpenGL: what the file holds is the pose with y and z turned.
     nerfstudio = replace(photographs, layout="nerfstudio")
-    np.testing.assert_allclose(in_convention(nerfstudio, "opencv").poses, photographs.poses @ OPENGL)
-    np.testing.assert_allclose(in_convention(nerfstudio, "opengl").poses, photographs.poses)
+    np.testing.assert_allclose(with_convention(nerfstudio, "opencv").poses, photographs.poses @ OPENGL)
+    np.testing.assert_allclose(with_convention(nerfstudio, "opengl").poses, photographs.poses)
     colmap = replace(photographs, layout="colmap")
-    np.testing.assert_allclose(in_convention(colmap, "opencv").poses[1], invert(photographs.poses[1]))
+    np.testing.assert_allclose(with_convention(colmap, "opencv").poses[1], invert(photographs.poses[1]))
 
 
 def test_poses_before_nerfstudios_applied_transform(taken):
     wall, photographs = taken
     applied = np.eye(4)[[1, 2, 0, 3]]
-    given = replace(photographs.at(applied @ photographs.poses), applied=applied)
-    np.testing.assert_allclose(checked(wall.surface, given, "auto")[0].poses, photographs.poses, atol=1e-12)
+    given = replace(photographs.with_poses(applied @ photographs.poses), applied=applied)
+    np.testing.assert_allclose(resolve_convention(wall.surface, given, "auto")[0].poses, photographs.poses, atol=1e-12)
     with pytest.raises(ScanError, match="has no applied_transform"):
-        in_convention(photographs, "before-applied-transform")
+        with_convention(photographs, "before-applied-transform")
 
 
-def test_depths_tell_that_mesh_and_poses_have_another_scale(taken):
+def test_depth_images_reveal_another_scale_of_mesh_and_poses(taken):
     wall, photographs = taken
     poses = photographs.poses
     poses[:, :3, 3] /= 2.5
     small = Surface(wall.surface.vertices / 2.5, wall.surface.triangles)
     with pytest.raises(ScanError, match=r"2.5 times as far as in the mesh; .* give --unit 2.5"):
-        checked(small, photographs.at(poses))
-    checked(wall.surface, photographs)
+        resolve_convention(small, photographs.with_poses(poses))
+    resolve_convention(wall.surface, photographs)
 
 
-def test_photographs_are_chosen_that_together_show_the_wall(taken):
+def test_selected_photographs_cover_the_wall(taken):
     wall, photographs = taken
     # Three times the same view from the left, one from the right: of two, each side is one.
-    few = photographs.only([0, 0, 0, 5])
-    assert 3 in choose_photographs(wall.surface, few, 2).tolist()
-    assert choose_photographs(wall.surface, few, 4).tolist() == [0, 1, 2, 3]
+    few = photographs.subset([0, 0, 0, 5])
+    assert 3 in select_photographs(wall.surface, few, 2).tolist()
+    assert select_photographs(wall.surface, few, 4).tolist() == [0, 1, 2, 3]
     # A photograph of the back of the wall shows nothing of it.
     behind = few.poses
     behind[3] = np.diag([1.0, 1.0, -1.0, 1.0]) @ behind[3] @ np.diag([-1.0, 1.0, 1.0, 1.0])
-    assert 3 not in choose_photographs(wall.surface, few.at(behind), 2).tolist()
+    assert 3 not in select_photographs(wall.surface, few.with_poses(behind), 2).tolist()

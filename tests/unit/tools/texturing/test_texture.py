@@ -1,4 +1,4 @@
-"""Packing, levelling and the whole, against known answers."""
+"""Atlas packing, seam levelling and the texturing pipeline, against known answers."""
 
 from __future__ import annotations
 
@@ -14,13 +14,27 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, write_ply
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
-from gibson_sim_tools.texturing.atlas import add_at_corners, blank_pages, copy_patches, face_pages, fill_padding, pack, plan_atlas
-from gibson_sim_tools.texturing.levelling import colors_along, find_seams, global_levelling, local_levelling, mean_step
-from gibson_sim_tools.texturing.measure import compare, draw_textured, ssim
+from gibson_sim_tools.texturing.atlas import (
+    add_vertex_offsets,
+    blank_pages,
+    build_atlas,
+    copy_patches,
+    face_index_pages,
+    fill_padding,
+    pack_rectangles,
+)
+from gibson_sim_tools.texturing.evaluation import image_similarity, render_textured, ssim
+from gibson_sim_tools.texturing.levelling import (
+    colors_along_seams,
+    find_seams,
+    global_levelling,
+    local_levelling,
+    mean_color_step,
+)
 from gibson_sim_tools.texturing.settings import TextureSettings
-from gibson_sim_tools.texturing.surface import Surface, adjacency
-from gibson_sim_tools.texturing.texture import texture
-from gibson_sim_tools.texturing.textured_scene import UNSEEN_MATERIAL, mesh_of, write_textured_scene
+from gibson_sim_tools.texturing.surface import Surface, face_adjacency
+from gibson_sim_tools.texturing.texture import texture_surface
+from gibson_sim_tools.texturing.textured_scene import UNSEEN_MATERIAL, textured_mesh, write_textured_scene
 from support.painted_wall import CAMERA, painted_wall, photographed, row_of_cameras
 
 LEVEL = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -30,7 +44,7 @@ SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
 def test_rectangles_do_not_overlap_and_stay_on_their_pages():
     rng = np.random.default_rng(0)
     size = rng.integers(3, 40, (200, 2))
-    page, corner, pages = pack(size, 160)
+    page, corner, pages = pack_rectangles(size, 160)
     assert len(pages) > 1
     for number, (width, height) in enumerate(pages):
         used = np.zeros((height, width), dtype=int)
@@ -42,67 +56,67 @@ def test_rectangles_do_not_overlap_and_stay_on_their_pages():
 
 def test_a_patch_larger_than_a_page_is_an_error():
     with pytest.raises(ScanError, match="has 109 pixels on a side, a page at most 64"):
-        plan_atlas(np.zeros(1, np.int64), np.zeros(1, np.int32), np.array([[[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]]]), 64)
+        build_atlas(np.zeros(1, np.int64), np.zeros(1, np.int32), np.array([[[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]]]), 64)
 
 
 def two_patches(left: float, right: float, side: int = 45):
     """A square of two triangles, each with an even photograph of its own."""
     corners = np.array([[0, 0], [side - 1, 0], [side - 1, side - 1], [0, side - 1]], dtype=np.float64)[SQUARE]
-    plan = plan_atlas(np.array([0, 1]), np.array([0, 1], np.int32), corners)
-    pages = blank_pages(plan)
+    atlas = build_atlas(np.array([0, 1]), np.array([0, 1], np.int32), corners)
+    pages = blank_pages(atlas)
     for number, value in enumerate((left, right)):
-        copy_patches(plan, number, np.full((side, side, 3), value, np.float32), pages)
-    return plan, pages, face_pages(plan), find_seams(plan, SQUARE, adjacency(SQUARE))
+        copy_patches(atlas, number, np.full((side, side, 3), value, np.float32), pages)
+    return atlas, pages, face_index_pages(atlas), find_seams(atlas, SQUARE, face_adjacency(SQUARE))
 
 
 def test_a_patch_is_the_rectangle_of_its_photograph_with_padding():
-    plan, pages, covers, _ = two_patches(0.25, 0.75)
-    assert plan.size.tolist() == [[53, 53], [53, 53]] and plan.origin.tolist() == [[-4, -4]] * 2
+    atlas, pages, face_maps, _ = two_patches(0.25, 0.75)
+    assert atlas.size.tolist() == [[53, 53], [53, 53]] and atlas.origin.tolist() == [[-4, -4]] * 2
     assert sorted(np.unique(pages[0])) == [0.0, 0.25, 0.75]
     # The corner at pixel (44, 0) of the photograph lies at (48, 4) of the rectangle.
-    x, y = plan.corners[0, 1]
-    assert (x, y) == (plan.corner[0, 0] + 48, plan.corner[0, 1] + 4) and covers[0][int(y), int(x)] == 0
+    x, y = atlas.corners[0, 1]
+    assert (x, y) == (atlas.corner[0, 0] + 48, atlas.corner[0, 1] + 4) and face_maps[0][int(y), int(x)] == 0
 
 
 def test_a_step_between_two_even_patches_is_levelled_to_its_middle():
-    plan, pages, covers, seams = two_patches(0.48, 0.52)
-    colors = colors_along(seams, plan, pages)
-    assert abs(mean_step(colors) - 0.04 * 255) < 0.1
-    add_at_corners(plan, pages, covers, global_levelling(plan, SQUARE, seams, colors))
-    after = colors_along(seams, plan, pages)
-    assert mean_step(after) < 0.5 and abs(after.mean() - 0.5) < 1e-2
+    atlas, pages, face_maps, seams = two_patches(0.48, 0.52)
+    colors = colors_along_seams(seams, atlas, pages)
+    assert abs(mean_color_step(colors) - 0.04 * 255) < 0.1
+    add_vertex_offsets(atlas, pages, face_maps, global_levelling(atlas, SQUARE, seams, colors))
+    after = colors_along_seams(seams, atlas, pages)
+    assert mean_color_step(after) < 0.5 and abs(after.mean() - 0.5) < 1e-2
 
 
 def test_local_levelling_closes_the_seam_and_keeps_what_is_far_from_it():
-    plan, pages, covers, seams = two_patches(0.4, 0.6)
-    local_levelling(seams, plan, pages, covers)
-    fill_padding(plan, pages, covers)
-    assert mean_step(colors_along(seams, plan, pages)) < 0.5
+    atlas, pages, face_maps, seams = two_patches(0.4, 0.6)
+    local_levelling(seams, atlas, pages, face_maps)
+    fill_padding(atlas, pages, face_maps)
+    assert mean_color_step(colors_along_seams(seams, atlas, pages)) < 0.5
     # The corner opposite to the seam is 31 pixels from it; half-way into the strip the change is about half of 0.1.
-    x, y = plan.corners[0, 1].astype(int)
+    x, y = atlas.corners[0, 1].astype(int)
     assert pages[0][y, x, 0] == np.float16(0.4)
-    x, y = (plan.corners[0, 0] + plan.corners[0, 2]).astype(int) // 2 + (7, -7)
+    x, y = (atlas.corners[0, 0] + atlas.corners[0, 2]).astype(int) // 2 + (7, -7)
     assert 0.43 < pages[0][y, x, 0] < 0.47
 
 
-def test_a_triangle_that_covers_no_centre_of_a_pixel_is_levelled_too():
+def test_a_triangle_that_covers_no_pixel_centre_is_levelled_too():
     sliver = np.array([[[10.2, 10.1], [10.4, 10.1], [10.3, 10.4]]])
-    plan = plan_atlas(np.zeros(1, np.int64), np.zeros(1, np.int32), sliver)
-    pages, covers = blank_pages(plan), face_pages(plan)
-    add_at_corners(plan, pages, covers, np.full((1, 3, 3), 0.25, np.float32))
-    x, y = np.rint(plan.corners[0, 0]).astype(int)
-    assert (pages[0][y, x] == 0.25).all() and (covers[0] == 0).sum() > 1
+    atlas = build_atlas(np.zeros(1, np.int64), np.zeros(1, np.int32), sliver)
+    pages, face_maps = blank_pages(atlas), face_index_pages(atlas)
+    add_vertex_offsets(atlas, pages, face_maps, np.full((1, 3, 3), 0.25, np.float32))
+    x, y = np.rint(atlas.corners[0, 0]).astype(int)
+    assert (pages[0][y, x] == 0.25).all() and (face_maps[0] == 0).sum() > 1
 
 
 def test_padding_has_the_colour_of_the_nearest_pixel():
-    plan, pages, covers, _ = two_patches(0.4, 0.6)
-    pages[0][covers[0] < 0] = 0.0
-    fill_padding(plan, pages, covers)
-    (x, y), (w, h) = plan.corner[1], plan.size[1]
+    atlas, pages, face_maps, _ = two_patches(0.4, 0.6)
+    pages[0][face_maps[0] < 0] = 0.0
+    fill_padding(atlas, pages, face_maps)
+    (x, y), (w, h) = atlas.corner[1], atlas.size[1]
     assert (pages[0][y : y + h, x : x + w] == np.float16(0.6)).all()
 
 
-def test_equal_pictures_have_similarity_1_and_noise_has_less():
+def test_ssim_of_equal_images_is_1_and_of_noise_less():
     image = np.random.default_rng(0).random((30, 30, 3)).astype(np.float32)
     np.testing.assert_allclose(ssim(image, image), 1.0, atol=1e-5)
     assert ssim(image, image[::-1]).mean() < 0.3
@@ -115,16 +129,16 @@ def textured(tmp_path_factory):
     poses = row_of_cameras(8, np.random.default_rng(2))
     gains = [1.0, 1.3, 0.8, 1.1, 0.75, 1.2, 0.9, 1.0]
     photographs = photographed(tmp_path_factory.mktemp("wall"), wall, poses, gains)
-    return wall, photographs, texture(wall.surface, photographs, TextureSettings(poses=False), held_out=[3])
+    return wall, photographs, texture_surface(wall.surface, photographs, TextureSettings(poses=False), held_out=[3])
 
 
 def test_the_texture_is_the_paint(textured):
     _, photographs, found = textured
     assert not (found.labels == 3).any() and (found.labels >= 0).mean() > 0.5
     T = photographs.poses[3]
-    drawn = draw_textured(found, CAMERA, T)
-    alike = compare(photographs.only([3]), lambda _: drawn)
-    assert alike.psnr > 36.0 and alike.ssim > 0.97 and alike.pixels > 10_000
+    rendered = render_textured(found, CAMERA, T)
+    similarity = image_similarity(photographs.subset([3]), lambda _: rendered)
+    assert similarity.psnr > 36.0 and similarity.ssim > 0.97 and similarity.pixels > 10_000
     assert np.abs(np.log(np.median(found.exposures.factors(np.array([1]), np.zeros(1, np.float32)) * 1.3))) < 0.1
 
 
@@ -135,9 +149,9 @@ def test_seams_vanish(textured):
     assert report.seam_steps["local"] < 2.0
 
 
-def test_what_no_photograph_shows_is_a_part_of_its_own_with_colours_of_its_neighbours(textured, tmp_path):
+def test_unseen_triangles_are_a_mesh_part_with_interpolated_vertex_colors(textured, tmp_path):
     wall, _, found = textured
-    mesh = mesh_of(found)
+    mesh = textured_mesh(found)
     unseen = next(part for part in mesh.parts if part.material.name == UNSEEN_MATERIAL)
     assert len(unseen.triangles) == (found.labels < 0).sum() == found.report.unseen and unseen.colors is not None
     assert unseen.colors.min() > 40 and unseen.colors.max() < 200
@@ -156,7 +170,7 @@ def test_what_no_photograph_shows_is_a_part_of_its_own_with_colours_of_its_neigh
 def test_a_surface_that_no_photograph_shows_is_an_error(tmp_path):
     photographs = photographed(tmp_path, painted_wall(), row_of_cameras(2, np.random.default_rng(0)))
     with pytest.raises(ScanError, match="no photograph shows a triangle of the mesh"):
-        texture(Surface(LEVEL - np.array([0.0, 0.0, 50.0]), SQUARE), photographs, TextureSettings())
+        texture_surface(Surface(LEVEL - np.array([0.0, 0.0, 50.0]), SQUARE), photographs, TextureSettings())
 
 
 def test_the_command_makes_a_scene(tmp_path, capsys):

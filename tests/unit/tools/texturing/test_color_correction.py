@@ -1,4 +1,4 @@
-"""Exposures, outliers, filling, and corrected poses, against known answers."""
+"""Exposure compensation, outlier views, vertex colours and pose refinement, against known answers."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from gibson_sim_tools.texturing import solving
-from gibson_sim_tools.texturing.exposure import estimate_exposures, no_exposures
-from gibson_sim_tools.texturing.filling import fill_vertices
-from gibson_sim_tools.texturing.outliers import inliers, judged_together
+from gibson_sim_tools.texturing import linear_solvers
+from gibson_sim_tools.texturing.exposure import estimate_exposures, identity_exposures
+from gibson_sim_tools.texturing.linear_solvers import conjugate_gradients, relax_membrane
+from gibson_sim_tools.texturing.outliers import inlier_mask, propagate_to_neighbours
 from gibson_sim_tools.texturing.pose_refinement import refine_poses
-from gibson_sim_tools.texturing.quality import LINEAR, Views, joined, sampled, views_of
-from gibson_sim_tools.texturing.solving import relax, solve
+from gibson_sim_tools.texturing.quality import LINEAR_FROM_SRGB8, Views, concatenate_views, face_views, sample_bilinear
 from gibson_sim_tools.texturing.surface import Adjacency, project
-from gibson_sim_tools.texturing.visibility import SeenFaces, seen_faces
+from gibson_sim_tools.texturing.vertex_colors import interpolate_vertex_colors
+from gibson_sim_tools.texturing.visibility import VisibleFaces, visible_faces
 from support.painted_wall import CAMERA, moved, painted_wall, photographed, row_of_cameras
 
 
@@ -30,24 +30,26 @@ def views(face, photograph, light, radius=None) -> Views:
     )  # fmt: skip
 
 
-def test_values_between_pixels_are_linear_and_those_beyond_the_edge_are_of_the_edge():
+def test_bilinear_sampling_replicates_the_border():
     image = np.array([[0.0, 1.0], [2.0, 3.0]], np.float32)
-    np.testing.assert_allclose(sampled(image, np.array([[0.5, 0.5], [1.0, 0.0], [9.0, 9.0]], np.float32)), [1.5, 1.0, 3.0])
-    assert sampled(image, np.zeros((0, 2), np.float32)).shape == (0,)
+    np.testing.assert_allclose(
+        sample_bilinear(image, np.array([[0.5, 0.5], [1.0, 0.0], [9.0, 9.0]], np.float32)), [1.5, 1.0, 3.0]
+    )
+    assert sample_bilinear(image, np.zeros((0, 2), np.float32)).shape == (0,)
 
 
-def test_quality_is_area_times_gradient_and_colour_is_mean_light():
+def test_quality_is_area_times_gradient_and_color_is_mean_linear_light():
     ramp = np.tile(np.arange(0, 200, 4, dtype=np.uint8), (50, 1))
     rgb = np.repeat(ramp[:, :, None], 3, axis=2)
-    seen = SeenFaces(np.array([3]), np.array([[[10.0, 10.0], [30.0, 10.0], [10.0, 30.0]]]))
-    found = views_of(7, seen, rgb)
-    # 200 square pixels, 4 steps a pixel, and the 2 of surfaces without any gradient.
+    seen = VisibleFaces(np.array([3]), np.array([[[10.0, 10.0], [30.0, 10.0], [10.0, 30.0]]]))
+    found = face_views(7, seen, rgb)
+    # 200 square pixels, 4 steps per pixel, and the offset of 2.
     assert abs(found.quality[0] - 200 * (4 + 2)) < 1.0
     assert (found.face[0], found.photograph[0]) == (3, 7)
-    assert abs(found.light[0, 0] - LINEAR[int(4 * 50 / 3)]) < 0.01
+    assert abs(found.linear_rgb[0, 0] - LINEAR_FROM_SRGB8[int(4 * 50 / 3)]) < 0.01
 
 
-def test_gains_and_vignette_are_found_although_some_views_show_something_else():
+def test_gains_and_vignetting_are_estimated_despite_outlier_views():
     rng = np.random.default_rng(3)
     gains = rng.normal(0.0, 0.3, (12, 3))
     gains -= gains.mean(axis=0)
@@ -71,47 +73,47 @@ def test_a_photograph_that_shares_nothing_keeps_its_exposure():
     assert found.gains[2].tolist() == [0.0] * 3 and found.gains[0, 0] < found.gains[1, 0]
 
 
-def test_a_person_in_a_tenth_of_the_photographs_disappears_and_nothing_else_does():
+def test_a_person_in_one_of_ten_photographs_is_an_outlier_and_nothing_else_is():
     rng = np.random.default_rng(0)
     face, photograph = (a.ravel() for a in np.meshgrid(np.arange(300), np.arange(10), indexing="ij"))
     colors = rng.random((300, 1, 3)) * 0.5 + 0.2 + rng.normal(0.0, 0.015, (300, 10, 3))
     colors = colors.reshape(-1, 3)
     ghost = photograph == 4
     colors[ghost] += 0.25
-    kept = inliers(views(face, photograph, colors), colors.astype(np.float32))
+    kept = inlier_mask(views(face, photograph, colors), colors.astype(np.float32))
     assert not kept[ghost].any() and kept[~ghost].mean() > 0.99
 
 
-def test_what_few_views_cannot_tell_is_told_by_neighbours_in_the_same_photograph():
+def test_neighbours_in_the_same_photograph_decide_triangles_with_few_views():
     # A strip of ten triangles, each beside the next. Three photographs show the first six, two the others; a person is in the second one.
-    beside = Adjacency(np.stack([np.arange(9), np.arange(1, 10)], axis=1), np.zeros((9, 2), np.int64))
+    adjacency = Adjacency(np.stack([np.arange(9), np.arange(1, 10)], axis=1), np.zeros((9, 2), np.int64))
     face = np.concatenate([np.repeat(np.arange(6), 3), np.repeat(np.arange(6, 10), 2)])
     photograph = np.concatenate([np.tile([0, 1, 2], 6), np.tile([0, 1], 4)])
     colors = np.where((photograph == 1)[:, None], 0.8, 0.2).astype(np.float32) * np.ones((1, 3), np.float32)
     # In the third photograph, one triangle alone has another colour.
     colors[5] = 0.25
     table = views(face, photograph, colors)
-    first = inliers(table, colors)
+    first = inlier_mask(table, colors)
     assert first[photograph == 1].tolist() == [False] * 6 + [True] * 4
-    kept = judged_together(table, first, beside)
+    kept = propagate_to_neighbours(table, first, adjacency)
     assert not kept[photograph == 1].any() and kept[photograph != 1].all()
-    # Who alone shows a triangle is heard.
+    # The only view of a triangle is kept.
     alone = table.subset(photograph == 1)
-    assert judged_together(alone, np.zeros(10, bool), beside).all()
+    assert propagate_to_neighbours(alone, np.zeros(10, bool), adjacency).all()
 
 
 def test_two_views_that_differ_are_both_kept():
     colors = np.array([[0.1] * 3, [0.9] * 3], np.float32)
-    assert inliers(views([0, 0], [0, 1], colors), colors).all()
+    assert inlier_mask(views([0, 0], [0, 1], colors), colors).all()
 
 
 def test_conjugate_gradients_solve_all_columns():
     matrix = sparse.csr_matrix(np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 1.0], [0.0, 1.0, 5.0]]))
     wanted = np.array([[1.0, -2.0], [0.5, 4.0], [3.0, 0.0]])
-    np.testing.assert_allclose(solve(matrix, matrix @ wanted, tolerance=1e-10), wanted, atol=1e-8)
+    np.testing.assert_allclose(conjugate_gradients(matrix, matrix @ wanted, tolerance=1e-10), wanted, atol=1e-8)
 
 
-def test_a_membrane_between_two_sides_is_straight_compiled_or_not(monkeypatch):
+def test_a_membrane_between_two_boundaries_is_linear_compiled_or_not(monkeypatch):
     # Nine pixels in a row between 0 and 1; the last neighbour of each is none.
     row = np.arange(9)
     neighbours = np.stack(
@@ -120,36 +122,38 @@ def test_a_membrane_between_two_sides_is_straight_compiled_or_not(monkeypatch):
     given = np.zeros((11, 2), np.float32)
     given[10] = 1.0, -0.5
     found = given.copy()
-    relax(found, neighbours, row % 2 == 0, 9)
+    relax_membrane(found, neighbours, row % 2 == 0, 9)
     np.testing.assert_allclose(found[:9, 0], np.arange(1, 10) / 10, atol=0.01)
     assert found[9:].tolist() == given[9:].tolist()
-    monkeypatch.setattr(solving, "CAN_COMPILE", not solving.CAN_COMPILE)
+    monkeypatch.setattr(linear_solvers, "CAN_COMPILE", not linear_solvers.CAN_COMPILE)
     other = given.copy()
-    relax(other, neighbours, row % 2 == 0, 9)
+    relax_membrane(other, neighbours, row % 2 == 0, 9)
     np.testing.assert_array_equal(other, found)
 
 
-def test_unknown_colours_are_smooth_between_known_ones():
+def test_unknown_vertex_colors_are_harmonic_between_known_ones():
     # Three triangles side by side: the vertices 2 and 3 lie between 0, 1 and 4.
     triangles = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4]])
     known = np.array([True, True, False, False, True])
     colors = np.array([[0.2] * 3, [0.2] * 3, [0] * 3, [0] * 3, [0.8] * 3], np.float32)
     # x2 = (0.2 + 0.2 + x3 + 0.8) / 4 and x3 = (0.2 + x2 + 0.8) / 3.
-    found = fill_vertices(triangles, known, colors, None)
+    found = interpolate_vertex_colors(triangles, known, colors, None)
     np.testing.assert_allclose(found[[2, 3], 0], [4.6 / 11, 5.2 / 11], atol=1e-3)
     # With colours of the mesh their shape is kept: all known ones are 0.1 brighter than the mesh.
     own = np.array([[0.1] * 3, [0.1] * 3, [0.3] * 3, [0.5] * 3, [0.7] * 3], np.float32)
-    np.testing.assert_allclose(fill_vertices(triangles, known, colors, own)[[2, 3], 0], [0.4, 0.6], atol=1e-3)
+    np.testing.assert_allclose(interpolate_vertex_colors(triangles, known, colors, own)[[2, 3], 0], [0.4, 0.6], atol=1e-3)
 
 
-def test_poses_that_are_off_by_a_pixel_or_two_are_corrected(tmp_path):
+def test_pose_errors_of_one_or_two_pixels_are_corrected(tmp_path):
     rng = np.random.default_rng(1)
     wall, true = painted_wall(), row_of_cameras(6, rng)
     offsets = np.tile(np.eye(4), (6, 1, 1))
     offsets[:, :3, :3] = Rotation.from_rotvec(np.radians(rng.normal(0.0, 0.4, (6, 3)))).as_matrix()
     given = moved(photographed(tmp_path, wall, true), offsets)
-    table = joined([views_of(k, seen_faces(wall.surface, CAMERA, T), given.picture(k)) for k, T in enumerate(given.poses)])
-    found = refine_poses(wall.surface, given, table, no_exposures(6), most_m=0.1, most_deg=2.0)
+    table = concatenate_views(
+        [face_views(k, visible_faces(wall.surface, CAMERA, T), given.image(k)) for k, T in enumerate(given.poses)]
+    )
+    found = refine_poses(wall.surface, given, table, identity_exposures(6), max_translation_m=0.1, max_rotation_deg=2.0)
 
     def error_px(poses) -> float:
         # All poses together may drift along the wall: their common motion is no error.
@@ -160,10 +164,10 @@ def test_poses_that_are_off_by_a_pixel_or_two_are_corrected(tmp_path):
         return float(np.linalg.norm(off - off.mean(axis=0), axis=1).mean())
 
     assert error_px(given.poses) > 0.8 and error_px(found.poses) < 0.15
-    assert found.kept == 0
+    assert found.rejected_count == 0
 
 
-def test_depth_corrects_what_a_wall_without_a_pattern_cannot(tmp_path):
+def test_depth_aligns_a_wall_without_texture(tmp_path):
     wall, true = painted_wall(20, 15), row_of_cameras(3, np.random.default_rng(1))
     wall = replace(wall, paint=np.full_like(wall.paint, 0.5))
     taken = photographed(tmp_path, wall, true)
@@ -175,8 +179,10 @@ def test_depth_corrects_what_a_wall_without_a_pattern_cannot(tmp_path):
     offsets[0, 2, 3] = 0.012
     offsets[1, :3, :3] = Rotation.from_rotvec((0.0, np.radians(0.5), 0.0)).as_matrix()
     given = moved(taken, offsets)
-    table = joined([views_of(k, seen_faces(wall.surface, CAMERA, T), given.picture(k)) for k, T in enumerate(given.poses)])
-    found = refine_poses(wall.surface, given, table, no_exposures(3), most_m=0.1, most_deg=2.0)
+    table = concatenate_views(
+        [face_views(k, visible_faces(wall.surface, CAMERA, T), given.image(k)) for k, T in enumerate(given.poses)]
+    )
+    found = refine_poses(wall.surface, given, table, identity_exposures(3), max_translation_m=0.1, max_rotation_deg=2.0)
     assert np.abs(found.poses[:, 2, 3] - true[:, 2, 3]).max() < 0.002
     assert np.degrees(np.arccos((found.poses[:, :3, 2] * true[:, :3, 2]).sum(axis=1))).max() < 0.2
 
@@ -186,7 +192,9 @@ def test_corrections_beyond_the_limits_are_rejected(tmp_path):
     offsets = np.tile(np.eye(4), (2, 1, 1))
     offsets[1, 0, 3] = 0.02
     given = moved(photographed(tmp_path, wall, poses), offsets)
-    table = joined([views_of(k, seen_faces(wall.surface, CAMERA, T), given.picture(k)) for k, T in enumerate(given.poses)])
-    held = refine_poses(wall.surface, given, table, no_exposures(2), most_m=0.0, most_deg=0.0)
-    assert held.kept == 2
+    table = concatenate_views(
+        [face_views(k, visible_faces(wall.surface, CAMERA, T), given.image(k)) for k, T in enumerate(given.poses)]
+    )
+    held = refine_poses(wall.surface, given, table, identity_exposures(2), max_translation_m=0.0, max_rotation_deg=0.0)
+    assert held.rejected_count == 2
     np.testing.assert_array_equal(held.poses, given.poses)

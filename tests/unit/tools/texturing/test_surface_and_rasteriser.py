@@ -1,14 +1,14 @@
-"""Surfaces, what cameras see of them, and what they hide."""
+"""Surfaces, their rasterisation, and the visibility of triangles."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
-from gibson_sim_tools.texturing import drawing
-from gibson_sim_tools.texturing.drawing import barycentric, draw, draw_flat, true_weights
-from gibson_sim_tools.texturing.surface import Surface, adjacency, project, split_long_edges
-from gibson_sim_tools.texturing.visibility import agreeing, seen_faces
+from gibson_sim_tools.texturing import rasteriser
+from gibson_sim_tools.texturing.rasteriser import barycentric, perspective_correct_weights, rasterise, rasterise_2d
+from gibson_sim_tools.texturing.surface import Surface, face_adjacency, project, split_long_edges
+from gibson_sim_tools.texturing.visibility import depth_consistent, visible_faces
 
 CAMERA = Intrinsics(101, 81, 100.0, 100.0, 50.0, 40.0)
 """Looks along z; a metre at a distance of 2 m has 50 pixels."""
@@ -40,8 +40,8 @@ def test_half_the_size_keeps_the_corners_of_the_image():
     assert (half.fx, half.cx, half.cy) == (25.0, 24.5, 19.5)
 
 
-def test_the_nearer_of_two_squares_is_drawn_with_its_depth():
-    image = draw(surface(square(2.0, 0.5), square(1.0, 0.1)), CAMERA, EYE)
+def test_the_nearer_of_two_squares_is_rasterised_with_its_depth():
+    image = rasterise(surface(square(2.0, 0.5), square(1.0, 0.1)), CAMERA, EYE)
     assert image.face[40, 50] >= 2 and image.depth[40, 50] == 1.0
     assert image.face[40, 70] in (0, 1) and image.depth[40, 70] == 2.0
     assert image.face[0, 0] == -1 and np.isinf(image.depth[0, 0])
@@ -52,41 +52,41 @@ def test_the_nearer_of_two_squares_is_drawn_with_its_depth():
 def test_depth_of_a_slanted_triangle_is_exact_between_its_corners():
     slanted = Surface(np.array([[-1.0, -1.0, 1.0], [3.0, -1.0, 3.0], [-1.0, 3.0, 1.0]]), np.array([[0, 2, 1]]))
     # On the axis z = 1.5 + x / 2 gives z = 1.5.
-    assert abs(draw(slanted, CAMERA, EYE).depth[40, 50] - 1.5) < 1e-6
+    assert abs(rasterise(slanted, CAMERA, EYE).depth[40, 50] - 1.5) < 1e-6
 
 
-def test_weights_in_space_differ_from_those_in_the_image():
-    weights = true_weights(np.array([[0.5, 0.5, 0.0]]), np.array([[1.0, 3.0, 2.0]]))
+def test_barycentric_coordinates_are_perspective_correct():
+    weights = perspective_correct_weights(np.array([[0.5, 0.5, 0.0]]), np.array([[1.0, 3.0, 2.0]]))
     np.testing.assert_allclose(weights, [[0.75, 0.25, 0.0]])
 
 
-def test_a_triangle_without_area_covers_nothing_and_divides_by_nothing():
+def test_a_degenerate_triangle_covers_nothing_and_does_not_divide_by_zero():
     line = np.array([[[1.0, 1.0], [3.0, 3.0], [5.0, 5.0]]])
     np.testing.assert_allclose(barycentric(line, np.array([[2.0, 2.0]])), [[1 / 3] * 3])
-    assert draw_flat(np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]]), 4, 4).tolist() == [
+    assert rasterise_2d(np.array([[[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]]), 4, 4).tolist() == [
         [0, 0, 0, -1], [0, 0, -1, -1], [0, -1, -1, -1], [-1, -1, -1, -1],
     ]  # fmt: skip
 
 
-def test_a_camera_sees_fronts_that_nothing_hides_and_that_are_whole_in_its_image():
+def test_visible_triangles_face_the_camera_are_not_occluded_and_lie_within_the_image():
     behind, before, outside = square(2.0, 0.1), square(1.0, 0.1), square(2.0, 0.2, 0.95)
-    assert seen_faces(surface(behind, before), CAMERA, EYE).faces.tolist() == [2, 3]
-    assert seen_faces(surface(behind, square(1.0, 0.1, 0.3)), CAMERA, EYE).faces.tolist() == [0, 1, 2, 3]
-    assert seen_faces(surface(outside), CAMERA, EYE).faces.tolist() == []
+    assert visible_faces(surface(behind, before), CAMERA, EYE).faces.tolist() == [2, 3]
+    assert visible_faces(surface(behind, square(1.0, 0.1, 0.3)), CAMERA, EYE).faces.tolist() == [0, 1, 2, 3]
+    assert visible_faces(surface(outside), CAMERA, EYE).faces.tolist() == []
     back = surface(behind)
     turned = Surface(back.vertices, back.triangles[:, ::-1])
-    assert seen_faces(turned, CAMERA, EYE).faces.tolist() == []
+    assert visible_faces(turned, CAMERA, EYE).faces.tolist() == []
 
 
-def test_a_photograph_does_not_show_a_surface_before_or_behind_which_depth_was_measured():
+def test_triangles_are_not_visible_where_measured_depth_differs():
     sheet = surface(square(2.0, 0.1), square(2.0, 0.1, 0.5))
-    seen = seen_faces(sheet, CAMERA, EYE)
+    seen = visible_faces(sheet, CAMERA, EYE)
     assert seen.faces.tolist() == [0, 1, 2, 3]
 
     def kept(left: float, right: float) -> list[int]:
         depth = np.full((81, 101), np.nan, np.float32)
         depth[:, :60], depth[:, 65:] = left, right
-        return agreeing(sheet, seen, depth, EYE).faces.tolist()
+        return depth_consistent(sheet, seen, depth, EYE).faces.tolist()
 
     # 3 cm, and 1 cm a metre: 5 cm at 2 m.
     assert kept(2.04, 1.96) == [0, 1, 2, 3]
@@ -94,16 +94,16 @@ def test_a_photograph_does_not_show_a_surface_before_or_behind_which_depth_was_m
     assert kept(np.nan, 1.0) == [0, 1]
 
 
-def test_loops_and_numpy_draw_the_same(monkeypatch):
+def test_numba_and_numpy_rasterise_the_same(monkeypatch):
     rng = np.random.default_rng(0)
     many = Surface(
         rng.uniform((-1.0, -1.0, 1.0), (1.0, 1.0, 3.0), (60, 3)), rng.permuted(np.tile(np.arange(60), (40, 1)), axis=1)[:, :3]
     )
     line = Surface(np.array([[-0.5, 0.0, 1.0], [0.0, 0.0, 1.0], [0.5, 0.0, 1.0]]), np.array([[0, 1, 2]]))
     corners = rng.uniform(-5.0, 40.0, (30, 3, 2))
-    given = [draw(many, CAMERA, EYE), draw(line, CAMERA, EYE)], draw_flat(corners, 30, 20)
-    monkeypatch.setattr(drawing, "CAN_COMPILE", not drawing.CAN_COMPILE)
-    other = [draw(many, CAMERA, EYE), draw(line, CAMERA, EYE)], draw_flat(corners, 30, 20)
+    given = [rasterise(many, CAMERA, EYE), rasterise(line, CAMERA, EYE)], rasterise_2d(corners, 30, 20)
+    monkeypatch.setattr(rasteriser, "CAN_COMPILE", not rasteriser.CAN_COMPILE)
+    other = [rasterise(many, CAMERA, EYE), rasterise(line, CAMERA, EYE)], rasterise_2d(corners, 30, 20)
     for a, b in zip(given[0], other[0], strict=True):
         np.testing.assert_array_equal(a.face, b.face)
         np.testing.assert_array_equal(a.depth, b.depth)
@@ -111,14 +111,14 @@ def test_loops_and_numpy_draw_the_same(monkeypatch):
     assert (given[0][0].face >= 0).mean() > 0.5 and (given[0][1].face >= 0).sum() == 0
 
 
-def test_corners_of_seen_triangles_are_pixels():
-    seen = seen_faces(surface(square(2.0, 0.1)), CAMERA, EYE)
+def test_corners_of_visible_triangles_are_pixels():
+    seen = visible_faces(surface(square(2.0, 0.1)), CAMERA, EYE)
     np.testing.assert_allclose(seen.corners[0], [[45, 35], [55, 45], [55, 35]])
 
 
 def test_triangles_with_a_common_edge_are_adjacent():
-    beside = adjacency(np.array([[0, 1, 2], [2, 1, 3], [3, 4, 5]]))
-    assert beside.faces.tolist() == [[0, 1]] and beside.edges.tolist() == [[1, 2]]
+    adjacency = face_adjacency(np.array([[0, 1, 2], [2, 1, 3], [3, 4, 5]]))
+    assert adjacency.faces.tolist() == [[0, 1]] and adjacency.edges.tolist() == [[1, 2]]
 
 
 def test_long_edges_are_split_without_a_gap():
@@ -129,7 +129,7 @@ def test_long_edges_are_split_without_a_gap():
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert sides.max() <= 0.3 and abs(area.sum() - 1.0) < 1e-9
     # A closed sheet: 3 F = 2 inner edges + edges of the rim, and the rim is whole.
-    inner = len(adjacency(parts.triangles).faces)
+    inner = len(face_adjacency(parts.triangles).faces)
     rim = 3 * len(parts.triangles) - 2 * inner
     assert rim == 16
 
