@@ -152,7 +152,7 @@ def test_a_measurement_has_its_stages_and_its_report_the_targets() -> None:
     loose = (LooseRow("flat", 50, "at rest", 25.0),)
     text = report_text(TaskReport("2000-01-01", "1", "m", 2, 0.0, rows=rows, loose=loose))
     lines = [" ".join(line.split()) for line in text.splitlines()]
-    assert "real-time factor without pictures >= 10 12.0 (best task 12.0) met" in lines
-    assert "real-time factor with 256x256 RGB-D >= 3 2.0 (best task 2.0) MISSED" in lines
+    assert "real-time factor without images >= 10 12.0 (fastest task 12.0) met" in lines
+    assert "real-time factor with 256x256 RGB-D >= 3 2.0 (fastest task 2.0) MISSED" in lines
     assert "flat 50 at rest 25.0" in lines
     assert measure(TaskPlan(tasks=(), loose_scene="")).as_json()["rows"] == []

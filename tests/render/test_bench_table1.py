@@ -15,8 +15,8 @@ pytestmark = pytest.mark.egl
 
 
 @pytest.mark.usefixtures("egl")
-def test_every_mode_is_measured_to_the_host_and_with_pictures_to_tensors(tmp_path: Path) -> None:
-    plan = Table1Plan(scene="arena", substeps=(2,), frames=2, sensor_frames=2, ways=("in process",))
+def test_every_mode_is_measured_to_the_host_and_with_images_to_tensors(tmp_path: Path) -> None:
+    plan = Table1Plan(scene="arena", substeps=(2,), frames=2, sensor_frames=2, parts=("in process",))
     report = measure(plan, write_robot(tmp_path, (256, 256)))
     assert sorted(row.mode for row in report.rows if row.to == HOST) == sorted(mode.name for mode in MODES)
     assert sorted(row.mode for row in report.rows if row.to == TENSOR) == sorted(mode.name for mode in MODES if mode.outputs)
@@ -26,10 +26,10 @@ def test_every_mode_is_measured_to_the_host_and_with_pictures_to_tensors(tmp_pat
         assert set(row.bounds) == parts
         assert all(value > 0.0 for value in row.bounds.values())
         assert row.fps > 0.0
-    pictures = [row for row in report.rows if row.to == HOST and row.mode != SENSOR_ONLY]
+    with_images = [row for row in report.rows if row.to == HOST and row.mode != SENSOR_ONLY]
     assert all(
         row.stages["draw"] + row.stages.get("fill", 0.0) >= row.bounds[OPENGL] and row.stages["step"] >= row.bounds[BULLET]
-        for row in pictures
+        for row in with_images
     )
     assert [row.mode for row in report.rows if row.stages.get("fill", 0.0) > 0.0] == [FILLED]
     assert report.facts.gpu

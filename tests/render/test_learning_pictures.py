@@ -12,7 +12,7 @@ from gibson_path_following.floor_plane import FloorPlane
 from gibson_sim.tasks.pictures import TaskCamera
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun
-from gibson_sim_bench.learning import draw_together
+from gibson_sim_bench.learning import render_batched
 from gibson_sim_learn.path_following.data import World
 from gibson_sim_learn.path_following.distances.obstacles import draw_obstacle_shard
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
@@ -28,7 +28,7 @@ def test_cameras_of_all_environments_see_what_those_of_each_see() -> None:
         for seed, run in enumerate((first, second)):
             run.reset(seed)
             cameras.append(TaskCamera(run, (64, 48)))
-        together = draw_together([first, second], cameras[0].camera)
+        together = render_batched([first, second], cameras[0].camera)
         alone = [camera.rgbd() for camera in cameras]
     # Poses of cameras are multiplied once more: depth agrees to float32, colours but for single pixels at edges.
     assert np.median(np.abs(together[0][1] - alone[0][1])) < 1e-4

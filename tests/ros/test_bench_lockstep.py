@@ -28,4 +28,4 @@ def test_all_ways_make_ticks_without_and_with_images(substeps: int, ros_domain: 
     assert 0.0 < with_images.draw.median < with_images.without_ros.median
     for ticks in (with_images.one_process, with_images.lockstep, with_images.pipelined):
         assert ticks.median > 0.0
-    assert f"physics steps a tick: {substeps};" in report_text(report)
+    assert f"physics steps per tick: {substeps};" in report_text(report)

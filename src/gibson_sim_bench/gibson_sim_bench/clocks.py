@@ -1,4 +1,4 @@
-"""Stopwatches around the calls of a function, and around all calls of OpenGL."""
+"""Timers around the calls of a function, and around all OpenGL calls."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def calls_of(owner: Any, name: str) -> Iterator[Clock]:
 
 @contextmanager
 def opengl_calls() -> Iterator[Clock]:
-    """Times all OpenGL calls of the renderers that are opened inside the block, also after it."""
+    """Times all OpenGL calls of the renderers that are created inside the block, also after it."""
     clock, original = Clock(), GL.Gl
 
     class Timed(original):  # type: ignore[misc, valid-type]

@@ -1,7 +1,8 @@
-"""Steps per second for learning: N environments in N processes, and N in one process whose images one renderer draws at once.
+"""Environment steps per second for reinforcement learning: N processes, or N environments in one process with one batched renderer.
 
-The second way is bounded from above: all cameras are drawn in the world of the first environment, where they stand as in their own. So
-the loose objects of the others are neither drawn nor loaded, and what is left is what every batched renderer has to do.
+The rate with one renderer is an upper bound: all cameras are rendered in the scene state of the first environment, each at the
+pose that it has in its own environment. Loose objects of the other environments are neither loaded nor rendered; what remains is the work of every
+batched renderer.
 """
 
 from __future__ import annotations
@@ -32,22 +33,22 @@ from gibson_sim_bench.tasks import OBSERVATIONS
 
 PROCESSES, ONE_RENDERER = "a process each", "one process, one renderer"
 EPISODE = 100
-"""Steps after which all environments begin new episodes, as in the middle of a training; the time of that counts."""
+"""Steps after which all environments are reset, as during training; the resets count."""
 
 
 @dataclass(frozen=True, slots=True)
 class LearningPlan:
-    """What to measure, and for how long."""
+    """Cases of the measurement, and their duration."""
 
     task: str = "point-goal"
     scene: str = ""
-    """Name or path; empty = that of the task."""
+    """Name or path of the scene; empty = the default of the task."""
     observations: tuple[str, ...] = OBSERVATIONS
     environments: tuple[int, ...] = (1, 2, 4, 8)
     batched: bool = True
-    """Whether to measure one renderer for all environments, too."""
+    """Whether to measure also one renderer for all environments."""
     seconds: float = 20.0
-    """Of each case."""
+    """Wall time of each case, seconds."""
     size: int = 128
     """Width and height of images, pixels."""
     control_hz: int = CONTROL_HZ
@@ -56,16 +57,16 @@ class LearningPlan:
 
 @dataclass(frozen=True, slots=True)
 class LearningRow:
-    """One way to run a number of environments."""
+    """A number of environments in one configuration."""
 
     way: str
-    """``PROCESSES`` or ``ONE_RENDERER``."""
+    """Configuration: ``PROCESSES`` or ``ONE_RENDERER``."""
     observation: str
     environments: int
     steps_per_s: float
-    """Of all environments together, with the beginnings of episodes."""
+    """Steps per second of all environments together, resets included."""
     processor_ms: float
-    """Processor time of a step of one environment, all threads and processes, milliseconds: it depends little on other load."""
+    """Processor time of a step of one environment, all threads and processes, milliseconds. It depends little on other load."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +87,12 @@ class LearningReport:
         return found
 
 
-def measure(plan: LearningPlan, tell: Callable[[str], None] = lambda line: None) -> LearningReport:
+def measure(plan: LearningPlan, progress: Callable[[str], None] = lambda line: None) -> LearningReport:
     """Returns the measurements.
 
     Args:
-        plan: what to measure.
-        tell: called with one line of progress.
+        plan: cases and their duration.
+        progress: called with one line of progress.
 
     Raises:
         ConfigError: a value of the plan is not allowed.
@@ -110,10 +111,10 @@ def measure(plan: LearningPlan, tell: Callable[[str], None] = lambda line: None)
     facts = (timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load())
     for observation in plan.observations:
         for count in plan.environments:
-            tell(f"{observation}, {count}: {PROCESSES}")
+            progress(f"{observation}, {count}: {PROCESSES}")
             rows.append(_processes(plan, observation, count))
             if plan.batched and observation == "rgbd":
-                tell(f"{observation}, {count}: {ONE_RENDERER}")
+                progress(f"{observation}, {count}: {ONE_RENDERER}")
                 rows.append(_one_renderer(plan, count))
     return LearningReport(*facts, plan=plan, rows=tuple(rows))
 
@@ -133,11 +134,11 @@ def _processes(plan: LearningPlan, observation: str, count: int) -> LearningRow:
     try:
         envs.action_space.seed(0)
 
-        def used() -> float:
-            return time.process_time() + sum(_processor_time(process.pid) for process in envs.processes)
+        def cpu_s() -> float:
+            return time.process_time() + sum(_process_cpu_s(process.pid) for process in envs.processes)
 
         return _row(
-            plan, PROCESSES, observation, count, envs.reset, lambda: envs.step(envs.action_space.sample()), used
+            plan, PROCESSES, observation, count, envs.reset, lambda: envs.step(envs.action_space.sample()), cpu_s
         )  # fmt: skip
     finally:
         envs.close()
@@ -156,13 +157,13 @@ def _one_renderer(plan: LearningPlan, count: int) -> LearningRow:
         camera = TaskCamera(runs[0], (plan.size, plan.size)).camera
 
         def observe() -> list[Any]:
-            pictures = draw_together(runs, camera)
+            images = render_batched(runs, camera)
             return [
-                (picture, own_state(control.layout, run.episode, run.observation))
-                for picture, control, run in zip(pictures, controls, runs, strict=True)
+                (rgbd, own_state(control.layout, run.episode, run.observation))
+                for rgbd, control, run in zip(images, controls, runs, strict=True)
             ]
 
-        def begin() -> None:
+        def reset() -> None:
             for control, run in zip(controls, runs, strict=True):
                 control.begin(run.reset(next(seeds)))
             observe()
@@ -172,15 +173,15 @@ def _one_renderer(plan: LearningPlan, count: int) -> LearningRow:
                 run.step(control.action(rng.uniform(-1.0, 1.0, control.size), run.observation))
             observe()
 
-        return _row(plan, ONE_RENDERER, "rgbd", count, begin, step, time.process_time)
+        return _row(plan, ONE_RENDERER, "rgbd", count, reset, step, time.process_time)
 
 
-def draw_together(runs: Sequence[TaskRun], camera: CameraSpec) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
-    """Returns RGB (H, W, 3) and depth (H, W, 1), metres, of each run, all drawn in the world of the first one and read back at once.
+def render_batched(runs: Sequence[TaskRun], camera: CameraSpec) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
+    """Returns RGB (H, W, 3) and depth (H, W, 1), metres, of each run, all rendered in the scene state of the first run and read back at once.
 
     Args:
-        runs: the tasks.
-        camera: of the robot; it stands in each world as the robot there does.
+        runs: runs of one task.
+        camera: camera of the robot; its pose in each run follows the robot of that run.
     """
     first = runs[0]
     T_first_world = np.linalg.inv(_link(first, camera.link))
@@ -189,45 +190,45 @@ def draw_together(runs: Sequence[TaskRun], camera: CameraSpec) -> list[tuple[NDA
         replace(camera, name=f"camera_{k}", pose=pose_from_matrix(T_first_world @ _link(run, camera.link) @ T_link_camera))
         for k, run in enumerate(runs)
     ]
-    pictures = []
+    images = []
     for frame in first.simulation.renderer.render(first.world.state(), cameras):
         assert frame.rgb is not None and frame.depth is not None
         depth = np.nan_to_num(frame.depth, nan=FARTHEST_DEPTH, posinf=FARTHEST_DEPTH, neginf=0.0)
-        pictures.append((frame.rgb, np.clip(depth, 0.0, FARTHEST_DEPTH)[..., None]))
-    return pictures
+        images.append((frame.rgb, np.clip(depth, 0.0, FARTHEST_DEPTH)[..., None]))
+    return images
 
 
 def _link(run: TaskRun, name: str) -> Mat4:
-    """Returns T_world_link of the present observation."""
+    """Returns T_world_link in the latest observation."""
     return matrix_from_pose(run.observation.links[name])
 
 
 def _row(
     plan: LearningPlan,
-    way: str,
+    configuration: str,
     observation: str,
     count: int,
-    begin: Callable[[], Any],
+    reset: Callable[[], Any],
     step: Callable[[], Any],
-    used: Callable[[], float],
+    cpu_s: Callable[[], float],
 ) -> LearningRow:
-    """Returns the row of a way: ``begin`` begins all episodes, ``step`` steps all environments, ``used`` returns processor seconds."""
-    begin()
+    """Returns the row of a configuration: ``reset`` resets and ``step`` steps all environments, ``cpu_s`` returns their processor time, seconds."""
+    reset()
     step()
-    steps, elapsed, began, used_before = 0, 0.0, time.perf_counter(), used()
+    steps, elapsed, began, cpu_before = 0, 0.0, time.perf_counter(), cpu_s()
     while elapsed < plan.seconds:
         if steps % EPISODE == 0:
-            begin()
+            reset()
         step()
         steps += 1
         elapsed = time.perf_counter() - began
-    return LearningRow(way, observation, count, steps * count / elapsed, 1e3 * (used() - used_before) / (steps * count))
+    return LearningRow(configuration, observation, count, steps * count / elapsed, 1e3 * (cpu_s() - cpu_before) / (steps * count))
 
 
-def _processor_time(pid: int | None) -> float:
-    """Returns the processor time that a process has used, seconds."""
+def _process_cpu_s(pid: int | None) -> float:
+    """Returns the processor time of a process, user and system, seconds."""
     with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
-        # User and system time are the 12th and 13th after the name, which may itself hold spaces and brackets.
+        # User and system time are the 12th and 13th fields after the name, which may itself contain spaces and brackets.
         fields = file.read().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -238,10 +239,10 @@ def report_text(report: LearningReport, *, markdown: bool = False) -> str:
     where = f"{plan.task} in {plan.scene}" if plan.scene else plan.task
     lines = [
         f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
-        f"{where}; {plan.control_hz} actions and {plan.step_hz} physics steps a second of simulation time; random actions, new episodes "
+        f"{where}; {plan.control_hz} actions and {plan.step_hz} physics steps per second of simulation time; random actions, resets "
         f"after {EPISODE} steps; images {plan.size}x{plan.size}.",
     ]
-    head = ("observation", "environments", "how", "steps/s", "processor ms a step")
+    head = ("observation", "environments", "configuration", "steps/s", "CPU ms per step")
     body = [
         (row.observation, str(row.environments), row.way, f"{row.steps_per_s:.0f}", f"{row.processor_ms:.2f}")
         for row in report.rows

@@ -1,7 +1,7 @@
-"""Cost of lockstep: the same ticks without ROS, with both nodes in one process, and with each node in a process of its own.
+"""Cost of lockstep: the same ticks without ROS, with both nodes in one process, and with each node in its own process.
 
-``InProcessTicks`` makes ticks in this process; ``gibson_sim_bench.cli.lockstep`` starts the others. All take turns, a block at a time, since
-the speed of a machine may double within a minute.
+``InProcessTicks`` makes ticks in this process; ``gibson_sim_bench.cli.lockstep`` starts the other configurations. Their blocks are
+interleaved, since the speed of a machine may double within a minute.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from gibson_sim_bench.loop import Loop
 from gibson_sim_bench.protocol import TICK_WARM_UP
 from gibson_sim_bench.ros import PerformanceTarget, Size, Spread, spread, without_nan
 
-TICKS_PER_S, SPLIT = 1000.0, 0.20
-"""Targets for two cores: ticks per second of one physics step without images, and the overhead of separate processes with images."""
+MIN_TICKS_PER_S, MAX_SPLIT = 1000.0, 0.20
+"""Targets for two cores: rate of ticks with one physics step without images, 1/s; overhead of separate processes with images, a fraction."""
 BLOCKS = 10
-"""Measured blocks of each configuration, after one that does not count."""
-ONE_PROCESS, LOCKSTEP, PIPELINED = WAYS = ("one_process", "lockstep", "pipelined")
+"""Blocks of each configuration, after one of warm-up."""
+ONE_PROCESS, LOCKSTEP, PIPELINED = CONFIGURATIONS = ("one_process", "lockstep", "pipelined")
 """Configurations with ROS: both nodes in one process, each in its own, each in its own and pipelined."""
 
 
 @dataclass(frozen=True, slots=True)
 class LockstepPlan:
-    """Amount of measurements."""
+    """Scene and number of measurements."""
 
     scene: str = "flat"
     substeps: int = 1
@@ -37,7 +37,7 @@ class LockstepPlan:
     ticks: int = 2000
     """Ticks without images."""
     image_ticks: int = 200
-    """Ticks with images, one set at each."""
+    """Ticks with images, one set per tick."""
     sizes: tuple[Size, ...] = (Size(256, 256), Size(640, 480))
 
     @classmethod
@@ -61,9 +61,9 @@ class LockstepCase:
     """Tick to tick, both nodes in one process; a controller in another process answers each tick and subscribes to the images. NaN
     without images, where there is only one node."""
     lockstep: Spread
-    """As ``one_process``, each node in a process of its own."""
+    """As ``one_process``, with each node in its own process."""
     pipelined: Spread
-    """As ``lockstep``, while physics already computes the next tick."""
+    """As ``lockstep``, while physics already steps towards the next tick."""
 
     @property
     def split(self) -> tuple[float, float]:
@@ -103,12 +103,12 @@ class LockstepReport:
 
 @dataclass(slots=True)
 class TickTimes:
-    """Milliseconds of each counted tick, without ROS and in each configuration with ROS."""
+    """Milliseconds of each tick that counts, without ROS and in each configuration with ROS."""
 
     physics: list[float] = field(default_factory=list)
     draw: list[float] = field(default_factory=list)
     """Empty without images."""
-    others: dict[str, list[float]] = field(default_factory=dict)
+    with_ros: dict[str, list[float]] = field(default_factory=dict)
     """Tick to tick, by configuration."""
 
     @property
@@ -123,7 +123,7 @@ class InProcessTicks:
     Args:
         scene: name or path of the scene.
         robot: file of the robot, which has one camera.
-        size: of the images of that camera; None = no images.
+        size: size of the images of that camera; None = no images.
         substeps: physics steps per tick.
     """
 
@@ -140,8 +140,8 @@ class InProcessTicks:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._loop.close()
 
-    def block(self, ticks: int, turns: TickTimes) -> None:
-        """Makes ``ticks`` ticks after the warm-up, and appends their times to ``turns``."""
+    def make_block(self, ticks: int, times: TickTimes) -> None:
+        """Makes ``ticks`` ticks after the warm-up, and appends their durations to ``times``."""
         for tick in range(ticks + TICK_WARM_UP):
             began = time.perf_counter_ns()
             self._loop.step()
@@ -150,26 +150,28 @@ class InProcessTicks:
             if self._renderer is not None:
                 self._renderer.render(state, self._cameras)
             if tick >= TICK_WARM_UP:
-                turns.physics.append((stepped - began) / 1e6)
+                times.physics.append((stepped - began) / 1e6)
                 if self._renderer is not None:
-                    turns.draw.append((time.perf_counter_ns() - stepped) / 1e6)
+                    times.draw.append((time.perf_counter_ns() - stepped) / 1e6)
 
 
-def in_turns(alone: InProcessTicks, others: Mapping[str, Callable[[int], Sequence[int]]], ticks: int) -> TickTimes:
-    """Returns the times of about ``ticks`` ticks of each configuration, measured in turns.
+def measure_interleaved(
+    in_process: InProcessTicks, with_ros: Mapping[str, Callable[[int], Sequence[int]]], ticks: int
+) -> TickTimes:
+    """Returns the durations of about ``ticks`` ticks of each configuration, in interleaved blocks.
 
     Args:
-        alone: the ticks without ROS.
-        others: by configuration, a function that makes ``n`` ticks and returns their times, preceded by that of the tick before, nanoseconds.
-        ticks: of each configuration.
+        in_process: makes the ticks without ROS.
+        with_ros: by configuration, a function that makes ``n`` ticks and returns their times, preceded by that of the previous tick, nanoseconds.
+        ticks: number of ticks of each configuration.
     """
-    turns, size = TickTimes(others={name: [] for name in others}), max(1, ticks // BLOCKS)
+    times, size = TickTimes(with_ros={name: [] for name in with_ros}), max(1, ticks // BLOCKS)
     for block in range(1 + BLOCKS):
-        alone.block(size, turns if block else TickTimes())
-        for name, make in others.items():
-            took = np.diff(np.asarray(make(size + TICK_WARM_UP), dtype=np.float64))[TICK_WARM_UP:] / 1e6
-            turns.others[name] += took.tolist() if block else []
-    return turns
+        in_process.make_block(size, times if block else TickTimes())
+        for name, make in with_ros.items():
+            durations_ms = np.diff(np.asarray(make(size + TICK_WARM_UP), dtype=np.float64))[TICK_WARM_UP:] / 1e6
+            times.with_ros[name] += durations_ms.tolist() if block else []
+    return times
 
 
 def rate_of(ticks: Spread) -> float:
@@ -177,10 +179,10 @@ def rate_of(ticks: Spread) -> float:
     return 1e3 / ticks.median
 
 
-def case_of(size: Size | None, turns: TickTimes) -> LockstepCase:
-    """Returns the case of measured times; ``WAYS`` names the configurations."""
-    others = {way: spread(turns.others.get(way, ())) for way in WAYS}
-    return LockstepCase(size, spread(turns.physics), spread(turns.draw), spread(turns.without_ros), **others)
+def case_of(size: Size | None, times: TickTimes) -> LockstepCase:
+    """Returns the statistics of measured durations; ``CONFIGURATIONS`` are those with ROS."""
+    with_ros = {name: spread(times.with_ros.get(name, ())) for name in CONFIGURATIONS}
+    return LockstepCase(size, spread(times.physics), spread(times.draw), spread(times.without_ros), **with_ros)
 
 
 def targets(cases: Sequence[LockstepCase], substeps: int = 1) -> list[PerformanceTarget]:
@@ -189,16 +191,22 @@ def targets(cases: Sequence[LockstepCase], substeps: int = 1) -> list[Performanc
     for case in cases:
         if case.size is None and substeps > 1:
             continue
-        ways = ("", case.lockstep), (", in a pipeline", case.pipelined)
-        for (way, ticks), added in zip(ways, case.split, strict=True):
+        configurations = ("", case.lockstep), (", pipelined", case.pipelined)
+        for (suffix, ticks), overhead in zip(configurations, case.split, strict=True):
             if case.size is None:
                 rate = rate_of(ticks)
                 found.append(
                     PerformanceTarget(
-                        f"ticks without images{way}", f"> {TICKS_PER_S:,.0f}/s", f"{rate:,.0f}/s", "", rate > TICKS_PER_S
+                        f"ticks without images{suffix}",
+                        f"> {MIN_TICKS_PER_S:,.0f}/s",
+                        f"{rate:,.0f}/s",
+                        "",
+                        rate > MIN_TICKS_PER_S,
                     )
                 )
             else:
-                what = f"what the processes add at {case.size} RGB + depth{way}"
-                found.append(PerformanceTarget(what, f"< {100 * SPLIT:.0f} %", f"{100 * added:.0f} %", "", added < SPLIT))
+                what = f"overhead of separate processes, {case.size} RGB + depth{suffix}"
+                found.append(
+                    PerformanceTarget(what, f"< {100 * MAX_SPLIT:.0f} %", f"{100 * overhead:.0f} %", "", overhead < MAX_SPLIT)
+                )
     return found

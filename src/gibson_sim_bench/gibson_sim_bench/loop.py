@@ -1,4 +1,4 @@
-"""The measured loop: physics and sensors of a scene in this process."""
+"""The simulation loop of the benchmarks: physics and sensors of a scene in this process."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from gibson_sim_bench.protocol import SETTLE_S, STEP_HZ, RandomCommands
 
 
 class Loop:
-    """Physics and sensors of a scene with one robot, a frame at a time. Close it.
+    """Physics and sensors of a scene with one robot, stepped by frame. Close it.
 
     Args:
         scene: name or path of the scene.
-        robot: file of the robot.
+        robot: path of the robot's file.
         substeps: physics steps per frame.
     """
 
@@ -24,12 +24,12 @@ class Loop:
         self.world = self.simulation.world
         spec = self.simulation.robot.spec
         self._robot, self._substeps = spec.name, substeps
-        # Not those of `Simulation`, whose `step` measures after each physics step; a frame measures at its end, as the physics node does.
+        # `Simulation.step` measures sensors after each physics step; a frame measures them at its end, as the physics node does.
         self._sensors = SensorSuite(spec, STEP_HZ, STEP_HZ // substeps, self.world.scene.gravity)
         self._commands = RandomCommands(substeps)
 
     def settle(self) -> None:
-        """Lets time pass until bodies at rest sleep."""
+        """Steps for ``SETTLE_S`` of simulation time, until bodies at rest sleep."""
         self.world.step(round(SETTLE_S * STEP_HZ))
 
     def step(self) -> None:
@@ -40,7 +40,7 @@ class Loop:
         world.step(self._substeps)
 
     def read(self) -> SceneState:
-        """Returns the scene state, and measures the due sensors, in the order of the physics node."""
+        """Returns the scene state after measuring the due sensors, in the order of the physics node."""
         world, name = self.world, self._robot
         world.odometry(name), world.base_twist(name)
         state = world.state()

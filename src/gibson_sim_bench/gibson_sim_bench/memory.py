@@ -1,4 +1,4 @@
-"""Memory, open files and files on disk of processes, none of which may grow."""
+"""Memory, open files and files on disk of processes, and their growth over time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 WARM_UP = 0.25
-"""Fraction of a run that does not count: caches fill, and Python keeps memory that it once had."""
+"""Fraction of a run that is warm-up and does not count: caches fill, and Python keeps freed memory."""
 
 
 def resident_mb(pid: int | str = "self") -> float:
@@ -31,20 +31,20 @@ def open_files(pid: int | str = "self") -> int:
 
 
 def descendants(pid: int) -> dict[int, str]:
-    """Returns the descendants of a process: process id -> name of what it runs."""
-    parents: dict[int, list[int]] = {}
+    """Returns the descendants of a process: process id -> module or file that the process runs."""
+    children: dict[int, list[int]] = {}
     for entry in os.listdir("/proc"):
         if entry.isdigit():
             try:
                 fields = Path(f"/proc/{entry}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
             except OSError:
                 continue
-            parents.setdefault(int(fields[1]), []).append(int(entry))
-    found, waiting = {}, [pid]
-    while waiting:
-        for child in parents.get(waiting.pop(), []):
+            children.setdefault(int(fields[1]), []).append(int(entry))
+    found, pending = {}, [pid]
+    while pending:
+        for child in children.get(pending.pop(), []):
             found[child] = command_name(child)
-            waiting.append(child)
+            pending.append(child)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Cases, rows and statistics of ``gibson-sim bench ros``. Pure: ROS is in the processes that ``gibson_sim_bench.cli.ros`` starts."""
+"""Cases, rows and statistics of ``gibson-sim bench ros``. Pure: the nodes that ``gibson_sim_bench.cli.ros`` starts use ROS."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 PARTS = ("state", "transport", "clock", "pipeline")
-"""Parts that can be measured alone."""
+"""Parts that can be measured separately."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +26,12 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class RoundTripMethod:
-    """How a node waits for messages, and publishes."""
+    """Executor and message form of a node."""
 
     executor: str
     """``standard``, ``events`` or ``wait set``."""
     form: str
-    """``message``, or ``bytes`` that the node serialises itself."""
+    """``message``, or ``bytes``, which the node serializes itself."""
 
 
 ROUND_TRIP_METHODS = (
@@ -46,14 +46,14 @@ ROUND_TRIP_METHODS = (
 
 @dataclass(frozen=True, slots=True)
 class IdleNode:
-    """A node that only waits."""
+    """A node that only spins."""
 
     executor: str
-    """``standard`` or ``events``; ``polled``: messages do not wake it, it reads the newest /clock on demand."""
+    """``standard`` or ``events``; ``polled``: messages do not wake the node, it takes the newest /clock on demand."""
     use_sim_time: bool
-    """Whether it subscribes to /clock."""
+    """Whether the node subscribes to /clock."""
     parameter_services: bool = True
-    """Whether it offers its parameters: six services that the standard executor also waits for."""
+    """Whether the node has parameter services: six services in the wait set of the standard executor."""
 
 
 IDLE_NODES = (
@@ -68,13 +68,13 @@ IDLE_NODES = (
 
 @dataclass(frozen=True, slots=True)
 class RosPlan:
-    """What to measure, and how much."""
+    """Parts, scene and number of measurements."""
 
     parts: tuple[str, ...] = PARTS
     bodies: int = 100
-    """Bodies of the state that is sent back and forth."""
+    """Bodies of the scene state in a round trip."""
     round_trips: int = 3000
-    """Counted round trips of each method; a tenth as many go before as warm-up."""
+    """Round trips of each method that count, after a tenth as many of warm-up."""
     methods: tuple[RoundTripMethod, ...] = ROUND_TRIP_METHODS
     transport_size: Size = Size(640, 480)
     transport_hz: float = 60.0
@@ -145,7 +145,7 @@ class Transport:
     sent: int
     received: int
     ms: Spread
-    """Milliseconds from before the message is made until the callback receives it."""
+    """Latency from before serialization to the callback, milliseconds."""
 
     @property
     def lost(self) -> int:
@@ -162,33 +162,33 @@ class ClockCost:
     parameter_services: bool
     seconds: float
     cpu_percent: float
-    """Of one core, all threads of the process."""
+    """Processor time of all threads of the process, % of one core."""
     clock_s: float
     """Advance of the node's own clock, seconds; 0 without use_sim_time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pipeline:
-    """Images of the running simulation, as a subscriber receives them."""
+    """Images of the running simulation at a subscriber."""
 
     size: Size
     hz: float
-    """Requested rate, in simulation time."""
+    """Requested rate in simulation time, Hz."""
     due: int
     """Images due during the measurement."""
     received: int
     """Pairs of RGB and depth that arrived."""
     seconds: float
-    """Wall time of the measurement."""
+    """Wall time of the measurement, seconds."""
     real_time_factor: float
     to_published_ms: Spread
-    """From the publication of the state until that of its RGB image."""
+    """Latency from the publication of the state to that of its RGB image, milliseconds."""
     to_received_ms: Spread
-    """From the publication of the state until the callback receives its RGB image."""
+    """Latency from the publication of the state to the callback with its RGB image, milliseconds."""
 
     @property
     def lost(self) -> int:
-        """Images due but not received: not drawn in time, or lost in transport."""
+        """Images due but not received: not rendered in time, or lost in transport."""
         return self.due - self.received
 
     @property
@@ -198,20 +198,22 @@ class Pipeline:
 
 
 def pipeline_of(size: Size, hz: float, received: dict[str, Any]) -> Pipeline:
-    """Returns a row from what the subscribing process received.
+    """Returns a row from the result of ``pipeline_sink``.
 
     Args:
-        size: of the images.
-        hz: requested rate.
+        size: size of the images.
+        hz: requested rate in simulation time.
         received: ``seconds``; ``states``, rows of (stamp, published, cameras due); ``images``, by topic, rows of (stamp, published,
-            received). Nanoseconds: stamps of simulation time, others of the system's clock. The first topic is RGB.
+            received). All are nanoseconds, stamps of simulation time, the others of the system clock. The first topic is RGB.
     """
     states = received["states"]
-    published = {stamp: at for stamp, at, _ in states}
+    published = {stamp: published_ns for stamp, published_ns, _ in states}
     due = [stamp for stamp, _, cameras in states if cameras]
-    topics = [{stamp: (out, got) for stamp, out, got in rows} for rows in received["images"].values()]
-    whole = [stamp for stamp in due if all(stamp in topic for topic in topics)]
-    first = topics[0] if topics else {}
+    topics = [
+        {stamp: (published_ns, received_ns) for stamp, published_ns, received_ns in rows} for rows in received["images"].values()
+    ]
+    complete = [stamp for stamp in due if all(stamp in topic for topic in topics)]
+    rgb = topics[0] if topics else {}
     factor = 0.0
     if len(states) > 1 and states[-1][1] > states[0][1]:
         factor = (states[-1][0] - states[0][0]) / (states[-1][1] - states[0][1])
@@ -219,11 +221,11 @@ def pipeline_of(size: Size, hz: float, received: dict[str, Any]) -> Pipeline:
         size=size,
         hz=hz,
         due=len(due),
-        received=len(whole),
+        received=len(complete),
         seconds=round(received["seconds"], 3),
         real_time_factor=round(factor, 3),
-        to_published_ms=spread([(first[stamp][0] - published[stamp]) / 1e6 for stamp in whole]),
-        to_received_ms=spread([(first[stamp][1] - published[stamp]) / 1e6 for stamp in whole]),
+        to_published_ms=spread([(rgb[stamp][0] - published[stamp]) / 1e6 for stamp in complete]),
+        to_received_ms=spread([(rgb[stamp][1] - published[stamp]) / 1e6 for stamp in complete]),
     )
 
 
@@ -236,7 +238,7 @@ class RosReport:
     machine: str
     cores: int
     load: float
-    """Load average over the minute before."""
+    """Load average over the last minute before the measurement."""
     software: dict[str, str]
     round_trips: tuple[RoundTrip, ...] = ()
     transports: tuple[Transport, ...] = ()
@@ -257,10 +259,12 @@ class PerformanceTarget:
     """A performance target for a machine with two cores, and the best measured value."""
 
     what: str
+    """The measured quantity."""
     wanted: str
+    """The threshold, such as ``> 3,000/s``."""
     measured: str
     how: str
-    """The row that it is from; empty = the only one."""
+    """Configuration of the measured value; empty = the only one."""
     met: bool
 
 
@@ -285,7 +289,7 @@ def targets(report: RosReport) -> list[PerformanceTarget]:
         met = sent.ms.median < TRANSPORT_MS and sent.lost == 0
         measured = f"{sent.ms.median:.2f} ms, {sent.lost} lost"
         found.append(PerformanceTarget(what, f"< {TRANSPORT_MS:g} ms, none lost", measured, sent.executor, met))
-    # A node that polls is not woken, but needs other code.
+    # A polling node is cheaper, but needs its own code instead of callbacks.
     subscribed = [c for c in report.clocks if c.use_sim_time and c.executor != "polled"]
     if subscribed:
         cost = min(subscribed, key=lambda c: c.cpu_percent)
@@ -299,7 +303,7 @@ def targets(report: RosReport) -> list[PerformanceTarget]:
 
 
 def without_nan(value: Any) -> Any:
-    """Returns values for JSON: NaN becomes None, a tuple a list."""
+    """Returns a value for JSON: NaN becomes None, a tuple becomes a list."""
     if isinstance(value, dict):
         return {key: without_nan(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,6 +1,6 @@
-"""Growth of time and memory with triangles, resolution, cameras, bodies, robots, environments in a process, and processes.
+"""Scaling of time and memory with triangles, resolution, cameras, bodies, robots, environments per process, and processes.
 
-Every case runs in a process of its own, so that its memory can be measured.
+Every case runs in its own process, so that its memory can be measured.
 """
 
 from __future__ import annotations
@@ -42,32 +42,34 @@ STEP_HZ = 240
 SCENE, ROBOT = "arena", "gibson_bot"
 ROOMS = "rooms:100k"
 SIZE = 256
-"""Width and height of images unless resolution is varied, pixels."""
+"""Width and height of images unless resolution is the varied quantity, pixels."""
 REST_S = 2.0
-"""Simulation time in which bodies come to rest, seconds."""
+"""Simulation time for bodies to come to rest, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScalingKind:
-    """A quantity that is varied."""
+    """A varied quantity and its values."""
 
     name: str
     values: tuple[int, ...]
     quick: tuple[int, ...]
     what: str
-    """What is timed, for the report."""
+    """The timed operation, for the report."""
 
 
 KINDS = (
     ScalingKind("triangles", (20_000, 100_000, 500_000, 1_000_000), (20_000, 100_000), "an image of 256x256, five outputs"),
     ScalingKind("resolution", (128, 256, 512, 1024), (128, 256), "an image of N x N pixels, five outputs, 100 k triangles"),
     ScalingKind("cameras", (1, 4, 16, 64), (1, 4), "N images of 128x128, RGB and depth, 100 k triangles"),
-    ScalingKind("bodies", (0, 10, 30, 100), (0, 10), "a physics step with N loose objects at rest and one robot, and all poses"),
-    ScalingKind("robots", (1, 2, 4, 8), (1, 2), "a physics step with N driving robots, and all poses"),
+    ScalingKind(
+        "bodies", (0, 10, 30, 100), (0, 10), "a physics step with N loose objects at rest and one robot, and all link poses"
+    ),
+    ScalingKind("robots", (1, 2, 4, 8), (1, 2), "a physics step with N driving robots, and all link poses"),
     ScalingKind(
         "environments", (1, 2, 4), (1, 2), "a step of each environment in one process: four physics steps, 256x256 RGB and depth"
     ),
-    ScalingKind("processes", (1, 2, 4), (1, 2), "such a step in each of N processes with one environment"),
+    ScalingKind("processes", (1, 2, 4), (1, 2), "the same step in each of N processes with one environment"),
 )
 
 
@@ -78,11 +80,11 @@ class ScalingRow:
     kind: str
     value: int
     ms: float
-    """Median duration; for environments and processes, of one step of all of them."""
+    """Median duration, milliseconds; for environments and processes, of one step of all of them."""
     per_s: float
-    """Rate; for environments and processes, steps of all of them together."""
+    """Rate, 1/s; for environments and processes, of all steps together."""
     mb: float
-    """Resident memory of all processes of the case."""
+    """Resident memory of all processes of the case, MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +109,14 @@ def report_of(read: dict[str, Any]) -> ScalingReport:
 
 
 def measure(
-    kinds: Sequence[ScalingKind], *, quick: bool = False, tell: Callable[[str], None] = lambda line: None
+    kinds: Sequence[ScalingKind], *, quick: bool = False, progress: Callable[[str], None] = lambda line: None
 ) -> ScalingReport:
     """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
         kinds: the quantities to vary.
-        quick: fewer and smaller cases.
-        tell: called with one line of progress.
+        quick: whether to measure fewer and smaller cases.
+        progress: called with one line of progress.
     """
     report = ScalingReport(timing.facts())
     rows: list[ScalingRow] = []
@@ -122,7 +124,7 @@ def measure(
     frames = 12 if quick else 40
     for kind in kinds:
         for value in kind.quick if quick else kind.values:
-            tell(f"{kind.name}: {value:,}")
+            progress(f"{kind.name}: {value:,}")
             try:
                 rows.append(_in_processes(kind.name, value, frames))
             except GibsonSimError as error:
@@ -131,7 +133,7 @@ def measure(
 
 
 def _in_processes(kind: str, value: int, frames: int) -> ScalingRow:
-    """Returns the row of a case, measured in a process of its own, or in ``value`` processes."""
+    """Returns the row of a case, measured in its own process, or in ``value`` processes."""
     count = value if kind == "processes" else 1
     # Spawned: a forked process would share this one's memory and OpenGL context.
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=interrupts.end_silently) as pool:
@@ -148,7 +150,7 @@ def _case(kind: str, value: int, frames: int) -> tuple[float, float]:
     logging.disable(logging.WARNING)
     with ExitStack() as stack:
         if kind in ("triangles", "resolution", "cameras"):
-            work = _pictures(kind, value, frames, stack)
+            work = _images(kind, value, frames, stack)
         elif kind in ("bodies", "robots"):
             work = _physics(_with_bodies(value) if kind == "bodies" else _with_robots(value), stack)
         else:
@@ -162,7 +164,7 @@ def _case(kind: str, value: int, frames: int) -> tuple[float, float]:
         return 1e3 * float(np.median(seconds[5:])), resident_mb()
 
 
-def _pictures(kind: str, value: int, frames: int, stack: ExitStack) -> Callable[[], Any]:
+def _images(kind: str, value: int, frames: int, stack: ExitStack) -> Callable[[], Any]:
     scene = bench_scene(f"rooms:{value}" if kind == "triangles" else ROOMS)
     spec = load_scene(scene.path)
     renderer = stack.enter_context(Renderer(drawn_scene(spec, ()), allowed_roots=scene_roots(spec), cache=default_folder()))
@@ -183,7 +185,7 @@ def _pictures(kind: str, value: int, frames: int, stack: ExitStack) -> Callable[
 
 def _physics(scene: SceneSpec, stack: ExitStack) -> Callable[[], Any]:
     sim = stack.enter_context(Simulation(scene, None, step_hz=STEP_HZ))
-    world = sim.world  # without sensors
+    world = sim.world  # the steps of the world measure no sensors
     world.step(round(REST_S * STEP_HZ))
     for name in sim.robots:
         sim.command(linear=0.1, angular=0.8, robot=name)
@@ -211,7 +213,7 @@ def _with_robots(count: int) -> SceneSpec:
 
 
 def _environment(stack: ExitStack) -> Callable[[], Any]:
-    """Returns a function that makes one step of an environment: a flat with a robot and its camera."""
+    """Returns a function that makes one step of an environment: the scene ``flat`` with a robot and its camera."""
     sim = stack.enter_context(Simulation("flat", ROBOT, step_hz=STEP_HZ))
     camera = replace(sim.cameras[0], width=SIZE, height=SIZE, outputs=("rgb", "depth"))
     sim.command(linear=0.1, angular=0.8)

@@ -1,4 +1,4 @@
-"""Long runs: environment steps in this process, and a free-running simulation. Memory, rates and numbers of files must stay constant.
+"""Long runs: environment steps in this process, and a free-running simulation. Memory, rates and the number of files must stay constant.
 
 Pure except for ``environment_steps``; ``gibson_sim_bench.cli.soak`` starts the free-running simulation.
 """
@@ -21,7 +21,7 @@ from gibson_sim_bench.timing import Facts
 
 TASK = "point-goal"
 ALLOWED_GROWTH_MB, ALLOWED_DRIFT, ALLOWED_FILES = 16.0, 0.1, 4
-"""Allowed change from the first to the last third after the warm-up: memory of a process, fraction of a rate, number of files."""
+"""Limits of the change from the first to the last third after the warm-up: memory of a process, MB; rate, fraction; number of files."""
 
 
 @dataclass(slots=True)
@@ -29,12 +29,12 @@ class Samples:
     """Time series of a running process."""
 
     seconds: list[float] = field(default_factory=list)
-    """Wall time of each sample since the start."""
+    """Wall time of each sample since the start, seconds."""
     values: dict[str, list[float]] = field(default_factory=dict)
     """Values by name; the names end with ``MB``, ``files`` or ``/s``."""
 
     def add(self, seconds: float, **values: float) -> None:
-        """Adds a sample; every call has the same names, with ``_`` for spaces."""
+        """Adds a sample; every call has the same names, with ``_`` instead of spaces."""
         self.seconds.append(round(seconds, 2))
         for name, value in values.items():
             self.append(name.replace("_", " "), value)
@@ -44,7 +44,7 @@ class Samples:
         self.values.setdefault(name, []).append(round(value, 3))
 
     def problems(self) -> list[str]:
-        """Returns what grew or drifted more than allowed, one line each."""
+        """Returns one line for each value that grew or drifted above its limit."""
         found = []
         for name, values in self.values.items():
             if name.endswith("MB") and growth(values) > ALLOWED_GROWTH_MB:
@@ -66,7 +66,7 @@ class SoakReport:
     episodes: int
     environment: Samples
     seconds: float
-    """Wall time of the free-running simulation."""
+    """Wall time of the free-running simulation, seconds."""
     images: int
     """Sets of RGB and depth that its subscriber received."""
     running: Samples
@@ -85,7 +85,7 @@ class SoakReport:
 
     @property
     def problems(self) -> list[str]:
-        """What grew or drifted more than allowed, one line each."""
+        """One line for each value that grew or drifted above its limit."""
         return [*self.environment.problems(), *self.running.problems()]
 
 
@@ -101,15 +101,15 @@ def report_of(read: dict[str, Any]) -> SoakReport:
 
 
 def environment_steps(
-    count: int, samples: int = 50, task: str = TASK, tell: Callable[[str], None] = lambda line: None
+    count: int, samples: int = 50, task: str = TASK, progress: Callable[[str], None] = lambda line: None
 ) -> tuple[Samples, int]:
     """Makes environment steps with random actions; returns the samples and the number of episodes.
 
     Args:
-        count: steps, each 0.1 s of simulation time.
+        count: number of steps, each 0.1 s of simulation time.
         samples: number of samples.
         task: name of the task.
-        tell: called with one line of progress.
+        progress: called with one line of progress.
     """
     found, episodes = Samples(), 1
     rng = np.random.default_rng(0)
@@ -125,10 +125,10 @@ def environment_steps(
                     controls.begin(run.reset(episodes))
                     episodes += 1
                 action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.observation)
-                here = time.perf_counter()
+                step_began = time.perf_counter()
                 run.step(action)
-                passed += time.perf_counter() - here
+                passed += time.perf_counter() - step_began
             values = {"environment_MB": resident_mb(), "open_files": open_files(), "environment_steps_/s": steps / passed}
             found.add(time.perf_counter() - began, **values)
-            tell(f"{first + steps:,} steps, {values['environment_steps_/s']:,.0f}/s, {values['environment_MB']:.0f} MB")
+            progress(f"{first + steps:,} steps, {values['environment_steps_/s']:,.0f}/s, {values['environment_MB']:.0f} MB")
     return found, episodes

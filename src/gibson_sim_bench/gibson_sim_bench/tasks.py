@@ -1,6 +1,6 @@
-"""Speed of tasks: environment steps per second, the time of their stages, and the cost of loose objects in a home.
+"""Speed of tasks: environment steps per second, the duration of their stages, and the cost of loose objects in a home.
 
-Several processes are measured with Gymnasium's vector environments, since training uses them; without Gymnasium they are left out.
+Several processes are measured with Gymnasium's vector environments, which training uses; without Gymnasium they are left out.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from gibson_sim_bench.ros import PerformanceTarget, without_nan
 
 OBSERVATIONS = ("state", "rgbd")
 WARM_UP = 10
-"""Steps that do not count."""
+"""Steps of the warm-up, which do not count."""
 LOOSE_MODELS = (
     "box_small",
     "book_a",
@@ -45,21 +45,21 @@ LOOSE_MODELS = (
     "basket",
     "stool",
 )
-THINGS, REST_S, MOVING_S = 50, 4.0, 2.0
-"""Number of loose objects; simulation time in which they come to rest; simulation time that is timed, seconds."""
+LOOSE_OBJECTS, REST_S, MOVING_S = 50, 4.0, 2.0
+"""Number of loose objects; simulation time for them to come to rest, seconds; measured simulation time, seconds."""
 REAL_TIME, REAL_TIME_RGBD = 10.0, 3.0
 """Targets for two cores without a GPU: real-time factor without images, and with 256x256 RGB-D."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskPlan:
-    """What to measure, and how much."""
+    """Tasks and number of measurements."""
 
     tasks: tuple[str, ...] = tuple(TASKS)
     observations: tuple[str, ...] = OBSERVATIONS
     processes: tuple[int, ...] = (1, 2)
     scene: str = ""
-    """Scene of all tasks; empty = that of each task."""
+    """Scene of all tasks; empty = the default of each task."""
     steps: int = 200
     size: int = 256
     """Width and height of images, pixels."""
@@ -76,14 +76,15 @@ class TaskRow:
     observation: str
     processes: int
     steps_per_s: float
-    """Median rate of all processes together."""
+    """Median rate, 1/s, of all processes together."""
     physics_ms: float
-    """Median of a step; this and the following are NaN for several processes."""
+    """Median time of physics per step; this and the following are NaN for several processes."""
     judge_ms: float
-    """Observation, contacts, metrics and success."""
+    """Median time of state, contacts, metrics and success per step."""
     observe_ms: float
-    """The array, or the images."""
+    """Median time of the observation per step: the array, or the images."""
     reset_ms: float
+    """Median time of a reset."""
 
     @property
     def real_time(self) -> float:
@@ -97,7 +98,9 @@ class LooseRow:
 
     scene: str
     things: int
+    """Number of loose objects."""
     what: str
+    """Their motion: ``none``, ``at rest`` or ``moving``."""
     real_time: float
     """Real-time factor."""
 
@@ -124,12 +127,12 @@ class TaskReport:
         return found
 
 
-def measure(plan: TaskPlan, tell: Callable[[str], None] = lambda line: None) -> TaskReport:
+def measure(plan: TaskPlan, progress: Callable[[str], None] = lambda line: None) -> TaskReport:
     """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
-        plan: what to measure.
-        tell: called with one line of progress.
+        plan: tasks and number of measurements.
+        progress: called with one line of progress.
 
     Raises:
         ConfigError: a task or an observation does not exist.
@@ -144,20 +147,22 @@ def measure(plan: TaskPlan, tell: Callable[[str], None] = lambda line: None) -> 
     left_out: list[str] = []
     cases = [(task_of(t).name, o, n) for t in plan.tasks for o in plan.observations for n in plan.processes]
     for name, observation, processes in cases:
-        tell(f"{name}, {observation}, {processes} process{'' if processes == 1 else 'es'}")
+        progress(f"{name}, {observation}, {processes} process{'' if processes == 1 else 'es'}")
         try:
-            rows.append(_alone(plan, name, observation) if processes == 1 else _together(plan, name, observation, processes))
+            rows.append(
+                _in_this_process(plan, name, observation) if processes == 1 else _in_processes(plan, name, observation, processes)
+            )
         except GibsonSimError as error:
             left_out.append(f"{name}, {observation}, {processes}: {error}")
     loose: tuple[LooseRow, ...] = ()
     if plan.loose_scene:
-        tell(f"{THINGS} loose things in {plan.loose_scene}")
-        loose = loose_things(plan.loose_scene)
+        progress(f"{LOOSE_OBJECTS} loose objects in {plan.loose_scene}")
+        loose = loose_object_speed(plan.loose_scene)
     return replace(report, rows=tuple(rows), loose=loose, left_out=tuple(left_out))
 
 
-def _alone(plan: TaskPlan, name: str, observation: str) -> TaskRow:
-    """Returns the row of a case in this process, with its stages; actions are random."""
+def _in_this_process(plan: TaskPlan, name: str, observation: str) -> TaskRow:
+    """Returns the row of a case in this process, with its stages, under random actions."""
     rng = np.random.default_rng(0)
     with TaskRun(task_of(name), scene=plan.scene) as run:
         controls = Controls(run.robot, 1.0 / CONTROL_HZ)
@@ -183,7 +188,7 @@ def _alone(plan: TaskPlan, name: str, observation: str) -> TaskRow:
 
 
 def _stages(run: TaskRun, step: Callable[[], Any], observe: Callable[[], Any]) -> tuple[float, float, float]:
-    """Returns the seconds of physics, of the rest of a step, and of the observation."""
+    """Makes a step and an observation; returns the seconds of physics, of the rest of the step, and of the observation."""
     physics = 0.0
     whole_step = run.world.step
 
@@ -215,39 +220,39 @@ def _observe(run: TaskRun, controls: Controls, camera: TaskCamera | None) -> Any
     return full_state(controls.layout, run.episode, run.observation, classes, rays, (0.0, 0.0))
 
 
-def _together(plan: TaskPlan, name: str, observation: str, processes: int) -> TaskRow:
-    """Returns the row of a case in processes of Gymnasium."""
+def _in_processes(plan: TaskPlan, name: str, observation: str, processes: int) -> TaskRow:
+    """Returns the row of a case in Gymnasium's vector environment."""
     if importlib.util.find_spec("gymnasium") is None:
         raise GibsonSimError("several processes need Gymnasium: pip install gibson_sim[gym]")
     from gibson_sim.tasks.environments import in_processes
 
-    together = in_processes(processes, name, observation=observation, scene=plan.scene, size=(plan.size, plan.size))
+    envs = in_processes(processes, name, observation=observation, scene=plan.scene, size=(plan.size, plan.size))
     try:
-        together.reset(seed=0)
-        together.action_space.seed(0)
+        envs.reset(seed=0)
+        envs.action_space.seed(0)
         seconds = []
         for _ in range(plan.steps // processes + WARM_UP):
-            actions = together.action_space.sample()
+            actions = envs.action_space.sample()
             began = time.perf_counter()
-            together.step(actions)
+            envs.step(actions)
             seconds.append(time.perf_counter() - began)
     finally:
-        together.close()
+        envs.close()
     rate = processes / float(np.median(seconds[WARM_UP:]))
     return TaskRow(name, plan.scene or task_of(name).scene, observation, processes, rate, *([math.nan] * 4))
 
 
-def loose_things(scene: str, robot: str = "gibson_bot") -> tuple[LooseRow, ...]:
-    """Returns the speed of physics with a robot alone, with ``THINGS`` objects at rest, and with all of them rolling and sliding."""
+def loose_object_speed(scene: str, robot: str = "gibson_bot") -> tuple[LooseRow, ...]:
+    """Returns the speed of physics with one robot, with ``LOOSE_OBJECTS`` objects at rest, and with all of them rolling and sliding."""
     ground = ground_of(scene, robot)
     rng = np.random.default_rng(0)
-    poses = random_free_poses(ground.floor, THINGS + 1, rng, clearance=0.1, spacing=0.35)
+    poses = random_free_poses(ground.floor, LOOSE_OBJECTS + 1, rng, clearance=0.1, spacing=0.35)
     items = [Item(f"loose_{k + 1}", LOOSE_MODELS[k % len(LOOSE_MODELS)], pose) for k, pose in enumerate(poses[1:])]
-    here = replace(ground.robot, start=poses[0])
+    robot_spec = replace(ground.robot, start=poses[0])
     rows = []
-    for count, what in ((0, "none"), (THINGS, "at rest"), (THINGS, "moving")):
+    for count, what in ((0, "none"), (LOOSE_OBJECTS, "at rest"), (LOOSE_OBJECTS, "moving")):
         filled: SceneSpec = replace(
-            ground.scene, robots=(here,), bodies=(*ground.scene.bodies, *(item_body(item) for item in items[:count]))
+            ground.scene, robots=(robot_spec,), bodies=(*ground.scene.bodies, *(item_body(item) for item in items[:count]))
         )
         with PhysicsWorld(filled, step_hz=STEP_HZ) as world:
             world.step(round(REST_S * STEP_HZ))
@@ -256,13 +261,13 @@ def loose_things(scene: str, robot: str = "gibson_bot") -> tuple[LooseRow, ...]:
 
 
 def _real_time(world: PhysicsWorld, moved: Sequence[Item], rng: np.random.Generator) -> float:
-    """Returns the real-time factor of physics; the items of ``moved`` are thrown twice per second of simulation time."""
+    """Returns the real-time factor of physics; the velocities of ``moved`` are set anew twice per second of simulation time."""
     elapsed = 0.0
     for _ in range(round(2 * MOVING_S)):
         for item in moved:
             angle = float(rng.uniform(-math.pi, math.pi))
-            low = pose_from_xyz_rpy(world.body_pose(item.name).position)
-            world.set_state(item.name, low, (0.8 * math.cos(angle), 0.8 * math.sin(angle), 0.5), (0.0, 0.0, 2.0))
+            level = pose_from_xyz_rpy(world.body_pose(item.name).position)
+            world.set_state(item.name, level, (0.8 * math.cos(angle), 0.8 * math.sin(angle), 0.5), (0.0, 0.0, 2.0))
         began = time.perf_counter()
         for _ in range(STEP_HZ // 2):
             world.step()
@@ -273,15 +278,19 @@ def _real_time(world: PhysicsWorld, moved: Sequence[Item], rng: np.random.Genera
 def targets(report: TaskReport) -> list[PerformanceTarget]:
     """Returns the targets that the report covers."""
     found = []
-    for observation, wanted in (("state", REAL_TIME), ("rgbd", REAL_TIME_RGBD)):
+    for observation, required in (("state", REAL_TIME), ("rgbd", REAL_TIME_RGBD)):
         rows = [row for row in report.rows if row.observation == observation]
         if rows:
             best = max(row.real_time for row in rows)
             slowest = min(max(row.real_time for row in rows if row.task == task) for task in {row.task for row in rows})
-            what = "without pictures" if observation == "state" else f"with {report.size}x{report.size} RGB-D"
+            what = "without images" if observation == "state" else f"with {report.size}x{report.size} RGB-D"
             found.append(
                 PerformanceTarget(
-                    f"real-time factor {what}", f">= {wanted:g}", f"{slowest:.1f} (best task {best:.1f})", "", slowest >= wanted
+                    f"real-time factor {what}",
+                    f">= {required:g}",
+                    f"{slowest:.1f} (fastest task {best:.1f})",
+                    "",
+                    slowest >= required,
                 )
             )
     return found
@@ -311,17 +320,17 @@ def report_text(report: TaskReport, *, markdown: bool = False) -> str:
         body = [
             (
                 *(r.task, r.scene, r.observation, str(r.processes), f"{r.steps_per_s:.1f}", f"{r.real_time:.1f}"),
-                *(_ms(part) for part in (r.physics_ms, r.judge_ms, r.observe_ms, r.reset_ms)),
+                *(_ms(stage) for stage in (r.physics_ms, r.judge_ms, r.observe_ms, r.reset_ms)),
             )
             for r in report.rows
         ]
         parts.append(table(head, body, markdown, left=(0, 1, 2)))
     if report.loose:
         body = [(r.scene, str(r.things), r.what, f"{r.real_time:.1f}") for r in report.loose]
-        parts.append(table(("scene", "loose things", "they are", "x real time"), body, markdown, left=(0, 2)))
+        parts.append(table(("scene", "loose objects", "motion", "x real time"), body, markdown, left=(0, 2)))
     reached = [(t.what, t.wanted, t.measured, "met" if t.met else "MISSED") for t in targets(report)]
     if reached:
-        parts += ["Targets for two cores:", table(("what", "wanted", "measured", ""), reached, markdown, left=(0, 1, 3))]
+        parts += ["Targets for two cores:", table(("measurement", "target", "measured", ""), reached, markdown, left=(0, 1, 3))]
     return "\n\n".join(parts)
 
 

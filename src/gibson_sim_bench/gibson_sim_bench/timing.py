@@ -1,4 +1,4 @@
-"""What all measurements share: percentiles of rates, and facts about the machine."""
+"""Common parts of all measurements: percentiles of rates, and facts about the machine."""
 
 from __future__ import annotations
 
@@ -41,25 +41,25 @@ class Facts:
     machine: str
     cores: int
     load: float
-    """Load average over the minute before."""
+    """Load average over the last minute before the measurement."""
     python: str
     gpu: str = ""
-    """Name of the GPU, or of the software renderer; empty = nothing was drawn."""
+    """Name of the GPU, or of the software renderer; empty = nothing was rendered."""
     driver: str = ""
-    """OpenGL version, with that of the driver."""
+    """Versions of OpenGL and of the driver."""
 
     @property
     def text(self) -> str:
         """The facts in one line."""
-        drawn = f"{self.gpu}, OpenGL {self.driver}; " if self.gpu else ""
+        renderer = f"{self.gpu}, OpenGL {self.driver}; " if self.gpu else ""
         return (
-            f"{self.machine}; {self.cores} cores usable, load {self.load:g}; {drawn}Python {self.python}; "
+            f"{self.machine}; {self.cores} cores usable, load {self.load:g}; {renderer}Python {self.python}; "
             f"Gibson Sim {self.version}; {self.date[:10]}"
         )
 
 
 def facts(gpu: str = "", driver: str = "") -> Facts:
-    """Returns the present facts."""
+    """Returns the facts at the time of the call."""
     return Facts(now(), version(), machine(), cores(), load(), platform.python_version(), gpu, driver)
 
 
@@ -105,12 +105,12 @@ def cores() -> int:
 
 
 def load() -> float:
-    """Returns the load average over the last minute: a measure of other work on the machine."""
+    """Returns the load average over the last minute."""
     return round(os.getloadavg()[0], 2)
 
 
 def version() -> str:
-    """Returns the version; in a checkout with the commit, and ``+`` if tracked files differ from it."""
+    """Returns the version; in a checkout with the commit, and ``+`` if tracked files are modified."""
     here = Path(__file__).resolve().parents[1]
     if not _git(here, "ls-files", "__init__.py"):
         return __version__

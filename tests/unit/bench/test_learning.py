@@ -14,7 +14,7 @@ from gibson_sim_bench.learning import (
     LearningPlan,
     LearningReport,
     LearningRow,
-    _processor_time,
+    _process_cpu_s,
     _row,
     measure,
     report_text,
@@ -55,14 +55,14 @@ def test_a_row_counts_the_steps_of_all_environments_and_begins_new_episodes() ->
     assert row.steps_per_s <= 3 * (len(made) - 1) / 0.05
 
 
-def test_processor_time_of_this_process_is_what_it_used() -> None:
+def test_process_cpu_s_of_this_process_is_what_it_used() -> None:
     before = time.process_time()
-    found = _processor_time(os.getpid())
+    found = _process_cpu_s(os.getpid())
     # The kernel counts in ticks of 10 ms, and threads of other tests may end meanwhile.
     assert before - 0.05 <= found <= time.process_time() + 0.05
 
 
-def test_the_table_names_each_way() -> None:
+def test_the_table_names_each_configuration() -> None:
     rows = (LearningRow(PROCESSES, "state", 2, 812.4, 2.346), LearningRow(ONE_RENDERER, "rgbd", 4, 305.0, 4.1))
     text = report_text(LearningReport("2026-11-25T10:00:00", "0.1.0", "two cores", 2, 0.1, LearningPlan(), rows), markdown=True)
     assert "| state | 2 | a process each | 812 | 2.35 |" in text

@@ -7,13 +7,22 @@ from collections.abc import Callable
 
 import pytest
 
-from gibson_sim_bench.lockstep import BLOCKS, WAYS, LockstepReport, TickTimes, case_of, in_turns, rate_of, targets
+from gibson_sim_bench.lockstep import (
+    BLOCKS,
+    CONFIGURATIONS,
+    LockstepReport,
+    TickTimes,
+    case_of,
+    measure_interleaved,
+    rate_of,
+    targets,
+)
 from gibson_sim_bench.protocol import TICK_WARM_UP
 from gibson_sim_bench.ros import Size
 
 
 def _turns(physics: float, draw: float | None, **others: float) -> TickTimes:
-    return TickTimes([physics] * 5, [] if draw is None else [draw] * 5, {way: [ms] * 5 for way, ms in others.items()})
+    return TickTimes([physics] * 5, [] if draw is None else [draw] * 5, {name: [ms] * 5 for name, ms in others.items()})
 
 
 def test_ticks_without_images_are_judged_by_their_rate_either_way() -> None:
@@ -38,13 +47,13 @@ class _Machine:
         self.turns: list[str] = []
         self.now = 0
 
-    def block(self, ticks: int, turns: TickTimes) -> None:
+    def make_block(self, ticks: int, times: TickTimes) -> None:
         self.turns.append("alone")
-        turns.physics += [float(len(self.turns))] * ticks
+        times.physics += [float(len(self.turns))] * ticks
 
-    def others(self, way: str) -> Callable[[int], list[int]]:
+    def with_ros(self, name: str) -> Callable[[int], list[int]]:
         def make(ticks: int) -> list[int]:
-            self.turns.append(way)
+            self.turns.append(name)
             times = [self.now]
             for tick in range(ticks):  # the first ones of a block are slow: they do not count
                 self.now += round((100.0 if tick < TICK_WARM_UP else float(len(self.turns))) * 1e6)
@@ -56,14 +65,14 @@ class _Machine:
 
 def test_all_sides_have_their_turns_and_first_blocks_and_first_ticks_do_not_count() -> None:
     machine = _Machine()
-    turns = in_turns(machine, {way: machine.others(way) for way in WAYS}, 40)  # type: ignore[arg-type]
-    assert machine.turns == ["alone", *WAYS] * (1 + BLOCKS)
+    turns = measure_interleaved(machine, {name: machine.with_ros(name) for name in CONFIGURATIONS}, 40)  # type: ignore[arg-type]
+    assert machine.turns == ["alone", *CONFIGURATIONS] * (1 + BLOCKS)
     assert turns.physics[0] == 5.0
-    for number, way in enumerate(WAYS, start=1):
-        assert turns.others[way] == pytest.approx([ms + number for ms in turns.physics])
+    for number, name in enumerate(CONFIGURATIONS, start=1):
+        assert turns.with_ros[name] == pytest.approx([ms + number for ms in turns.physics])
 
 
-def test_a_report_is_json_with_all_ways() -> None:
+def test_a_report_is_json_with_all_configurations() -> None:
     case = case_of(None, _turns(0.5, None, lockstep=1.25, pipelined=0.8))
     found = json.loads(json.dumps(LockstepReport("2026-01-01", "1", "m", 2, 0.0, "flat", (case,)).as_json()))["cases"][0]
     assert found["draw"]["median"] is None and found["one_process"]["median"] is None

@@ -32,7 +32,7 @@ def _soak(last: float) -> SoakReport:
 def test_scaling_has_a_table_for_each_quantity_that_was_measured() -> None:
     lines = _lines(scaling_text(SCALING))
     assert "Left out: cameras, 64: x" in lines
-    assert "Robots: a physics step with N driving robots, and all poses." in lines
+    assert "Robots: a physics step with N driving robots, and all link poses." in lines
     assert "8 2 500 350" in lines
     assert not any(line.startswith("Bodies") for line in lines)
     assert "| 1 | 0.25 | 4,000 | 301 |" in scaling_text(SCALING, markdown=True).splitlines()
@@ -41,13 +41,13 @@ def test_scaling_has_a_table_for_each_quantity_that_was_measured() -> None:
 def test_long_runs_name_what_grew() -> None:
     # After a quarter of warm-up: 9 samples, the last third of which is 40 MB more.
     lines = _lines(soak_text(_soak(140.0)))
-    assert "Too much: environment MB: +40.0." in lines
+    assert "Above the limit: environment MB: +40.0." in lines
     assert "environment MB 100.0 140.0 +40.0" in lines
     assert "environment steps /s 50.0 50.0 +0.0 %" in lines
-    assert "Nothing grew or drifted more than is allowed." in _lines(soak_text(_soak(110.0)))
+    assert "No value grew or drifted above its limit." in _lines(soak_text(_soak(110.0)))
 
 
-def test_plots_are_pictures(tmp_path: Path) -> None:
+def test_plots_are_png_files(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="SKIPPED: plots need matplotlib (the extra `analysis`)")
     plots.require_matplotlib()
     plots.plot_scaling(SCALING, tmp_path / "scaling.png")

@@ -1,4 +1,4 @@
-"""``gibson-sim bench learning``: environment steps per second for learning, by number of environments and way to run them."""
+"""``gibson-sim bench learning``: environment steps per second for reinforcement learning, by number of environments and configuration."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         control_hz=args.control_hz,
         step_hz=args.step_hz,
     )
-    report = measure(plan, tell=tell)
+    report = measure(plan, progress=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

@@ -36,7 +36,7 @@ from gibson_sim_bench.ros import (
 
 START_S = 90.0
 """Timeout for a simulation to load its scene, seconds of wall time."""
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def add_parser(kinds: Any) -> None:
@@ -44,7 +44,7 @@ def add_parser(kinds: Any) -> None:
     parser = kinds.add_parser(
         "ros",
         help="round-trip time of a state, image transport, the cost of /clock, images of a running simulation",
-        description="Measures messages between processes, and the cost of waiting for them. Nothing else should run on the machine.",
+        description="Measures messages between processes, and the cost of idle nodes. Nothing else should run on the machine.",
     )
     parser.add_argument("--quick", action="store_true", help="fewer and shorter cases: about four minutes instead of ten")
     parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
@@ -57,7 +57,7 @@ def add_parser(kinds: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints the report, and writes the JSON file if one is named."""
     require_nodes()
-    report = measure(plan_of(args), domain_id=args.domain_id, tell=tell)
+    report = measure(plan_of(args), domain_id=args.domain_id, progress=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0
@@ -74,13 +74,13 @@ def plan_of(args: argparse.Namespace) -> RosPlan:
     return replace(plan, scene=args.scene) if args.scene else plan
 
 
-def measure(plan: RosPlan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> RosReport:
+def measure(plan: RosPlan, *, domain_id: int | None = None, progress: Progress = lambda line: None) -> RosReport:
     """Returns the measurements; a case that fails is left out, and the report says why.
 
     Args:
-        plan: what to measure.
+        plan: parts and number of measurements.
         domain_id: ROS domain; None = that of the environment.
-        tell: called with one line of progress.
+        progress: called with one line of progress.
 
     Raises:
         AlreadyRunningError: a simulation runs in this domain; its /clock would interfere.
@@ -94,9 +94,9 @@ def measure(plan: RosPlan, *, domain_id: int | None = None, tell: Tell = lambda 
     domain = domain_of(environment)
     for part, cases in _cases(plan, environment):
         for name, case in cases:
-            tell(f"{part}: {name}")
+            progress(f"{part}: {name}")
             try:
-                # A simulation locks the domain itself. Otherwise the lock keeps other simulations from receiving this /clock.
+                # A simulation locks the domain itself. In the other parts the lock keeps simulations from receiving this /clock.
                 lock = None if part == "pipeline" else DomainLock(domain)
                 try:
                     found[part].append(case())
@@ -183,7 +183,7 @@ def _python() -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Returns the versions of the middleware, as far as pip knows them."""
+    """Returns the versions of the middleware packages that pip has installed."""
     found = {}
     for package, name in (("rclpy", "rclpy"), ("ros-rmw-fastrtps-cpp", RMW), ("ros-fastrtps", "Fast DDS"), ("numpy", "NumPy")):
         try:

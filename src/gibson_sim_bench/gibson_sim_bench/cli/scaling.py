@@ -1,4 +1,4 @@
-"""``gibson-sim bench scaling``: growth of time and memory."""
+"""``gibson-sim bench scaling``: time and memory by problem size."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim_bench.reports.scaling import report_text
     from gibson_sim_bench.scaling import kinds_of, measure
 
-    report = measure(kinds_of(args.only), quick=args.quick, tell=tell)
+    report = measure(kinds_of(args.only), quick=args.quick, progress=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

@@ -21,8 +21,8 @@ from gibson_sim_bench.cli.processes import CAMERA, node_result, process
 START_S = 120.0
 """Timeout for a simulation to load its scene, seconds of wall time."""
 INTERVAL_S = 5.0
-"""Least time between two samples, seconds."""
-_MOST_SAMPLES = 200
+"""Minimum wall time between two samples, seconds."""
+_MAX_SAMPLES = 200
 _TOPICS = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
 
 
@@ -31,7 +31,7 @@ def add_parser(kinds: Any) -> None:
     parser = kinds.add_parser(
         "soak",
         help="long runs: environment steps, then a free-running simulation; memory, rates and numbers of files must stay constant",
-        description="Takes about an hour and a half; with --quick three minutes. The exit code is 1 if something grows or drifts.",
+        description="Takes about an hour and a half; with --quick three minutes. The exit code is 1 if a value grows or drifts above its limit.",
     )
     parser.add_argument("--steps", type=int, default=100_000, metavar="N", help="environment steps (default: 100000)")
     parser.add_argument("--seconds", type=float, default=3600.0, metavar="S", help="free-running, wall time (default: 3600)")
@@ -44,7 +44,7 @@ def add_parser(kinds: Any) -> None:
 
 @quiet()
 def run(args: argparse.Namespace) -> int:
-    """Prints the report, writes the JSON file if one is named; returns 1 if something grew or drifted."""
+    """Prints the report, writes the JSON file if one is named; returns 1 if a value grew or drifted above its limit."""
     from gibson_sim_bench import timing
     from gibson_sim_bench.reports.soak import report_text
     from gibson_sim_bench.soak import Samples, SoakReport, environment_steps
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     if seconds > 0:
         require_nodes()
     facts = timing.facts()
-    environment, episodes = environment_steps(steps, tell=tell) if steps > 0 else (Samples(), 0)
+    environment, episodes = environment_steps(steps, progress=tell) if steps > 0 else (Samples(), 0)
     running, images = free_running(args.scene, seconds, args.domain_id, tell) if seconds > 0 else (Samples(), 0)
     report = SoakReport(facts, steps, episodes, environment, seconds, images, running)
     print(report_text(report, markdown=args.markdown))
@@ -61,14 +61,14 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report.problems else 0
 
 
-def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callable[[str], None]) -> tuple[Any, int]:
+def free_running(scene: str, seconds: float, domain_id: int | None, progress: Callable[[str], None]) -> tuple[Any, int]:
     """Returns samples of a simulation in real time with a subscriber to its images, and the number of sets of images received.
 
     Args:
         scene: name or path of the scene.
         seconds: wall time.
         domain_id: ROS domain; None = that of the environment.
-        tell: called with one line of progress.
+        progress: called with one line of progress.
 
     Raises:
         BenchError: the simulation did not start, or ended early.
@@ -76,13 +76,13 @@ def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callab
     from gibson_sim_bench.soak import Samples
 
     environment = node_environment(domain_id=domain_id)
-    samples, interval = Samples(), max(INTERVAL_S, seconds / _MOST_SAMPLES)
+    samples, interval = Samples(), max(INTERVAL_S, seconds / _MAX_SAMPLES)
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as logs:
         environment["ROS_LOG_DIR"] = logs
         command = [sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", scene]
         with process(command, environment) as pid:
             ended = threading.Event()
-            watcher = threading.Thread(target=_watch, args=(pid, samples, interval, Path(logs), ended, tell), daemon=True)
+            watcher = threading.Thread(target=_watch, args=(pid, samples, interval, Path(logs), ended, progress), daemon=True)
             watcher.start()
             try:
                 received = _received(environment, seconds, interval)
@@ -91,7 +91,7 @@ def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callab
                 watcher.join()
     remove_dead_segments()
     samples.values["images received /s"] = [round(count / interval, 3) for count in received["sets"]]
-    samples.values["simulated seconds /s"] = [round(part, 4) for part in received["factors"]]
+    samples.values["simulated seconds /s"] = [round(factor, 4) for factor in received["factors"]]
     return samples, sum(received["sets"])
 
 
@@ -99,8 +99,8 @@ def _received(environment: Mapping[str, str], seconds: float, interval: float) -
     return node_result(environment, "soak_subscriber", START_S + seconds, topics=_TOPICS, seconds=seconds, interval=interval)
 
 
-def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading.Event, tell: Callable[[str], None]) -> None:
-    """Samples the processes of a simulation and the files that it may leave, until ``ended`` is set."""
+def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading.Event, progress: Callable[[str], None]) -> None:
+    """Samples the processes of a simulation and the number of its files, until ``ended`` is set."""
     from gibson_sim_bench.memory import descendants, files_below, open_files, resident_mb
 
     began = time.monotonic()
@@ -108,7 +108,7 @@ def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading
         alive = descendants(pid)
         nodes = {name: number for number, name in sorted(alive.items()) if name.endswith("_node")}
         if len(nodes) < 2:
-            continue  # still starting
+            continue  # the nodes are still starting
         samples.seconds.append(round(time.monotonic() - began, 1))
         for name, number in nodes.items():
             samples.append(f"{name} MB", resident_mb(number))
@@ -116,4 +116,4 @@ def _watch(pid: int, samples: Any, interval: float, logs: Path, ended: threading
         samples.append("logs and shared memory files", float(files_below([logs, Path("/dev/shm")])))
         samples.append("cache files", float(files_below([cache_folder("scenes"), cache_folder("bench")])))
         memory = ", ".join(f"{name} {samples.values[f'{name} MB'][-1]:.0f} MB" for name in nodes)
-        tell(f"{samples.seconds[-1]:.0f} s: {memory}")
+        progress(f"{samples.seconds[-1]:.0f} s: {memory}")

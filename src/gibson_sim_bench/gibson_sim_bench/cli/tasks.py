@@ -23,7 +23,7 @@ def add_parser(kinds: Any) -> None:
     parser.add_argument(
         "--processes", nargs="+", type=int, default=[1, 2], metavar="N", help="numbers of processes (default: 1 2)"
     )
-    parser.add_argument("--scene", default="", help="scene of all tasks (default: that of each)")
+    parser.add_argument("--scene", default="", help="scene of all tasks (default: that of each task)")
     parser.add_argument("--steps", type=int, default=200, help="steps of each case (default: 200)")
     parser.add_argument("--size", type=int, default=256, help="width and height of images, pixels (default: 256)")
     parser.add_argument(
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         size=args.size,
         loose_scene="" if args.loose_scene == "none" else args.loose_scene,
     )
-    report = measure(plan, tell=tell)
+    report = measure(plan, progress=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

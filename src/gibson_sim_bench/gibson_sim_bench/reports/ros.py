@@ -1,4 +1,4 @@
-"""Text of a report on ROS: messages between processes, and the cost of waiting."""
+"""Report on ROS: messages between processes, and the cost of idle nodes. Plain text for the terminal, or Markdown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def report_text(report: RosReport, *, markdown: bool = False) -> str:
     if reached:
         parts += [
             "Targets for two cores:",
-            table(("what", "wanted", "measured", "how", ""), reached, markdown, left=(0, 1, 3, 4)),
+            table(("measurement", "target", "measured", "configuration", ""), reached, markdown, left=(0, 1, 3, 4)),
         ]
     return "\n\n".join(parts)
 
@@ -36,7 +36,7 @@ def _transports(report: RosReport) -> _Table:
     rows = [
         (t.executor, f"{t.size} RGB", f"{t.hz:g} Hz", str(t.sent), str(t.lost), *_numbers(t.ms, 2)) for t in report.transports
     ]
-    title = "Images to another process, from before the message is made to the callback:"
+    title = "Images to another process, from before serialization to the callback:"
     return title, ("executor", "image", "rate", "sent", "lost", "median ms", "p95", "p99"), [*rows], (0, 1)
 
 
@@ -45,7 +45,7 @@ def _clocks(report: RosReport) -> _Table:
         (c.executor, _yes(c.use_sim_time), _yes(c.parameter_services), f"{c.cpu_percent:.2f}", f"{c.clock_s:.1f} s")
         for c in report.clocks
     ]
-    head = ("executor", "use_sim_time", "parameter services", "% of a core", "its clock went")
+    head = ("executor", "use_sim_time", "parameter services", "% of a core", "node clock advanced")
     return "An idle node while /clock is published:", head, [*rows], (0, 1, 2)
 
 
@@ -57,9 +57,7 @@ def _pipelines(report: RosReport) -> _Table:
         )
         for p in report.pipelines
     ]
-    title = (
-        "The running simulation, RGB + depth; milliseconds from a state's publication until its image is published, and received:"
-    )
+    title = "The running simulation, RGB + depth; latency from the publication of a state to that of its image, and to the subscriber:"
     head = ("image", "rate", "due", "received", "lost", "per s", "real time", "published ms", "received ms", "p95", "p99")
     return title, head, [*rows], (0,)
 

@@ -1,4 +1,4 @@
-"""Text of a report on scaling: plain for the terminal, or Markdown."""
+"""Report on scaling: plain text for the terminal, or Markdown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text of a report on long runs: plain for the terminal, or Markdown."""
+"""Report on long runs: plain text for the terminal, or Markdown."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ def report_text(report: SoakReport, *, markdown: bool = False) -> str:
         report.facts.text,
         f"{report.steps:,} environment steps in {report.episodes:,} episodes; {report.seconds:,.0f} s free-running, "
         f"{report.images:,} sets of images received.",
-        "Growth and drift: the last third against the first, after a quarter of warm-up.",
-        "Too much: " + "; ".join(report.problems) + "." if report.problems else "Nothing grew or drifted more than is allowed.",
+        "Growth and drift: the last third relative to the first, after a quarter of warm-up.",
+        "Above the limit: " + "; ".join(report.problems) + "."
+        if report.problems
+        else "No value grew or drifted above its limit.",
     ]
-    head = ("what", "at first", "at last", "growth", "drift")
+    head = ("quantity", "first sample", "last sample", "growth", "drift")
     rows = [*_rows(report.environment), *_rows(report.running)]
     return "\n".join(f"- {line}" if markdown else line for line in lines) + "\n\n" + table(head, rows, markdown)
 
