@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
-from gibson_sim_tools.photographs.photographs import Lens, Photograph, Photographs
+from gibson_sim_tools.photographs.photographs import CameraModel, Photograph, Photographs
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.quality import sample_bilinear
 from gibson_sim_tools.texturing.surface import Surface
@@ -53,7 +53,7 @@ class PaintedWall:
         hit = T_world_camera[:3, 3] - rays * (T_world_camera[2, 3] / rays[..., 2:])
         rgb = srgb8_from_linear(linear_from_srgb(self.color_at(hit)) * np.float32(gain))
         cv2.imwrite(str(file), rgb[:, :, ::-1])
-        return Photograph(file, Lens(CAMERA), T_world_camera)
+        return Photograph(file, CameraModel(CAMERA), T_world_camera)
 
 
 def painted_wall(columns: int = 40, rows: int = 30) -> PaintedWall:

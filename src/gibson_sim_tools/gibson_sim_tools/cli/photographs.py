@@ -56,7 +56,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
         # Opened before anything is written into its folder.
         with Work(output, source).alone(), progress_bar(f"unpacking {folder.name}"):
             folder = unpacked(folder, output / WORK / "photographs")
-    found = find(folder, args.mesh, fuse=args.fuse, longest=settings.longest_side, leave_out=output)
+    found = find(folder, args.mesh, fuse=args.fuse, longest_side=settings.longest_side, leave_out=output)
     if settings.hold_out_depth and found.mesh is not None:
         raise ConfigError(
             f"--hold-out-depth needs a mesh that is fused from depth, but the mesh is {quoted(str(found.mesh))}; leave it out, or give --fuse"

@@ -67,7 +67,7 @@ def depth_frames(photographs: Photographs) -> DepthFrames | None:
         raise ScanError(f"{first.depth}: is an image of shape {units.shape}; depth must have one channel")
     height, width = units.shape
     small = photographs.subset(numbers)
-    small = Photographs(small.folder, small.layout, small.items, longest=max(width, height))
+    small = Photographs(small.folder, small.layout, small.items, longest_side=max(width, height))
     lenses = [small.intrinsics(k) for k in range(len(small))]
     fx, fy, cx, cy = np.median(
         [(i.fx, i.fy, i.cx, i.cy) for i in (lens.resized(width, height) for lens in lenses)], axis=0

@@ -12,7 +12,7 @@ from gibson_sim.reading import is_file, is_folder
 from gibson_sim_tools.from_photographs.depth_frames import depth_frames
 from gibson_sim_tools.importing.sources import USD_SUFFIXES
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.photographs.phone_layouts import record3d_images
+from gibson_sim_tools.photographs.phone_layouts import find_record3d_images
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
@@ -59,7 +59,7 @@ class Found:
     def lines(self) -> list[str]:
         """Returns what was found, for people."""
         sizes = sorted(
-            {(lens.intrinsics.width, lens.intrinsics.height) for lens in {item.lens for item in self.photographs.items}}
+            {(camera.intrinsics.width, camera.intrinsics.height) for camera in {item.camera for item in self.photographs.items}}
         )
         size = ", ".join(f"{w}x{h}" for w, h in sizes[:_SHOWN]) + (", ..." if len(sizes) > _SHOWN else "")
         count = len(self.photographs)
@@ -75,7 +75,7 @@ def is_of_photographs(folder: Path) -> bool:
         return False
     if any((folder / sign).exists() for sign in _SIGNS) or any(layout.looks_like(folder) for layout in LAYOUTS):
         return True
-    if record3d_images(folder) is not None:
+    if find_record3d_images(folder) is not None:
         return True
     known = (*MESH_SUFFIXES, *USD_SUFFIXES, ".world", ".sdf", ".dmd.yaml")
     if any(p.name.lower().endswith(known) for p in folder.iterdir()):
@@ -83,14 +83,14 @@ def is_of_photographs(folder: Path) -> bool:
     return any(True for _ in _images(folder, (*_IMAGES, *_UNREADABLE)))
 
 
-def find(folder: Path, mesh: Path | None, *, fuse: bool, longest: int, leave_out: Path) -> Found:
+def find(folder: Path, mesh: Path | None, *, fuse: bool, longest_side: int, leave_out: Path) -> Found:
     """Returns what a folder of photographs holds.
 
     Args:
         folder: the folder.
         mesh: the mesh to use; None = one in the folder, else it is fused from depth.
         fuse: fuse a mesh although one is there.
-        longest: longest side that photographs are reduced to, pixels; 0 = not at all.
+        longest_side: longest side to which photographs are scaled down, pixels; 0 = full size.
         leave_out: folder in which no mesh is looked for, since the scene is written there.
 
     Raises:
@@ -102,7 +102,7 @@ def find(folder: Path, mesh: Path | None, *, fuse: bool, longest: int, leave_out
             f"{folder}: has no photograph that can be read (.jpg, .png)"
             + (f", but {other.name}: convert it to JPEG first" if other is not None else "; give the folder of the export")
         )
-    photographs = open_photographs(folder, longest)
+    photographs = open_photographs(folder, longest_side)
     chosen = mesh if mesh is not None or fuse else _mesh_in(folder, leave_out)
     if chosen is not None:
         if not is_file(chosen):

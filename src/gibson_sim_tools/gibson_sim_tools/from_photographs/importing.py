@@ -132,9 +132,9 @@ class Import:
     def _inputs(self) -> Any:
         """Returns what tells whether the photographs changed."""
         photographs = self.found.photographs
-        lenses = [(item.lens.intrinsics, item.lens.distortion, item.lens.fisheye) for item in photographs.items]
+        cameras = [(item.camera.intrinsics, item.camera.distortion, item.camera.fisheye) for item in photographs.items]
         files = [_state(file) for file in self._files()]
-        return files, photographs.poses, lenses, [item.depth_scale for item in photographs.items], self.unit_m
+        return files, photographs.poses, cameras, [item.depth_scale for item in photographs.items], self.unit_m
 
     def _files(self) -> list[Path]:
         items = self.found.photographs.items

@@ -1,1 +1,1 @@
-"""Photographs with poses, of our scanner and of the programs of others: images, lenses, depth. From files alone; knows no mesh."""
+"""Posed photographs of our scanner and of third-party programs: images, camera models, poses, depth. Reads files; independent of meshes."""

@@ -1,4 +1,4 @@
-"""Posed photographs as pictures of pinhole cameras without distortion, read one at a time. ``layouts`` finds them."""
+"""Posed photographs: undistorted, resized images of pinhole cameras, decoded one at a time. ``layouts`` opens them."""
 
 from __future__ import annotations
 
@@ -16,49 +16,49 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-_PROPORTION = 0.02
-"""Relative difference of the proportions of a depth image and its photograph that rounding explains."""
+_ASPECT_TOLERANCE = 0.02
+"""Largest relative difference between the aspect ratios of a depth image and its photograph; allows for rounding."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lens:
-    """A camera with distortion."""
+class CameraModel:
+    """Camera model of OpenCV: intrinsics and lens distortion."""
 
     intrinsics: Intrinsics
     distortion: tuple[float, ...] = ()
-    """4, 5 or 8 numbers as in OpenCV, or 4 of a fisheye; empty = none."""
+    """Distortion coefficients in OpenCV's order: 4, 5 or 8 (k1, k2, p1, p2, ...), or 4 of a fisheye (k1 to k4); empty = none."""
     fisheye: bool = False
-    """Whether it is OpenCV's equidistant fisheye."""
+    """Whether the coefficients are those of OpenCV's fisheye model (equidistant)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """Where a photograph was taken, and with what."""
+    """File, camera model and pose of a photograph."""
 
     file: Path
-    lens: Lens
+    camera: CameraModel
     T_world_camera: F64
     """(4, 4), optical frame: x right, y down, z forward; metres."""
     depth: Path | None = None
-    """16-bit depth image of the same view, which may have fewer pixels; None = there is none."""
+    """16-bit depth image of the same view, possibly of lower resolution; None = there is none."""
     depth_scale: float = 1000.0
-    """Units of the depth image per metre."""
+    """Units of the depth image per metre: 1000 = millimetres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photographs:
-    """A set of posed photographs. ``len(photographs)`` is their number; ``picture(k)`` reads one."""
+    """A set of posed photographs. ``len(photographs)`` is their number; ``image(k)`` decodes one."""
 
     folder: Path
     layout: str
     """Name of its layout."""
     items: tuple[Photograph, ...]
-    longest: int = 0
-    """Longest side that pictures are reduced to, pixels; 0 = they stay as they are."""
+    longest_side: int = 0
+    """Longest side to which images are scaled down, pixels; 0 = full size."""
     warnings: tuple[str, ...] = ()
     """Omissions and assumptions, one line each."""
-    applied: F64 | None = None
-    """(4, 4): nerfstudio's ``applied_transform``, by which it turned the world that the poses were found in; None = there is none."""
+    applied_transform: F64 | None = None
+    """(4, 4), nerfstudio's ``applied_transform``: takes the world frame of the reconstruction to that of the poses; None = there is none."""
 
     def __post_init__(self) -> None:
         if not self.items:
@@ -75,84 +75,84 @@ class Photographs:
         return np.stack([item.T_world_camera for item in self.items])
 
     def intrinsics(self, number: int) -> Intrinsics:
-        """Returns the intrinsics of a picture as ``picture`` returns it."""
-        full = self.items[number].lens.intrinsics
-        share = self.longest / max(full.width, full.height)
-        if not self.longest or share >= 1.0:
-            return full
-        return full.resized(max(round(full.width * share), 1), max(round(full.height * share), 1))
+        """Returns the pinhole intrinsics of the image that ``image`` returns."""
+        original = self.items[number].camera.intrinsics
+        scale = self.longest_side / max(original.width, original.height)
+        if not self.longest_side or scale >= 1.0:
+            return original
+        return original.resized(max(round(original.width * scale), 1), max(round(original.height * scale), 1))
 
     def image(self, number: int) -> U8:
-        """Returns a picture (H, W, 3), sRGB, without distortion; row 0 is the top.
+        """Returns the undistorted, scaled image, (H, W, 3) uint8, sRGB; row 0 is the top.
 
         Raises:
-            ScanError: the file is missing or broken, or its size is not that of its camera.
+            ScanError: the file is missing or broken, or its size differs from that of the camera model.
         """
         item = self.items[number]
-        full, wanted = item.lens.intrinsics, self.intrinsics(number)
+        original, intrinsics = item.camera.intrinsics, self.intrinsics(number)
         bgr = read_image(item.file, cv2.IMREAD_COLOR)
-        if bgr.shape[:2] != (full.height, full.width):
+        if bgr.shape[:2] != (original.height, original.width):
             raise ScanError(
-                f"{item.file}: has {bgr.shape[1]}x{bgr.shape[0]} pixels, its camera {full.width}x{full.height}; "
+                f"{item.file}: has {bgr.shape[1]}x{bgr.shape[0]} pixels, its camera {original.width}x{original.height}; "
                 "give photographs of the size that was posed"
             )
-        if any(item.lens.distortion):
-            bgr = cv2.remap(bgr, *_undistortion(item.lens), cv2.INTER_LINEAR)
-        if (wanted.width, wanted.height) != (full.width, full.height):
-            bgr = cv2.resize(bgr, (wanted.width, wanted.height), interpolation=cv2.INTER_AREA)
+        if any(item.camera.distortion):
+            bgr = cv2.remap(bgr, *_undistortion_maps(item.camera), cv2.INTER_LINEAR)
+        if (intrinsics.width, intrinsics.height) != (original.width, original.height):
+            bgr = cv2.resize(bgr, (intrinsics.width, intrinsics.height), interpolation=cv2.INTER_AREA)
         return np.ascontiguousarray(bgr[:, :, ::-1])
 
     def depth(self, number: int) -> F32 | None:
-        """Returns the measured depth at the pixels of a picture, (H, W) metres along the optical axis, NaN = unknown; None = not measured.
+        """Returns the depth at the pixels of ``image``, (H, W) float32, metres along the optical axis, NaN = no depth; None = not measured.
 
         Raises:
-            ScanError: the file is missing or broken, or its sides are not in the proportion of the photograph's.
+            ScanError: the file is missing or broken, or its aspect ratio differs from that of the photograph.
         """
         item = self.items[number]
         if item.depth is None:
             return None
-        full, wanted = item.lens.intrinsics, self.intrinsics(number)
+        original, intrinsics = item.camera.intrinsics, self.intrinsics(number)
         units = read_image(item.depth, cv2.IMREAD_UNCHANGED)
         if units.dtype != np.uint16 or units.ndim != 2:
             raise ScanError(
                 f"{item.depth}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel"
             )
         height, width = units.shape
-        if abs(width * full.height - height * full.width) > _PROPORTION * width * full.height:
+        if abs(width * original.height - height * original.width) > _ASPECT_TOLERANCE * width * original.height:
             raise ScanError(
-                f"{item.depth}: has {width}x{height} pixels, its photograph {full.width}x{full.height}; both must show the same, "
+                f"{item.depth}: has {width}x{height} pixels, its photograph {original.width}x{original.height}; both must show the same, "
                 "so that their sides must be in proportion"
             )
-        if any(item.lens.distortion):
-            part = Lens(full.resized(width, height), item.lens.distortion, item.lens.fisheye)
-            units = cv2.remap(units, *_undistortion(part), cv2.INTER_NEAREST)
-        if (width, height) != (wanted.width, wanted.height):
-            # Between two pixels there may be an edge: no depth lies between theirs.
-            units = cv2.resize(units, (wanted.width, wanted.height), interpolation=cv2.INTER_NEAREST)
+        if any(item.camera.distortion):
+            depth_camera = CameraModel(original.resized(width, height), item.camera.distortion, item.camera.fisheye)
+            units = cv2.remap(units, *_undistortion_maps(depth_camera), cv2.INTER_NEAREST)
+        if (width, height) != (intrinsics.width, intrinsics.height):
+            # Nearest neighbour, because interpolation would invent depths at edges.
+            units = cv2.resize(units, (intrinsics.width, intrinsics.height), interpolation=cv2.INTER_NEAREST)
         return metres(np.asarray(units, dtype=np.uint16), item.depth_scale)
 
     def with_poses(self, poses: F64) -> Photographs:
-        """Returns the same photographs at other poses, (N, 4, 4)."""
+        """Returns the photographs with other poses, T_world_camera, (N, 4, 4)."""
         return replace(self, items=tuple(replace(item, T_world_camera=T) for item, T in zip(self.items, poses, strict=True)))
 
     def scaled(self, scale: float) -> Photographs:
-        """Returns the same photographs at positions that are larger by a factor."""
+        """Returns the photographs with their positions scaled about the origin."""
         poses = self.poses
         poses[:, :3, 3] *= scale
         return self.with_poses(poses)
 
     def subset(self, numbers: Sequence[int] | NDArray[np.integer]) -> Photographs:
-        """Returns some of the photographs."""
+        """Returns the photographs with these numbers, in their order."""
         return replace(self, items=tuple(self.items[k] for k in numbers))
 
 
-def posed(
-    folder: Path, layout: str, items: Sequence[Photograph], longest: int, warnings: tuple[str, ...] = (), applied: F64 | None = None
+def without_lost_poses(
+    folder: Path, layout: str, items: Sequence[Photograph], longest_side: int, warnings: tuple[str, ...] = (), applied_transform: F64 | None = None
 ) -> Photographs:  # fmt: skip
-    """Returns a set of photographs without those whose poses were lost: scanning apps write NaN while they do not know where they are.
+    """Returns a set of photographs without those with NaN poses, which scanning apps write while tracking is lost, and warns of them.
 
     Raises:
-        ScanError: no pose is left, or a matrix is no pose.
+        ScanError: all poses are NaN, or a matrix is not a rigid transform.
     """
     kept = tuple(item for item in items if np.isfinite(item.T_world_camera).all())
     if not kept and items:
@@ -165,12 +165,12 @@ def posed(
             f"{len(items) - len(kept)} of {len(items)} poses hold a NaN or an infinity, first that of {first.file.name}: left out"
         )
         warnings = (*warnings, text)
-    return Photographs(folder, layout, kept, longest, warnings, applied)
+    return Photographs(folder, layout, kept, longest_side, warnings, applied_transform)
 
 
-def _undistortion(lens: Lens) -> tuple[F32, F32]:
-    """Returns where each pixel of the picture without distortion lies in the photograph: columns and rows, (H, W)."""
-    K, size = lens.intrinsics.matrix, (lens.intrinsics.width, lens.intrinsics.height)
-    maps = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
-    columns, rows = maps(K, np.array(lens.distortion), np.eye(3), K, size, cv2.CV_32FC1)
+def _undistortion_maps(camera: CameraModel) -> tuple[F32, F32]:
+    """Returns the undistortion maps: columns and rows, (H, W) float32 each, of the undistorted pixels in the photograph."""
+    K, size = camera.intrinsics.matrix, (camera.intrinsics.width, camera.intrinsics.height)
+    maps = cv2.fisheye.initUndistortRectifyMap if camera.fisheye else cv2.initUndistortRectifyMap
+    columns, rows = maps(K, np.array(camera.distortion), np.eye(3), K, size, cv2.CV_32FC1)
     return np.asarray(columns, dtype=np.float32), np.asarray(rows, dtype=np.float32)

@@ -66,17 +66,17 @@ def with_convention(photographs: Photographs, name: str) -> Photographs:
     if name == "y-up":
         return photographs.with_poses(_TO_Z_UP @ photographs.poses)
     if name == "before-applied-transform":
-        if photographs.applied is None:
+        if photographs.applied_transform is None:
             raise ScanError(
                 f"{photographs.folder}: has no applied_transform, which only transforms.json of nerfstudio has; take {AS_READ}"
             )
-        return photographs.with_poses(np.linalg.inv(photographs.applied) @ photographs.poses)
+        return photographs.with_poses(np.linalg.inv(photographs.applied_transform) @ photographs.poses)
     return photographs.with_poses(reread(photographs.poses, photographs.layout, name))
 
 
 def photo_consistency(surface: Surface, photographs: Photographs) -> PhotoConsistency:
     """Returns the photo-consistency on a surface of some pairs of consecutive photographs."""
-    reduced = replace(photographs, longest=min(_LONGEST_SIDE_PX, photographs.longest or _LONGEST_SIDE_PX))
+    reduced = replace(photographs, longest_side=min(_LONGEST_SIDE_PX, photographs.longest_side or _LONGEST_SIDE_PX))
     firsts = np.unique(np.linspace(0, max(len(reduced) - 2, 0), _PAIR_COUNT).round().astype(int))
     coverages, parts = [], []
     for number in np.unique(np.concatenate([firsts, firsts + 1]))[: 2 * _PAIR_COUNT].tolist():
@@ -137,7 +137,7 @@ def resolve_convention(surface: Surface, photographs: Photographs, convention: s
 
 
 def _best_convention(surface: Surface, photographs: Photographs) -> tuple[str, PhotoConsistency]:
-    names = [name for name in POSE_CONVENTIONS if name != "before-applied-transform" or photographs.applied is not None]
+    names = [name for name in POSE_CONVENTIONS if name != "before-applied-transform" or photographs.applied_transform is not None]
     scored = [(name, photo_consistency(surface, with_convention(photographs, name))) for name in names]
     return max(scored, key=lambda pair: pair[1].score)
 

@@ -50,7 +50,7 @@ SETTINGS = PhotographSettings(hold_out=0, snap=0.0)
 
 
 def opened(folder: Path, output: Path, mesh: Path | None = None, settings: PhotographSettings = SETTINGS) -> Import:
-    found = find(folder, mesh, fuse=False, longest=0, leave_out=output)
+    found = find(folder, mesh, fuse=False, longest_side=0, leave_out=output)
     return Import(found, output, settings, "room")
 
 

@@ -68,9 +68,9 @@ def test_nerfstudios_cameras_look_along_minus_z(folder):
     ]
     values = {"w": 60, "h": 40, "fl_x": 50, "fl_y": 51, "cx": 30, "cy": 20, "k1": 0.1, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(values))
-    found = open_photographs(folder, longest=30)
+    found = open_photographs(folder, longest_side=30)
     np.testing.assert_allclose(found.poses[0], T_WORLD_CAMERA, atol=1e-12)
-    assert found.items[0].lens.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
+    assert found.items[0].camera.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
     # Half the size: the middle of the picture stays its middle.
     k = found.intrinsics(0)
     assert (k.width, k.height, k.fx, k.cx, k.cy) == (30, 20, 25.0, 14.5, 9.5)
@@ -117,7 +117,12 @@ def test_nerfstudios_frames_may_have_cameras_and_depths_of_their_own_and_lost_po
     values["applied_transform"] = np.eye(4)[[1, 2, 0]].tolist()
     (folder / "transforms.json").write_text(json.dumps(values))
     found = open_photographs(folder)
-    assert [found.intrinsics(k).fx for k in (0, 1)] == [70.0, 50.0] and found.applied[0].tolist() == [0.0, 1.0, 0.0, 0.0]
+    assert [found.intrinsics(k).fx for k in (0, 1)] == [70.0, 50.0] and found.applied_transform[0].tolist() == [
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+    ]
     assert "1 of 3 poses hold a NaN or an infinity, first that of b.png" in found.warnings[0]
     # 500 hundredths of a metre; the depth image has half as many pixels a side.
     depth = found.depth(0)

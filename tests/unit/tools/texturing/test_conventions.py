@@ -71,8 +71,8 @@ def test_conventions_are_those_of_the_file_whatever_its_layout(taken):
 
 def test_poses_before_nerfstudios_applied_transform(taken):
     wall, photographs = taken
-    applied = np.eye(4)[[1, 2, 0, 3]]
-    given = replace(photographs.with_poses(applied @ photographs.poses), applied=applied)
+    applied_transform = np.eye(4)[[1, 2, 0, 3]]
+    given = replace(photographs.with_poses(applied_transform @ photographs.poses), applied_transform=applied_transform)
     np.testing.assert_allclose(resolve_convention(wall.surface, given, "auto")[0].poses, photographs.poses, atol=1e-12)
     with pytest.raises(ScanError, match="has no applied_transform"):
         with_convention(photographs, "before-applied-transform")
