@@ -93,12 +93,12 @@ def unit_m(text: str | None) -> float | None:
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no meshes.
-    from gibson_sim_tools.from_photographs.archive import is_archive_of_photographs
-    from gibson_sim_tools.from_photographs.found import is_of_photographs
+    from gibson_sim_tools.from_photographs.archive import is_photograph_archive
+    from gibson_sim_tools.from_photographs.inputs import is_photograph_folder
     from gibson_sim_tools.importing.checks.facts import scene_facts
     from gibson_sim_tools.importing.run import import_scene
 
-    if is_of_photographs(args.source) or is_archive_of_photographs(args.source):
+    if is_photograph_folder(args.source) or is_photograph_archive(args.source):
         return import_photographs(args, unit_m(args.unit))
     given = [f"--{name.replace('_', '-')}" for name in PHOTOGRAPH_OPTIONS if getattr(args, name) not in (None, False)]
     if given:

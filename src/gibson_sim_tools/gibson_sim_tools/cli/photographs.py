@@ -39,12 +39,12 @@ def add_photograph_options(parser: argparse.ArgumentParser) -> None:
 
 
 def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCode:
-    """Makes a scene of a folder of photographs, or what is missing of it; ``scale``: metres per unit of poses and mesh."""
+    """Imports a folder of photographs as a scene, or resumes that; ``scale``: metres per unit of poses and mesh."""
     # Loaded here: the other sub-commands need none of it.
-    from gibson_sim_tools.from_photographs.archive import unpacked
-    from gibson_sim_tools.from_photographs.found import find
-    from gibson_sim_tools.from_photographs.importing import SHEET, WORK, Import
-    from gibson_sim_tools.from_photographs.work import Work
+    from gibson_sim_tools.from_photographs.archive import unpack_photographs
+    from gibson_sim_tools.from_photographs.importing import INTERMEDIATES, SHEET, PhotographImport
+    from gibson_sim_tools.from_photographs.inputs import find_inputs
+    from gibson_sim_tools.from_photographs.stages import StagedJob
     from gibson_sim_tools.importing.checks.gravity import direction
 
     settings = settings_from_args(PhotographSettings, args)
@@ -54,23 +54,23 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     folder, source = args.source, str(args.source.resolve())
     if not folder.is_dir():
         # Opened before anything is written into its folder.
-        with Work(output, source).alone(), progress_bar(f"unpacking {folder.name}"):
-            folder = unpacked(folder, output / WORK / "photographs")
-    found = find(folder, args.mesh, fuse=args.fuse, longest_side=settings.longest_side, leave_out=output)
-    if settings.hold_out_depth and found.mesh is not None:
+        with StagedJob(output, source).locked(), progress_bar(f"unpacking {folder.name}"):
+            folder = unpack_photographs(folder, output / INTERMEDIATES / "photographs")
+    inputs = find_inputs(folder, args.mesh, fuse=args.fuse, longest_side=settings.longest_side, excluded=output)
+    if settings.hold_out_depth and inputs.mesh is not None:
         raise ConfigError(
-            f"--hold-out-depth needs a mesh that is fused from depth, but the mesh is {quoted(str(found.mesh))}; leave it out, or give --fuse"
+            f"--hold-out-depth needs a mesh that is fused from depth, but the mesh is {quoted(str(inputs.mesh))}; leave it out, or give --fuse"
         )
-    if scale is not None and any(item.depth is not None for item in found.photographs.items):
+    if scale is not None and any(item.depth is not None for item in inputs.photographs.items):
         raise ConfigError("--unit is for photographs without depth: depth images define the scale; leave it out")
     up = None if args.up_axis is None else direction(args.up_axis, "--up-axis")
-    job = Import(found, output, settings, args.name or output.resolve().name, up, scale, source)
-    for warning in dict.fromkeys((*found.photographs.warnings, *(found.rgbd.warnings if found.rgbd is not None else ()))):
+    job = PhotographImport(inputs, output, settings, args.name or output.resolve().name, up, scale, source)
+    for warning in dict.fromkeys((*inputs.photographs.warnings, *(inputs.rgbd.warnings if inputs.rgbd is not None else ()))):
         print(f"warning: {args.source}: {warning}", file=sys.stderr)
-    print(f"{args.source}: " + f"\n{_INDENT}".join(found.lines()))
+    print(f"{args.source}: " + f"\n{_INDENT}".join(inputs.lines()))
     stages = job.stages()
-    with stage_bars([stage.name for stage in stages], [stage.weight for stage in stages]) as (bar, say):
-        job.run(bar, say)
+    with stage_bars([stage.name for stage in stages], [stage.weight for stage in stages]) as (stage_progress, on_result):
+        job.run(stage_progress, on_result)
     if settings.hold_out:
         print(f"photographs and re-rendered scene: {output / SHEET}")
     print(f"next: gibson-sim run --scene {output}")
@@ -79,7 +79,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
 
 @contextmanager
 def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callable[[int], Any], Callable[[Any], None]]]:
-    """Yields what shows the progress of a stage, by its number, and what is called with each stage that ended.
+    """Yields the callbacks of ``StagedJob.run``: ``stage_progress`` and ``on_result``.
 
     On a terminal two bars are shown, of the stage and of all, with the time since the start and the time that is left.
     """
@@ -93,7 +93,7 @@ def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callabl
         whole = bars.add_task("all stages", total=total)
 
         @contextmanager
-        def bar(number: int) -> Iterator[Callable[[float], None]]:
+        def stage_progress(number: int) -> Iterator[Callable[[float], None]]:
             if not errors.is_terminal:
                 print(f"{number + 1}/{len(names)} {names[number]} ...", file=sys.stderr, flush=True)
             stage = bars.add_task(f"{number + 1}/{len(names)} {names[number]}", total=1.0)
@@ -108,7 +108,7 @@ def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callabl
             finally:
                 bars.remove_task(stage)
 
-        def say(stage: Any) -> None:
+        def on_result(stage: Any) -> None:
             ended[0] += 1
             bars.update(whole, completed=sum(weights[: ended[0]]))
             time = "done before" if stage.reused else _time(stage.seconds)
@@ -118,7 +118,7 @@ def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callabl
             else:
                 print(text, flush=True)
 
-        yield bar, say
+        yield stage_progress, on_result
 
 
 def _time(seconds: float) -> str:

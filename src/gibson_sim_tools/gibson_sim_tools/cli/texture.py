@@ -90,7 +90,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.formats.load_mesh import load_mesh
     from gibson_sim.picture_files import write_picture
     from gibson_sim_tools.cli.importing import unit_m
-    from gibson_sim_tools.from_photographs.pictures import check_pictures
+    from gibson_sim_tools.from_photographs.image_checks import check_images
     from gibson_sim_tools.photographs.layouts import open_photographs
     from gibson_sim_tools.texturing.conventions import resolve_convention
     from gibson_sim_tools.texturing.evaluation import contact_sheet, evaluate_held_out
@@ -122,7 +122,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     if len(photographs) > args.most_photographs:
         with progress_bar(f"selecting {args.most_photographs} of {len(photographs)} photographs") as progress:
             photographs = photographs.subset(select_photographs(surface, photographs, args.most_photographs, progress))
-    check_pictures([item.file for item in photographs.items])
+    check_images([item.file for item in photographs.items])
     with progress_bar(f"texturing from {len(photographs)} photographs ({photographs.layout})") as progress:
         held_out = range(0, len(photographs), args.hold_out) if args.hold_out else range(0)
         textured = texture_surface(surface, photographs, settings, progress, held_out=held_out)

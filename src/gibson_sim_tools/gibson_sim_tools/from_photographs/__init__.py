@@ -1,1 +1,1 @@
-"""A scene from a folder of posed photographs, such as the export of a phone: ``importing`` runs all stages, from the images to a driving robot."""
+"""Import of posed photographs, such as a phone's export, as a scene: ``importing`` defines all stages, from the images to the maps for a robot."""

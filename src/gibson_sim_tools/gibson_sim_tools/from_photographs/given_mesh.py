@@ -1,4 +1,4 @@
-"""A mesh that came with photographs, in the frame of their poses."""
+"""Loads a mesh that was supplied with photographs, and rotates it to the frame of their poses."""
 
 from __future__ import annotations
 
@@ -22,61 +22,67 @@ from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
 F64 = NDArray[np.float64]
 
 GREY = 160
-"""Colour of meshes without colours at their vertices."""
-_TURNS = (("as it is", np.eye(3)), ("with the axes of its file", TO_Z_UP["y"].T), ("turned from y up to z up", TO_Z_UP["y"]))
-"""R_poses_mesh that are tried: glTF is y up, and readers turn it to z up, but the poses beside it often are not turned."""
-_VIEWS, _WIDTH, _TRIANGLES = 12, 80, 40_000
-"""Views by which a turn is judged, their width, pixels, and triangles of the mesh that is drawn."""
-_BETTER, _LEAST = 0.15, 0.2
-"""Share of the pixels by which another turn must be better, and that must show the front of the mesh."""
+"""Vertex colour of meshes without vertex colours, sRGB, 0 to 255."""
+_ROTATIONS = (("as it is", np.eye(3)), ("with the axes of its file", TO_Z_UP["y"].T), ("turned from y up to z up", TO_Z_UP["y"]))
+"""Candidates of R_poses_mesh: glTF is y up and is read as z up, but poses supplied with it often stay y up."""
+_VIEW_COUNT, _VIEW_WIDTH_PX, _MAX_TRIANGLES = 12, 80, 40_000
+"""Number and width, pixels, of the rasterised views that rate a rotation, and the largest number of triangles of the rasterised mesh."""
+_MIN_GAIN, _MIN_SHARE = 0.15, 0.2
+"""Least gain of the front-face share by another rotation than the first, and least share of the selected one."""
 
 
 def given_mesh(
     path: Path, photographs: Photographs, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[ColouredMesh, bool, str]:
-    """Returns a mesh in the frame of the poses, whether its vertices have colours, and what was found about its frame.
+    """Returns the mesh in the frame of the poses, whether its file has vertex colours, and a message about the selected rotation.
 
     Raises:
         MeshError: it cannot be read.
-        ScanError: hardly any photograph shows it from its front.
+        ScanError: its front faces fill less than ``_MIN_SHARE`` of the photographs.
     """
     surface = surface_from_mesh(load_mesh(path, [path.resolve().parent]))
-    coloured = surface.colors is not None
+    has_colors = surface.colors is not None
     colors = np.full((len(surface.vertices), 3), GREY, dtype=np.uint8) if surface.colors is None else surface.colors
     mesh = ColouredMesh(surface.vertices.astype(np.float32), surface.triangles.astype(np.int32), colors)
-    coarse = mesh
-    if len(mesh.triangles) > _TRIANGLES:
+    simplified = mesh
+    if len(mesh.triangles) > _MAX_TRIANGLES:
         try:
-            coarse = thinned(mesh, _TRIANGLES)
-        except MeshError:  # without meshoptimizer, drawing takes longer
-            coarse = mesh
+            simplified = thinned(mesh, _MAX_TRIANGLES)
+        except MeshError:  # without meshoptimizer, rasterisation takes longer
+            simplified = mesh
     shares = []
-    for k, (_, R) in enumerate(_TURNS):
-        shares.append(front_share(coarse.vertices @ R.T, coarse.triangles, photographs))
-        progress((k + 1) / len(_TURNS))
+    for k, (_, R) in enumerate(_ROTATIONS):
+        shares.append(front_face_share(simplified.vertices @ R.T, simplified.triangles, photographs))
+        progress((k + 1) / len(_ROTATIONS))
     best = int(np.argmax(shares))
-    best = best if shares[best] > shares[0] + _BETTER else 0
-    if shares[best] < _LEAST:
+    best = best if shares[best] > shares[0] + _MIN_GAIN else 0
+    if shares[best] < _MIN_SHARE:
         raise ScanError(
-            f"{path}: fills {100.0 * shares[best]:.0f} % of the photographs from its front, at least {100.0 * _LEAST:.0f} % is needed; are mesh "
+            f"{path}: fills {100.0 * shares[best]:.0f} % of the photographs from its front, at least {100.0 * _MIN_SHARE:.0f} % is needed; are mesh "
             "and poses of the same frame and scale, and are its triangles wound towards the room?"
         )
-    name, R = _TURNS[best]
+    name, R = _ROTATIONS[best]
     text = f"{path.name}: {len(mesh.triangles)} triangles, {name}; it fills {100.0 * shares[best]:.0f} % of the photographs"
-    return replace(mesh, vertices=np.ascontiguousarray(mesh.vertices @ R.T.astype(np.float32))), coloured, text
+    return replace(mesh, vertices=np.ascontiguousarray(mesh.vertices @ R.T.astype(np.float32))), has_colors, text
 
 
-def front_share(vertices: F64, triangles: NDArray[np.integer], photographs: Photographs) -> float:
-    """Returns the share of the pixels of some photographs in which a mesh shows its front, less that of its back."""
+def front_face_share(vertices: F64, triangles: NDArray[np.integer], photographs: Photographs) -> float:
+    """Returns the share of front-face pixels minus that of back-face pixels, mean over some photographs.
+
+    Args:
+        vertices: (V, 3), metres, frame of the poses.
+        triangles: (F, 3), vertex indices.
+        photographs: posed photographs.
+    """
     surface = Surface(np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
     corners = surface.corners
-    normals, middles = unit_normals(corners), corners.mean(axis=1)
+    normals, centres = unit_normals(corners), corners.mean(axis=1)
     shares = []
-    for number in np.unique(np.linspace(0, len(photographs) - 1, _VIEWS).round().astype(int)).tolist():
-        full, pose = photographs.intrinsics(number), photographs.items[number].T_world_camera
-        small = full.resized(_WIDTH, max(round(_WIDTH * full.height / full.width), 1))
-        face = rasterise(surface, small, pose).face
-        seen = face[face >= 0]
-        front = np.einsum("ij,ij->i", normals[seen], pose[:3, 3] - middles[seen]) > 0.0
-        shares.append((int(front.sum()) - int((~front).sum())) / face.size)
+    for number in np.unique(np.linspace(0, len(photographs) - 1, _VIEW_COUNT).round().astype(int)).tolist():
+        intrinsics, pose = photographs.intrinsics(number), photographs.items[number].T_world_camera
+        reduced = intrinsics.resized(_VIEW_WIDTH_PX, max(round(_VIEW_WIDTH_PX * intrinsics.height / intrinsics.width), 1))
+        face = rasterise(surface, reduced, pose).face
+        visible = face[face >= 0]
+        is_front = np.einsum("ij,ij->i", normals[visible], pose[:3, 3] - centres[visible]) > 0.0
+        shares.append((int(is_front.sum()) - int((~is_front).sum())) / face.size)
     return float(np.mean(shares))

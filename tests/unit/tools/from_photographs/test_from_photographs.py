@@ -1,4 +1,4 @@
-"""From a folder of photographs to a scene: what is found, which stages are made, and when they are made again."""
+"""Import of photographs: inputs in a folder, stages, and when completed stages are invalidated."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.from_photographs import importing
-from gibson_sim_tools.from_photographs.archive import is_archive_of_photographs
+from gibson_sim_tools.from_photographs.archive import is_photograph_archive
 from gibson_sim_tools.from_photographs.closed_floor import closed_floor
-from gibson_sim_tools.from_photographs.found import find, is_of_photographs
-from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, Import
-from gibson_sim_tools.from_photographs.pictures import is_cut
+from gibson_sim_tools.from_photographs.image_checks import is_truncated
+from gibson_sim_tools.from_photographs.importing import UNSEEN_FLOOR, PhotographImport
+from gibson_sim_tools.from_photographs.inputs import find_inputs, is_photograph_folder
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
-from gibson_sim_tools.from_photographs.work import RECORD, Stage, Work
+from gibson_sim_tools.from_photographs.stages import RECORD, Stage, StagedJob
 from gibson_sim_tools.photographs.layouts import open_photographs
 from gibson_sim_tools.scanning.coloured_mesh import moved
 from gibson_sim_tools.scanning.fusion import Fusion
@@ -46,15 +46,15 @@ from support.photographed_room import (
 )
 
 SETTINGS = PhotographSettings(hold_out=0, snap=0.0)
-"""Without the comparison, which draws with OpenGL."""
+"""Without the held-out comparison, which renders with OpenGL."""
 
 
-def opened(folder: Path, output: Path, mesh: Path | None = None, settings: PhotographSettings = SETTINGS) -> Import:
-    found = find(folder, mesh, fuse=False, longest_side=0, leave_out=output)
-    return Import(found, output, settings, "room")
+def opened(folder: Path, output: Path, mesh: Path | None = None, settings: PhotographSettings = SETTINGS) -> PhotographImport:
+    inputs = find_inputs(folder, mesh, fuse=False, longest_side=0, excluded=output)
+    return PhotographImport(inputs, output, settings, "room")
 
 
-def made(job: Import) -> dict[str, bool]:
+def made(job: PhotographImport) -> dict[str, bool]:
     """Runs an import; returns the stages, and whether each was reused."""
     stages = {}
     job.run(lambda number: nullcontext(lambda part: None), lambda stage: stages.update({stage.name: stage.reused}))
@@ -71,7 +71,7 @@ def room(tmp_path):
 
 def test_a_folder_becomes_a_level_scene_once_and_its_floor_is_closed(room, tmp_path):
     job = opened(room, tmp_path / "out")
-    assert job.found.lines() == [
+    assert job.inputs.lines() == [
         f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: open3d)", f"mesh: {room}/mesh.ply",
     ]  # fmt: skip
     stages = made(job)
@@ -100,16 +100,16 @@ def test_a_folder_becomes_a_level_scene_once_and_its_floor_is_closed(room, tmp_p
         ({"triangles": 500}, "planes"),
     ],
 )
-def test_an_option_makes_its_stage_and_what_follows_again(room, tmp_path, monkeypatch, changes, again):
-    skip_work(monkeypatch)
+def test_an_option_invalidates_its_stage_and_all_later_ones(room, tmp_path, monkeypatch, changes, again):
+    skip_stages(monkeypatch)
     made(opened(room, tmp_path / "out"))
     stages = made(opened(room, tmp_path / "out", settings=replace(SETTINGS, **changes)))
     names = list(stages)
     assert [name for name in names if not stages[name]] == names[names.index(again) :]
 
 
-def test_another_photograph_or_another_mesh_makes_all_that_follows_again(room, tmp_path, monkeypatch):
-    skip_work(monkeypatch)
+def test_another_photograph_or_mesh_invalidates_all_later_stages(room, tmp_path, monkeypatch):
+    skip_stages(monkeypatch)
     made(opened(room, tmp_path / "out"))
     write_mesh(room / "other.ply")
     stages = made(opened(room, tmp_path / "out", room / "other.ply"))
@@ -119,22 +119,22 @@ def test_another_photograph_or_another_mesh_makes_all_that_follows_again(room, t
 
 
 def test_leaving_out_depth_fuses_again(tmp_path, monkeypatch):
-    folder, keep_aside = write_rgbd(tmp_path / "phone"), replace(SETTINGS, hold_out=5)
-    skip_work(monkeypatch)
+    folder, hold_out = write_rgbd(tmp_path / "phone"), replace(SETTINGS, hold_out=5)
+    skip_stages(monkeypatch)
     monkeypatch.setattr(importing, "open3d", lambda: None)
-    made(opened(folder, tmp_path / "out", settings=keep_aside))
-    stages = made(opened(folder, tmp_path / "out", settings=replace(keep_aside, hold_out_depth=True)))
+    made(opened(folder, tmp_path / "out", settings=hold_out))
+    stages = made(opened(folder, tmp_path / "out", settings=replace(hold_out, hold_out_depth=True)))
     assert [name for name, reused in stages.items() if reused] == ["photographs"]
 
 
-def test_another_filler_compares_again_and_a_missing_one_is_told_before_any_work(room, tmp_path, monkeypatch):
-    keep_aside = replace(SETTINGS, hold_out=5)
+def test_another_filler_compares_again_and_a_missing_one_is_refused_before_any_stage(room, tmp_path, monkeypatch):
+    hold_out = replace(SETTINGS, hold_out=5)
     with pytest.raises(ConfigError, match=r"nowhere\.onnx"):
-        made(opened(room, tmp_path / "out", settings=replace(keep_aside, fill=str(tmp_path / "nowhere.onnx"))))
+        made(opened(room, tmp_path / "out", settings=replace(hold_out, fill=str(tmp_path / "nowhere.onnx"))))
     assert not (tmp_path / "out").exists()
-    skip_work(monkeypatch)
-    made(opened(room, tmp_path / "out", settings=keep_aside))
-    stages = made(opened(room, tmp_path / "out", settings=replace(keep_aside, fill="push_pull")))
+    skip_stages(monkeypatch)
+    made(opened(room, tmp_path / "out", settings=hold_out))
+    stages = made(opened(room, tmp_path / "out", settings=replace(hold_out, fill="push_pull")))
     assert [name for name, reused in stages.items() if not reused] == ["compare"]
 
 
@@ -143,11 +143,11 @@ def test_filled_images_need_held_out_photographs():
         PhotographSettings(fill="push_pull", hold_out=0)
 
 
-def skip_work(monkeypatch):
-    """Lets every stage write empty files and do nothing else."""
-    stages = Import.stages
+def skip_stages(monkeypatch):
+    """Replaces every stage by one that writes empty files."""
+    stages = PhotographImport.stages
 
-    def empty(job: Import) -> list[Stage]:
+    def empty(job: PhotographImport) -> list[Stage]:
         def writing(stage: Stage):
             def run(_):
                 for file in stage.files:
@@ -159,10 +159,10 @@ def skip_work(monkeypatch):
 
         return [writing(stage) for stage in stages(job)]
 
-    monkeypatch.setattr(Import, "stages", empty)
+    monkeypatch.setattr(PhotographImport, "stages", empty)
 
 
-def test_an_interrupted_import_goes_on_at_the_stage_that_did_not_end(tmp_path):
+def test_an_interrupted_job_resumes_at_the_stage_that_was_not_completed(tmp_path):
     ran = []
 
     def stage(name, fails=False):
@@ -175,12 +175,12 @@ def test_an_interrupted_import_goes_on_at_the_stage_that_did_not_end(tmp_path):
 
         return Stage(name, run, (name,))
 
-    work = Work(tmp_path / "out", "source")
-    work.open()
+    job = StagedJob(tmp_path / "out", "source")
+    job.open()
     with pytest.raises(KeyboardInterrupt):
-        work.run([stage("a"), stage("b", fails=True), stage("c")], lambda _: nullcontext(lambda part: None), lambda _: None)
+        job.run([stage("a"), stage("b", fails=True), stage("c")], lambda _: nullcontext(lambda part: None), lambda _: None)
     said = []
-    again = Work(tmp_path / "out", "source")
+    again = StagedJob(tmp_path / "out", "source")
     again.open()
     again.run([stage("a"), stage("b"), stage("c")], lambda _: nullcontext(lambda part: None), said.append)
     assert ran == ["a", "b", "b", "c"]
@@ -190,7 +190,7 @@ def test_an_interrupted_import_goes_on_at_the_stage_that_did_not_end(tmp_path):
     assert ran[4:] == ["b", "c"]
 
 
-def test_a_stage_cut_off_with_new_options_does_not_count_as_made_with_the_former_ones(tmp_path):
+def test_a_stage_interrupted_with_new_options_is_not_reused_with_the_former_ones(tmp_path):
     ran = []
 
     def stage(option, fails=False):
@@ -204,10 +204,10 @@ def test_a_stage_cut_off_with_new_options_does_not_count_as_made_with_the_former
         return [Stage("stage", run, ("file",), option)]
 
     for option, fails in (("old", False), ("new", True), ("old", False)):
-        work = Work(tmp_path / "out", "source")
-        work.open()
+        job = StagedJob(tmp_path / "out", "source")
+        job.open()
         try:
-            work.run(stage(option, fails), lambda _: nullcontext(lambda part: None), lambda _: None)
+            job.run(stage(option, fails), lambda _: nullcontext(lambda part: None), lambda _: None)
         except KeyboardInterrupt:
             assert fails
     assert ran == ["old", "new", "old"] and (tmp_path / "out/file").read_text() == "old"
@@ -215,7 +215,7 @@ def test_a_stage_cut_off_with_new_options_does_not_count_as_made_with_the_former
 
 @pytest.fixture
 def fused(monkeypatch):
-    """What was given to the fusion, which is replaced: frames, settings, and which frames give their depth alone."""
+    """Arguments of the fusion, which is replaced: frames, settings, and frames of which only the depth is fused."""
     given = []
 
     def fuse_scan(rgbd, settings, progress, *, depth_only):
@@ -226,9 +226,9 @@ def fused(monkeypatch):
     return given
 
 
-def test_depth_is_fused_where_no_mesh_is_there(tmp_path, fused):
+def test_depth_is_fused_without_a_mesh(tmp_path, fused):
     job = opened(write_rgbd(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, depth_max=3.0))
-    assert job.found.lines()[1] == "no mesh: it will be fused from depth"
+    assert job.inputs.lines()[1] == "no mesh: it will be fused from depth"
     assert [stage.name for stage in job.stages()][1] == "fuse"
     job._fuse(lambda part: None)
     ((rgbd, settings, depth_only),) = fused
@@ -237,7 +237,7 @@ def test_depth_is_fused_where_no_mesh_is_there(tmp_path, fused):
 
 
 @pytest.mark.parametrize("write", [write_rgbd, write_polycam])
-def test_the_depth_of_photographs_that_are_kept_aside_is_fused_without_their_colours(tmp_path, fused, write):
+def test_the_depth_of_held_out_photographs_is_fused_without_their_colors(tmp_path, fused, write):
     job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=replace(SETTINGS, hold_out=5))
     assert job._fuse(lambda part: None)[0].endswith(f"from {COUNT} depth images, 3 of them without their colours")
     ((rgbd, _, depth_only),) = fused
@@ -245,7 +245,7 @@ def test_the_depth_of_photographs_that_are_kept_aside_is_fused_without_their_col
 
 
 @pytest.mark.parametrize("write", [write_rgbd, write_polycam])
-def test_neither_depth_nor_colours_of_photographs_that_are_kept_aside_are_fused_if_told_so(tmp_path, fused, write):
+def test_held_out_photographs_are_not_fused_with_hold_out_depth(tmp_path, fused, write):
     settings = replace(SETTINGS, hold_out=5, hold_out_depth=True)
     job = opened(write(tmp_path / "phone"), tmp_path / "out", settings=settings)
     assert job._fuse(lambda part: None)[0].endswith("from 9 depth images")
@@ -253,22 +253,22 @@ def test_neither_depth_nor_colours_of_photographs_that_are_kept_aside_are_fused_
     assert depth_only == []
     others = [1, 2, 3, 4, 6, 7, 8, 9, 11]
     assert [int(files.color.stem) for files in rgbd.files] == others
-    np.testing.assert_array_equal(rgbd[5].T_world_camera, job.found.photographs.poses[7])
-    assert rgbd[5].depth.tolist() == job.found.rgbd[7].depth.tolist()
+    np.testing.assert_array_equal(rgbd[5].T_world_camera, job.inputs.photographs.poses[7])
+    assert rgbd[5].depth.tolist() == job.inputs.rgbd[7].depth.tolist()
 
 
-def test_of_many_photographs_as_large_a_share_is_kept_aside(room, tmp_path, monkeypatch):
+def test_the_share_of_held_out_photographs_stays_if_photographs_are_selected(room, tmp_path, monkeypatch):
     job = opened(room, tmp_path / "out", settings=replace(SETTINGS, hold_out=3))
-    surface, photographs = surface_from_mesh(load_mesh(room / "mesh.ply", [room])), job.found.photographs
-    numbers, aside = job._used(surface, photographs, lambda part: None)
-    assert (numbers.tolist(), aside) == (list(range(COUNT)), [0, 3, 6, 9])
+    surface, photographs = surface_from_mesh(load_mesh(room / "mesh.ply", [room])), job.inputs.photographs
+    numbers, held_out = job._select_photographs(surface, photographs, lambda part: None)
+    assert (numbers.tolist(), held_out) == (list(range(COUNT)), [0, 3, 6, 9])
     monkeypatch.setattr(importing, "MOST_PHOTOGRAPHS", 7)
-    numbers, aside = job._used(surface, photographs, lambda part: None)
+    numbers, held_out = job._select_photographs(surface, photographs, lambda part: None)
     # Two of 0, 3, 6 and 9, and five of the others.
-    assert len(numbers) == 7 and numbers[aside].tolist() == [0, 9] and not {3, 6} & set(numbers.tolist())
+    assert len(numbers) == 7 and numbers[held_out].tolist() == [0, 9] and not {3, 6} & set(numbers.tolist())
 
 
-def test_depth_is_fused_at_poses_in_which_neighbouring_images_agree(tmp_path, fused):
+def test_depth_is_fused_in_the_pose_convention_in_which_depth_images_agree(tmp_path, fused):
     folder = write_rgbd(tmp_path / "phone")
     right = open_photographs(folder).poses
     write_trajectory_log(folder / "trajectory.log", right @ np.diag([1.0, -1.0, -1.0, 1.0]))
@@ -285,8 +285,8 @@ def test_depth_is_fused_at_poses_in_which_neighbouring_images_agree(tmp_path, fu
 
 def test_raw_data_of_polycam_are_fused_at_the_size_of_their_depth(tmp_path):
     job = opened(write_polycam(tmp_path / "phone"), tmp_path / "out")
-    assert job.found.lines()[0] == f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: polycam)"
-    rgbd = job.found.rgbd
+    assert job.inputs.lines()[0] == f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: polycam)"
+    rgbd = job.inputs.rgbd
     assert rgbd is not None and (len(rgbd), rgbd.intrinsics) == (COUNT, Intrinsics(32, 24, 20.0, 20.0, 15.5, 11.5))
     frame = rgbd[3]
     # A quarter turn to portrait: the camera's x is down.
@@ -300,18 +300,18 @@ def test_raw_data_of_polycam_are_fused_at_the_size_of_their_depth(tmp_path):
 def test_up_is_that_of_the_phone_however_it_was_held(tmp_path):
     job = opened(write_polycam(tmp_path / "phone"), tmp_path / "out", write_mesh(tmp_path / "room.ply", T_ARKIT_WORLD))
     (tmp_path / "out").mkdir()
-    job._given(lambda part: None)
+    job._load_mesh(lambda part: None)
     job._planes(lambda part: None)
     assert job._level(lambda part: None) == ["turned by 90.00 degrees: z is up and the floor is at z = 0"]
     np.testing.assert_allclose((job._T_level_scan() @ T_ARKIT_WORLD)[2], [0, 0, 1, 0], atol=1e-3)
 
 
-def test_frames_of_cameras_that_differ_are_drawn_as_one_camera_sees_them(tmp_path):
+def test_frames_of_different_cameras_are_remapped_to_common_intrinsics(tmp_path):
     folder = write_polycam(tmp_path / "phone")
     for k in range(3):
         camera = json.loads((folder / f"keyframes/cameras/{k}.json").read_text())
         (folder / f"keyframes/cameras/{k}.json").write_text(json.dumps({**camera, "cx": WIDTH / 2 + 4.0}))
-    rgbd = opened(folder, tmp_path / "out").found.rgbd
+    rgbd = opened(folder, tmp_path / "out").inputs.rgbd
     assert rgbd is not None and rgbd.intrinsics == Intrinsics(32, 24, 20.0, 20.0, 15.5, 11.5)
     # The image of the camera whose middle is 2 pixels of depth further right is moved to the left.
     depth = room_image(room_poses()[0], 2)[1]
@@ -325,22 +325,22 @@ def test_frames_of_cameras_that_differ_are_drawn_as_one_camera_sees_them(tmp_pat
 @pytest.mark.parametrize(("write", "layout"), [(write_nerfstudio, "nerfstudio"), (write_colmap, "colmap")])
 def test_photographs_without_depth_need_a_mesh(tmp_path, write, layout):
     folder = write(tmp_path / "photographs")
-    assert is_of_photographs(folder)
+    assert is_photograph_folder(folder)
     with pytest.raises(
         ScanError, match=f"12 photographs with poses \\({layout}\\), but neither depth images that can be fused nor a mesh"
     ):
         opened(folder, tmp_path / "out")
     mesh = write_mesh(tmp_path / "room.ply", np.eye(4))
-    assert opened(folder, tmp_path / "out", mesh).found.photographs.poses == pytest.approx(room_poses(), abs=1e-6)
+    assert opened(folder, tmp_path / "out", mesh).inputs.photographs.poses == pytest.approx(room_poses(), abs=1e-6)
 
 
-def test_a_mesh_with_other_axes_than_the_poses_is_turned(tmp_path):
+def test_a_mesh_with_other_axes_than_the_poses_is_rotated(tmp_path):
     folder = write_nerfstudio(tmp_path / "photographs")
     to_y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     write_mesh(folder / "mesh.ply", to_y_up)
     job = opened(folder, tmp_path / "out")
     (tmp_path / "out").mkdir()
-    (text,) = job._given(lambda part: None)
+    (text,) = job._load_mesh(lambda part: None)
     assert "turned from y up to z up" in text
     fused = job._read_mesh("import/fused.ply")
     np.testing.assert_allclose(np.ptp(fused.vertices, axis=0), [4.0, 3.0, 2.4], atol=1e-5)
@@ -352,7 +352,7 @@ def test_a_mesh_that_no_photograph_shows_is_refused(tmp_path):
     aside[:3, 3] = 50.0
     write_mesh(folder / "mesh.ply", aside)
     with pytest.raises(ScanError, match=r"mesh.ply: fills 0 % of the photographs from its front, at least 20 % is needed"):
-        opened(folder, tmp_path / "out")._given(lambda part: None)
+        opened(folder, tmp_path / "out")._load_mesh(lambda part: None)
 
 
 def test_the_floor_is_closed_within_the_outline_and_not_over_a_stairwell():
@@ -374,7 +374,7 @@ def test_the_floor_is_closed_within_the_outline_and_not_over_a_stairwell():
     assert stairs is None or stairs.area < 0.1
 
 
-def test_the_floor_is_closed_near_what_was_seen_and_not_in_rooms_that_nobody_entered():
+def test_floor_is_filled_near_observed_floor_and_not_in_unobserved_rooms():
     # A ceiling of 8 x 2 m, and floor that was seen below its first metre.
     ceiling = np.array([[0, 0, 1.9], [0, 2, 1.9], [8, 2, 1.9], [8, 0, 1.9]])
     floor = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0]])
@@ -390,11 +390,11 @@ def test_the_floor_is_closed_near_what_was_seen_and_not_in_rooms_that_nobody_ent
 def test_a_folder_with_a_mesh_and_its_textures_is_no_folder_of_photographs(tmp_path):
     write_mesh(tmp_path / "shop.ply")
     (tmp_path / "wood.png").write_bytes(b"")
-    assert not is_of_photographs(tmp_path)
+    assert not is_photograph_folder(tmp_path)
     (tmp_path / "shop.ply").unlink()
-    assert is_of_photographs(tmp_path)
+    assert is_photograph_folder(tmp_path)
     (tmp_path / "scene.yaml").write_text("name: shop\n")
-    assert not is_of_photographs(tmp_path)
+    assert not is_photograph_folder(tmp_path)
 
 
 def exit_code(*words: object) -> int:
@@ -433,19 +433,17 @@ def test_the_zip_of_an_app_is_unpacked_once(tmp_path, monkeypatch, capsys):
     folder = write_polycam(tmp_path / "phone/room")
     write_mesh(folder / "raw.ply", T_ARKIT_WORLD)
     shutil.make_archive(str(tmp_path / "room"), "zip", tmp_path / "phone")
-    skip_work(monkeypatch)
+    skip_stages(monkeypatch)
     for _ in range(2):
         assert exit_code(tmp_path / "room.zip", "--output", tmp_path / "out", "--hold-out", 0) == 0
         lines = capsys.readouterr().out.splitlines()
         assert lines[0].endswith(f"{COUNT} photographs of 64x48 pixels, with poses, with depth (layout: polycam)")
     assert all("done before" in line for line in lines if "/9 " in line)
     assert (tmp_path / "out/import/photographs/room/keyframes").is_dir()
-    assert not is_archive_of_photographs(
-        Path(shutil.make_archive(str(tmp_path / "mesh"), "zip", tmp_path / "phone/room", "raw.ply"))
-    )
+    assert not is_photograph_archive(Path(shutil.make_archive(str(tmp_path / "mesh"), "zip", tmp_path / "phone/room", "raw.ply")))
 
 
-def test_cut_images_are_named_before_the_work_begins(room, tmp_path, capsys):
+def test_truncated_images_are_named_before_any_stage(room, tmp_path, capsys):
     for name in ("color/000002.png", "depth/000005.png"):
         (room / name).write_bytes((room / name).read_bytes()[:-20])
     assert exit_code(room, "--output", tmp_path / "out") == 1
@@ -453,10 +451,10 @@ def test_cut_images_are_named_before_the_work_begins(room, tmp_path, capsys):
     assert "000002.png: is truncated, and 1 more of 24 images are broken; copy the photographs again" in error
 
 
-def test_a_jpeg_is_cut_if_its_end_is_missing_although_its_preview_has_one():
+def test_a_jpeg_without_end_marker_is_truncated_although_its_thumbnail_has_one():
     preview = b"\xff\xd8\xff\xd9"
     header = b"\xff\xd8\xff\xe1" + (2 + len(preview)).to_bytes(2, "big") + preview
-    assert is_cut(header + b"\xff\xda\x00\x02 data") and not is_cut(header + b"\xff\xda\x00\x02 data\xff\xd9 trailer")
+    assert is_truncated(header + b"\xff\xda\x00\x02 data") and not is_truncated(header + b"\xff\xda\x00\x02 data\xff\xd9 trailer")
 
 
 def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
@@ -465,7 +463,7 @@ def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
     with pytest.raises(SceneError, match="out: already exists and is not empty; give another folder with --output"):
         made(opened(room, tmp_path / "out"))
     (tmp_path / "out/notes.txt").unlink()
-    Work(tmp_path / "out", "/elsewhere").open()
+    StagedJob(tmp_path / "out", "/elsewhere").open()
     with pytest.raises(SceneError, match="out: holds an import of /elsewhere; give another folder"):
         made(opened(room, tmp_path / "out"))
     (tmp_path / "out" / RECORD).write_text("{")
@@ -474,7 +472,7 @@ def test_an_output_that_holds_something_else_is_refused(room, tmp_path):
 
 
 def test_two_imports_into_one_folder_at_a_time_are_refused_and_the_first_goes_on(room, tmp_path, monkeypatch, capsys):
-    skip_work(monkeypatch)
+    skip_stages(monkeypatch)
     job = opened(room, tmp_path / "out")
     codes = []
 

@@ -1,7 +1,7 @@
-"""Stages of a long job in a folder: each is made once, and again only if its inputs or options change.
+"""Resumable job of several stages in a folder: a stage runs again only if its inputs or options change (incremental build).
 
-``import.json`` in the folder says which stages ended, with what key. The key of a stage is a digest of its own options and of the key of the
-stage before it, so that whatever follows a changed stage is made again. Stages write their files atomically: one that was interrupted left none.
+``import.json`` in the folder records the completed stages and their keys. The key of a stage is a digest of its options and the key of the
+previous stage, so that a changed stage invalidates all later ones. Stages write their files atomically; an interrupted one leaves none.
 """
 
 from __future__ import annotations
@@ -23,56 +23,58 @@ from gibson_sim.writing import write_file
 Progress = Callable[[float], None]
 
 RECORD = "import.json"
-"""File that marks the folder of a job."""
+"""Record of the completed stages; marks the folder of a job."""
 _FORMAT = "gibson_sim import from photographs"
 _VERSION = 3
-"""Version of what the stages do: another one makes all of them again."""
-_MOST_BYTES = 64 * 2**20
+"""Version of the stages; another version invalidates all of them."""
+_MAX_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage."""
+    """One stage of a job."""
 
     name: str
+    """Key in the record."""
     run: Callable[[Progress], Sequence[str]]
-    """Does the work; returns what is to be said of it, one line each."""
+    """Runs the stage; returns its report, one message per line."""
     files: tuple[str, ...] = ()
-    """What it writes, relative to the folder; if one is missing it is made again."""
+    """Output files, relative to the folder; the stage runs again if one is missing."""
     options: Any = None
-    """All that its result depends on beside the stages before it, as ``digest_of`` takes it."""
+    """Everything on which the result depends besides the previous stages; an argument of ``digest_of``."""
     weight: float = 1.0
-    """Expected share of the time."""
+    """Expected duration, relative to the other stages."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
-    """A stage that ended."""
+class StageResult:
+    """Result of a completed stage."""
 
     name: str
     lines: tuple[str, ...]
+    """Its report."""
     seconds: float
-    """Wall time that it took, now or earlier."""
+    """Its wall time, in this run or the earlier one, seconds."""
     reused: bool
-    """Whether it had ended in an earlier run."""
+    """Whether it was completed in an earlier run."""
 
 
 @dataclass(slots=True)
-class Work:
-    """The folder of a job."""
+class StagedJob:
+    """A resumable job in a folder."""
 
     folder: Path
     source: str
-    """What the job is made from; another job may not go on in the folder."""
+    """Identifies the inputs; a job of another source is refused in the folder."""
     _stages: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
-        """Opens the folder as ``open`` does, and keeps other jobs out of it in a block.
+    def locked(self) -> Iterator[None]:
+        """Locks the folder against other processes for the duration of a block, and opens it.
 
         Raises:
-            SceneError: another job is at work in it, or it holds something else.
-            WriteError: it cannot be written.
+            SceneError: another job has locked the folder, or it holds something else.
+            WriteError: the folder cannot be written.
         """
         in_use = SceneError(
             f"{self.folder}: another import is being made in the folder; wait until it ends, or give another folder with --output"
@@ -82,11 +84,11 @@ class Work:
             yield
 
     def open(self) -> None:
-        """Creates the folder or reads its record.
+        """Creates the folder, or reads the record in it.
 
         Raises:
             SceneError: the folder holds something else.
-            WriteError: it cannot be written.
+            WriteError: the folder cannot be written.
         """
         path = self.folder / RECORD
         if not path.exists():
@@ -97,7 +99,7 @@ class Work:
             self._save()
             return
         try:
-            record = json.loads(read_file(path, _MOST_BYTES))
+            record = json.loads(read_file(path, _MAX_BYTES))
             ours = record["format"] == _FORMAT
             source, version, stages = record["source"], record["version"], record["stages"]
             if not (ours and isinstance(stages, dict)):
@@ -113,34 +115,37 @@ class Work:
         self._stages = stages if version == _VERSION else {}
 
     def run(
-        self, stages: Sequence[Stage], bar: Callable[[int], AbstractContextManager[Progress]], say: Callable[[Ended], None]
+        self,
+        stages: Sequence[Stage],
+        stage_progress: Callable[[int], AbstractContextManager[Progress]],
+        on_result: Callable[[StageResult], None],
     ) -> None:
-        """Makes the stages that are not made yet.
+        """Runs the stages that are not completed or are invalidated.
 
         Args:
-            stages: in their order.
-            bar: returns the context that shows the progress of the stage with a number, from 0.
-            say: receives each stage that ended.
+            stages: stages in their order.
+            stage_progress: returns a context manager that yields the progress callback of a stage, by its index.
+            on_result: called with the result of each completed stage.
         """
         key = ""
         for number, stage in enumerate(stages):
             key = f"{digest_of((key, stage.name, stage.options)):016x}"
-            known = self._stages.get(stage.name)
-            if known is not None and known.get("key") == key and all((self.folder / file).exists() for file in stage.files):
-                say(Ended(stage.name, tuple(known["lines"]), float(known["seconds"]), reused=True))
+            recorded = self._stages.get(stage.name)
+            if recorded is not None and recorded.get("key") == key and all((self.folder / file).exists() for file in stage.files):
+                on_result(StageResult(stage.name, tuple(recorded["lines"]), float(recorded["seconds"]), reused=True))
                 continue
-            # What follows was made from the former result.
-            for later in stages[number:]:
-                self._stages.pop(later.name, None)
-            # Before its files change: they would else count as made with the former options if this run is cut off.
+            # All later stages depend on this one.
+            for following in stages[number:]:
+                self._stages.pop(following.name, None)
+            # Saved before its files change: if this run is interrupted, they must not count as results of the former options.
             self._save()
-            begin = time.monotonic()
-            with bar(number) as progress:
+            start = time.monotonic()
+            with stage_progress(number) as progress:
                 lines = tuple(stage.run(progress))
-            seconds = time.monotonic() - begin
+            seconds = time.monotonic() - start
             self._stages[stage.name] = {"key": key, "seconds": round(seconds, 2), "lines": list(lines)}
             self._save()
-            say(Ended(stage.name, lines, seconds, reused=False))
+            on_result(StageResult(stage.name, lines, seconds, reused=False))
 
     def _save(self) -> None:
         record = {"format": _FORMAT, "version": _VERSION, "source": self.source, "stages": self._stages}
