@@ -1,4 +1,4 @@
-"""A folder of NumPy arrays, a file for each: written whole or not at all, memory-mapped when it is read."""
+"""A folder of NumPy arrays, one .npy file each: written atomically, read memory-mapped."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from gibson_sim.errors import ConfigError
 
 
 def save_arrays(folder: Path, arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, str] | None = None) -> None:
-    """Writes ``NAME.npy`` for each array, and text files; the folder appears once it is whole.
+    """Writes ``NAME.npy`` for each array, and text files, atomically: the folder appears once it is complete.
 
     Args:
-        folder: not there yet.
-        arrays: name without suffix -> array of any shape and type.
-        texts: name with suffix -> content.
+        folder: path of the folder, which must not exist.
+        arrays: name without suffix -> array of any shape and dtype.
+        texts: file name -> content.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
+    draft = Path(tempfile.mkdtemp(prefix=".part-", dir=folder.parent))
     try:
         for name, array in arrays.items():
-            np.save(part / f"{name}.npy", array)
+            np.save(draft / f"{name}.npy", array)
         for name, text in (texts or {}).items():
-            (part / name).write_text(text, encoding="utf-8")
-        part.rename(folder)
+            (draft / name).write_text(text, encoding="utf-8")
+        draft.rename(folder)
     except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(draft, ignore_errors=True)
         raise
 
 
 def load_arrays(folder: Path, names: Sequence[str]) -> list[NDArray[Any]]:
-    """Returns arrays of a folder, memory-mapped, in the order of ``names``.
+    """Returns the arrays of a folder, memory-mapped, in the order of ``names``.
 
     Raises:
-        ConfigError: one cannot be read.
+        ConfigError: an array cannot be read.
     """
     try:
         return [np.load(folder / f"{name}.npy", mmap_mode="r") for name in names]

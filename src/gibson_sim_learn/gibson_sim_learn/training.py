@@ -1,7 +1,7 @@
-"""What all trainings share: the loop, the step size, checkpoints from which a training goes on, its curve. Needs PyTorch.
+"""Common part of all trainings: training loop, learning-rate schedule, checkpoints, training curve. Needs PyTorch.
 
-A training has a folder. An interrupted one goes on from its last checkpoint; with the same settings, seed, data and software on the same
-kind of processor it gives what an uninterrupted one gives, up to the rounding of sums.
+A training has a folder. An interrupted training resumes from its last checkpoint; with the same settings, seed, data and software on the same
+kind of processor it gives the result of an uninterrupted one, up to the rounding of sums.
 """
 
 from __future__ import annotations
@@ -25,37 +25,37 @@ from gibson_sim.writing import replacing, write_file
 Progress = Callable[[str], None]
 """Called with one line now and then."""
 Panels = Sequence[tuple[str, Sequence[str]]]
-"""Of the picture of a curve: the title of each, and the fields of a point that it shows."""
+"""Panels of the plot of a training curve: title, and the fields of ``CurvePoint`` that it shows."""
 
 
 @dataclass(frozen=True, slots=True)
 class CurvePoint:
-    """Errors on the validation scenes after some iterations."""
+    """Metrics on the validation scenes after some iterations."""
 
     iteration: int
     loss: float
-    """Mean loss of training since the point before."""
+    """Mean training loss since the previous point."""
     processor_s: float
     """Processor time of the training so far, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
-class Descent:
-    """How the optimiser, AdamW, goes down."""
+class OptimiserSettings:
+    """Settings of the optimiser, AdamW, and of its schedule."""
 
     seed: int
-    """Of weights, order of the examples and changes to them."""
+    """Random seed of initial weights, sampling and augmentation."""
     learning_rate: float
-    """Largest step size."""
+    """Learning rate after the warm-up."""
     weight_decay: float
     warm_up: int
-    """Iterations in which the step size rises."""
-    longest: float
-    """Largest norm of the gradients of all weights together; longer ones are shortened."""
+    """Iterations of linear warm-up of the learning rate."""
+    max_gradient_norm: float
+    """Norm of the gradient of all weights to which larger gradients are clipped."""
     evaluate_every: int
-    """Iterations between two points of the curve, which are also checkpoints."""
+    """Iterations between two points of the curve, and between two checkpoints."""
     bfloat16: bool = True
-    """Compute in bfloat16 where the processor can."""
+    """Whether to autocast to bfloat16 if the processor supports it."""
 
 
 P = TypeVar("P", bound=CurvePoint)
@@ -66,30 +66,31 @@ class Training(ABC, Generic[N, P]):
     """One training in one folder."""
 
     PANELS: ClassVar[Panels]
+    """Panels of the plot of the training curve."""
     COLUMNS: ClassVar[int] = 4
-    """Most panels beside each other."""
+    """Maximum number of panels per row."""
     MAY_CHANGE: ClassVar[Collection[str]] = ("iterations",)
-    """Settings by which a training can be made longer, or that are not its own."""
+    """Settings that may differ from those of the checkpoint: they extend a training, or do not affect it."""
     LABEL: ClassVar[str] = ""
-    """Before each line of progress."""
+    """Prefix of each line of progress."""
 
-    def __init__(self, folder: Path, kept: Mapping[str, Any], descent: Descent, network: Callable[[], N]) -> None:
-        """Begins; ``_resume`` goes on from the checkpoint in the folder.
+    def __init__(self, folder: Path, settings: Mapping[str, Any], optimiser: OptimiserSettings, network: Callable[[], N]) -> None:
+        """Starts a training; ``_resume`` loads the checkpoint in the folder.
 
         Args:
-            folder: of checkpoint and curve.
-            kept: settings by name, which must be those of the checkpoint.
-            descent: how to train.
-            network: returns a new one.
+            folder: folder of checkpoint and curve.
+            settings: settings by name; they are stored in the checkpoint and must equal those of an existing one.
+            optimiser: settings of the optimiser and of its schedule.
+            network: returns an untrained network.
         """
-        self.folder, self._kept, self._descent = folder, kept, descent
-        torch.manual_seed(descent.seed)
+        self.folder, self._checkpoint_settings, self._optimiser_settings = folder, settings, optimiser
+        torch.manual_seed(optimiser.seed)
         self.network = network().to(memory_format=torch.channels_last)
         self._optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=descent.learning_rate, weight_decay=descent.weight_decay
+            self.network.parameters(), lr=optimiser.learning_rate, weight_decay=optimiser.weight_decay
         )
-        self._rng = np.random.default_rng(descent.seed)
-        self._half = descent.bfloat16 and has_bfloat16()
+        self._rng = np.random.default_rng(optimiser.seed)
+        self._bfloat16 = optimiser.bfloat16 and has_bfloat16()
         self.iteration = 0
         self.curve: list[P] = []
         self._processor_s = 0.0
@@ -110,30 +111,30 @@ class Training(ABC, Generic[N, P]):
         last: int | None = None,
         after_point: Callable[[], object] = lambda: None,
     ) -> None:
-        """Trains, with a checkpoint and a point of the curve every so many iterations and at the end.
+        """Trains; adds a point to the curve and writes a checkpoint every ``evaluate_every`` iterations and at the end.
 
         Args:
             until: number of the last iteration of this call.
-            loss: returns the loss of a new batch.
-            point: returns a point of the curve, which begins with these fields.
-            progress: called after each tenth iteration and each point.
-            first: number of the iteration at which the step size rises.
-            last: number of the iteration at which it has fallen to 0; None = ``until``.
+            loss: samples a batch and returns its loss.
+            point: returns a point of the curve; gets the fields of ``CurvePoint``.
+            progress: called with one line after each tenth iteration and each point.
+            first: number of the iteration at which the learning-rate schedule starts.
+            last: number of the iteration at which the learning rate reaches 0; None = ``until``.
             after_point: called after each point.
         """
-        descent, last, losses = self._descent, until if last is None else last, list[float]()
+        settings, last, losses = self._optimiser_settings, until if last is None else last, list[float]()
         began, before, start = time.monotonic(), time.process_time(), self.iteration
         while self.iteration < until:
-            rate = step_size(descent.learning_rate, self.iteration - first, last - first, descent.warm_up)
+            rate = learning_rate_at(settings.learning_rate, self.iteration - first, last - first, settings.warm_up)
             for group in self._optimiser.param_groups:
                 group["lr"] = rate
-            losses.append(self._descend(loss()))
+            losses.append(self._optimiser_step(loss()))
             self.iteration += 1
             if self.iteration % 10 == 0:
                 left = (time.monotonic() - began) / (self.iteration - start) * (until - self.iteration) / 60.0
                 recent = np.mean(losses[-50:])
                 progress(f"{self.LABEL}iteration {self.iteration} of {last}, loss {recent:.4f}, {left:.0f} min left")
-            if self.iteration % descent.evaluate_every == 0 or self.iteration == until:
+            if self.iteration % settings.evaluate_every == 0 or self.iteration == until:
                 self._processor_s += time.process_time() - before
                 self.curve.append(point(CurvePoint(self.iteration, float(np.mean(losses)), round(self._processor_s, 1))))
                 before, losses = time.process_time(), []
@@ -143,30 +144,30 @@ class Training(ABC, Generic[N, P]):
 
     @abstractmethod
     def _summary(self, point: P) -> str:
-        """Returns the errors of a point in a line."""
+        """Returns the metrics of a point in one line."""
 
     def _state(self) -> dict[str, Any]:
-        """Returns what else a checkpoint has."""
+        """Returns the additional content of a checkpoint."""
         return {}
 
     def _restore(self, content: Mapping[str, Any]) -> None:
-        """Takes that from a checkpoint.
+        """Restores the additional content of a checkpoint.
 
         Raises:
-            ConfigError: it is of another training.
+            ConfigError: the checkpoint belongs to another training.
         """
 
-    def _descend(self, loss: Tensor) -> float:
-        """Makes one step, and returns the loss."""
+    def _optimiser_step(self, loss: Tensor) -> float:
+        """Makes one step of the optimiser; returns the loss."""
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        nn.utils.clip_grad_norm_(self.network.parameters(), self._descent.longest)
+        nn.utils.clip_grad_norm_(self.network.parameters(), self._optimiser_settings.max_gradient_norm)
         self._optimiser.step()
         return float(loss.detach())
 
     def _save(self) -> None:
         content = {
-            "settings": dict(self._kept),
+            "settings": dict(self._checkpoint_settings),
             "network": self.network.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "rng": self._rng.bit_generator.state,
@@ -182,17 +183,17 @@ class Training(ABC, Generic[N, P]):
         write_curve(self.folder, self.curve, self.PANELS, self.COLUMNS)
 
     def _resume(self, point: Callable[..., P]) -> None:
-        """Goes on from the checkpoint in the folder, if there is one.
+        """Resumes from the checkpoint in the folder, if there is one.
 
         Args:
             point: returns a point of the curve from its fields.
 
         Raises:
-            ConfigError: the checkpoint is of other settings, or cannot be read.
+            ConfigError: the checkpoint has other settings, or cannot be read.
         """
         if not self.checkpoint.exists():
             return
-        content = load_checkpoint(self.checkpoint, self._kept, self.MAY_CHANGE)
+        content = load_checkpoint(self.checkpoint, self._checkpoint_settings, self.MAY_CHANGE)
         try:
             self._restore(content)
             self.network.load_state_dict(content["network"])
@@ -203,49 +204,49 @@ class Training(ABC, Generic[N, P]):
             self.curve = [point(**each) for each in content["curve"]]
             self._processor_s = content["processor_s"]
         except (KeyError, TypeError, RuntimeError) as error:
-            raise ConfigError(f"{self.checkpoint}: is of another version ({error}); delete it to begin again") from error
+            raise ConfigError(f"{self.checkpoint}: is from another version ({error}); delete it to start anew") from error
 
 
 def has_bfloat16() -> bool:
-    """Returns whether the processor computes in bfloat16 by itself, as far as Linux tells."""
+    """Returns whether the processor has bfloat16 instructions (AVX-512), from /proc/cpuinfo."""
     try:
         return "avx512_bf16" in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return False
 
 
-def step_size(largest: float, done: int, total: int, warm_up: int) -> float:
-    """Returns the step size of an iteration: it rises for some iterations, and falls as a cosine to 0 at the last.
+def learning_rate_at(peak: float, done: int, total: int, warm_up: int) -> float:
+    """Returns the learning rate of an iteration: linear warm-up, then cosine decay to 0 at the last iteration.
 
     Args:
-        largest: step size after the rise.
-        done: iterations before this one.
-        total: iterations in all.
-        warm_up: iterations in which it rises.
+        peak: learning rate after the warm-up.
+        done: number of iterations before this one.
+        total: total number of iterations.
+        warm_up: number of iterations of the warm-up.
     """
-    return largest * min(1.0, (done + 1) / warm_up) * 0.5 * (1.0 + math.cos(math.pi * done / max(1, total)))
+    return peak * min(1.0, (done + 1) / warm_up) * 0.5 * (1.0 + math.cos(math.pi * done / max(1, total)))
 
 
 def load_checkpoint(file: Path, settings: Mapping[str, Any], may_change: Collection[str]) -> dict[str, Any]:
-    """Returns the content of a checkpoint of a training with these settings.
+    """Returns the content of a checkpoint whose settings equal those of the training.
 
     Args:
-        file: in the folder of the training.
-        settings: of the training that goes on.
-        may_change: names of those by which a training can be made longer.
+        file: path of the checkpoint.
+        settings: settings of the training that resumes.
+        may_change: names of the settings that may differ.
 
     Raises:
-        ConfigError: it cannot be read, or is of other settings.
+        ConfigError: the checkpoint cannot be read, or has other settings.
     """
     try:
         content: dict[str, Any] = torch.load(file, weights_only=False)
-        there = content["settings"]
+        stored = content["settings"]
     except Exception as error:
-        raise ConfigError(f"{file}: cannot be read: {error}; delete it to begin again") from error
-    other = [name for name in settings if there.get(name) != settings[name] and name not in may_change]
-    if other:
+        raise ConfigError(f"{file}: cannot be read: {error}; delete it to start anew") from error
+    different = [name for name in settings if stored.get(name) != settings[name] and name not in may_change]
+    if different:
         raise ConfigError(
-            f"{file.parent}: holds a training with another {other[0]} ({there.get(other[0])}); choose another --folder"
+            f"{file.parent}: holds a training with another {different[0]} ({stored.get(different[0])}); choose another --folder"
         )
     return content
 
@@ -254,10 +255,10 @@ def write_curve(folder: Path, curve: Sequence[Any], panels: Panels, columns: int
     """Writes ``curve.json`` and, with Matplotlib, ``curve.png``.
 
     Args:
-        folder: of the training.
-        curve: dataclasses, points with ``iteration`` and the fields of the panels.
-        panels: title and fields of each.
-        columns: most panels beside each other.
+        folder: folder of the training.
+        curve: points, dataclasses with ``iteration`` and the fields of the panels.
+        panels: title and fields of each panel.
+        columns: maximum number of panels per row.
     """
     write_file(folder / "curve.json", json.dumps([asdict(point) for point in curve], indent=1) + "\n")
     try:

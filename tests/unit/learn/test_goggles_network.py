@@ -53,10 +53,10 @@ def test_an_untrained_network_leaves_images_of_any_size_as_they_are_in_its_file_
     from gibson_sim_learn.goggles.network import GogglesNetwork
 
     assert export_network(GogglesNetwork(), tmp_path / "goggles.onnx") < 2_000_000
-    bring = LearnedGoggles(tmp_path / "goggles.onnx")
+    adapt = LearnedGoggles(tmp_path / "goggles.onnx")
     for size in ((64, 96), (31, 57)):
         image = np.random.default_rng(1).integers(0, 256, (*size, 3)).astype(np.uint8)
-        assert np.array_equal(bring(image), image)
+        assert np.array_equal(adapt(image), image)
 
 
 def test_a_checkpoint_of_another_version_is_refused_with_what_to_do(tmp_path: Path) -> None:
@@ -67,5 +67,5 @@ def test_a_checkpoint_of_another_version_is_refused_with_what_to_do(tmp_path: Pa
     content = torch.load(file, weights_only=False)
     del content["torch_rng"]
     torch.save(content, file)
-    with pytest.raises(ConfigError, match=r"is of another version \('torch_rng'\); delete it to begin again"):
+    with pytest.raises(ConfigError, match=r"is from another version \('torch_rng'\); delete it to start anew"):
         GogglesTraining(tmp_path, SETTINGS)

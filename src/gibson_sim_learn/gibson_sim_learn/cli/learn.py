@@ -18,9 +18,9 @@ from gibson_sim.errors import ConfigError
 from gibson_sim_learn.filler.settings import EvaluationSettings, PairsSettings, TrainingSettings
 
 _NEEDED = ("torch", "onnx", "onnxruntime")
-"""Packages of the extra ``learn`` that a training cannot do without."""
+"""Packages of the extra ``learn`` that a training needs."""
 _PERIOD_S = 30.0
-"""Wall time between two lines where no terminal shows a bar, seconds."""
+"""Wall time between two lines of progress if the output is not a terminal, seconds."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -100,48 +100,48 @@ def _add_filler(kinds: Any) -> None:
         ("iterations", "batch", "crop", "learning_rate", "weight_decay", "evaluate_every", "seed"),
     )
     train.set_defaults(run=run_filler_training)
-    judged = steps.add_parser(
+    evaluate = steps.add_parser(
         "evaluate",
         parents=[folder],
         help="compare a network with fillers that need no training",
         description="Evaluates in the held-out scenes; to choose parameters, use --validation.",
     )
-    judged.add_argument("--model", type=Path, metavar="FILE", help="the network (default: training/filler.onnx of the folder)")
-    judged.add_argument("--validation", action="store_true", help="evaluate in the validation scenes")
-    add_settings(judged, EvaluationSettings, ("every", "drive", "seed"))
-    judged.add_argument(
+    evaluate.add_argument("--model", type=Path, metavar="FILE", help="the network (default: training/filler.onnx of the folder)")
+    evaluate.add_argument("--validation", action="store_true", help="evaluate in the validation scenes")
+    add_settings(evaluate, EvaluationSettings, ("every", "drive", "seed"))
+    evaluate.add_argument(
         "--sheet", type=Path, metavar="FILE", help="contact sheet of examples: scan, push-pull, network, ground truth"
     )
-    judged.add_argument("--report", type=Path, metavar="FILE", help="write the metrics as JSON")
-    judged.set_defaults(run=run_filler_evaluation)
+    evaluate.add_argument("--report", type=Path, metavar="FILE", help="write the metrics as JSON")
+    evaluate.set_defaults(run=run_filler_evaluation)
 
 
 @quiet()
 def run(args: argparse.Namespace) -> int:
-    """Trains, and prints where the network is."""
+    """Trains, and prints the path of the network."""
     from gibson_sim_learn.path_following.settings import load_settings
 
     settings = load_settings(args.config, args.seed)
     require_learning()
     from gibson_sim_learn.path_following.pipeline import learn
 
-    with _progress() as tell:
-        learned = learn(args.folder, settings, tell)
+    with _progress() as progress:
+        learned = learn(args.folder, settings, progress)
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; curve: {args.folder / 'curve.png'}")
     return 0
 
 
 @quiet()
 def run_goggles(args: argparse.Namespace) -> int:
-    """Trains Goggles, and prints how near they bring images to the simulator's, and where the network is."""
+    """Trains Goggles, and prints the metrics and the path of the network."""
     from gibson_sim_learn.goggles.settings import GogglesSettings
 
     settings = GogglesSettings(seed=args.seed, **({} if args.iterations is None else {"iterations": args.iterations}))
     require_learning()
     from gibson_sim_learn.goggles.pipeline import learn
 
-    with _progress() as tell:
-        learned = learn(args.folder, settings, tell)
+    with _progress() as progress:
+        learned = learn(args.folder, settings, progress)
     print("\n".join(learned.scores))
     print(f"{learned.model}: {learned.size / 1e6:.1f} MB; card: {learned.card}; examples: {args.folder / 'sheet.png'}")
     return 0
@@ -149,25 +149,25 @@ def run_goggles(args: argparse.Namespace) -> int:
 
 @quiet()
 def run_filler_pairs(args: argparse.Namespace) -> int:
-    """Draws pairs for the filler, and prints where they are."""
+    """Renders training pairs of the filler, and prints their path."""
     from gibson_sim_learn.filler.pipeline import PAIRS, SCENES, make_all_pairs
 
     settings = settings_from_args(PairsSettings, args)
-    with _progress() as tell:
-        make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), tell)
+    with _progress() as progress:
+        make_all_pairs(args.folder, settings, SCENES if args.scenes is None else args.scenes.split(","), progress)
     print(f"{args.folder / PAIRS} holds the pairs; next: gibson-sim learn filler train --folder {args.folder}")
     return 0
 
 
 @quiet()
 def run_filler_training(args: argparse.Namespace) -> int:
-    """Trains the filler, and prints what it reaches and where it is."""
+    """Trains the filler, and prints its metrics and the path of the network."""
     settings = settings_from_args(TrainingSettings, args)
     require_learning()
     from gibson_sim_learn.filler.pipeline import train
 
-    with _progress() as tell:
-        trained = train(args.folder, settings, tell)
+    with _progress() as progress:
+        trained = train(args.folder, settings, progress)
     print(trained.summary)
     print(f"{trained.model}: {trained.size / 1e6:.1f} MB; card: {trained.card}; curve: {trained.card.with_name('curve.png')}")
     return 0
@@ -181,14 +181,14 @@ def run_filler_evaluation(args: argparse.Namespace) -> int:
 
     settings = settings_from_args(EvaluationSettings, args)
     model = args.folder / TRAINED / MODEL if args.model is None else args.model
-    with _progress() as tell:
+    with _progress() as progress:
         found = evaluate(
             args.folder,
             VALIDATION if args.validation else HELD_OUT,
             model,
             settings,
             sheet_file=args.sheet,
-            progress=tell,
+            progress=progress,
         )
     print("\n".join(found.lines))
     write_json(args.report, found.values)
@@ -199,7 +199,7 @@ def require_learning() -> None:
     """Checks that the packages that a training needs are installed.
 
     Raises:
-        ConfigError: one is not.
+        ConfigError: a package is missing.
     """
     for name in _NEEDED:
         if importlib.util.find_spec(name) is None:
@@ -208,23 +208,23 @@ def require_learning() -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """Yields what tells how it goes, and clears its line at the end."""
+    """Yields a function that shows a line of progress; clears the line at the end."""
     try:
-        yield _Progress(CONSOLE).tell
+        yield _Progress(CONSOLE).show
     finally:
         CONSOLE.status("")
 
 
 class _Progress:
-    """One line that is rewritten on a terminal; elsewhere a line now and then."""
+    """Rewrites one status line on a terminal; otherwise writes at most one line per ``_PERIOD_S``."""
 
     def __init__(self, console: Console) -> None:
-        self._console, self._told = console, -_PERIOD_S
+        self._console, self._last_written_s = console, -_PERIOD_S
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         now = time.monotonic()
         if self._console.is_terminal:
             self._console.status(text)
-        elif now - self._told >= _PERIOD_S:
-            self._told = now
+        elif now - self._last_written_s >= _PERIOD_S:
+            self._last_written_s = now
             self._console.write(text)

@@ -20,7 +20,7 @@ from gibson_sim_learn.filler.network import FillerNetwork
 from gibson_sim_learn.filler.pairs import Pairs, depth_of, is_hole, normals_of
 from gibson_sim_learn.filler.scoring import Score, Scoring
 from gibson_sim_learn.filler.settings import TrainingSettings
-from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
+from gibson_sim_learn.training import CurvePoint, OptimiserSettings, Progress, Training
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -78,15 +78,15 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
             ConfigError: the checkpoint in the folder is of other settings or pairs, or cannot be read.
         """
         self.settings, self.data = settings, data
-        descent = Descent(
+        optimiser = OptimiserSettings(
             settings.seed,
             settings.learning_rate,
             settings.weight_decay,
             warm_up=200,
-            longest=1.0,
+            max_gradient_norm=1.0,
             evaluate_every=settings.evaluate_every,
         )
-        super().__init__(folder, asdict(settings), descent, FillerNetwork)
+        super().__init__(folder, asdict(settings), optimiser, FillerNetwork)
         self.mean = copy.deepcopy(self.network)
         """The mean of the weights of the last steps."""
         self.best = copy.deepcopy(self.network)
@@ -129,7 +129,7 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
 
     def fill(self, values: F32) -> U8:
         """Returns an image (H, W, 3) of an input (1, 9, H, W)."""
-        with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
+        with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
             found = self.mean(torch.from_numpy(values).contiguous(memory_format=torch.channels_last))
         image = found.float()[0].permute(1, 2, 0).clamp(0.0, 1.0).mul(255.0).round()
         return np.asarray(image.to(torch.uint8).numpy())
@@ -146,17 +146,17 @@ class FillerTraining(Training[FillerNetwork, FillerPoint]):
 
     def _loss(self, values: F32, truth: F32) -> Tensor:
         inputs = torch.from_numpy(values).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
             found = self.network(inputs)
         return loss_of(found.float(), torch.from_numpy(truth), inputs[:, 7:8])
 
-    def _descend(self, loss: Tensor) -> float:
-        told = super()._descend(loss)
+    def _optimiser_step(self, loss: Tensor) -> float:
+        value = super()._optimiser_step(loss)
         share = min(_MEAN, (1.0 + self.iteration) / (10.0 + self.iteration))
         with torch.no_grad():
             for mean, new in zip(self.mean.parameters(), self.network.parameters(), strict=True):
                 mean.lerp_(new, 1.0 - share)
-        return told
+        return value
 
     def _summary(self, point: FillerPoint) -> str:
         return f"holes {point.hole_psnr:.2f} dB, seen {point.seen_psnr:.2f} dB, GMSD {point.gmsd:.4f}"

@@ -1,1 +1,1 @@
-"""Goggles: a network that brings a camera's images to the look of the simulator. What runs it on a robot is ``gibson_path_following.goggles``."""
+"""Goggles: a network that adapts a camera's images to the simulator's appearance. ``gibson_path_following.goggles`` runs it on a robot."""

@@ -1,7 +1,7 @@
-"""Writes trained Goggles as ONNX, and their card. Needs PyTorch and onnx.
+"""Writes trained Goggles as ONNX, and their model card. Needs PyTorch and onnx.
 
-Inputs: ``image`` (1, H, W, 3), uint8, RGB, H and W even, and ``small`` (1, 64, 96, 3), the same image, smaller. Output: ``brought``
-(1, H, W, 3), uint8, RGB.
+Inputs: ``image`` (1, H, W, 3), uint8, sRGB, H and W even, and ``small`` (1, 64, 96, 3), uint8, its thumbnail. Output: ``brought``
+(1, H, W, 3), uint8, sRGB, the adapted image.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from gibson_sim.writing import write_file
 from gibson_sim_learn.goggles.network import SMALL, GogglesNetwork, parameter_count
-from gibson_sim_learn.goggles.pairs import DRAWN_FROM
+from gibson_sim_learn.goggles.pairs import TRAINING_DOMAINS
 from gibson_sim_learn.goggles.settings import GogglesSettings, as_dict
 from gibson_sim_learn.goggles.training import GogglesPoint
 from gibson_sim_learn.path_following.split import HELD_OUT, TRAINING, VALIDATION
@@ -61,27 +61,27 @@ def write_card(
     pairs: int,
     scores: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Writes the card of a network, Markdown.
+    """Writes the model card of a network, Markdown.
 
     Args:
-        file: where.
-        settings: of the training.
+        file: path of the card.
+        settings: settings of the training.
         network: the network.
-        point: the last point of its curve.
-        pairs: number of pairs that it was trained on.
-        scores: pairs, as domain and size -> name of what brings images to the simulator's look -> how near that is.
+        point: the last point of its training curve.
+        pairs: number of training pairs.
+        scores: evaluation set, as domain and size -> method -> its metrics.
     """
     lines = [
-        "# Card of Goggles",
+        "# Model card of Goggles",
         "",
-        "- **What for**: bringing images of a pinhole camera, indoors, to the look of Gibson Sim's own images: exposure, white balance, light, "
-        "vignette.",
-        "- **Not for**: noise and blur, which hardly change, "
-        "seeing in the dark, colours that must be true, other lenses; what a clipped or black pixel showed is invented.",
+        "- **Intended use**: adapting indoor images of a pinhole camera to the appearance of Gibson Sim's images: exposure, white balance, lighting, "
+        "vignetting.",
+        "- **Not intended for**: noise and blur, which hardly change; images in the dark, true colours, other camera models; the content of clipped "
+        "or black pixels is invented.",
         f"- **Size**: {parameter_count(network)} weights, float32.",
-        f"- **Trained in**: {', '.join(TRAINING)}, light and cameras of the domains {', '.join(f'`{name}`' for name in DRAWN_FROM)}. "
-        f"**Validated in**: {', '.join(VALIDATION)}. **Never seen**: {', '.join(HELD_OUT)}.",
-        f"- **Data**: {pairs} pairs of 96x64 pixels; drawn by Gibson Sim, no photograph of the world.",
+        f"- **Training scenes**: {', '.join(TRAINING)}, lighting and cameras of the domains {', '.join(f'`{name}`' for name in TRAINING_DOMAINS)}. "
+        f"**Validation scenes**: {', '.join(VALIDATION)}. **Held out**: {', '.join(HELD_OUT)}.",
+        f"- **Data**: {pairs} pairs of 96x64 pixels; rendered by Gibson Sim, no photographs.",
         f"- **Command**: `gibson-sim learn goggles --seed {settings.seed} --iterations {settings.iterations}`",
         f"- **Training**: {point.iteration} iterations, {point.processor_s / 60.0:.0f} minutes of processor time.",
         "- **Settings**: " + ", ".join(f"{name} {value}" for name, value in as_dict(settings).items()),
@@ -93,7 +93,7 @@ def write_card(
 
 
 def score_table(scores: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Returns the lines of a Markdown table; ``scores`` as of ``write_card``."""
+    """Returns the lines of a Markdown table; for ``scores`` see ``write_card``."""
     rows = dict.fromkeys(name for column in scores.values() for name in column)
     return [
         f"| on the validation scenes | {' | '.join(f'`{domain}`' for domain in scores)} |",
@@ -103,12 +103,12 @@ def score_table(scores: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 class _Exported(nn.Module):
-    """The network with images of 8 bits on both sides."""
+    """The network with uint8 images as input and output."""
 
     def __init__(self, network: GogglesNetwork) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, image: Tensor, small: Tensor) -> Tensor:
-        brought = self.network(image, small).permute(0, 2, 3, 1)
-        return (brought.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)
+        adapted = self.network(image, small).permute(0, 2, 3, 1)
+        return (adapted.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8)

@@ -1,8 +1,8 @@
-"""The network of Goggles: gains of the colours from a small copy of the image, and a small residual for noise and blur.
+"""The network of Goggles: low-resolution maps of colour gains, as in bilateral-grid networks, and a full-resolution residual.
 
-Most of what a light or a camera does to an image is a factor on each colour that changes slowly over the image, and with what is seen.
-So the network looks at a copy of 96x64 pixels, yields a few maps of such factors, and chooses among them for each pixel by what is around
-it. That takes images of any size; two more layers then mend what is left.
+The effect of lighting and camera on an image is mostly a gain per colour channel that varies slowly over the image, and with its content.
+The network predicts a few gain maps from a thumbnail of 96x64 pixels, and blends them at each pixel with softmax weights from its
+neighbourhood. It takes images of any even size; a shallow residual branch corrects noise and blur.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 SMALL = (64, 96)
-"""Height and width of the small copy, pixels."""
+"""Height and width of the thumbnail, pixels."""
 _MAPS = 4
-"""Maps of gains that are chosen among."""
+"""Number of gain maps."""
 _DETAIL = 24
-"""Channels of the layers that see every pixel."""
+"""Channels of the full-resolution layers."""
 _LEAK = 0.1
-"""Slope below 0 of the layers that see every pixel: nothing normalises them, and with none a whole layer died."""
-_LARGEST_GAIN = 3.0
-"""Natural logarithm of the largest factor on a colour as it is in the file (not linear)."""
+"""Negative slope of the leaky ReLU of the full-resolution layers: without batch normalization, all units of a layer with ReLU died."""
+_MAX_LOG_GAIN = 3.0
+"""Largest natural logarithm of a gain, applied to sRGB values (not linear)."""
 
 
 class GogglesNetwork(nn.Module):
-    """Takes images of any even size."""
+    """Adapts images of any even size."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,43 +42,43 @@ class GogglesNetwork(nn.Module):
             nn.LeakyReLU(_LEAK),
             nn.Conv2d(_DETAIL, 12, 3, padding=1),
         )
-        # Untrained, it returns its input.
+        # The untrained network is the identity.
         for last in (self.maps[-1], self.residual[-1]):
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
 
     def forward(self, image: Tensor, small: Tensor) -> Tensor:
-        """Returns images (B, 3, H, W) in the simulator's look, 0 to 1, of images (B, H, W, 3), uint8 or float to 255, RGB.
+        """Returns adapted images, (B, 3, H, W) float32, sRGB, about 0 to 1, not clipped.
 
         Args:
-            image: H and W even.
-            small: (B, 64, 96, 3), the same, smaller.
+            image: (B, H, W, 3), uint8 or float, sRGB, 0 to 255; H and W are even.
+            small: (B, 64, 96, 3), thumbnails of the same images.
         """
-        maps = self._gains(_planes(small))
-        # Four pixels become channels of one: half the places, twice the reach.
-        pixels = functional.pixel_unshuffle(_planes(image), 2)
-        seen = self.detail(pixels)
-        choice = self.choice(seen)
-        spread = functional.interpolate(maps, size=pixels.shape[2:], mode="bilinear", align_corners=False)
-        # (B, 4, h, w) for each map: one number for each of the four pixels.
-        shares = torch.softmax(torch.stack(choice.split(4, dim=1)), dim=0)
-        gain = sum(
-            share.repeat(1, 3, 1, 1) * part.repeat_interleave(4, dim=1)
-            for share, part in zip(shares, spread.split(3, dim=1), strict=True)
+        maps = self._log_gains(_to_nchw(small))
+        # 2x2 pixels become channels of one: half the resolution, twice the receptive field.
+        pixels = functional.pixel_unshuffle(_to_nchw(image), 2)
+        features = self.detail(pixels)
+        choice = self.choice(features)
+        upsampled = functional.interpolate(maps, size=pixels.shape[2:], mode="bilinear", align_corners=False)
+        # (maps, B, 4, h, w): blend weights of the four pixels.
+        weights = torch.softmax(torch.stack(choice.split(4, dim=1)), dim=0)
+        blended = sum(
+            weight.repeat(1, 3, 1, 1) * log_gain.repeat_interleave(4, dim=1)
+            for weight, log_gain in zip(weights, upsampled.split(3, dim=1), strict=True)
         )
-        lit = pixels * torch.exp(gain)
-        mended: Tensor = functional.pixel_shuffle(lit + self.residual(torch.cat([seen, lit], dim=1)), 2)
-        return mended
+        relit = pixels * torch.exp(blended)
+        adapted: Tensor = functional.pixel_shuffle(relit + self.residual(torch.cat([features, relit], dim=1)), 2)
+        return adapted
 
-    def _gains(self, small: Tensor) -> Tensor:
-        """Returns (B, 3 maps, 16, 24): logarithms of factors on red, green, blue."""
+    def _log_gains(self, small: Tensor) -> Tensor:
+        """Returns (B, 3 * maps, 16, 24): natural logarithms of the gains of red, green and blue."""
         mean = small.mean(dim=(2, 3))
         deviation = ((small - mean[:, :, None, None]) ** 2).mean(dim=(2, 3)).sqrt()
         near = self.stem(small)
         far = self.deep(near)
         whole = self.whole(torch.cat([far.mean(dim=(2, 3)), mean, deviation], dim=1))
         wide = functional.interpolate(self.back(far + whole[:, :, None, None]), scale_factor=2.0, mode="bilinear")
-        return _LARGEST_GAIN * torch.tanh(self.maps(near + wide))
+        return _MAX_LOG_GAIN * torch.tanh(self.maps(near + wide))
 
 
 def parameter_count(network: nn.Module) -> int:
@@ -87,7 +87,7 @@ def parameter_count(network: nn.Module) -> int:
 
 
 class _Residual(nn.Module):
-    """Two layers whose output is added to their input."""
+    """A residual block of two convolutions."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -97,12 +97,13 @@ class _Residual(nn.Module):
         return functional.relu(x + self.layers(x))
 
 
-def _planes(image: Tensor) -> Tensor:
-    """Returns (B, 3, H, W), 0 to 1, of images (B, H, W, 3), 0 to 255."""
+def _to_nchw(image: Tensor) -> Tensor:
+    """Returns images (B, H, W, 3), 0 to 255, as (B, 3, H, W), 0 to 1."""
     return image.permute(0, 3, 1, 2).to(torch.float32) * (1.0 / 255.0)
 
 
 def _convolution(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1, active: bool = True) -> nn.Sequential:
+    """Returns convolution, batch normalization and, if ``active``, ReLU."""
     layers: list[nn.Module] = [
         nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
         nn.BatchNorm2d(outputs),

@@ -1,8 +1,8 @@
-"""Pairs of images to learn Goggles from: what another camera sees in another light, and the simulator's own image of the same view.
+"""Training pairs of Goggles: a view with random lighting and camera, and the simulator's own image of the same view.
 
-A *shard* is one folder of memory-mapped arrays of one scene. Everything is drawn from the seed, the scene and the number of the shard: an
-interrupted run goes on with the shards that are missing, and equal seeds give equal pairs. Both images of a pair have the same pose and
-the same lens: what Goggles change is light, exposure, colours, noise and sharpness, not where things are in the image.
+A *shard* is one folder of memory-mapped arrays from one scene. All random numbers come from the seed, the scene and the number of the shard:
+an interrupted run resumes with the missing shards, and equal seeds give equal pairs. Both images of a pair have the same pose and
+intrinsics: Goggles change lighting, exposure, colours, noise and sharpness, not geometry.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from gibson_sim_learn.path_following.photometry import photographed, relit_linea
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
-DRAWN_FROM = ("light", "lens_exposure", "reality")
-"""Domains whose light and camera the pairs of training are drawn from, each equally likely."""
+TRAINING_DOMAINS = ("light", "lens_exposure", "reality")
+"""Domains from which lighting and camera of the training pairs are sampled, with equal probability."""
 LENS = domain_of("reality")
-"""Domain that the lens of a view is drawn from: field of view, height, tilt."""
+"""Domain from which the intrinsics and mounting of a view are sampled: field of view, height, tilt."""
 VIEWS = 250
-"""Views of a shard."""
-_THINGS = 6
-"""Random things that are put into a scene, at most."""
-_TOGETHER = 16
-"""Images that are drawn side by side."""
+"""Views per shard."""
+_MAX_OBJECTS = 6
+"""Maximum number of random objects that are placed in a scene."""
+_BATCH = 16
+"""Images per call of the renderer."""
 _RECOLOURED = Rules(
     {"*": ClassRules(hue=(-0.15, 0.15), saturation=(0.5, 1.5), value=(0.6, 1.3), texture=TextureRules(chance=0.15))}
 )
@@ -63,9 +63,9 @@ class Pairs:
     """The pairs of one shard; arrays may be memory-mapped."""
 
     clean: U8
-    """(N, H, W, 3), RGB: the simulator's own images."""
+    """(N, H, W, 3), sRGB: the simulator's own images."""
     seen: U8
-    """(N, K, H, W, 3): the same views in other light, by other cameras."""
+    """(N, K, H, W, 3), sRGB: the same views with K random lightings and cameras."""
 
 
 def shard_name(scene: str, number: int) -> str:
@@ -74,7 +74,7 @@ def shard_name(scene: str, number: int) -> str:
 
 
 def is_original(number: int) -> bool:
-    """Returns whether a shard of training has the colours of its scene."""
+    """Returns whether a training shard has the original colours of its scene."""
     return number % 2 == 0
 
 
@@ -86,22 +86,22 @@ def make_pairs(
     *,
     views: int = VIEWS,
     shots: int = 4,
-    domains: Sequence[str] = DRAWN_FROM,
+    domains: Sequence[str] = TRAINING_DOMAINS,
     recoloured: bool = True,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Draws the shards that are missing.
+    """Renders the missing shards.
 
     Args:
-        folder: where they are put.
+        folder: folder of the shards.
         scenes: names of the scenes.
-        count: shards of each scene.
-        seed: of all that is drawn.
-        views: views of a shard.
-        shots: lights and cameras in which each view is seen.
-        domains: that these are drawn from.
-        recoloured: whether shards that are not ``is_original`` have other colours and textures than their scene.
+        count: number of shards per scene.
+        seed: random seed.
+        views: number of views per shard.
+        shots: number of augmentations per view: lighting and camera.
+        domains: domains from which lighting and camera are sampled.
+        recoloured: whether shards that are not ``is_original`` have randomised colours and textures.
         size: width and height of an image, pixels.
         progress: called with one line before each shard.
     """
@@ -113,7 +113,7 @@ def make_pairs(
             worlds[scene] = World.load(scene)
         save_pairs(
             folder / shard_name(scene, number),
-            draw_pairs(
+            render_pairs(
                 worlds[scene],
                 seed,
                 number,
@@ -130,7 +130,7 @@ def load_pairs(folder: Path) -> list[Pairs]:
     """Returns the shards of a folder, in the order of their names, memory-mapped.
 
     Raises:
-        ConfigError: one cannot be read, or there is none.
+        ConfigError: a shard cannot be read, or there is none.
     """
     shards = sorted(path for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
     if not shards:
@@ -148,31 +148,31 @@ def load_shard(folder: Path) -> Pairs:
 
 
 def save_pairs(folder: Path, pairs: Pairs) -> None:
-    """Writes a shard; the folder is there whole or not at all."""
+    """Writes a shard atomically."""
     save_arrays(folder, {name: getattr(pairs, name) for name in ("clean", "seen")})
 
 
-def draw_pairs(
+def render_pairs(
     world: World,
     seed: int,
     number: int,
     *,
     views: int = VIEWS,
     shots: int = 4,
-    domains: Sequence[str] = DRAWN_FROM,
+    domains: Sequence[str] = TRAINING_DOMAINS,
     recolour: bool = False,
     size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> Pairs:
-    """Returns a shard; equal arguments give equal pairs. Arguments as of ``make_pairs``.
+    """Returns a shard; equal arguments give equal pairs.
 
     Args:
-        world: the scene.
-        seed: of all that is drawn.
-        number: of the shard.
-        views: images of the simulator.
-        shots: lights and cameras in which each of them is seen.
-        domains: that these are drawn from.
-        recolour: whether the scene gets other colours and textures.
+        world: scene and its floor map.
+        seed: random seed.
+        number: number of the shard.
+        views: number of views.
+        shots: number of augmentations per view: lighting and camera.
+        domains: domains from which lighting and camera are sampled.
+        recolour: whether colours and textures of the scene are randomised.
         size: width and height of an image, pixels.
     """
     rng = shard_rng(f"goggles {seed} {world.scene.name} {number}")
@@ -180,17 +180,23 @@ def draw_pairs(
     width, height = size
     clean = np.empty((views, height, width, 3), np.uint8)
     seen = np.empty((views, shots, height, width, 3), np.uint8)
-    for k, frame in enumerate(_drawn(world, rng, poses, recolour, size)):
+    for k, frame in enumerate(_rendered(world, rng, poses, recolour, size)):
         assert frame.rgb is not None
         clean[k] = frame.rgb
         for shot in range(shots):
             conditions = draw(domain_of(domains[int(rng.integers(len(domains)))]), rng)
-            seen[k, shot] = as_seen(frame, conditions, rng)
+            seen[k, shot] = simulate_camera(frame, conditions, rng)
     return Pairs(clean, seen)
 
 
-def as_seen(frame: Frame, conditions: Conditions, rng: np.random.Generator) -> U8:
-    """Returns a frame, with normals and positions, as a camera sees it in a light; ``rng`` is of the noise."""
+def simulate_camera(frame: Frame, conditions: Conditions, rng: np.random.Generator) -> U8:
+    """Returns a frame, which has ``normal_world`` and ``position``, under other lighting and by another camera: (H, W, 3), sRGB.
+
+    Args:
+        frame: the simulator's image.
+        conditions: lighting and photometry of the camera.
+        rng: for the image noise.
+    """
     assert frame.rgb is not None and frame.normal_world is not None and frame.position is not None
     x, y, z = frame.T_world_camera[:3, 3].tolist()
     linear = relit_linear(frame.rgb, frame.normal_world, frame.position, (x, y, z), conditions.light)
@@ -198,22 +204,22 @@ def as_seen(frame: Frame, conditions: Conditions, rng: np.random.Generator) -> U
 
 
 def _poses(world: World, rng: np.random.Generator, count: int) -> F64:
-    """Returns (count, 3), poses of cameras: two of three on drives through the scene, the others anywhere; metres and radians."""
+    """Returns camera poses (count, 3), x, y, yaw in metres and radians: two thirds on paths through the scene, the rest at random free poses."""
     planner = PathPlanner(world.coarse, ROBOT_RADIUS + 0.08)
-    drives = np.concatenate([draw_path(world.coarse, planner, rng, DataSettings()) for _ in range(6)])
-    on_drives = drives[rng.integers(0, len(drives), 2 * count // 3)]
-    on_drives = on_drives + rng.normal(0.0, (0.05, 0.05, 0.3), on_drives.shape)
-    free = random_free_poses(world.coarse, count - len(on_drives), rng, clearance=ROBOT_RADIUS)
+    paths = np.concatenate([draw_path(world.coarse, planner, rng, DataSettings()) for _ in range(6)])
+    on_paths = paths[rng.integers(0, len(paths), 2 * count // 3)]
+    on_paths = on_paths + rng.normal(0.0, (0.05, 0.05, 0.3), on_paths.shape)
+    free = random_free_poses(world.coarse, count - len(on_paths), rng, clearance=ROBOT_RADIUS)
     anywhere = np.array([(*pose.position[:2], rng.uniform(-math.pi, math.pi)) for pose in free])
-    return rng.permutation(camera_poses(np.concatenate([on_drives, anywhere]), CAMERA_AHEAD))
+    return rng.permutation(camera_poses(np.concatenate([on_paths, anywhere]), CAMERA_AHEAD))
 
 
-def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool, size: tuple[int, int]) -> Iterator[Frame]:
-    """Yields a frame for each pose, in the scene with random things in it."""
+def _rendered(world: World, rng: np.random.Generator, poses: F64, recolour: bool, size: tuple[int, int]) -> Iterator[Frame]:
+    """Yields a frame for each pose, in the scene with random objects."""
     floor_z = world.scene.floor_z
-    places = random_free_poses(world.coarse, int(rng.integers(_THINGS + 1)), rng, clearance=0.25)
-    things = tuple(item_body(random_object(rng, f"thing_{k}", *pose.position)) for k, pose in enumerate(places))
-    bodies = (*world.scene.bodies, *things)
+    object_poses = random_free_poses(world.coarse, int(rng.integers(_MAX_OBJECTS + 1)), rng, clearance=0.25)
+    objects = tuple(item_body(random_object(rng, f"thing_{k}", *pose.position)) for k, pose in enumerate(object_poses))
+    bodies = (*world.scene.bodies, *objects)
     links = tuple(f"{body.name}/{link}" for body in bodies for link in body.links)
     scene = drawn_scene(replace(world.scene, bodies=bodies), links)
     if recolour:
@@ -225,12 +231,12 @@ def _drawn(world: World, rng: np.random.Generator, poses: F64, recolour: bool, s
     ]
     with Renderer(scene, cache=None if recolour else default_folder()) as renderer:
         state = _standing(scene, bodies)
-        for first in range(0, len(specs), _TOGETHER):
-            yield from renderer.render(state, specs[first : first + _TOGETHER])
+        for first in range(0, len(specs), _BATCH):
+            yield from renderer.render(state, specs[first : first + _BATCH])
 
 
 def _standing(scene: DrawnScene, bodies: Sequence[BodySpec]) -> SceneState:
-    """Returns the state in which all bodies stand where they are at load."""
+    """Returns the scene state at load."""
     transforms = [(body, link_transforms(body)) for body in bodies]
     poses = [pose_from_matrix(matrices[link]) for body, matrices in transforms for link in body.links]
     return replace(

@@ -1,4 +1,4 @@
-"""The whole training of Goggles by one call: pairs, network, ONNX, look of the simulator, card, examples. Needs PyTorch and onnx."""
+"""The complete training pipeline of Goggles: pairs, network, ONNX file, colour reference, model card, examples. Needs PyTorch and onnx."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from gibson_sim_learn.goggles.training import GogglesPoint, GogglesTraining
 from gibson_sim_learn.path_following.drawing import HEIGHT, WIDTH
 from gibson_sim_learn.path_following.split import TRAINING, VALIDATION
 
-MODEL, CARD, LOOK, SHEET = "goggles.onnx", "goggles.md", "simulator_look.csv", "sheet.png"
-"""Files of a training's folder: the network, its card, how often each level is in the simulator's images, and examples."""
+MODEL, CARD, REFERENCE, SHEET = "goggles.onnx", "goggles.md", "simulator_look.csv", "sheet.png"
+"""Files in the folder of a training: network, model card, colour reference (histograms of the simulator's images), contact sheet."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
-    """Pairs of the validation scenes."""
+class _EvaluationSet:
+    """Pairs of the validation scenes in one domain."""
 
     domain: str
     views: int = VIEWS
@@ -40,110 +40,115 @@ class _Judged:
     size: tuple[int, int] = (WIDTH, HEIGHT)
     """Width and height of an image, pixels."""
     every: int = 4
-    """One of so many views is scored."""
+    """Stride of the views that are scored."""
 
     @property
     def name(self) -> str:
         return f"{self.domain}-{self.size[0]}x{self.size[1]}"
 
 
-CHOSEN_BY = _Judged("development")
-"""What the curve is measured in, and parameters are chosen by."""
-JUDGED_IN = (CHOSEN_BY, _Judged("reality"), _Judged("reality", views=12, shots=1, size=(640, 480), every=1))
-"""What the card has scores of."""
+VALIDATION_SET = _EvaluationSet("development")
+"""Pairs for the training curve and for the choice of hyperparameters."""
+EVALUATION_SETS = (
+    VALIDATION_SET,
+    _EvaluationSet("reality"),
+    _EvaluationSet("reality", views=12, shots=1, size=(640, 480), every=1),
+)
+"""Pairs for the metrics of the model card."""
 _ROWS = 10
-"""Rows of the sheet."""
+"""Rows of the contact sheet."""
 
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What a training left."""
+    """Files and metrics of a training."""
 
     model: Path
     card: Path
     point: GogglesPoint
     size: int
-    """Of the model, bytes."""
+    """Size of the network's file, bytes."""
     scores: Sequence[str]
     """A Markdown table, line by line."""
 
 
 def learn(folder: Path, settings: GogglesSettings, progress: Callable[[str], None] = lambda text: None) -> Learned:
-    """Trains in a folder, or goes on there, and writes the network.
+    """Trains in a folder, or resumes there, and writes the network.
 
     Args:
-        folder: pairs, checkpoint, curve, network, look, card and sheet are put here.
-        settings: the configuration.
-        progress: called with one line now and then.
+        folder: folder of pairs, checkpoint, curve, network, colour reference, card and contact sheet.
+        settings: settings of the training.
+        progress: called with one line of progress.
 
     Raises:
-        GibsonSimError: nothing can be drawn here, or the folder holds another training.
+        GibsonSimError: there is no OpenGL device, or the folder holds another training.
     """
-    training, drawn = GogglesTraining(folder, settings), folder / "pairs"
-    make_pairs(drawn / "training", TRAINING, settings.shards, settings.seed, shots=settings.shots, progress=progress)
-    chosen_by = _drawn(CHOSEN_BY, drawn, settings.seed, progress)
-    data = load_pairs(drawn / "training")
-    training.run(data, chosen_by, progress)
+    training, pairs = GogglesTraining(folder, settings), folder / "pairs"
+    make_pairs(pairs / "training", TRAINING, settings.shards, settings.seed, shots=settings.shots, progress=progress)
+    validation = _evaluation_pairs(VALIDATION_SET, pairs, settings.seed, progress)
+    data = load_pairs(pairs / "training")
+    training.run(data, validation, progress)
     size = export_network(training.network, folder / MODEL)
     originals = [
-        load_shard(drawn / "training" / shard_name(scene, number))
+        load_shard(pairs / "training" / shard_name(scene, number))
         for number in range(settings.shards)
         for scene in TRAINING
         if is_original(number)
     ]
-    look = ColourReference.of_images(image for part in originals for image in part.clean)
-    write_file(folder / LOOK, look.as_text())
-    ways = ways_of(folder / MODEL, look)
+    reference = ColourReference.of_images(image for part in originals for image in part.clean)
+    write_file(folder / REFERENCE, reference.as_text())
+    methods = goggles_methods(folder / MODEL, reference)
     scores: dict[str, dict[str, str]] = {}
-    for one in JUDGED_IN:
-        judged = _drawn(one, drawn, settings.seed, progress)
+    for one in EVALUATION_SETS:
+        evaluated = _evaluation_pairs(one, pairs, settings.seed, progress)
         progress(f"scores: {one.name}")
-        scores[one.name] = {name: str(score(judged, bring, one.every)) for name, bring in ways.items()}
+        scores[one.name] = {name: str(score(evaluated, adapt, one.every)) for name, adapt in methods.items()}
         for mode in ("grey_world", "histogram"):
-            brought = [
-                score([part], make_goggles(mode, reference=ColourReference.of_images(part.clean)), one.every) for part in judged
+            per_scene = [
+                score([part], make_goggles(mode, reference=ColourReference.of_images(part.clean)), one.every)
+                for part in evaluated
             ]
-            scores[one.name][f"{mode}, the scene's own images as reference"] = str(mean_of(brought))
-    write_picture(folder / SHEET, sheet(chosen_by, ways)[..., ::-1])
+            scores[one.name][f"{mode}, the scene's own images as reference"] = str(mean_of(per_scene))
+    write_picture(folder / SHEET, sheet(validation, methods)[..., ::-1])
     point = training.curve[-1]
     count = sum(part.seen.shape[0] * part.seen.shape[1] for part in data)
     write_card(folder / CARD, settings, training.network, point, count, scores)
     return Learned(folder / MODEL, folder / CARD, point, size, score_table(scores))
 
 
-def ways_of(model: Path, look: ColourReference) -> dict[str, Goggles]:
-    """Returns by name what is compared; ``nothing`` leaves an image as it is."""
+def goggles_methods(model: Path, reference: ColourReference) -> dict[str, Goggles]:
+    """Returns the compared methods by name; ``nothing`` returns the unchanged image."""
     return {
         "nothing": lambda image: image,
-        "grey_world": GreyWorldGoggles(look),
-        "histogram": HistogramGoggles(look),
+        "grey_world": GreyWorldGoggles(reference),
+        "histogram": HistogramGoggles(reference),
         "learned": LearnedGoggles(model),
     }
 
 
-def sheet(pairs: Sequence[Pairs], ways: dict[str, Goggles]) -> U8:
-    """Returns a picture, RGB: in each row a view as seen, by each of the ways, and the simulator's own; evenly chosen from the pairs."""
+def sheet(pairs: Sequence[Pairs], methods: dict[str, Goggles]) -> U8:
+    """Returns a contact sheet, RGB: in each row one view, adapted by each method, and the simulator's image; evenly spaced in the pairs."""
     rows = []
     for k in range(_ROWS):
         part = pairs[k % len(pairs)]
         view = k * len(part.clean) // _ROWS
         seen = np.ascontiguousarray(part.seen[view, 0])
-        rows.append(np.concatenate([*(bring(seen) for bring in ways.values()), part.clean[view]], axis=1))
+        rows.append(np.concatenate([*(adapt(seen) for adapt in methods.values()), part.clean[view]], axis=1))
     return np.concatenate(rows).repeat(2, axis=0).repeat(2, axis=1)
 
 
-def _drawn(judged: _Judged, folder: Path, seed: int, progress: Callable[[str], None]) -> list[Pairs]:
-    """Returns pairs of the validation scenes, which are drawn if they are not there."""
+def _evaluation_pairs(evaluation: _EvaluationSet, folder: Path, seed: int, progress: Callable[[str], None]) -> list[Pairs]:
+    """Returns the pairs of an evaluation set; missing ones are rendered."""
     make_pairs(
-        folder / judged.name,
+        folder / evaluation.name,
         VALIDATION,
         1,
         seed,
-        views=judged.views,
-        shots=judged.shots,
-        domains=(judged.domain,),
+        views=evaluation.views,
+        shots=evaluation.shots,
+        domains=(evaluation.domain,),
         recoloured=False,
-        size=judged.size,
+        size=evaluation.size,
         progress=progress,
     )
-    return load_pairs(folder / judged.name)
+    return load_pairs(folder / evaluation.name)

@@ -1,4 +1,4 @@
-"""How near images are to the simulator's own: PSNR and SSIM, over the pairs of shards."""
+"""Similarity of adapted images to the simulator's: PSNR and SSIM, over the pairs of shards."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from scipy import ndimage
 from gibson_sim_learn.goggles.pairs import U8, Pairs
 
 _SSIM_PX = 1.5
-"""Standard deviation of the window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
+"""Standard deviation of the Gaussian window of SSIM, pixels (Wang et al., IEEE TIP 2004)."""
 _C1, _C2 = (0.01 * 255.0) ** 2, (0.03 * 255.0) ** 2
 _LUMA = np.array([0.299, 0.587, 0.114])
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How near images are to those of the simulator."""
+    """Similarity of images to those of the simulator."""
 
     psnr: float
-    """Mean over the images of their PSNR, dB; of all three colours."""
+    """Mean PSNR of the images over all three channels, dB."""
     ssim: float
-    """Mean of the structural similarity of the luma, 0 to 1."""
+    """Mean structural similarity of the luma, -1 to 1."""
     images: int
 
     def __str__(self) -> str:
         return f"{self.psnr:.2f} dB, SSIM {self.ssim:.3f}"
 
 
-def score(pairs: Sequence[Pairs], bring: Callable[[U8], U8], every: int = 1) -> Score:
-    """Returns how near images are to the simulator's after ``bring``.
+def score(pairs: Sequence[Pairs], adapt: Callable[[U8], U8], every: int = 1) -> Score:
+    """Returns the similarity of adapted images to the simulator's.
 
     Args:
         pairs: shards.
-        bring: returns an image (H, W, 3) of what a camera saw.
-        every: only one of so many images is looked at.
+        adapt: takes a camera's image, (H, W, 3) sRGB, and returns the adapted image.
+        every: stride of the views that are scored.
     """
     found = []
     for part in pairs:
         for k in range(0, len(part.clean), every):
             for seen in part.seen[k]:
-                image = bring(np.ascontiguousarray(seen))
+                image = adapt(np.ascontiguousarray(seen))
                 found.append((psnr(image, part.clean[k]), ssim(image, part.clean[k])))
     means = np.mean(found, axis=0)
     return Score(float(means[0]), float(means[1]), len(found))
@@ -61,7 +61,7 @@ def mean_of(scores: Sequence[Score]) -> Score:
 
 
 def psnr(a: U8, b: U8) -> float:
-    """Returns the peak signal-to-noise ratio of two images, dB; at most 60, so that equal images count as a number."""
+    """Returns the peak signal-to-noise ratio of two images, dB; at most 60, so that the mean stays finite with equal images."""
     error = float(((a.astype(np.float64) - b) ** 2).mean())
     return min(60.0, 10.0 * math.log10(255.0**2 / max(error, 1e-9)))
 

@@ -1,4 +1,4 @@
-"""How much Goggles are trained, and on how much."""
+"""Settings of the training of Goggles."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from gibson_sim.types import check_seed
 
 @dataclass(frozen=True, slots=True)
 class GogglesSettings:
-    """What is drawn, and how long and how the network is trained."""
+    """Settings of pairs, training and optimiser."""
 
     seed: int = 0
-    """Of the pairs, the network and the order of the examples."""
+    """Random seed of the pairs, the initial weights and the sampling."""
     shards: int = 4
     """Shards of each training scene."""
     shots: int = 4
-    """Lights and cameras in which each view is seen."""
+    """Augmentations of each view: random lighting and camera."""
     iterations: int = 3000
-    """Steps of the optimiser."""
+    """Optimiser steps."""
     batch: int = 16
-    """Pairs in a step."""
+    """Pairs per optimiser step."""
     learning_rate: float = 0.002
-    """Largest step size; it rises at the start and falls to 0 along a cosine."""
+    """Learning rate after linear warm-up; it decays to 0 along a cosine."""
     weight_decay: float = 0.01
-    """Of AdamW."""
+    """Weight decay of AdamW."""
     evaluate_every: int = 250
     """Iterations between two points of the curve, and between two checkpoints."""
 
@@ -48,5 +48,5 @@ class GogglesSettings:
 
 
 def as_dict(settings: GogglesSettings) -> dict[str, Any]:
-    """Returns the settings as plain values, for JSON and for comparison."""
+    """Returns the settings as plain values, for JSON and for the checkpoint."""
     return dataclasses.asdict(settings)

@@ -20,7 +20,7 @@ from gibson_sim_learn.path_following.distances.training import miss_rates
 from gibson_sim_learn.path_following.network import Estimate, PathNetwork
 from gibson_sim_learn.path_following.sampling import Batch, Sampler
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
-from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
+from gibson_sim_learn.training import CurvePoint, OptimiserSettings, Progress, Training
 
 _EVALUATION = (320, 3)
 """Numbers of later images, and of recorded ones for each, for a point of the curve."""
@@ -83,16 +83,16 @@ class PathTraining(Training[PathNetwork, PathPoint]):
             ConfigError: the checkpoint in the folder is of other settings, or cannot be read.
         """
         self.settings, self.round = settings, 0
-        descent = Descent(
+        optimiser = OptimiserSettings(
             settings.seed,
             settings.learning_rate,
             settings.weight_decay,
             warm_up=100,
-            longest=5.0,
+            max_gradient_norm=5.0,
             evaluate_every=settings.evaluate_every,
             bfloat16=settings.bfloat16,
         )
-        super().__init__(folder, as_dict(settings), descent, PathNetwork)
+        super().__init__(folder, as_dict(settings), optimiser, PathNetwork)
         self._resume(PathPoint)
 
     @property
@@ -180,7 +180,7 @@ class PathTraining(Training[PathNetwork, PathPoint]):
         return calibrate_offsets(np.concatenate(predicted), np.concatenate(true))
 
     def _loss(self, batch: Batch) -> Tensor:
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
             _, estimate, distances = self._forward(batch)
         return _loss(batch, estimate, distances)
 

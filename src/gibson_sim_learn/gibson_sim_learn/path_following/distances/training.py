@@ -19,7 +19,7 @@ from gibson_sim_learn.path_following.distances.network import DistanceNetwork
 from gibson_sim_learn.path_following.drawing import CAMERA_HEIGHT, HEIGHT, HFOV, WIDTH
 from gibson_sim_learn.path_following.sampling import Sampler, augment_lens
 from gibson_sim_learn.path_following.settings import TrainingSettings, as_dict
-from gibson_sim_learn.training import CurvePoint, Descent, Progress, Training
+from gibson_sim_learn.training import CurvePoint, OptimiserSettings, Progress, Training
 
 _NEAR = 1.0
 """Free distance below which an obstacle is near, metres."""
@@ -70,16 +70,16 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         """
         self.settings = own = settings.distances
         kept = {"seed": settings.seed, "data": as_dict(settings)["data"], **as_dict(settings)["distances"]}
-        descent = Descent(
+        optimiser = OptimiserSettings(
             settings.seed,
             own.learning_rate,
             own.weight_decay,
             warm_up=200,
-            longest=5.0,
+            max_gradient_norm=5.0,
             evaluate_every=1000,
             bfloat16=settings.bfloat16,
         )
-        super().__init__(folder, kept, descent, DistanceNetwork)
+        super().__init__(folder, kept, optimiser, DistanceNetwork)
         self._resume(DistancePoint)
 
     def run(
@@ -146,7 +146,7 @@ class DistanceTraining(Training[DistanceNetwork, DistancePoint]):
         return np.minimum(np.concatenate(found), MAX_FREE)
 
     def _loss(self, images: NDArray[np.uint8], earlier: NDArray[np.uint8], free: NDArray[np.float32]) -> Tensor:
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._half):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._bfloat16):
             logits: Tensor = self.network(torch.from_numpy(images), torch.from_numpy(earlier))
         share = torch.log_softmax(logits.float(), dim=2)
         return -(torch.from_numpy(distance_labels(free)) * share).sum(dim=2).mean()
