@@ -1,4 +1,4 @@
-"""``gibson-sim bench table2``: following paths by images, in simulation, as the paper's Table 2 has it for a real robot."""
+"""``gibson-sim bench table2``: visual path following in simulation; the paper's Table 2 is the same measurement with a real robot."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def add_parser(kinds: Any) -> None:
     """Adds the sub-command."""
     parser = kinds.add_parser(
         "table2",
-        help="following paths by images: success, coverage and collisions of several methods, in simulation, with intervals",
+        help="visual path following in simulation: success, coverage and collisions by method, with confidence intervals",
         description="Runs in lockstep from seeds, in this process or in workers. A second call with the same folder resumes where the first "
-        "ended; with more runs, domains or methods it adds them. Sim-to-sim: nothing here is about a real robot.",
+        "ended; with more runs, domains or methods it adds them. The results are sim-to-sim, without a real robot.",
     )
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="runs of each case, domain and method (default: 100)")
     parser.add_argument("--cases", default="6.6,8.4,12.7", metavar="A,B", help="lengths of paths, metres (default: 6.6,8.4,12.7)")
@@ -60,7 +60,7 @@ def add_parser(kinds: Any) -> None:
         help=f"folder of the runs and the page (default: {DEFAULT_FOLDER})",
     )
     parser.add_argument("--no-strips", action="store_true", help="make no film strips")
-    parser.add_argument("--report-only", action="store_true", help="run nothing; report what is in the folder")
+    parser.add_argument("--report-only", action="store_true", help="run nothing; report the runs in the folder")
     add_workers(parser, "paths")
     add_report_options(parser)
     parser.set_defaults(run=run)
@@ -68,7 +68,7 @@ def add_parser(kinds: Any) -> None:
 
 @quiet()
 def run(args: argparse.Namespace) -> int:
-    """Makes the runs that are missing, prints the report, and writes page, Markdown and JSON into the folder."""
+    """Makes the missing runs, prints the report, and writes page, Markdown and JSON into the folder."""
     from gibson_sim.writing import write_file
     from gibson_sim_bench import timing
     from gibson_sim_bench.path_following.plan import parts_of
