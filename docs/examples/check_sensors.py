@@ -17,7 +17,7 @@ import gibson_sim as gs
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.types import Pose
-from gibson_sim_tools.scanning.clean_scene import solid_triangles
+from gibson_sim_tools.scanning.clean_scene import opaque_triangles
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics
 from gibson_sim_tools.texturing.rasteriser import rasterise
 from gibson_sim_tools.texturing.surface import Surface, split_long_edges
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("scene")
     parser.add_argument("--images", type=int, default=20)
     args = parser.parse_args()
-    vertices, triangles = solid_triangles(gs.load_scene(args.scene))
+    vertices, triangles = opaque_triangles(gs.load_scene(args.scene))
     # Small triangles: the rasteriser drops those that reach behind the camera.
     surface = split_long_edges(Surface(vertices, triangles.astype(np.int64)), 0.1)
     with BagReader(args.bag) as bag:

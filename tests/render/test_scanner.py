@@ -13,8 +13,8 @@ from gibson_sim.cli import main as cli
 from gibson_sim.errors import ConfigError
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.scanning.capture import ScanSettings, scan
-from gibson_sim_tools.scanning.clean_scene import sample_surface, solid_triangles
-from gibson_sim_tools.scanning.comparison import shown_points
+from gibson_sim_tools.scanning.clean_scene import opaque_triangles, sample_surface
+from gibson_sim_tools.scanning.comparison import observed_points
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import Defects, ScanCamera, TourSettings
@@ -66,11 +66,11 @@ def test_a_scan_is_posed_rgbd_that_fits_the_scene(room, clean):
 def test_nearly_everything_is_seen(room, clean):
     folder, plan = clean
     assert plan.coverage >= 0.98
-    surface = sample_surface(*solid_triangles(room), 4000, np.random.default_rng(1))
+    surface = sample_surface(*opaque_triangles(room), 4000, np.random.default_rng(1))
     inside = (
         (np.abs(surface.points[:, :2]) < 1.951).all(axis=1) & (surface.points[:, 2] > -0.001) & (surface.points[:, 2] < 2.001)
     )
-    shown = shown_points(surface, open_posed_rgbd(folder))
+    shown = observed_points(surface, open_posed_rgbd(folder))
     assert shown[inside].mean() > 0.97
     outside = (np.abs(surface.points[:, :2]) > 2.049).any(axis=1)
     assert shown[outside].mean() < 0.01

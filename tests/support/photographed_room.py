@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import quat_from_matrix
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, moved, write_ply
+from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, transformed, write_ply
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
 from support.scans import sheet
 
@@ -88,7 +88,7 @@ def write_rgbd(folder: Path, T_frame_world: F64 = T_FIRST_WORLD) -> Path:
 
 def write_mesh(file: Path, T_frame_world: F64 = T_FIRST_WORLD) -> Path:
     """Writes the mesh of the room in a frame and returns the file."""
-    write_ply(file, moved(room_mesh(), T_frame_world))
+    write_ply(file, transformed(room_mesh(), T_frame_world))
     return file
 
 

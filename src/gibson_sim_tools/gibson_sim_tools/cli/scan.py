@@ -111,9 +111,9 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.scenes.load import load_scene
     from gibson_sim_tools.scanning.coloured_mesh import write_ply
     from gibson_sim_tools.scanning.comparison import compare
-    from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse_scan, open3d
+    from gibson_sim_tools.scanning.fusion import distances_to_mesh, fuse_scan, open3d, selected_frames
     from gibson_sim_tools.scanning.layouts import open_posed_rgbd
-    from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
+    from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
     from gibson_sim_tools.scanning.robot_views import robot_view_holes
 
     output = Path(args.output)
@@ -125,9 +125,9 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         print(f"gibson-sim: {rgbd.folder}: {warning}", file=sys.stderr)
     scene = load_scene(args.compare) if args.compare else None
     settings = settings_from_args(FuseSettings, args)
-    frames = chosen_frames(rgbd, settings)
-    convention, text = agreeing_convention(rgbd, frames, settings.depth_max, args.pose_convention)
-    rgbd = rgbd.with_poses(reread(rgbd.poses, rgbd.layout, convention))
+    frames = selected_frames(rgbd, settings)
+    convention, text = detect_convention(rgbd, frames, settings.depth_max, args.pose_convention)
+    rgbd = rgbd.with_poses(reinterpret_poses(rgbd.poses, rgbd.layout, convention))
     if text:
         print(text)
     named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
@@ -159,7 +159,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         report["view_holes"] = None if holes is None else {**asdict(holes), "share": holes.share}
     if scene is not None:
         with progress_bar("comparing") as progress:
-            found = compare(mesh, rgbd, scene, distances, progress, frames=frames)
+            found = compare(mesh, rgbd, scene, distances_to_mesh, progress, frames=frames)
         report = {**report, **found.as_dict()}
         for name, d in (("mesh to scene", found.mesh_to_scene), ("scene to mesh", found.scene_to_mesh)):
             print(f"{name}: median {d.median_mm:.1f} mm, mean {d.mean_mm:.1f}, 95 % below {d.p95_mm:.1f}, at most {d.max_mm:.1f}")

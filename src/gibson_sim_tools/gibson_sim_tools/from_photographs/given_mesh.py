@@ -14,7 +14,7 @@ from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, thinned
+from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.texturing.rasteriser import rasterise
 from gibson_sim_tools.texturing.surface import Surface, surface_from_mesh
@@ -47,7 +47,7 @@ def given_mesh(
     simplified = mesh
     if len(mesh.triangles) > _MAX_TRIANGLES:
         try:
-            simplified = thinned(mesh, _MAX_TRIANGLES)
+            simplified = decimated(mesh, _MAX_TRIANGLES)
         except MeshError:  # without meshoptimizer, rasterisation takes longer
             simplified = mesh
     shares = []

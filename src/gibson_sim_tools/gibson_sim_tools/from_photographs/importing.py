@@ -39,10 +39,10 @@ from gibson_sim_tools.importing.document import ASSETS, BAKED_LIGHT, SIMPLIFIED,
 from gibson_sim_tools.importing.glb import write_glb
 from gibson_sim_tools.importing.scans import SCAN_FROM
 from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform, level_transform_near, thinned, write_ply
-from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplified
-from gibson_sim_tools.scanning.planes import snapped
-from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
+from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated, level_transform, level_transform_from_up, write_ply
+from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplify_quadric
+from gibson_sim_tools.scanning.planes import snap_to_planes
+from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AUTO, FuseSettings
 from gibson_sim_tools.texturing.conventions import resolve_convention
@@ -164,10 +164,12 @@ class PhotographImport:
         held_out = [k for k, files in enumerate(rgbd.files) if files.color in held_out_files]
         if self.settings.hold_out_depth:
             rgbd, held_out = rgbd.subset(np.setdiff1d(np.arange(len(rgbd)), held_out).tolist()), []
-        convention, message = agreeing_convention(rgbd, range(len(rgbd)), settings.depth_max, AUTO)
-        fusion = fuse_scan(rgbd.with_poses(reread(rgbd.poses, rgbd.layout, convention)), settings, progress, depth_only=held_out)
+        convention, message = detect_convention(rgbd, range(len(rgbd)), settings.depth_max, AUTO)
+        fusion = fuse_scan(
+            rgbd.with_poses(reinterpret_poses(rgbd.poses, rgbd.layout, convention)), settings, progress, depth_only=held_out
+        )
         write_ply(self.output / _FUSED, fusion.mesh)
-        poses = reread(photographs.poses, photographs.layout, convention)
+        poses = reinterpret_poses(photographs.poses, photographs.layout, convention)
         self._write("fused", {"voxel": fusion.voxel, "coloured": True, "T_scan_camera": poses.tolist()})
         lines = [f"{len(fusion.mesh.triangles)} triangles, {fusion.mesh.area:.1f} m^2, from {len(rgbd)} depth images"]
         if held_out:
@@ -194,7 +196,7 @@ class PhotographImport:
     def _planes(self, progress: Progress) -> Sequence[str]:
         mesh, lines = self._read_mesh(_FUSED), []
         if self.settings.snap:
-            mesh, report = snapped(mesh, float(self._read("fused")["voxel"]), self.settings.snap)
+            mesh, report = snap_to_planes(mesh, float(self._read("fused")["voxel"]), self.settings.snap)
             lines.append(report.text() if report.planes else "no large plane whose noise could be removed")
         progress(0.5)
         most, count = self.settings.triangles, len(mesh.triangles)
@@ -209,7 +211,7 @@ class PhotographImport:
         up = self.up or _UP.get(self.inputs.photographs.layout)
         try:
             poses = np.array(self._read("fused")["T_scan_camera"])
-            T = level_transform(mesh, poses) if up is None else level_transform_near(mesh, np.asarray(up))
+            T = level_transform(mesh, poses) if up is None else level_transform_from_up(mesh, np.asarray(up))
         except ScanError as error:
             raise ScanError(
                 "the mesh has no floor: no level surface of it faces up, if the cameras are roughly upright; say with --up-axis "
@@ -410,10 +412,10 @@ def _file_state(path: Path) -> tuple[str, int, int]:
 
 def _simplify(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
     try:
-        return simplified(mesh, triangles)
+        return simplify_quadric(mesh, triangles)
     except EnvironmentProblemError:
         # An import of a supplied mesh works without Open3D.
-        return thinned(mesh, triangles)
+        return decimated(mesh, triangles)
 
 
 def _replace_scene(scene: ImportedScene, output: Path) -> None:

@@ -81,7 +81,7 @@ def is_photograph_folder(folder: Path) -> bool:
     """Returns whether a folder holds photographs, rather than a scene or a mesh with its textures."""
     if not is_folder(folder) or is_file(folder / "scene.yaml"):
         return False
-    if any((folder / sign).exists() for sign in _POSE_ENTRIES) or any(layout.looks_like(folder) for layout in LAYOUTS):
+    if any((folder / sign).exists() for sign in _POSE_ENTRIES) or any(layout.recognises(folder) for layout in LAYOUTS):
         return True
     if find_record3d_images(folder) is not None:
         return True

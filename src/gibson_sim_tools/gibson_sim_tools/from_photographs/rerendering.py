@@ -17,7 +17,7 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import CameraSpec, Output, SceneState
 from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.clean_scene import still_scene
+from gibson_sim_tools.scanning.clean_scene import static_scene
 from gibson_sim_tools.texturing.evaluation import RenderedImage, exposure_matched
 
 U8 = NDArray[np.uint8]
@@ -50,7 +50,7 @@ def photograph_renderer(scene: SceneSpec, photographs: Photographs, unseen: str)
         photographs: posed photographs.
         unseen: name of the object that no photograph shows; it is rendered, but is not part of the observed surface.
     """
-    still = still_scene(scene)
+    still = static_scene(scene)
     observed_instances = [number for number, name in enumerate(still.instances) if number and name != unseen]
     with Renderer(still, cache=default_folder()) as renderer:
 

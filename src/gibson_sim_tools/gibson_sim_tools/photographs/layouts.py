@@ -64,7 +64,7 @@ def open_photographs(folder: Path, longest_side: int = 0) -> Photographs:
     model_folder = next((folder / name for name in _COLMAP_FOLDERS if _model_suffix(folder / name)), None)
     if model_folder is not None:
         return _read_colmap(folder, model_folder, longest_side)
-    if any(layout.looks_like(folder) for layout in LAYOUTS):
+    if any(layout.recognises(folder) for layout in LAYOUTS):
         rgbd = open_posed_rgbd(folder)
         camera = CameraModel(rgbd.intrinsics)
         items = tuple(Photograph(f.color, camera, f.T_world_camera, f.depth, rgbd.depth_scale) for f in rgbd.files)

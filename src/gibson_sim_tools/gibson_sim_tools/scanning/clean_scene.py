@@ -1,4 +1,4 @@
-"""The static scene that a scanner sees, with all bodies at rest, and samples of its surface. Knows no OpenGL."""
+"""Ground truth of a scan: the static scene with all bodies at rest, its opaque triangles, and samples of its surface. No OpenGL."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gibson_sim_tools.scanning.posed_rgbd import ScanError
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
-SOLID_ALPHA = 0.9
-"""Least alpha of a surface that gives depth."""
+MIN_OPAQUE_ALPHA = 0.9
+"""Least alpha of an opaque surface; only opaque surfaces return depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfacePoints:
-    """Points spread evenly over a surface, world frame."""
+class SurfaceSamples:
+    """Points sampled uniformly from a surface, world frame."""
 
     points: F64
     """(N, 3), metres."""
@@ -36,12 +36,12 @@ class SurfacePoints:
         return len(self.points)
 
 
-def still_scene(scene: SceneSpec, links: tuple[str, ...] = ()) -> DrawnScene:
+def static_scene(scene: SceneSpec, links: tuple[str, ...] = ()) -> DrawnScene:
     """Returns the scene for a renderer: without robots, all bodies static, with ``links`` for the rig."""
     return drawn_scene(replace(scene, visuals=still_visuals(scene), bodies=(), robots=()), links)
 
 
-def solid_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
+def opaque_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
     """Returns all opaque visuals as one mesh in the world frame: vertices (V, 3), triangles (F, 3).
 
     Raises:
@@ -51,11 +51,11 @@ def solid_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
     loader = MeshLoader(scene_roots(replace(scene, visuals=visuals)), textures=False)
     pieces = []
     for visual in visuals:
-        if visual.color is not None and visual.color[3] < SOLID_ALPHA:
+        if visual.color is not None and visual.color[3] < MIN_OPAQUE_ALPHA:
             continue
         for part in loader.shape(visual.shape).parts:
             material = part.material
-            if visual.color is None and material.alpha_mode == "blend" and material.base_color[3] < SOLID_ALPHA:
+            if visual.color is None and material.alpha_mode == "blend" and material.base_color[3] < MIN_OPAQUE_ALPHA:
                 continue
             pieces.append((transform_points(matrix_from_pose(visual.pose), part.vertices), part.triangles))
     if not pieces:
@@ -63,8 +63,8 @@ def solid_triangles(scene: SceneSpec) -> tuple[F64, NDArray[np.int32]]:
     return merge(pieces)
 
 
-def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng: np.random.Generator) -> SurfacePoints:
-    """Returns points spread over triangles with uniform density.
+def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng: np.random.Generator) -> SurfaceSamples:
+    """Returns points sampled uniformly by area from triangles.
 
     Args:
         vertices: (V, 3), metres.
@@ -76,28 +76,28 @@ def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng:
     points, which = spread_over(corners, count, rng)
     if not len(points):
         raise ScanError("the mesh has no surface: all its triangles are without area")
-    return SurfacePoints(points, unit_normals(corners[which]))
+    return SurfaceSamples(points, unit_normals(corners[which]))
 
 
-def seen_points(surface: SurfacePoints, depth: F32, K: F64, T_world_camera: F64, tolerance: float) -> NDArray[np.bool_]:
-    """Returns which points of a surface a depth image shows, (N,).
+def visible_points(surface: SurfaceSamples, depth: F32, K: F64, T_world_camera: F64, tolerance: float) -> NDArray[np.bool_]:
+    """Returns the mask (N,) of the samples that a depth image shows.
 
     Args:
-        surface: in the world frame.
-        depth: (H, W), metres along the axis; NaN or infinite = none.
-        K: (3, 3), pixels.
+        surface: samples, world frame.
+        depth: (H, W), metres along the optical axis; NaN or infinite = none.
+        K: (3, 3), intrinsic matrix, pixels.
         T_world_camera: (4, 4), optical frame.
-        tolerance: metres between a point and the depth at its pixel.
+        tolerance: largest difference between the depth of a sample and that of its pixel, metres.
     """
-    local = (surface.points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
-    ahead = np.flatnonzero(local[:, 2] > 1e-3)
-    u = np.rint(K[0, 0] * local[ahead, 0] / local[ahead, 2] + K[0, 2])
-    v = np.rint(K[1, 1] * local[ahead, 1] / local[ahead, 2] + K[1, 2])
+    points_camera = (surface.points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+    in_front = np.flatnonzero(points_camera[:, 2] > 1e-3)
+    u = np.rint(K[0, 0] * points_camera[in_front, 0] / points_camera[in_front, 2] + K[0, 2])
+    v = np.rint(K[1, 1] * points_camera[in_front, 1] / points_camera[in_front, 2] + K[1, 2])
     height, width = depth.shape
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    ahead = ahead[inside]
-    found = depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]
-    seen = np.zeros(len(surface), dtype=bool)
+    in_front = in_front[inside]
+    measured = depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]
+    is_visible = np.zeros(len(surface), dtype=bool)
     with np.errstate(invalid="ignore"):
-        seen[ahead] = np.abs(found - local[ahead, 2]) < tolerance
-    return seen
+        is_visible[in_front] = np.abs(measured - points_camera[in_front, 2]) < tolerance
+    return is_visible

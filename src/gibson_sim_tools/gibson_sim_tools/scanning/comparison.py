@@ -1,4 +1,4 @@
-"""Measures a fused mesh against the scene that was scanned."""
+"""Compares a fused mesh with the scanned scene: accuracy, completeness, coverage."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim_tools.scanning.clean_scene import SurfacePoints, sample_surface, seen_points, solid_triangles
+from gibson_sim_tools.scanning.clean_scene import SurfaceSamples, opaque_triangles, sample_surface, visible_points
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
 from gibson_sim_tools.scanning.trajectories import read_stamped_poses
@@ -21,9 +21,9 @@ Bools = NDArray[np.bool_]
 Distance = Callable[[F64, NDArray[Any], NDArray[np.int32]], NDArray[np.float32]]
 """(points, vertices, triangles) -> distances from the points to the mesh."""
 
-NEAR = 0.05
-"""Distance within which a surface counts as covered, metres."""
-POINTS = 50_000
+COVERAGE_DISTANCE = 0.05
+"""Largest distance of a covered sample to the mesh, and depth tolerance of an observed one, metres."""
+SAMPLE_COUNT = 50_000
 """Number of samples on each of the two surfaces."""
 
 
@@ -35,24 +35,24 @@ class DistanceStatistics:
     mean_mm: float
     p95_mm: float
     max_mm: float
-    """The one-sided Hausdorff distance, over the points taken."""
+    """One-sided Hausdorff distance, over the samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeshComparison:
-    """A fused mesh compared with the scene."""
+    """Comparison of a fused mesh with the scene. The names of the fields are keys of its JSON."""
 
     triangles: int
     vertices: int
     area_m2: float
     mesh_to_scene: DistanceStatistics
-    """Error of the mesh."""
+    """Accuracy: distances from the mesh to the scene."""
     scene_to_mesh: DistanceStatistics
-    """Distances from the surface that the images show: what is missing."""
+    """Completeness: distances from the observed surface to the mesh."""
     shown: float
-    """Fraction of all opaque surfaces, also inside and beneath furniture, that an image shows."""
+    """Fraction of all opaque surfaces, also inside and beneath furniture, that a depth image shows (observed), 0 to 1."""
     covered: float
-    """Fraction of the shown surface that has the mesh within 5 cm."""
+    """Fraction of the observed surface within 5 cm of the mesh, 0 to 1."""
 
     def as_dict(self) -> dict[str, Any]:
         """Returns the comparison as plain values for JSON."""
@@ -71,49 +71,55 @@ def compare(
     """Compares a mesh with the scene, both in the frame of the scene.
 
     Args:
-        mesh: fused from ``rgbd``.
-        rgbd: the scan; its true poses, if any, decide what it shows.
+        mesh: mesh fused from ``rgbd``.
+        rgbd: the scan; observed samples are determined at its true poses, if any.
         scene: the scanned scene.
         distance: distance function from points to a mesh.
         progress: called with the fraction that is done, 0 to 1.
         frames: numbers of the fused frames; None = all.
     """
     rng = np.random.default_rng(0)
-    vertices, triangles = solid_triangles(scene)
-    clean = sample_surface(vertices, triangles, POINTS, rng)
-    shown = shown_points(clean, rgbd, progress, frames)
-    own = sample_surface(mesh.vertices.astype(np.float64), mesh.triangles, POINTS, rng)
-    there = distance(own.points, vertices, triangles)
-    back = distance(clean.points[shown], mesh.vertices, mesh.triangles) if shown.any() else np.array([np.inf], dtype=np.float32)
+    vertices, triangles = opaque_triangles(scene)
+    scene_samples = sample_surface(vertices, triangles, SAMPLE_COUNT, rng)
+    is_observed = observed_points(scene_samples, rgbd, progress, frames)
+    mesh_samples = sample_surface(mesh.vertices.astype(np.float64), mesh.triangles, SAMPLE_COUNT, rng)
+    mesh_to_scene = distance(mesh_samples.points, vertices, triangles)
+    scene_to_mesh = (
+        distance(scene_samples.points[is_observed], mesh.vertices, mesh.triangles)
+        if is_observed.any()
+        else np.array([np.inf], dtype=np.float32)
+    )
     return MeshComparison(
         len(mesh.triangles),
         len(mesh.vertices),
         mesh.area,
-        _summary(there),
-        _summary(back),
-        float(shown.mean()),
-        float((back < NEAR).mean()),
+        _summary(mesh_to_scene),
+        _summary(scene_to_mesh),
+        float(is_observed.mean()),
+        float((scene_to_mesh < COVERAGE_DISTANCE).mean()),
     )
 
 
-def shown_points(
-    surface: SurfacePoints,
+def observed_points(
+    surface: SurfaceSamples,
     rgbd: PosedRgbd,
     progress: Callable[[float], None] = lambda _: None,
     frames: Sequence[int] | None = None,
 ) -> Bools:
-    """Returns which points of a surface, (N,), at least one depth image of ``frames`` (None = all) shows to within 5 cm."""
-    true = rgbd.folder / "true_poses.txt"
-    poses = _true_poses(true, rgbd) if true.is_file() else rgbd.poses
-    shown = np.zeros(len(surface), dtype=bool)
+    """Returns the mask (N,) of the samples that at least one depth image of ``frames`` (None = all) shows, to within 5 cm."""
+    true_poses_file = rgbd.folder / "true_poses.txt"
+    poses = _true_poses(true_poses_file, rgbd) if true_poses_file.is_file() else rgbd.poses
+    is_observed = np.zeros(len(surface), dtype=bool)
     numbers = range(len(rgbd)) if frames is None else frames
     for done, number in enumerate(numbers):
         frame = rgbd[number]
-        left = ~shown
-        rest = SurfacePoints(surface.points[left], surface.normals[left])
-        shown[left] = seen_points(rest, frame.depth, rgbd.intrinsics.matrix, poses[number], NEAR)
+        remaining = ~is_observed
+        remaining_samples = SurfaceSamples(surface.points[remaining], surface.normals[remaining])
+        is_observed[remaining] = visible_points(
+            remaining_samples, frame.depth, rgbd.intrinsics.matrix, poses[number], COVERAGE_DISTANCE
+        )
         progress((done + 1) / len(numbers))
-    return shown
+    return is_observed
 
 
 def _true_poses(path: Path, rgbd: PosedRgbd) -> F64:

@@ -1,7 +1,7 @@
-"""Adds a scanner's errors to true depths and poses. Pure; seed and frame number decide everything, so frames may come in any order.
+"""Error model of a scanner: adds sensor errors to ground-truth depths and poses. Pure; errors depend on seed and frame number only.
 
-Noise, quantisation, range and grazing angles are those of ``sensors.depth_noise``. This module adds what only scans need: edges, dark and
-shiny surfaces, and pose errors.
+``sensors.depth_noise`` models noise, quantisation, range and grazing angles. This module adds flying pixels at edges, depth loss on dark and shiny
+surfaces, and pose errors (drift and noise).
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EDGE_STEP = 0.04
-"""Depth step between neighbouring pixels, as a fraction of the nearer depth, from which there is an edge."""
+"""Least depth step of an edge between neighbouring pixels, as a fraction of the nearer depth."""
 DARK_LUMA = 40.0
-"""Luma, 0 to 255, from which a pixel is not dark."""
-_PATCH_PX = 6
+"""Luma below which a pixel is dark, 0 to 255."""
+_PATCH_SIZE_PX = 6
 """Size of the patches without depth, pixels."""
 _ROTATION_WEIGHT = 0.15
 """Weight of rotation against translation in the drift, m/rad."""
 _POSES, _DRIFT, _COLORS, _PATCHES = range(4)
 
 
-def generator(seed: int, purpose: int, number: int) -> np.random.Generator:
-    """Returns a random generator per purpose and frame, so that settings do not affect each other's random numbers."""
+def frame_rng(seed: int, purpose: int, number: int) -> np.random.Generator:
+    """Returns the random generator of a purpose and a frame, so that one setting does not change the random numbers of another."""
     return np.random.default_rng([seed, purpose, number])
 
 
 def measured_depth(frame: Frame, defects: Defects, shiny: Bools | None, seed: int, number: int) -> F32:
-    """Returns the depths, (H, W) metres, that a scanner measures; NaN = none.
+    """Returns the measured depth, (H, W) float32, metres along the optical axis; NaN = none.
 
     Args:
         frame: true depth and colours.
@@ -57,16 +57,16 @@ def measured_depth(frame: Frame, defects: Defects, shiny: Bools | None, seed: in
     noisy = apply_depth_noise(limited, noise).depth
     assert noisy is not None
     depth = np.where(np.isfinite(noisy), noisy, np.nan).astype(np.float32)
-    rng = generator(seed, _PATCHES, number)
-    _spoil_edges(frame.depth, depth, defects, rng)
-    loss = _loss(frame, defects, shiny)
+    rng = frame_rng(seed, _PATCHES, number)
+    _corrupt_edges(frame.depth, depth, defects, rng)
+    loss = _loss_probability(frame, defects, shiny)
     if loss is not None:
-        depth[_patches(depth.shape, rng) < loss] = np.nan
+        depth[_patch_noise(depth.shape, rng) < loss] = np.nan
     depth[~((depth >= defects.range_min) & (depth <= defects.range_max))] = np.nan
     return depth
 
 
-def edges(depth: F32) -> Bools:
+def depth_edges(depth: F32) -> Bools:
     """Returns the mask of depth edges, (H, W)."""
     near = np.where(np.isfinite(depth), depth, np.float32(1e6))
     kernel = np.ones((3, 3), np.uint8)
@@ -76,26 +76,26 @@ def edges(depth: F32) -> Bools:
     return np.asarray((high - low > EDGE_STEP * low) & (step < 0.25 * (high - low)))
 
 
-def _spoil_edges(true: F32, depth: F32, defects: Defects, rng: np.random.Generator) -> None:
-    """Removes depth beside edges, in patches, and adds flying pixels between the two surfaces, in place."""
+def _corrupt_edges(true: F32, depth: F32, defects: Defects, rng: np.random.Generator) -> None:
+    """Removes patches of depth along edges and adds flying pixels between the two surfaces, in place."""
     if not (defects.edge_px or defects.flying_fraction):
         return
-    at_edge = edges(true)
+    at_edge = depth_edges(true)
     if defects.edge_px:
         size = 2 * defects.edge_px + 1
         band = cv2.dilate(at_edge.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))) > 0
-        depth[band & (_patches(depth.shape, rng) < 0.6)] = np.nan
+        depth[band & (_patch_noise(depth.shape, rng) < 0.6)] = np.nan
     if defects.flying_fraction:
-        flies = at_edge & (rng.random(depth.shape, dtype=np.float32) < defects.flying_fraction)
+        is_flying = at_edge & (rng.random(depth.shape, dtype=np.float32) < defects.flying_fraction)
         near = np.where(np.isfinite(true), true, np.float32(np.inf))
         low = cv2.erode(near, np.ones((3, 3), np.uint8))
         high = cv2.dilate(np.where(np.isfinite(true), true, np.float32(0.0)), np.ones((3, 3), np.uint8))
         part = rng.random(depth.shape, dtype=np.float32)
         # Masked: away from edges both depths may be infinite, and inf - inf raises a warning of NumPy.
-        depth[flies] = low[flies] + part[flies] * (high[flies] - low[flies])
+        depth[is_flying] = low[is_flying] + part[is_flying] * (high[is_flying] - low[is_flying])
 
 
-def _loss(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:
+def _loss_probability(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:
     """Returns the probability that a pixel loses its depth, (H, W); None = 0 everywhere."""
     loss: F32 | None = None
     if defects.dark_fraction and frame.rgb is not None:
@@ -107,10 +107,10 @@ def _loss(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:
     return loss
 
 
-def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> F32:
-    """Returns smooth random numbers, uniform in 0 to 1, (H, W): values below p form patches that cover p of the image."""
+def _patch_noise(shape: tuple[int, ...], rng: np.random.Generator) -> F32:
+    """Returns smooth noise with uniform distribution in 0 to 1, (H, W): values below p form patches that cover a fraction p of the image."""
     height, width = shape
-    coarse = rng.standard_normal((height // _PATCH_PX + 3, width // _PATCH_PX + 3), dtype=np.float32)
+    coarse = rng.standard_normal((height // _PATCH_SIZE_PX + 3, width // _PATCH_SIZE_PX + 3), dtype=np.float32)
     smooth = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
     smooth = (smooth - smooth.mean()) / max(float(smooth.std()), 1e-6)
     # The logistic function is within 1 % of the normal distribution's.
@@ -119,7 +119,7 @@ def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> F32:
 
 def image_effects(defects: Defects, seed: int, number: int) -> ImageEffects:
     """Returns the image effects of a frame, with its own exposure and white balance."""
-    rng = generator(seed, _COLORS, number)
+    rng = frame_rng(seed, _COLORS, number)
     exposure, tint = rng.standard_normal(2)
     return ImageEffects(
         exposure_ev=float(defects.exposure_jitter_ev * exposure),
@@ -132,35 +132,35 @@ def image_effects(defects: Defects, seed: int, number: int) -> ImageEffects:
     )
 
 
-def measured_poses(T_world_rig: F64, defects: Defects, seed: int) -> F64:
-    """Returns the estimated poses of a rig, (N, 4, 4): drift that grows with the distance, and an independent error of each view.
+def estimated_poses(T_world_rig: F64, defects: Defects, seed: int) -> F64:
+    """Returns the estimated T_world_rig, (N, 4, 4): a random walk (drift) over the distance travelled, plus independent noise of each view.
 
     The first view has no drift. Only heading and position drift, because a scanner measures gravity.
     """
-    measured = np.array(T_world_rig, dtype=np.float64)
+    estimated = np.array(T_world_rig, dtype=np.float64)
     drift = np.eye(4)
-    steps = generator(seed, _DRIFT, 0)
-    for number in range(len(measured)):
+    steps = frame_rng(seed, _DRIFT, 0)
+    for number in range(len(estimated)):
         if number:
-            way = math.sqrt(_travel(T_world_rig[number - 1], T_world_rig[number]))
-            shift = steps.standard_normal(3) * defects.drift_m * way
-            turn = steps.standard_normal() * math.radians(defects.drift_deg) * way
-            drift = drift @ _about(T_world_rig[number, :3, 3], shift, np.array([0.0, 0.0, turn]))
-        own = generator(seed, _POSES, number)
+            root_distance = math.sqrt(_weighted_distance(T_world_rig[number - 1], T_world_rig[number]))
+            shift = steps.standard_normal(3) * defects.drift_m * root_distance
+            turn = steps.standard_normal() * math.radians(defects.drift_deg) * root_distance
+            drift = drift @ _motion_about(T_world_rig[number, :3, 3], shift, np.array([0.0, 0.0, turn]))
+        rng = frame_rng(seed, _POSES, number)
         error = np.eye(4)
-        error[:3, 3] = own.standard_normal(3) * defects.pose_noise_m
-        error[:3, :3] = _rotation(own.standard_normal(3) * math.radians(defects.pose_noise_deg))
-        measured[number] = drift @ T_world_rig[number] @ error
-    return measured
+        error[:3, 3] = rng.standard_normal(3) * defects.pose_noise_m
+        error[:3, :3] = _rotation(rng.standard_normal(3) * math.radians(defects.pose_noise_deg))
+        estimated[number] = drift @ T_world_rig[number] @ error
+    return estimated
 
 
-def _travel(before: F64, after: F64) -> float:
-    """Returns the distance between two poses, metres, with the weighted rotation."""
+def _weighted_distance(before: F64, after: F64) -> float:
+    """Returns the distance between two poses (4, 4), metres: translation plus weighted rotation."""
     cosine = (float(np.trace(before[:3, :3].T @ after[:3, :3])) - 1.0) / 2.0
     return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) + _ROTATION_WEIGHT * math.acos(min(max(cosine, -1.0), 1.0))
 
 
-def _about(center: F64, shift: F64, turn: F64) -> Mat4:
+def _motion_about(center: F64, shift: F64, turn: F64) -> Mat4:
     """Returns a rigid motion, (4, 4): a rotation vector about a point, and a shift."""
     motion = np.eye(4)
     motion[:3, :3] = _rotation(turn)

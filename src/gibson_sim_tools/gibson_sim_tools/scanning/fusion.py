@@ -1,4 +1,7 @@
-"""Fuses posed RGB-D into a mesh and measures distances to meshes, with Open3D. No other file imports it."""
+"""TSDF fusion of posed RGB-D (volumetric integration, Curless and Levoy, SIGGRAPH 1996) and distances to meshes, with Open3D.
+
+No other file imports Open3D.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,15 @@ from scipy.spatial import cKDTree
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.geometry.transforms import Mat4, invert
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform, moved, thinned, welded, without_small_parts
-from gibson_sim_tools.scanning.planes import SnapReport, snapped
+from gibson_sim_tools.scanning.coloured_mesh import (
+    ColouredMesh,
+    decimated,
+    level_transform,
+    transformed,
+    weld_vertices,
+    without_small_components,
+)
+from gibson_sim_tools.scanning.planes import SnapReport, snap_to_planes
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError, depth_units
 from gibson_sim_tools.scanning.settings import FuseSettings
 from gibson_sim_tools.scanning.voxel_size import BLOCK_VOXELS, VoxelSize, select_voxel_size
@@ -22,17 +32,18 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 Progress = Callable[[float], None]
 
-_FIRST_BLOCKS = 20_000
-"""Initial capacity of the voxel grid without an estimate, blocks; it grows, and holds both the old and the new grid meanwhile."""
-_SPARE = 1.2
-"""Initial capacity relative to the estimate."""
-_SAMPLED = 4
-"""Distance of the pixels at which Open3D looks for voxels."""
-_WELD = 0.1
-"""Merging distance of vertices, voxels."""
-_ROUGHLY = 2
-"""The fast simplification leaves this many times the requested triangles to the slow, accurate one."""
-_MOST_VERTICES = 60_000_000
+_DEFAULT_BLOCKS = 20_000
+"""Initial capacity of the voxel block grid without an estimate, blocks. Growth needs memory for the old and the new grid."""
+_CAPACITY_FACTOR = 1.2
+"""Initial capacity per estimated number of blocks."""
+_OPEN3D_PIXEL_STRIDE = 4
+"""Stride of the pixels at which Open3D allocates voxel blocks, pixels."""
+_WELD_VOXELS = 0.1
+"""Cell size of vertex welding, voxels."""
+_PRESIMPLIFIED_FACTOR = 2
+"""Triangles after the fast decimation per requested triangle; the accurate simplification removes the rest."""
+_MAX_VERTICES = 60_000_000
+"""Largest number of vertices of a mesh."""
 
 
 def open3d() -> Any:
@@ -51,25 +62,25 @@ def open3d() -> Any:
     return package
 
 
-def chosen_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
+def selected_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
     """Returns the numbers of the frames to fuse."""
     return range(0, len(rgbd), settings.stride)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fusion:
-    """A fused mesh, and how it came about."""
+    """Result of a fusion."""
 
     mesh: ColouredMesh
-    """In the frame of the scan, or level."""
+    """In the frame of the scan, or levelled."""
     voxel: float
     """Edge of the voxels, metres."""
     selected: VoxelSize | None
-    """Why the voxels have that size; None = it was given."""
+    """The automatic selection of the voxel size; None = the size was given."""
     snap: SnapReport | None
-    """What was made plane; None = nothing was to be."""
+    """Report of plane snapping; None = it is disabled."""
     T_level_scan: Mat4 | None
-    """Takes the frame of the scan to the level one, (4, 4); None = there is no level surface."""
+    """(4, 4), takes the frame of the scan to the level frame; None = there is no level surface."""
 
 
 def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> ColouredMesh:
@@ -80,34 +91,34 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
 def fuse_scan(
     rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None, *, depth_only: Collection[int] = ()
 ) -> Fusion:
-    """Returns the surface in posed RGB-D, in its world frame (or levelled): the triangles of a truncated signed distance field.
+    """Returns the mesh of posed RGB-D, in its world frame (or levelled), extracted from a truncated signed distance field (TSDF).
 
     Args:
         rgbd: the frames.
         settings: settings of the fusion.
         progress: called with the fraction that is done, 0 to 1.
-        depth_only: numbers of frames whose colours are not used. Vertices that they alone show have the colour of the nearest other ones.
+        depth_only: numbers of frames of which only the depth is used. Vertices without other frames get the colour of the nearest coloured one.
 
     Raises:
         EnvironmentProblemError: Open3D is not installed.
         ScanError: an image is broken, or nothing is in range.
     """
     open3d()
-    selected = None if settings.voxel else select_voxel_size(rgbd, settings, chosen_frames(rgbd, settings))
+    selected = None if settings.voxel else select_voxel_size(rgbd, settings, selected_frames(rgbd, settings))
     settings = settings if selected is None else replace(settings, voxel=selected.voxel)
-    blocks = _FIRST_BLOCKS if selected is None else round(_SPARE * selected.blocks)
-    mesh = _surface(rgbd, settings, blocks, frozenset(depth_only), progress)
-    mesh, snap = snapped(mesh, settings.voxel, settings.snap) if settings.snap else (mesh, None)
+    blocks = _DEFAULT_BLOCKS if selected is None else round(_CAPACITY_FACTOR * selected.blocks)
+    mesh = _integrate(rgbd, settings, blocks, frozenset(depth_only), progress)
+    mesh, snap = snap_to_planes(mesh, settings.voxel, settings.snap) if settings.snap else (mesh, None)
     progress(0.98)
     if settings.triangles and len(mesh.triangles) > settings.triangles:
-        mesh = simplified(mesh, settings.triangles)
-    T = _level(mesh, rgbd, settings.level)
+        mesh = simplify_quadric(mesh, settings.triangles)
+    T = _level_transform(mesh, rgbd, settings.level)
     progress(1.0)
-    return Fusion(moved(mesh, T) if settings.level and T is not None else mesh, settings.voxel, selected, snap, T)
+    return Fusion(transformed(mesh, T) if settings.level and T is not None else mesh, settings.voxel, selected, snap, T)
 
 
-def _level(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
-    """Returns T_level_scan; None if there is no level surface and none is needed."""
+def _level_transform(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
+    """Returns T_level_scan; None = there is no level surface, and none is needed."""
     try:
         return level_transform(mesh, rgbd.poses)
     except ScanError:
@@ -116,10 +127,10 @@ def _level(mesh: ColouredMesh, rgbd: PosedRgbd, needed: bool) -> Mat4 | None:
         return None
 
 
-def _surface(
+def _integrate(
     rgbd: PosedRgbd, settings: FuseSettings, blocks: int, depth_only: Collection[int], progress: Progress
 ) -> ColouredMesh:
-    """Returns the triangles of the distance field of all frames, without small parts; ``blocks`` are allocated at first."""
+    """Integrates all frames into a TSDF with an initial capacity of ``blocks`` and returns its mesh without small components."""
     o3d = open3d()
     core = o3d.core
     grid = o3d.t.geometry.VoxelBlockGrid(
@@ -128,86 +139,94 @@ def _surface(
     )  # fmt: skip
     # Open3D truncates projected points to pixels, so its pixel centres are at halves; ours are at whole numbers.
     K = core.Tensor(rgbd.intrinsics.matrix + np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]))
-    reach = (rgbd.depth_scale, settings.depth_max, settings.truncation)
-    # Those without colours come last: what is there before them has the colours of the others alone.
-    chosen = sorted(chosen_frames(rgbd, settings), key=lambda number: number in depth_only)
-    with_colors = sum(number not in depth_only for number in chosen)
+    integration_limits = (rgbd.depth_scale, settings.depth_max, settings.truncation)
+    # Frames of depth alone come last: the mesh extracted before them has the colours of the other frames only.
+    numbers = sorted(selected_frames(rgbd, settings), key=lambda number: number in depth_only)
+    color_count = sum(number not in depth_only for number in numbers)
     coloured: ColouredMesh | None = None
-    for done, number in enumerate(chosen):
-        if done == with_colors:
-            coloured = _extracted(grid, settings)
+    for done, number in enumerate(numbers):
+        if done == color_count:
+            coloured = _extract_mesh(grid, settings)
         frame = rgbd[number]
         units = depth_units(frame.depth, rgbd.depth_scale)
-        if _is_seen(frame.depth, settings.depth_max):
+        if _has_voxels(frame.depth, settings.depth_max):
             depth, color = (o3d.t.geometry.Image(core.Tensor(a)) for a in (units, frame.rgb))
             T_camera_world = core.Tensor(invert(frame.T_world_camera))
-            blocks = grid.compute_unique_block_coordinates(depth, K, T_camera_world, *reach)
-            grid.integrate(blocks, depth, color, K, K, T_camera_world, *reach)
-        progress(0.9 * (done + 1) / len(chosen))
-    mesh = _extracted(grid, settings)
+            blocks = grid.compute_unique_block_coordinates(depth, K, T_camera_world, *integration_limits)
+            grid.integrate(blocks, depth, color, K, K, T_camera_world, *integration_limits)
+        progress(0.9 * (done + 1) / len(numbers))
+    mesh = _extract_mesh(grid, settings)
     if coloured is not None:
         mesh = replace(mesh, colors=coloured.colors[cKDTree(coloured.vertices).query(mesh.vertices)[1]])
-    mesh = welded(mesh, _WELD * settings.voxel)
+    mesh = weld_vertices(mesh, _WELD_VOXELS * settings.voxel)
     if settings.min_part:
-        mesh = without_small_parts(mesh, settings.min_part)
+        mesh = without_small_components(mesh, settings.min_part)
     if not len(mesh.triangles):
         raise ScanError(f"{rgbd.folder}: nothing is left of the mesh; give a smaller --min-weight or --min-part")
     return mesh
 
 
-def _is_seen(depth: F32, depth_max: float) -> bool:
-    """Returns whether Open3D finds voxels in a depth image (H, W), metres: it samples every fourth row and column, and fails if it finds none."""
-    height, width = (size // _SAMPLED * _SAMPLED for size in depth.shape)
-    samples = depth[:height:_SAMPLED, :width:_SAMPLED]
+def _has_voxels(depth: F32, depth_max: float) -> bool:
+    """Returns whether Open3D can allocate blocks for a depth image (H, W), metres: it fails if no sampled pixel is in range."""
+    height, width = (size // _OPEN3D_PIXEL_STRIDE * _OPEN3D_PIXEL_STRIDE for size in depth.shape)
+    samples = depth[:height:_OPEN3D_PIXEL_STRIDE, :width:_OPEN3D_PIXEL_STRIDE]
     return bool(((samples > 0.0) & (samples < depth_max)).any())
 
 
-def _extracted(grid: Any, settings: FuseSettings) -> ColouredMesh:
-    """Returns the triangles of a distance field."""
+def _extract_mesh(grid: Any, settings: FuseSettings) -> ColouredMesh:
+    """Returns the mesh of a TSDF.
+
+    Raises:
+        ScanError: it is empty, or has too many vertices.
+    """
     if not grid.hashmap().size():
-        raise ScanError(_nothing(settings))
-    found = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # the threshold is exclusive
-    if found.is_empty():
-        raise ScanError(_nothing(settings))
-    if len(found.vertex.positions) > _MOST_VERTICES:
-        raise ScanError(f"the mesh has {len(found.vertex.positions)} vertices; give a larger --voxel than {settings.voxel:g} m")
-    colors = np.clip(np.rint(found.vertex.colors.numpy() * 255.0), 0, 255).astype(np.uint8)
-    return ColouredMesh(found.vertex.positions.numpy().copy(), found.triangle.indices.numpy().astype(np.int32), colors)
+        raise ScanError(_empty_mesh_message(settings))
+    extracted = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # the threshold is exclusive
+    if extracted.is_empty():
+        raise ScanError(_empty_mesh_message(settings))
+    if len(extracted.vertex.positions) > _MAX_VERTICES:
+        raise ScanError(
+            f"the mesh has {len(extracted.vertex.positions)} vertices; give a larger --voxel than {settings.voxel:g} m"
+        )
+    colors = np.clip(np.rint(extracted.vertex.colors.numpy() * 255.0), 0, 255).astype(np.uint8)
+    return ColouredMesh(extracted.vertex.positions.numpy().copy(), extracted.triangle.indices.numpy().astype(np.int32), colors)
 
 
-def _nothing(settings: FuseSettings) -> str:
+def _empty_mesh_message(settings: FuseSettings) -> str:
     return (
         f"no surface was seen by {settings.min_weight:g} images or more within {settings.depth_max:g} m; "
         "give a smaller --min-weight or a larger --depth-max, and check the depth scale and the poses"
     )
 
 
-def simplified(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
-    """Returns the mesh with about ``triangles`` triangles, simplified by quadric error.
+def simplify_quadric(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
+    """Returns the mesh simplified to about ``triangles`` triangles by quadric error metrics (Garland and Heckbert, SIGGRAPH 1997).
 
-    Open3D optimises vertex positions and takes many times as long as meshoptimizer, which keeps them and therefore goes first.
+    Open3D optimises vertex positions and takes many times as long as meshoptimizer, which therefore decimates the mesh first.
 
     Raises:
         EnvironmentProblemError: Open3D is not installed.
         MeshError: meshoptimizer is not installed.
     """
     o3d = open3d()
-    if len(mesh.triangles) > _ROUGHLY * triangles:
-        mesh = thinned(mesh, _ROUGHLY * triangles)
-    full = o3d.geometry.TriangleMesh(
+    if len(mesh.triangles) > _PRESIMPLIFIED_FACTOR * triangles:
+        mesh = decimated(mesh, _PRESIMPLIFIED_FACTOR * triangles)
+    o3d_mesh = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(mesh.vertices.astype(np.float64)), o3d.utility.Vector3iVector(mesh.triangles)
     )
-    full.vertex_colors = o3d.utility.Vector3dVector(mesh.colors.astype(np.float64) / 255.0)
-    less = full.simplify_quadric_decimation(triangles)
-    colors = np.clip(np.rint(np.asarray(less.vertex_colors) * 255.0), 0, 255).astype(np.uint8)
-    return ColouredMesh(np.asarray(less.vertices, dtype=np.float32), np.asarray(less.triangles, dtype=np.int32), colors)
+    o3d_mesh.vertex_colors = o3d.utility.Vector3dVector(mesh.colors.astype(np.float64) / 255.0)
+    simplify_quadric = o3d_mesh.simplify_quadric_decimation(triangles)
+    colors = np.clip(np.rint(np.asarray(simplify_quadric.vertex_colors) * 255.0), 0, 255).astype(np.uint8)
+    return ColouredMesh(
+        np.asarray(simplify_quadric.vertices, dtype=np.float32), np.asarray(simplify_quadric.triangles, dtype=np.int32), colors
+    )
 
 
-def distances(points: F64, vertices: NDArray[Any], triangles: NDArray[np.int32]) -> F32:
+def distances_to_mesh(points: F64, vertices: NDArray[Any], triangles: NDArray[np.int32]) -> F32:
     """Returns the distances (N,), metres, from points (N, 3) to a mesh.
 
     Raises:
-        EnvironmentProblemError: Open3D is not there.
+        EnvironmentProblemError: Open3D is not installed.
     """
     o3d = open3d()
     scene = o3d.t.geometry.RaycastingScene()

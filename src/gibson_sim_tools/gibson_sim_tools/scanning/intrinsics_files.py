@@ -17,11 +17,11 @@ from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 
 INTRINSIC_FILES = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 """File names with priority."""
-_NAMED = re.compile(r"(intrinsic|calib|camera|kinect|^(depth_?)?k\.txt$|^_?info\.txt$|.*\.info\.txt$)", re.IGNORECASE)
-_ENDINGS = (".json", ".txt", ".yaml", ".yml")
+_NAME_PATTERN = re.compile(r"(intrinsic|calib|camera|kinect|^(depth_?)?k\.txt$|^_?info\.txt$|.*\.info\.txt$)", re.IGNORECASE)
+_SUFFIXES = (".json", ".txt", ".yaml", ".yml")
 _FOLDERS = ("", "intrinsic", "intrinsics", "camera", "calibration")
-_KEYS = ("intrinsic_matrix", "camera_matrix", "cameraMatrix", "K", "k")
-_FOUR = ("fx", "fy", "cx", "cy")
+_MATRIX_KEYS = ("intrinsic_matrix", "camera_matrix", "cameraMatrix", "K", "k")
+_FOCAL_KEYS = ("fx", "fy", "cx", "cy")
 _NO_MATRIX = "no intrinsics are in it: neither fx, fy, cx, cy nor a matrix of 3x3 or 4x4 numbers"
 _NAMED_NUMBER = re.compile(r"\b(fx|fy|cx|cy|width|height)\s*[:=]\s*([-+.\deE]+)", re.IGNORECASE)
 _OPENCV = re.compile(rb"\A%YAML:1\.0[^\n]*|!!opencv-\w+")
@@ -40,10 +40,10 @@ def find_intrinsics(folder: Path, width: int, height: int) -> tuple[Intrinsics |
         ScanError: a file named after intrinsics holds none.
     """
     warnings = []
-    for path in _files(folder):
+    for path in _candidate_files(folder):
         name = path.relative_to(folder).as_posix()
         try:
-            found = _read(path, width, height)
+            found = _read_file(path, width, height)
         except (GibsonSimError, TextError, OSError, ValueError, TypeError, RecursionError, OverflowError) as error:
             text = str(error) if isinstance(error, GibsonSimError) else _NO_MATRIX
             if path.name in INTRINSIC_FILES:
@@ -54,24 +54,24 @@ def find_intrinsics(folder: Path, width: int, height: int) -> tuple[Intrinsics |
     return None, "", tuple(warnings)
 
 
-def _files(folder: Path) -> list[Path]:
+def _candidate_files(folder: Path) -> list[Path]:
     """Returns candidate files: Open3D's names first, depth cameras before others."""
-    first = [folder / name for name in INTRINSIC_FILES if is_file(folder / name)]
-    places = [folder / name if name else folder for name in _FOLDERS]
-    rest = [
+    preferred = [folder / name for name in INTRINSIC_FILES if is_file(folder / name)]
+    folders = [folder / name if name else folder for name in _FOLDERS]
+    others = [
         p
-        for place in places if is_folder(place)
+        for place in folders if is_folder(place)
         for p in sorted(place.iterdir())
-        if p.suffix.lower() in _ENDINGS and is_file(p) and _NAMED.search(p.name) and "extrinsic" not in p.name.lower() and p not in first
+        if p.suffix.lower() in _SUFFIXES and is_file(p) and _NAME_PATTERN.search(p.name) and "extrinsic" not in p.name.lower() and p not in preferred
     ]  # fmt: skip
-    return first + sorted(rest, key=lambda p: ("intrinsic" not in p.name.lower(), "depth" not in p.name.lower()))
+    return preferred + sorted(others, key=lambda p: ("intrinsic" not in p.name.lower(), "depth" not in p.name.lower()))
 
 
-def _read(path: Path, width: int, height: int) -> Intrinsics:
-    ending = path.suffix.lower()
-    if ending == ".txt":
-        return _of_text(path, width, height)
-    values = json.loads(read_file(path)) if ending == ".json" else _yaml(path)
+def _read_file(path: Path, width: int, height: int) -> Intrinsics:
+    suffix = path.suffix.lower()
+    if suffix == ".txt":
+        return _parse_text(path, width, height)
+    values = json.loads(read_file(path)) if suffix == ".json" else _read_yaml(path)
     if isinstance(values, dict) and isinstance(values.get("intrinsic"), dict):
         values = values["intrinsic"]
     if not isinstance(values, dict):
@@ -79,24 +79,26 @@ def _read(path: Path, width: int, height: int) -> Intrinsics:
     size = [values.get(a, values.get(b)) for a, b in (("width", "image_width"), ("height", "image_height"))]
     if any(isinstance(s, bool) or not isinstance(s, int) for s in size if s is not None):
         raise ScanError(f"width and height are {quoted(size)}, must be whole numbers of pixels")
-    across, down = (int(given) if given is not None else of_image for given, of_image in zip(size, (width, height), strict=True))
-    if all(name in values for name in _FOUR):
-        return Intrinsics(across, down, *(float(values[name]) for name in _FOUR))
-    key = next((name for name in _KEYS if name in values), "")
+    image_width, image_height = (
+        int(given) if given is not None else of_image for given, of_image in zip(size, (width, height), strict=True)
+    )
+    if all(name in values for name in _FOCAL_KEYS):
+        return Intrinsics(image_width, image_height, *(float(values[name]) for name in _FOCAL_KEYS))
+    key = next((name for name in _MATRIX_KEYS if name in values), "")
     if not key:
         raise ScanError(_NO_MATRIX)
     value = values[key]
     value = value.get("data") if isinstance(value, dict) else value
     numbers = np.asarray(value, dtype=np.float64).ravel().tolist()
-    return _of_matrix(numbers, across, down)
+    return _from_matrix(numbers, image_width, image_height)
 
 
-def _yaml(path: Path) -> object:
+def _read_yaml(path: Path) -> object:
     """Returns the values of a YAML file, also of OpenCV's dialect."""
     return parse_yaml(_OPENCV.sub(b"", read_file(path, MAX_YAML_BYTES)))
 
 
-def _of_text(path: Path, width: int, height: int) -> Intrinsics:
+def _parse_text(path: Path, width: int, height: int) -> Intrinsics:
     """Returns the intrinsics in a text: fx fy cx cy, also with names or after width and height; the rows of a matrix; or a line
     ``intrinsic = MATRIX``.
     """
@@ -105,20 +107,20 @@ def _of_text(path: Path, width: int, height: int) -> Intrinsics:
     named = [line.partition("=") for line in lines if "=" in line and "ntrinsic" in line.partition("=")[0]]
     if named:
         _, _, values = min(named, key=lambda parts: "epth" not in parts[0])
-        return _of_matrix([float(word) for word in _NUMBER.findall(values)], width, height)
+        return _from_matrix([float(word) for word in _NUMBER.findall(values)], width, height)
     pairs = {name.lower(): float(value) for line in lines for name, value in _NAMED_NUMBER.findall(line)}
-    if all(name in pairs for name in _FOUR):
+    if all(name in pairs for name in _FOCAL_KEYS):
         size = int(pairs.get("width", width)), int(pairs.get("height", height))
-        return Intrinsics(*size, *(pairs[name] for name in _FOUR))
+        return Intrinsics(*size, *(pairs[name] for name in _FOCAL_KEYS))
     numbers = [float(word) for line in lines for word in line.replace(",", " ").split()]
     if len(numbers) == 4:
         return Intrinsics(width, height, *numbers)
     if len(numbers) == 6 and all(n.is_integer() and n > 0 for n in numbers[:2]):
         return Intrinsics(int(numbers[0]), int(numbers[1]), *numbers[2:])
-    return _of_matrix(numbers, width, height)
+    return _from_matrix(numbers, width, height)
 
 
-def _of_matrix(numbers: Sequence[float], width: int, height: int) -> Intrinsics:
+def _from_matrix(numbers: Sequence[float], width: int, height: int) -> Intrinsics:
     """Returns the intrinsics in a 3x3, 3x4 or 4x4 matrix, by rows, or by columns as Open3D writes them.
 
     Raises:
@@ -127,10 +129,12 @@ def _of_matrix(numbers: Sequence[float], width: int, height: int) -> Intrinsics:
     shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(numbers))
     if shape is None:
         raise ScanError(_NO_MATRIX)
-    given = np.array(numbers, dtype=np.float64).reshape(shape)[:3, :3]
-    m = next((m for m in (given, given.T) if np.allclose((m[0, 1], m[1, 0], *m[2]), (0.0, 0.0, 0.0, 0.0, 1.0), atol=1e-9)), None)
+    matrix = np.array(numbers, dtype=np.float64).reshape(shape)[:3, :3]
+    m = next(
+        (m for m in (matrix, matrix.T) if np.allclose((m[0, 1], m[1, 0], *m[2]), (0.0, 0.0, 0.0, 0.0, 1.0), atol=1e-9)), None
+    )
     if m is None:
-        raise ScanError(f"its matrix is {quoted(given.ravel().tolist())}, must be fx 0 cx 0 fy cy 0 0 1, pixels")
+        raise ScanError(f"its matrix is {quoted(matrix.ravel().tolist())}, must be fx 0 cx 0 fy cy 0 0 1, pixels")
     if not (0.0 <= m[0, 2] <= width and 0.0 <= m[1, 2] <= height):
         raise ScanError(f"its middle is at {m[0, 2]:g}, {m[1, 2]:g} pixels, outside an image of {width}x{height}")
     return Intrinsics(width, height, float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2]))

@@ -1,4 +1,4 @@
-"""Reads posed RGB-D in known folder layouts, which are detected: ours, Open3D's, 7-Scenes' and TUM's.
+"""Opens posed RGB-D in folders of known layouts, which are detected: ours, Open3D, 7-Scenes, TUM.
 
 A layout has a function that recognises a folder and one that reads it. The first layout that recognises the folder reads it, and either
 returns the set or says what is missing.
@@ -21,7 +21,7 @@ from gibson_sim_tools.scanning.intrinsics_files import INTRINSIC_FILES, find_int
 from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, ScanError, check_pose, read_image
 from gibson_sim_tools.scanning.trajectories import (
     associate,
-    numbers_of,
+    parse_numbers,
     pose_at,
     read_lines,
     read_stamped_poses,
@@ -35,7 +35,7 @@ DESCRIPTION = "scan.json"
 FORMAT = "gibson_sim scan"
 TIME_TOLERANCE_S = 0.02
 """TUM: largest time difference between associated colour, depth and pose, seconds."""
-_IMAGES = (".jpg", ".jpeg", ".png")
+_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _COLOR_FOLDERS = ("color", "image", "rgb")
 _LOG_FILES = ("trajectory.log", "scene/trajectory.log", "test_scene/trajectory.log")
 _PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -60,8 +60,8 @@ class FolderLayout:
 
     name: str
     files: str
-    """Its files, for messages."""
-    looks_like: Callable[[Path], bool]
+    """Its files, as text for messages."""
+    recognises: Callable[[Path], bool]
     read: Callable[[Path, _Overrides], PosedRgbd]
 
 
@@ -81,10 +81,10 @@ def open_posed_rgbd(
     if not folder.is_dir():
         raise ScanError(f"{folder}: is not a folder; give the one that holds the images and poses")
     for layout in LAYOUTS:
-        if layout.looks_like(folder):
+        if layout.recognises(folder):
             return layout.read(folder, _Overrides(focal, depth_scale))
     known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
-    inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and any(layout.looks_like(p) for layout in LAYOUTS))
+    inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and any(layout.recognises(p) for layout in LAYOUTS))
     if inside:
         raise ScanError(f"{folder}: holds several sets, give one of its folders: {', '.join(inside[:8])}")
     raise ScanError(f"{folder}: unknown layout of posed RGB-D; known: {known}")
@@ -92,26 +92,26 @@ def open_posed_rgbd(
 
 def _read_ours(folder: Path, options: _Overrides) -> PosedRgbd:
     description = read_json(folder / DESCRIPTION)
-    wanted = description.get("frames") if isinstance(description, dict) and description.get("format") == FORMAT else None
-    if not isinstance(wanted, int):
+    count = description.get("frames") if isinstance(description, dict) and description.get("format") == FORMAT else None
+    if not isinstance(count, int):
         raise ScanError(f"{folder / DESCRIPTION}: is not the description of a scan; its format must be {FORMAT!r}")
-    color, depth = _images(folder / "color"), _images(folder / "depth")
-    if len(color) != wanted or len(depth) != wanted:
+    color, depth = _image_files(folder / "color"), _image_files(folder / "depth")
+    if len(color) != count or len(depth) != count:
         raise ScanError(
-            f"{folder}: has {len(color)} colour and {len(depth)} depth images of {wanted}; "
+            f"{folder}: has {len(color)} colour and {len(depth)} depth images of {count}; "
             "the scan was interrupted: run the same `gibson-sim scene scan` again to finish it"
         )
     _, poses = read_stamped_poses(folder / "poses.txt")
-    return _finished(folder, "gibson_sim", _in_order(folder, color, depth, poses), options, None, _MILLIMETRES)
+    return _with_intrinsics(folder, "gibson_sim", _match_by_order(folder, color, depth, poses), options, None, _MILLIMETRES)
 
 
 def _read_open3d(folder: Path, options: _Overrides) -> PosedRgbd:
-    color = _images(next(folder / name for name in _COLOR_FOLDERS if (folder / name).is_dir()))
+    color = _image_files(next(folder / name for name in _COLOR_FOLDERS if (folder / name).is_dir()))
     log = next((folder / name for name in _LOG_FILES if (folder / name).is_file()), None)
     if log is None:
         raise ScanError(f"{folder}: has images but no poses; looked for {', '.join(_LOG_FILES)}")
-    files = _in_order(folder, color, _images(folder / "depth"), read_trajectory_log(log))
-    return _finished(folder, "open3d", files, options, _PRIMESENSE, _MILLIMETRES)
+    files = _match_by_order(folder, color, _image_files(folder / "depth"), read_trajectory_log(log))
+    return _with_intrinsics(folder, "open3d", files, options, _PRIMESENSE, _MILLIMETRES)
 
 
 def _read_seven_scenes(folder: Path, options: _Overrides) -> PosedRgbd:
@@ -129,32 +129,32 @@ def _read_seven_scenes(folder: Path, options: _Overrides) -> PosedRgbd:
                 f"each needs frame-{number:06d}.color.png, .depth.png and .pose.txt"
             )
         files.append(FrameFiles(parts["color"], parts["depth"], _read_matrix(parts["pose"])))
-    return _finished(folder, "7-scenes", files, options, _SEVEN_SCENES, _MILLIMETRES)
+    return _with_intrinsics(folder, "7-scenes", files, options, _SEVEN_SCENES, _MILLIMETRES)
 
 
 def _read_tum(folder: Path, options: _Overrides) -> PosedRgbd:
-    truth = folder / "groundtruth.txt"
-    if not truth.is_file():
+    pose_file = folder / "groundtruth.txt"
+    if not pose_file.is_file():
         raise ScanError(f"{folder}: has lists of images but no groundtruth.txt with their poses")
-    stamps, poses = read_stamped_poses(truth)
+    stamps, poses = read_stamped_poses(pose_file)
     pairs = _tum_pairs(folder)
-    found = [(pose_at(stamps, poses, stamp, TIME_TOLERANCE_S), color, depth) for stamp, color, depth in pairs]
-    files = [FrameFiles(color, depth, pose) for pose, color, depth in found if pose is not None]
+    matched = [(pose_at(stamps, poses, stamp, TIME_TOLERANCE_S), color, depth) for stamp, color, depth in pairs]
+    files = [FrameFiles(color, depth, pose) for pose, color, depth in matched if pose is not None]
     if not files:
         raise ScanError(
-            f"{truth}: has no pose within {TIME_TOLERANCE_S:g} s of any of the {len(pairs)} pairs of images; "
+            f"{pose_file}: has no pose within {TIME_TOLERANCE_S:g} s of any of the {len(pairs)} pairs of images; "
             "are its stamps of the same clock?"
         )
-    lost = len(pairs) - len(files)
-    warnings = (f"{lost} of {len(pairs)} pairs of images have no pose near in time and are left out",) if lost else ()
-    return _finished(folder, "tum", files, options, _PRIMESENSE, _TUM_SCALE, warnings)
+    unmatched = len(pairs) - len(files)
+    warnings = (f"{unmatched} of {len(pairs)} pairs of images have no pose near in time and are left out",) if unmatched else ()
+    return _with_intrinsics(folder, "tum", files, options, _PRIMESENSE, _TUM_SCALE, warnings)
 
 
 def _tum_pairs(folder: Path) -> list[tuple[float, Path, Path]]:
     """Returns stamp of the colour image, colour image and depth image."""
-    ready = next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
-    if ready is not None:
-        return [_tum_association(ready, number, line.split()) for number, line in read_lines(ready)]
+    associations = next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
+    if associations is not None:
+        return [_tum_association(associations, number, line.split()) for number, line in read_lines(associations)]
     color, depth = (_tum_list(folder / name) for name in ("rgb.txt", "depth.txt"))
     pairs = associate([stamp for stamp, _ in color], [stamp for stamp, _ in depth], TIME_TOLERANCE_S)
     if not len(pairs):
@@ -169,9 +169,9 @@ def _tum_association(path: Path, number: int, words: list[str]) -> tuple[float, 
         raise ScanError(
             f"{path}:{number}: {' '.join(words)[:80]!r} must be stamp and file of the colour image, stamp and file of the depth image"
         )
-    stamps = [numbers_of(path, number, [words[k]], 1, "a stamp, seconds")[0] for k in (0, 2)]
-    files = [_inside(path, number, words[k]) for k in (1, 3)]
-    # Written by a script in the order of its arguments, so either may come first.
+    stamps = [parse_numbers(path, number, [words[k]], 1, "a stamp, seconds")[0] for k in (0, 2)]
+    files = [_resolve_inside(path, number, words[k]) for k in (1, 3)]
+    # The script that writes the file keeps the order of its arguments, so that either may come first.
     first = 1 if "depth" in words[1].lower() and "depth" not in words[3].lower() else 0
     return stamps[first], files[first], files[1 - first]
 
@@ -183,21 +183,32 @@ def _tum_list(path: Path) -> list[tuple[float, Path]]:
         if not name:
             raise ScanError(f"{path}:{number}: {line[:80]!r} must be a stamp, seconds, and the name of a file")
         rows.append(
-            (numbers_of(path, number, [stamp], 1, "a stamp, seconds, and the name of a file")[0], _inside(path, number, name))
+            (
+                parse_numbers(path, number, [stamp], 1, "a stamp, seconds, and the name of a file")[0],
+                _resolve_inside(path, number, name),
+            )
         )
     return rows
 
 
-def _inside(path: Path, number: int, name: str) -> Path:
-    """Returns a file that a list names, which must lie beside the list."""
+def _resolve_inside(path: Path, number: int, name: str) -> Path:
+    """Returns the path of a listed file, relative to the folder of the list.
+
+    Raises:
+        ScanError: the path leads out of the folder.
+    """
     named = Path(name.strip())
     if named.is_absolute() or ".." in named.parts:
         raise ScanError(f"{path}:{number}: {name[:80]!r} lies outside the folder; files must be named relative to it")
     return path.parent / named
 
 
-def _in_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses: F64) -> list[FrameFiles]:
-    """Returns the frames whose images and poses belong together by their order."""
+def _match_by_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses: F64) -> list[FrameFiles]:
+    """Returns the frames, with images and poses matched by their order.
+
+    Raises:
+        ScanError: the counts differ.
+    """
     if not len(color) == len(depth) == len(poses):
         raise ScanError(
             f"{folder}: has {len(color)} colour images, {len(depth)} depth images and {len(poses)} poses; there must be as many of each"
@@ -205,11 +216,11 @@ def _in_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses:
     return [FrameFiles(c, d, pose) for c, d, pose in zip(color, depth, poses, strict=True)]
 
 
-def _finished(
+def _with_intrinsics(
     folder: Path, layout: str, files: Sequence[FrameFiles], options: _Overrides, assumed: Intrinsics | None, depth_scale: float,
     warnings: tuple[str, ...] = (),
 ) -> PosedRgbd:  # fmt: skip
-    """Returns the set with its intrinsics: what the caller says, else the folder's file, else those of the layout's camera."""
+    """Returns the set with its intrinsics: those of the caller, else of a file in the folder, else of the layout's usual camera."""
     if not files:
         raise ScanError(f"{folder}: has no frame")
     height, width = read_image(files[0].depth, cv2.IMREAD_UNCHANGED).shape[:2]
@@ -219,10 +230,10 @@ def _finished(
     else:
         found, file, ignored = find_intrinsics(folder, width, height)
         warnings = (*warnings, *ignored)
-        known = found or assumed
-        if known is None:
+        resolved = found or assumed
+        if resolved is None:
             raise ScanError(f"{folder}: has no {INTRINSIC_FILES[0]}; add it, or give --intrinsics fx,fy,cx,cy")
-        intrinsics = known
+        intrinsics = resolved
         text = f"fx {intrinsics.fx:g} fy {intrinsics.fy:g} cx {intrinsics.cx:g} cy {intrinsics.cy:g}"
         if found is None:
             warnings = (*warnings, f"has no {INTRINSIC_FILES[0]}: took those of the {layout} camera, {text}")
@@ -240,7 +251,7 @@ def _read_matrix(path: Path) -> F64:
     rows = read_lines(path)
     if len(rows) != 4:
         raise ScanError(f"{path}: has {len(rows)} lines, must have the four rows of a 4x4 matrix")
-    pose = np.array([numbers_of(path, n, line.split(), 4, "the four numbers of a row of a matrix") for n, line in rows])
+    pose = np.array([parse_numbers(path, n, line.split(), 4, "the four numbers of a row of a matrix") for n, line in rows])
     check_pose(str(path), pose)
     return pose
 
@@ -259,8 +270,8 @@ def read_json(path: Path) -> Any:
         raise ScanError(f"{path}: is not JSON: {error}") from error
 
 
-def _images(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in _IMAGES) if folder.is_dir() else []
+def _image_files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in _IMAGE_SUFFIXES) if folder.is_dir() else []
 
 
 def _has_images(folder: Path) -> bool:

@@ -25,7 +25,7 @@ from gibson_sim.reading import read_file
 NO_DEPTH = (0, 65535)
 """Values of a 16-bit depth image for "no depth": 0 in most sets, 65535 in some."""
 _MAX_SIDE = 16384
-_ORTHONORMAL = 1e-2
+_ROTATION_TOLERANCE = 1e-2
 
 
 class ScanError(GibsonSimError):
@@ -60,7 +60,7 @@ class Intrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> Intrinsics:
-        """Returns the intrinsics of the same picture at another size, pixels."""
+        """Returns the intrinsics of the image resized to another width and height, pixels."""
         x, y = width / self.width, height / self.height
         return Intrinsics(width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5)
 
@@ -144,11 +144,11 @@ class PosedRgbd:
         return np.stack([f.T_world_camera for f in self.files])
 
     def with_poses(self, poses: NDArray[np.float64]) -> PosedRgbd:
-        """Returns the same frames at other poses, (N, 4, 4)."""
+        """Returns the frames with other poses, T_world_camera, (N, 4, 4)."""
         return replace(self, files=tuple(replace(file, T_world_camera=T) for file, T in zip(self.files, poses, strict=True)))
 
     def subset(self, numbers: Sequence[int]) -> PosedRgbd:
-        """Returns some of the frames."""
+        """Returns the frames with these numbers, in their order."""
         return replace(self, files=tuple(self.files[k] for k in numbers))
 
     def _check_size(self, path: Path, image: NDArray[Any]) -> None:
@@ -196,9 +196,9 @@ def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:
     R = T_world_camera[:3, :3]
     if not np.isfinite(T_world_camera).all():
         raise ScanError(f"{what}: the pose holds a NaN or an infinity; the camera was lost there: leave out this frame")
-    off = float(np.abs(R @ R.T - np.eye(3)).max())
-    if off > _ORTHONORMAL or np.linalg.det(R) < 0.0 or np.abs(T_world_camera[3] - (0, 0, 0, 1)).max() > 1e-6:
+    error = float(np.abs(R @ R.T - np.eye(3)).max())
+    if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0.0 or np.abs(T_world_camera[3] - (0, 0, 0, 1)).max() > 1e-6:
         raise ScanError(
-            f"{what}: the pose is not a rigid transform (its rotation is off by {off:.2g}); "
+            f"{what}: the pose is not a rigid transform (its rotation is off by {error:.2g}); "
             "it must be T_world_camera as 4x4 numbers by rows, in metres"
         )

@@ -1,4 +1,4 @@
-"""How much of what a robot would see in a fused mesh is hole."""
+"""Share of holes in the views of a robot in a fused mesh."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from gibson_sim_tools.view_holes import ROBOT_HEIGHT, ROBOT_RADIUS, ViewHoles, v
 def robot_view_holes(
     mesh: ColouredMesh, T_level_mesh: Mat4, progress: Callable[[float], None] = lambda _: None
 ) -> ViewHoles | None:
-    """Returns how much of what a robot sees is hole; None if it fits nowhere on the floor.
+    """Returns the share of holes in the views of a robot; None = no position on the floor is free.
 
     Args:
-        mesh: in any frame.
-        T_level_mesh: takes its frame to one with z up and the floor at z = 0, (4, 4).
+        mesh: mesh in any frame.
+        T_level_mesh: (4, 4), takes its frame to one with z up and the floor at z = 0.
         progress: called with the fraction that is done, 0 to 1.
     """
     vertices = transform_points(T_level_mesh, mesh.vertices)

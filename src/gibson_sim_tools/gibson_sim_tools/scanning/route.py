@@ -1,4 +1,4 @@
-"""Plans the route of a scanner: a short open tour of the stations, and the views on it. Pure and deterministic."""
+"""Plans the route of a scanner: a short open tour of the stations (travelling salesman), and the views on it. Pure and deterministic."""
 
 from __future__ import annotations
 
@@ -67,46 +67,44 @@ class StationPaths:
 
 
 def short_tour(lengths: F64) -> list[int]:
-    """Returns an order of all places whose open path is short, beginning with the first place.
-
-    Nearest neighbour, then 2-opt until no exchange shortens the path.
+    """Returns an order of all stations with a short open path that begins at the first one: nearest neighbour, then 2-opt.
 
     Args:
-        lengths: (N, N), metres between places; +inf = no path.
+        lengths: (N, N), path lengths between stations, metres; +inf = no path.
     """
-    d = np.where(np.isfinite(lengths), lengths, _UNREACHABLE)
-    order, left = [0], set(range(1, len(d)))
-    while left:
-        order.append(min(left, key=lambda k: (d[order[-1], k], k)))
-        left.remove(order[-1])
-    better = True
-    while better:
-        better = False
+    distances = np.where(np.isfinite(lengths), lengths, _UNREACHABLE)
+    order, unvisited = [0], set(range(1, len(distances)))
+    while unvisited:
+        order.append(min(unvisited, key=lambda k: (distances[order[-1], k], k)))
+        unvisited.remove(order[-1])
+    improved = True
+    while improved:
+        improved = False
         for i in range(1, len(order) - 1):
             for j in range(i + 1, len(order)):
                 after = order[j + 1] if j + 1 < len(order) else None
-                old = d[order[i - 1], order[i]] + (d[order[j], after] if after is not None else 0.0)
-                new = d[order[i - 1], order[j]] + (d[order[i], after] if after is not None else 0.0)
+                old = distances[order[i - 1], order[i]] + (distances[order[j], after] if after is not None else 0.0)
+                new = distances[order[i - 1], order[j]] + (distances[order[i], after] if after is not None else 0.0)
                 if new < old - 1e-9:
                     order[i : j + 1] = order[i : j + 1][::-1]
-                    better = True
+                    improved = True
     return order
 
 
 def plan_views(
-    stations: Sequence[Station], storeys: Sequence[StoreyFloor], tour: TourSettings, turns: int, most: int
+    stations: Sequence[Station], storeys: Sequence[StoreyFloor], tour: TourSettings, views_per_station: int, max_views: int
 ) -> list[RigView]:
     """Returns the views of a scan in their order.
 
     Args:
-        stations: places of full turns.
+        stations: positions of full turns.
         storeys: storeys of the stations.
         tour: speeds and distances.
-        turns: views at each station.
-        most: limit of all views; views between stations are thinned out to it.
+        views_per_station: number of views at each station.
+        max_views: largest number of views; views between stations are thinned out first.
     """
     rng = np.random.default_rng([tour.seed, 2])
-    walker = _Walker(tour, rng)
+    walker = _ViewRecorder(tour, rng)
     for number, storey in enumerate(storeys):
         here = [s for s in stations if s.storey == number]
         if not here:
@@ -117,12 +115,12 @@ def plan_views(
             if place and np.isfinite(paths.lengths[order[place - 1], k]) and tour.path_spacing > 0.0:
                 last = order[place - 1]
                 walker.walk(paths.points(last, k), here[last], here[k], storey.floor_z)
-            walker.turn(here[k], storey.floor_z, turns)
-    return _thinned(walker.views, walker.on_path, most)
+            walker.turn(here[k], storey.floor_z, views_per_station)
+    return _thin_out(walker.views, walker.on_path, max_views)
 
 
-class _Walker:
-    """Moves the rig and records its views."""
+class _ViewRecorder:
+    """Moves the rig along the route and records its views."""
 
     def __init__(self, tour: TourSettings, rng: np.random.Generator) -> None:
         self._tour, self._rng = tour, rng
@@ -130,25 +128,25 @@ class _Walker:
         self.views: list[RigView] = []
         self.on_path: list[bool] = []
 
-    def turn(self, station: Station, floor_z: float, turns: int) -> None:
+    def turn(self, station: Station, floor_z: float, views_per_station: int) -> None:
         """Records views all around a station."""
         rate = math.radians(self._tour.turn_speed_deg)
-        for _ in range(turns):
+        for _ in range(views_per_station):
             self._record((station.x, station.y, floor_z + station.height), (0.0, 0.0), rate, on_path=False)
-            self._yaw += 2.0 * math.pi / turns
-            self._time += 2.0 * math.pi / turns / rate
+            self._yaw += 2.0 * math.pi / views_per_station
+            self._time += 2.0 * math.pi / views_per_station / rate
 
     def walk(self, points: F64, start: Station, end: Station, floor_z: float) -> None:
         """Records views along a path, each in the direction of travel."""
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         length = float(arc[-1])
-        stops = np.arange(1, int(length / self._tour.path_spacing) + 1) * self._tour.path_spacing
-        for stop in stops[stops < length - 0.5 * self._tour.path_spacing]:
-            here, ahead = (_along(points, arc, at) for at in (stop, min(stop + self._tour.path_spacing, length)))
+        arc_lengths = np.arange(1, int(length / self._tour.path_spacing) + 1) * self._tour.path_spacing
+        for arc_length in arc_lengths[arc_lengths < length - 0.5 * self._tour.path_spacing]:
+            here, ahead = (_point_at(points, arc, at) for at in (arc_length, min(arc_length + self._tour.path_spacing, length)))
             step = ahead - here
             self._yaw = math.atan2(step[1], step[0])
             velocity = step / max(float(np.linalg.norm(step)), 1e-9) * self._tour.speed
-            height = start.height + (end.height - start.height) * stop / length
+            height = start.height + (end.height - start.height) * arc_length / length
             self._record((here[0], here[1], floor_z + height), (velocity[0], velocity[1]), 0.0, on_path=True)
             self._time += self._tour.path_spacing / self._tour.speed
         self._time += self._tour.path_spacing / self._tour.speed
@@ -163,15 +161,17 @@ class _Walker:
         self.on_path.append(on_path)
 
 
-def _along(points: F64, arc: F64, at: float) -> F64:
+def _point_at(points: F64, arc: F64, at: float) -> F64:
     return np.array([np.interp(at, arc, points[:, k]) for k in range(2)])
 
 
-def _thinned(views: list[RigView], on_path: list[bool], most: int) -> list[RigView]:
-    """Returns at most ``most`` views: thins out those between stations evenly, then cuts the end."""
-    between = np.flatnonzero(on_path)
-    room = max(most - (len(views) - len(between)), 0)
-    if room < len(between):
-        kept = set(between[np.linspace(0, len(between) - 1, room).round().astype(int)].tolist()) if room else set()
+def _thin_out(views: list[RigView], on_path: list[bool], max_views: int) -> list[RigView]:
+    """Returns at most ``max_views`` views: thins out those between stations evenly, then truncates."""
+    path_views = np.flatnonzero(on_path)
+    path_count = max(max_views - (len(views) - len(path_views)), 0)
+    if path_count < len(path_views):
+        kept = (
+            set(path_views[np.linspace(0, len(path_views) - 1, path_count).round().astype(int)].tolist()) if path_count else set()
+        )
         views = [v for k, v in enumerate(views) if not on_path[k] or k in kept]
-    return views[:most]
+    return views[:max_views]

@@ -1,4 +1,4 @@
-"""Reads and writes pose files (Open3D's trajectory.log, TUM's stamped rows) and associates stamps. Pure but for files."""
+"""Reads and writes trajectories (Open3D's trajectory.log, TUM format) and associates stamps. Pure except for files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gibson_sim_tools.scanning.posed_rgbd import ScanError, check_pose
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-_LOG_ROWS = 5
+_LINES_PER_FRAME = 5
 
 
 def read_lines(path: Path) -> list[tuple[int, str]]:
@@ -35,7 +35,7 @@ def read_lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line) for number, line in lines if line and not line.startswith("#")]
 
 
-def numbers_of(path: Path, number: int, words: Sequence[str], count: int, what: str) -> list[float]:
+def parse_numbers(path: Path, number: int, words: Sequence[str], count: int, what: str) -> list[float]:
     """Returns the ``count`` numbers of a line.
 
     Raises:
@@ -57,17 +57,17 @@ def read_trajectory_log(path: Path) -> F64:
         ScanError: the file is broken; the message names the line.
     """
     lines = read_lines(path)
-    if len(lines) % _LOG_ROWS:
+    if len(lines) % _LINES_PER_FRAME:
         raise ScanError(
-            f"{path}: has {len(lines)} lines, must have {_LOG_ROWS} for each frame: three whole numbers, then a 4x4 matrix by rows"
+            f"{path}: has {len(lines)} lines, must have {_LINES_PER_FRAME} for each frame: three whole numbers, then a 4x4 matrix by rows"
         )
     poses = []
-    for start in range(0, len(lines), _LOG_ROWS):
-        head, *rows = lines[start : start + _LOG_ROWS]
+    for start in range(0, len(lines), _LINES_PER_FRAME):
+        head, *rows = lines[start : start + _LINES_PER_FRAME]
         if len(head[1].split()) != 3:
             raise ScanError(f"{path}:{head[0]}: {head[1][:80]!r} must be the three whole numbers that begin a frame")
-        pose = np.array([numbers_of(path, n, line.split(), 4, "the four numbers of a row of a matrix") for n, line in rows])
-        check_pose(f"{path}:{head[0]}: frame {start // _LOG_ROWS}", pose)
+        pose = np.array([parse_numbers(path, n, line.split(), 4, "the four numbers of a row of a matrix") for n, line in rows])
+        check_pose(f"{path}:{head[0]}: frame {start // _LINES_PER_FRAME}", pose)
         poses.append(pose)
     return np.array(poses).reshape(-1, 4, 4)
 
@@ -88,7 +88,7 @@ def read_stamped_poses(path: Path) -> tuple[F64, F64]:
         ScanError: a line is broken, or two have the same stamp.
     """
     rows = [
-        numbers_of(path, n, line.replace(",", " ").split(), 8, "a stamp, a position and a quaternion: 8 numbers")
+        parse_numbers(path, n, line.replace(",", " ").split(), 8, "a stamp, a position and a quaternion: 8 numbers")
         for n, line in read_lines(path)
     ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 8)
@@ -121,17 +121,17 @@ def associate(first: ArrayLike, second: ArrayLike, tolerance_s: float) -> I64:
     """Returns index pairs (N, 2) of two lists of stamps, seconds: matched by smallest difference, each stamp once, sorted by time."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     order = np.argsort(b, kind="stable")
-    pairs: list[tuple[float, int, int]] = []
+    candidates: list[tuple[float, int, int]] = []
     low, high = np.searchsorted(b[order], a - tolerance_s, "left"), np.searchsorted(b[order], a + tolerance_s, "right")
     for i in range(len(a)):
-        pairs += [(abs(float(a[i] - b[j])), i, int(j)) for j in order[low[i] : high[i]]]
-    taken_a, taken_b, found = set(), set(), []
-    for _, i, j in sorted(pairs):
-        if i not in taken_a and j not in taken_b:
-            taken_a.add(i)
-            taken_b.add(j)
-            found.append((i, j))
-    return np.array(sorted(found, key=lambda pair: a[pair[0]]), dtype=np.int64).reshape(-1, 2)
+        candidates += [(abs(float(a[i] - b[j])), i, int(j)) for j in order[low[i] : high[i]]]
+    matched_a, matched_b, pairs = set(), set(), []
+    for _, i, j in sorted(candidates):
+        if i not in matched_a and j not in matched_b:
+            matched_a.add(i)
+            matched_b.add(j)
+            pairs.append((i, j))
+    return np.array(sorted(pairs, key=lambda pair: a[pair[0]]), dtype=np.int64).reshape(-1, 2)
 
 
 def pose_at(stamps: F64, poses: F64, stamp: float, tolerance_s: float) -> F64 | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.formats.mesh import TO_Z_UP
 from gibson_sim_tools.photographs.photographs import Photographs
-from gibson_sim_tools.scanning.pose_conventions import reread
+from gibson_sim_tools.scanning.pose_conventions import reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.settings import AS_READ, AUTO
 from gibson_sim_tools.texturing.quality import Views, concatenate_views, face_views, triangle_areas_px
@@ -71,7 +71,7 @@ def with_convention(photographs: Photographs, name: str) -> Photographs:
                 f"{photographs.folder}: has no applied_transform, which only transforms.json of nerfstudio has; take {AS_READ}"
             )
         return photographs.with_poses(np.linalg.inv(photographs.applied_transform) @ photographs.poses)
-    return photographs.with_poses(reread(photographs.poses, photographs.layout, name))
+    return photographs.with_poses(reinterpret_poses(photographs.poses, photographs.layout, name))
 
 
 def photo_consistency(surface: Surface, photographs: Photographs) -> PhotoConsistency:

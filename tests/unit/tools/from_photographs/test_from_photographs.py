@@ -25,7 +25,7 @@ from gibson_sim_tools.from_photographs.inputs import find_inputs, is_photograph_
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 from gibson_sim_tools.from_photographs.stages import RECORD, Stage, StagedJob
 from gibson_sim_tools.photographs.layouts import open_photographs
-from gibson_sim_tools.scanning.coloured_mesh import moved
+from gibson_sim_tools.scanning.coloured_mesh import transformed
 from gibson_sim_tools.scanning.fusion import Fusion
 from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError
 from gibson_sim_tools.scanning.trajectories import write_trajectory_log
@@ -220,7 +220,7 @@ def fused(monkeypatch):
 
     def fuse_scan(rgbd, settings, progress, *, depth_only):
         given.append((rgbd, settings, list(depth_only)))
-        return Fusion(moved(room_mesh(), T_FIRST_WORLD), 0.02, None, None, None)
+        return Fusion(transformed(room_mesh(), T_FIRST_WORLD), 0.02, None, None, None)
 
     monkeypatch.setattr(importing, "fuse_scan", fuse_scan)
     return given

@@ -1,4 +1,4 @@
-"""Posed photographs of others: COLMAP's models and nerfstudio's transforms.json."""
+"""Posed photographs of third-party programs: COLMAP, nerfstudio, Polycam, Record3D."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gibson_sim_tools.scanning.posed_rgbd import ScanError
 # The camera is at x = 1, y = 2, z = 3, and looks along -x of the world with z up.
 T_WORLD_CAMERA = np.array([[0.0, 0.0, -1.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, -1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0]])
 QUAT_WXYZ = (0.5, 0.5, 0.5, -0.5)
-"""Of T_camera_world, as COLMAP writes it: x' = y, y' = -z, z' = -x."""
+"""Rotation of T_camera_world, as COLMAP writes it: x' = y, y' = -z, z' = -x."""
 SHIFT = (-2.0, 3.0, 1.0)
 
 
@@ -34,7 +34,7 @@ def colmap_text(folder, cameras="1 PINHOLE 60 40 50 51 30 20\n"):
     (folder / "sparse" / "0" / "images.txt").write_text(f"# images\n2 {pose} 1 b.png\n\n1 {pose} 1 a.png\n1.5 2.5 7\n")
 
 
-def test_colmaps_text_has_its_poses_the_other_way_round_and_pixel_centres_at_halves(folder):
+def test_colmap_text_models_hold_world_to_camera_poses_and_pixel_centres_at_halves(folder):
     colmap_text(folder)
     found = open_photographs(folder)
     assert found.layout == "colmap" and [item.file.name for item in found.items] == ["a.png", "b.png"]
@@ -44,7 +44,7 @@ def test_colmaps_text_has_its_poses_the_other_way_round_and_pixel_centres_at_hal
     assert found.image(0)[20, 30].tolist() == [255, 0, 0]
 
 
-def test_colmaps_binary_files_say_the_same(folder):
+def test_colmap_binary_models_equal_text_models(folder):
     model = folder / "sparse"
     model.mkdir()
     (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 60, 40, 50, 51, 30, 20))
@@ -77,12 +77,12 @@ def test_nerfstudios_cameras_look_along_minus_z(folder):
     assert found.items[1].file.name == "b.png" and found.image(1).shape == (20, 30, 3)
 
 
-def test_photographs_without_poses_are_told_who_finds_them(folder):
+def test_photographs_without_poses_are_refused_with_the_programs_that_compute_them(folder):
     with pytest.raises(ScanError, match="no poses; COLMAP finds them"):
         open_photographs(folder)
 
 
-def test_what_is_wrong_is_named(folder):
+def test_errors_name_the_value(folder):
     colmap_text(folder, "1 FOV 60 40 50 51 30 20 0.9\n")
     with pytest.raises(ScanError, match="'FOV' is unknown; known: SIMPLE_PINHOLE"):
         open_photographs(folder)
@@ -104,7 +104,7 @@ def test_a_photograph_of_another_size_than_its_camera_is_refused(folder):
         open_photographs(folder).image(0)
 
 
-def test_nerfstudios_frames_may_have_cameras_and_depths_of_their_own_and_lost_poses(folder):
+def test_nerfstudio_frames_may_have_their_own_cameras_depths_and_nan_poses(folder):
     cv2.imwrite(str(folder / "d.png"), np.full((20, 30), 500, np.uint16))
     matrix = (T_WORLD_CAMERA @ np.diag([1, -1, -1, 1])).tolist()
     lost = [[float("nan")] * 4] * 4
@@ -132,7 +132,7 @@ def test_nerfstudios_frames_may_have_cameras_and_depths_of_their_own_and_lost_po
         open_photographs(folder)
 
 
-def test_polycams_poses_are_rows_of_camera_to_world_of_opengl(tmp_path):
+def test_polycam_poses_are_camera_to_world_in_opengl_convention(tmp_path):
     for name in ("corrected_cameras", "corrected_images", "depth"):
         (tmp_path / "keyframes" / name).mkdir(parents=True)
     opengl = T_WORLD_CAMERA @ np.diag([1, -1, -1, 1])
@@ -152,7 +152,7 @@ def test_polycams_poses_are_rows_of_camera_to_world_of_opengl(tmp_path):
         open_photographs(tmp_path)
 
 
-def test_record3ds_matrix_is_by_columns_and_its_quaternions_end_with_w(tmp_path):
+def test_record3d_intrinsics_are_column_major_and_quaternions_xyzw(tmp_path):
     (tmp_path / "rgb").mkdir()
     for k in (0, 2, 10):
         cv2.imwrite(str(tmp_path / "rgb" / f"{k}.jpg"), np.zeros((40, 60, 3), np.uint8))
@@ -171,7 +171,7 @@ def test_record3ds_matrix_is_by_columns_and_its_quaternions_end_with_w(tmp_path)
         open_photographs(tmp_path)
 
 
-def test_who_gives_a_bag_is_told_how_to_get_photographs_of_it(tmp_path):
+def test_a_bag_is_refused_with_the_command_that_exports_photographs(tmp_path):
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information:")
     with pytest.raises(ScanError, match=r"is a bag; .* gibson-sim export .* --to nerfstudio"):
         open_photographs(tmp_path)

@@ -1,4 +1,4 @@
-"""The static scene that a scanner sees."""
+"""Ground truth of a scan: the static scene and its opaque triangles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gibson_sim.description.body import BodySpec
 from gibson_sim.description.urdf import parse_urdf
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.scanning.clean_scene import solid_triangles, still_scene
+from gibson_sim_tools.scanning.clean_scene import opaque_triangles, static_scene
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from support.scenes import write_room
 
@@ -27,24 +27,24 @@ CABINET = """
 """
 
 
-def test_things_that_move_are_scanned_where_they_start(tmp_path):
+def test_bodies_are_scanned_at_their_initial_poses(tmp_path):
     scene = load_scene(write_room(tmp_path))
     body = BodySpec(
         "cabinet", parse_urdf(CABINET, Path("cabinet.urdf")), pose_from_xyz_rpy((0.5, 0.0, 0.5), (0.0, 0.0, np.pi / 2))
     )
     full = replace(scene, bodies=(body,))
-    drawn = still_scene(full)
+    drawn = static_scene(full)
     assert all(v.link == "" for v in drawn.visuals)
     door = next(v for v in drawn.visuals if "door" in v.name)
     assert door.pose.position == pytest.approx((0.5, 0.5, 0.5), abs=1e-6)
-    assert len(solid_triangles(full)[1]) == len(solid_triangles(scene)[1]) + 24
+    assert len(opaque_triangles(full)[1]) == len(opaque_triangles(scene)[1]) + 24
 
 
-def test_glass_is_not_solid(tmp_path):
+def test_glass_is_not_opaque(tmp_path):
     pane = "  - {name: pane, box: [0.01, 1.0, 1.0], color: [0.9, 0.9, 1.0, 0.2]}\n"
-    assert len(solid_triangles(load_scene(write_room(tmp_path / "a", pane)))[1]) == 4 * 12
+    assert len(opaque_triangles(load_scene(write_room(tmp_path / "a", pane)))[1]) == 4 * 12
     only = tmp_path / "b"
     only.mkdir()
     (only / "scene.yaml").write_text("name: glass\nground_z: 0.0\nfloor_z: 0.0\nobjects:\n" + pane)
     with pytest.raises(ScanError, match="no solid surface"):
-        solid_triangles(load_scene(only))
+        opaque_triangles(load_scene(only))

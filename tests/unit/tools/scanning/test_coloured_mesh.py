@@ -13,11 +13,11 @@ from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_x
 from gibson_sim_tools.importing.checks.gravity import guess_up
 from gibson_sim_tools.scanning.coloured_mesh import (
     ColouredMesh,
+    decimated,
     level_transform,
-    moved,
-    thinned,
-    welded,
-    without_small_parts,
+    transformed,
+    weld_vertices,
+    without_small_components,
     write_ply,
 )
 from gibson_sim_tools.scanning.fusion import open3d
@@ -36,30 +36,30 @@ def boards(*heights_and_sizes: tuple[float, float]) -> ColouredMesh:
     return ColouredMesh(vertices, triangles, colors)
 
 
-def test_small_parts_go_with_their_vertices_and_colours_stay():
-    mesh = without_small_parts(boards((0, 0.1), (1, 2.0)), 0.5)
+def test_small_components_are_removed_with_their_vertices():
+    mesh = without_small_components(boards((0, 0.1), (1, 2.0)), 0.5)
     assert mesh.area == pytest.approx(4.0)
     assert mesh.vertices.shape == (4, 3) and (mesh.vertices[:, 2] == 1).all()
     assert mesh.colors[0].tolist() == [12, 13, 14]
 
 
-def test_vertices_that_nearly_agree_become_one_and_slivers_go():
+def test_close_vertices_are_welded_and_slivers_removed():
     flat = boards((0, 1.0))
     vertices = np.concatenate([flat.vertices, flat.vertices[:1] + np.float32(1e-5)])
     triangles = np.concatenate([flat.triangles, [[0, 4, 1]]]).astype(np.int32)
-    mesh = welded(ColouredMesh(vertices, triangles, np.zeros((5, 3), np.uint8)), 1e-3)
+    mesh = weld_vertices(ColouredMesh(vertices, triangles, np.zeros((5, 3), np.uint8)), 1e-3)
     assert (len(mesh.vertices), len(mesh.triangles)) == (4, 2)
     assert mesh.area == pytest.approx(1.0)
 
 
-def test_a_thinned_mesh_keeps_its_shape_and_the_colours_of_its_vertices():
+def test_a_decimated_mesh_keeps_its_shape_and_vertex_colors():
     y, x = np.mgrid[0:41, 0:41].astype(np.float32) / 10
     vertices = np.column_stack([x.ravel(), y.ravel(), np.where(x > 2, x - 2, 0).ravel()]).astype(np.float32)
     first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
     triangles = np.concatenate([first[:, None] + corners for corners in ((0, 1, 42), (0, 42, 41))]).astype(np.int32)
     colors = np.column_stack([10 * x.ravel(), 10 * y.ravel(), np.zeros(x.size)]).astype(np.uint8)
     full = ColouredMesh(vertices, triangles, colors)
-    less = thinned(full, 400)
+    less = decimated(full, 400)
     assert 300 < len(less.triangles) <= 400
     assert less.area == pytest.approx(full.area, rel=1e-4)
     assert np.abs(less.colors[:, :2] - 10 * less.vertices[:, :2]).max() < 1.01
@@ -67,21 +67,21 @@ def test_a_thinned_mesh_keeps_its_shape_and_the_colours_of_its_vertices():
 
 
 @pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (-1.8, 0.1, 0.3), (3.0, 0.0, 0.0)])
-def test_a_scan_that_begins_at_a_camera_is_turned_upright(rpy):
+def test_a_scan_in_the_frame_of_a_camera_is_levelled(rpy):
     """A floor and a table at 0.7 m, in the frame of a camera that was held nearly upright."""
     level = boards((0.0, 4.0), (0.7, 1.0))
     T_scan_level = matrix_from_pose(pose_from_xyz_rpy((0.3, -1.0, 2.0), rpy))
     upright = np.eye(4)
     upright[:3, :3] = np.array([[0.0, 0.2, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.2]])
-    T = level_transform(moved(level, T_scan_level), (T_scan_level @ upright)[None])
-    found = moved(moved(level, T_scan_level), T)
+    T = level_transform(transformed(level, T_scan_level), (T_scan_level @ upright)[None])
+    found = transformed(transformed(level, T_scan_level), T)
     assert sorted(set(np.round(found.vertices[:, 2], 4))) == pytest.approx([0.0, 0.7], abs=1e-4)
     assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3)) and np.linalg.det(T) == pytest.approx(1.0)
     assert np.allclose(invert(T) @ T, np.eye(4))
 
 
 def test_without_a_level_surface_up_is_not_guessed():
-    wall = moved(boards((0.0, 1.0)), matrix_from_pose(pose_from_xyz_rpy(rpy=(np.pi / 2, 0, 0))))
+    wall = transformed(boards((0.0, 1.0)), matrix_from_pose(pose_from_xyz_rpy(rpy=(np.pi / 2, 0, 0))))
     with pytest.raises(ScanError, match="leave out --level"):
         level_transform(wall, np.eye(4)[None] @ np.diag([1.0, -1.0, 1.0, 1.0])[[0, 2, 1, 3]])
 
@@ -96,8 +96,8 @@ def test_a_levelled_scan_is_level_by_the_measure_of_check():
     T_scan_level = matrix_from_pose(pose_from_xyz_rpy((0.0, 0.0, 0.0), (-1.9, 0.3, 0.0)))
     upright = np.eye(4)
     upright[:3, :3] = np.array([[0.0, 0.4, 0.9], [-1.0, 0.0, 0.0], [0.0, -0.9, 0.4]])
-    turned = moved(mesh, T_scan_level)
-    level = moved(turned, level_transform(turned, (T_scan_level @ upright)[None]))
+    turned = transformed(mesh, T_scan_level)
+    level = transformed(turned, level_transform(turned, (T_scan_level @ upright)[None]))
     guess = guess_up(level.vertices.astype(np.float64), level.triangles)
     assert guess.sure and guess.tilt_deg < 0.1
 

@@ -12,7 +12,7 @@ import pytest
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.types import CameraSpec, Frame
-from gibson_sim_tools.scanning.defects import edges, image_effects, measured_depth, measured_poses
+from gibson_sim_tools.scanning.defects import depth_edges, estimated_poses, image_effects, measured_depth
 from gibson_sim_tools.scanning.settings import PRESETS, Defects, FuseSettings, ScanCamera, TourSettings
 
 CLEAN = Defects()
@@ -33,11 +33,11 @@ def lost(depth) -> float:
     return float(np.isnan(depth).mean())
 
 
-def test_a_clean_scanner_reports_the_truth():
+def test_a_scanner_without_defects_measures_the_ground_truth():
     assert (measured_depth(frame(two_walls()), CLEAN, None, 0, 0) == two_walls().astype(np.float32)).all()
 
 
-def test_what_is_out_of_range_has_no_depth():
+def test_surfaces_out_of_range_have_no_depth():
     depth = measured_depth(frame(two_walls()), replace(CLEAN, range_max=2.5), None, 0, 0)
     assert np.isnan(depth[:, 40:]).all() and (depth[:, :40] == 2.0).all()
     assert lost(measured_depth(frame(np.inf), CLEAN, None, 0, 0)) == 1.0
@@ -51,9 +51,9 @@ def test_noise_grows_with_the_square_of_the_range():
 
 
 def test_edges_are_found_on_both_sides_and_not_on_slopes():
-    found = edges(np.broadcast_to(two_walls(), (60, 80)).astype(np.float32))
+    found = depth_edges(np.broadcast_to(two_walls(), (60, 80)).astype(np.float32))
     assert np.flatnonzero(found[30]).tolist() == [39, 40]
-    assert not edges(np.tile(np.linspace(1.0, 9.0, 80, dtype=np.float32), (60, 1)))[:, 1:-1].any()
+    assert not depth_edges(np.tile(np.linspace(1.0, 9.0, 80, dtype=np.float32), (60, 1)))[:, 1:-1].any()
 
 
 def test_depth_is_lost_near_edges_only_and_in_patches():
@@ -70,7 +70,7 @@ def test_flying_pixels_lie_between_the_two_surfaces():
 
 
 @pytest.mark.parametrize("preset", sorted(PRESETS))
-def test_windows_and_other_places_without_depth_warn_of_nothing(preset):
+def test_pixels_without_depth_raise_no_warning(preset):
     """A window beside a wall, and one all over the image: numpy is silent, and nothing flies where there is nothing."""
     window = np.broadcast_to(two_walls(), (60, 80)).copy()
     window[10:50, 20:60] = np.inf
@@ -96,7 +96,7 @@ def test_shiny_surfaces_lose_depth():
     assert lost(depth[:, 40:]) == 0.0
 
 
-def test_a_seed_decides_everything_and_each_frame_has_its_own_noise():
+def test_errors_depend_on_seed_and_frame_only():
     kinect = Defects(**{k: v for k, v in PRESETS["kinect"].items() if hasattr(CLEAN, k)})
     frames = [
         measured_depth(replace(frame(two_walls()), camera=replace(CAMERA, name=str(n))), kinect, None, s, n)
@@ -112,26 +112,28 @@ def poses(count: int) -> np.ndarray:
 
 
 def test_without_noise_poses_are_true():
-    assert np.allclose(measured_poses(poses(5), CLEAN, 0), poses(5), atol=1e-12)
+    assert np.allclose(estimated_poses(poses(5), CLEAN, 0), poses(5), atol=1e-12)
 
 
 def test_pose_noise_has_the_requested_size():
-    found = np.linalg.inv(poses(400)) @ measured_poses(poses(400), replace(CLEAN, pose_noise_m=0.003, pose_noise_deg=0.3), 0)
+    found = np.linalg.inv(poses(400)) @ estimated_poses(poses(400), replace(CLEAN, pose_noise_m=0.003, pose_noise_deg=0.3), 0)
     assert found[:, :3, 3].std() == pytest.approx(0.003, rel=0.1)
     turns = np.degrees(np.stack([found[:, 2, 1], found[:, 0, 2], found[:, 1, 0]]))
     assert turns.std() == pytest.approx(0.3, rel=0.1)
 
 
-def test_drift_begins_at_nothing_and_grows_with_the_root_of_the_way():
-    errors = [measured_poses(poses(51), replace(CLEAN, drift_m=0.01), seed)[:, :3, 3] - poses(51)[:, :3, 3] for seed in range(30)]
+def test_drift_begins_at_zero_and_grows_with_the_root_of_the_distance():
+    errors = [
+        estimated_poses(poses(51), replace(CLEAN, drift_m=0.01), seed)[:, :3, 3] - poses(51)[:, :3, 3] for seed in range(30)
+    ]
     assert np.abs([e[0] for e in errors]).max() == 0.0
     assert np.std([e[50] for e in errors]) == pytest.approx(0.01 * math.sqrt(25.0), rel=0.25)
     steps = np.diff(errors[0], axis=0)
     assert np.abs(steps).max() < 0.05
 
 
-def test_a_drifting_scanner_still_knows_where_down_is():
-    found = measured_poses(poses(100), replace(CLEAN, drift_deg=1.0), 3)
+def test_drift_keeps_the_direction_of_gravity():
+    found = estimated_poses(poses(100), replace(CLEAN, drift_deg=1.0), 3)
     assert np.allclose(found[:, 2, :3], poses(100)[:, 2, :3], atol=1e-12)
     assert not np.allclose(found[-1, :2, :2], np.eye(2), atol=1e-3)
 

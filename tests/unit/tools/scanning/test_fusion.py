@@ -1,4 +1,4 @@
-"""Fusing posed RGB-D with Open3D, where it is installed."""
+"""TSDF fusion of posed RGB-D with Open3D, where it is installed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.scanning.comparison import compare
-from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse, fuse_scan
+from gibson_sim_tools.scanning.fusion import distances_to_mesh, fuse, fuse_scan, selected_frames
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
 from gibson_sim_tools.scanning.posed_rgbd import ScanError, depth_units
 from gibson_sim_tools.scanning.settings import FuseSettings
@@ -64,11 +64,11 @@ def test_a_board_is_fused_where_it_is_and_in_its_colour(board):
     assert abs(float(np.median(mesh.vertices[:, 2]))) < 0.001
     off = np.abs(mesh.colors.astype(int) - (255, 51, 51)).max(axis=1)
     assert np.percentile(off, 98) <= 2  # at the rim colours are mixed with nothing
-    assert mesh.crosses()[:, 2].min() >= 0.0
+    assert mesh.doubled_area_vectors()[:, 2].min() >= 0.0
     assert mesh.area > 1.0
 
 
-def test_frames_can_give_their_depth_without_their_colours(board):
+def test_depth_only_frames_do_not_change_colors(board):
     picture = np.full((72, 96, 3), (255, 51, 51), np.uint8)
     cv2.imwrite(str(board.folder / "color" / "2.png"), picture)  # blue
     full, mesh = fuse(board, SETTINGS), fuse_scan(board, SETTINGS, depth_only=[2]).mesh
@@ -86,13 +86,13 @@ def test_a_depth_image_with_hardly_a_valid_pixel_is_left_out(board):
     assert fuse(board, SETTINGS).area == pytest.approx(fuse(board.subset([0, 1]), SETTINGS).area, rel=1e-4)
 
 
-def test_what_too_few_images_show_becomes_a_hole(board):
+def test_voxels_of_too_few_images_become_holes(board):
     assert fuse(board, replace(SETTINGS, min_weight=3.0)).area < 0.8 * fuse(board, SETTINGS).area
     with pytest.raises(ScanError, match="--min-weight"):
         fuse(board, replace(SETTINGS, min_weight=50.0))
 
 
-def test_what_is_said_of_a_stride_is_what_was_taken(board, tmp_path, capsys):
+def test_the_message_counts_the_frames_of_the_stride(board, tmp_path, capsys):
     words = ["scene", "fuse", str(board.folder), "--output", str(tmp_path / "a.ply"), "--report", str(tmp_path / "a.json")]
     with pytest.raises(SystemExit) as ended:
         main([*words, "--voxel", "0.04", "--min-weight", "1", "--min-part", "0", "--stride", "2"])
@@ -103,7 +103,7 @@ def test_what_is_said_of_a_stride_is_what_was_taken(board, tmp_path, capsys):
     )  # cameras look straight down
     report = json.loads((tmp_path / "a.json").read_text())
     assert report["frames"] == 2 and report["voxel_m"] == 0.04 and report["snap"]["max_mm"] <= 20.0
-    assert list(chosen_frames(board, replace(SETTINGS, stride=2))) == [0, 2]
+    assert list(selected_frames(board, replace(SETTINGS, stride=2))) == [0, 2]
 
 
 def test_far_depths_are_left_out(board):
@@ -120,7 +120,7 @@ def test_a_mesh_can_be_simplified(board):
 
 def test_a_mesh_is_measured_against_its_scene(board, tmp_path):
     (tmp_path / "scene.yaml").write_text(SCENE)
-    found = compare(fuse(board, SETTINGS), board, load_scene(tmp_path), distances)
+    found = compare(fuse(board, SETTINGS), board, load_scene(tmp_path), distances_to_mesh)
     assert found.mesh_to_scene.median_mm < 1.0
     assert found.covered > 0.94  # a voxel along the rim is missing
     assert 0.05 < found.shown < 0.4  # a part of the upper side

@@ -1,4 +1,4 @@
-"""Walls, floors and ceilings of a fused mesh become plane; what is not plane stays, and no vertex goes farther than allowed."""
+"""Plane snapping: walls, floors and ceilings become planar, other surfaces stay, and no vertex moves beyond the limit."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh
-from gibson_sim_tools.scanning.planes import SnapReport, snapped
+from gibson_sim_tools.scanning.planes import SnapReport, snap_to_planes
 from support.scans import ROOM, THRESHOLD, noisy_room
 
 EDGE = 0.05
@@ -33,10 +33,10 @@ def room() -> tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]:
     """A noisy room, the same without noise, and the noisy one snapped."""
     noisy = _mesh(*noisy_room(edge=EDGE, noise=0.004))
     clean = noisy_room(edge=EDGE, noise=0.0)[0]
-    return noisy, clean, *snapped(noisy, EDGE, 0.02)
+    return noisy, clean, *snap_to_planes(noisy, EDGE, 0.02)
 
 
-def test_noise_of_walls_floor_and_ceiling_is_gone(room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]) -> None:
+def test_noise_of_walls_floor_and_ceiling_is_removed(room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport]) -> None:
     noisy, clean, mesh, report = room
     for axis, at in ((0, 0.0), (0, ROOM[0]), (1, ROOM[1]), (2, ROOM[2])):
         others = [k for k in range(3) if k != axis]
@@ -48,13 +48,13 @@ def test_noise_of_walls_floor_and_ceiling_is_gone(room: tuple[ColouredMesh, np.n
     assert report.noise_mm == pytest.approx(4.0, rel=0.2)
 
 
-def test_no_vertex_goes_farther_than_allowed_and_no_triangle_is_turned(
+def test_no_vertex_moves_beyond_the_limit_and_no_triangle_flips(
     room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport],
 ) -> None:
     noisy, _, mesh, report = room
     away = np.linalg.norm(mesh.vertices.astype(float) - noisy.vertices, axis=1)
     assert 0.002 < away.max() <= 0.02 + 1e-6 and report.max_mm == pytest.approx(1000 * away.max(), abs=0.01)
-    assert ((mesh.crosses() * noisy.crosses()).sum(axis=1) > 0).all()
+    assert ((mesh.doubled_area_vectors() * noisy.doubled_area_vectors()).sum(axis=1) > 0).all()
     np.testing.assert_array_equal(mesh.triangles, noisy.triangles)
 
 
@@ -69,7 +69,7 @@ def test_the_edge_between_two_walls_is_where_their_planes_meet(
     assert inner.sum() > 15 and np.median(off) < 0.0015 < np.median(before)
 
 
-def test_a_threshold_that_is_higher_than_the_noise_stays(
+def test_a_door_sill_above_the_noise_stays(
     room: tuple[ColouredMesh, np.ndarray, ColouredMesh, SnapReport],
 ) -> None:
     _, clean, mesh, _ = room
@@ -81,24 +81,24 @@ def test_a_curved_wall_stays_curved() -> None:
     u = np.arange(60) * 0.05
     arc = np.broadcast_to(np.sqrt(2.0**2 - (u - 1.475) ** 2), (40, 60))
     mesh = _sheet((40, 60), arc)
-    out, _ = snapped(mesh, EDGE, 0.02)
+    out, _ = snap_to_planes(mesh, EDGE, 0.02)
     away = np.abs(out.vertices - mesh.vertices)
     # The top of the arc is flat to 2 cm over 0.56 m; most of the wall belongs to no plane.
     assert away.max() < 0.02 and away.mean() < 0.002
 
 
-def test_small_flat_things_stay_as_they_are() -> None:
+def test_small_flat_surfaces_are_not_snapped() -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.003, (13, 13))
     mesh = _sheet((13, 13), noise)  # 0.36 m^2
-    out, report = snapped(mesh, EDGE, 0.02)
+    out, report = snap_to_planes(mesh, EDGE, 0.02)
     assert report.planes == 0
     np.testing.assert_array_equal(out.vertices, mesh.vertices)
 
 
-def test_bumps_of_a_floor_go_only_within_its_noise() -> None:
+def test_bumps_of_a_floor_are_removed_only_within_its_noise() -> None:
     height = np.random.default_rng(0).normal(0.0, 0.002, (60, 60))
     height[20:30, 20:30] += 0.015  # a tile that lies on it
-    out, _ = snapped(_sheet((60, 60), height), EDGE, 0.02)
+    out, _ = snap_to_planes(_sheet((60, 60), height), EDGE, 0.02)
     z = out.vertices[:, 2].reshape(60, 60)
     assert np.abs(z[40:55, 5:55]).mean() < 0.0004
     assert z[22:28, 22:28].mean() == pytest.approx(0.015, abs=0.001)

@@ -1,4 +1,4 @@
-"""Neighbouring depth images tell in which convention their poses were written."""
+"""The pose convention is detected by the consistency of neighbouring depth images."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.cli.command_line import run
 from gibson_sim.geometry.transforms import invert
 from gibson_sim_tools.scanning import fusion
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
-from gibson_sim_tools.scanning.pose_conventions import agreeing_convention, reread
+from gibson_sim_tools.scanning.pose_conventions import detect_convention, reinterpret_poses
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError
 from support.photographed_room import COUNT, write_rgbd
 
@@ -27,13 +27,13 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> PosedRgbd:
 
 
 def found(rgbd: PosedRgbd, convention: str = "as-read") -> tuple[str, str]:
-    return agreeing_convention(rgbd, range(len(rgbd)), 10.0, convention)
+    return detect_convention(rgbd, range(len(rgbd)), 10.0, convention)
 
 
 @pytest.mark.parametrize("convention", ["as-read", "auto", "opencv"])
-def test_right_poses_are_taken_as_they_are(room: PosedRgbd, convention: str) -> None:
+def test_correct_poses_stay_as_read(room: PosedRgbd, convention: str) -> None:
     name, text = found(room, convention)
-    np.testing.assert_allclose(reread(room.poses, room.layout, name), room.poses)
+    np.testing.assert_allclose(reinterpret_poses(room.poses, room.layout, name), room.poses)
     assert text == ""
 
 
@@ -45,26 +45,26 @@ def test_right_poses_are_taken_as_they_are(room: PosedRgbd, convention: str) -> 
         ("opengl-world-to-camera", lambda T: invert(T @ OPENGL)),
     ],
 )
-def test_another_convention_is_named_and_taken_when_asked(room: PosedRgbd, name: str, written: Callable[[F64], F64]) -> None:
+def test_another_convention_is_named_and_used_on_request(room: PosedRgbd, name: str, written: Callable[[F64], F64]) -> None:
     wrong = room.with_poses(np.stack([written(T) for T in room.poses]))
     with pytest.raises(ScanError, match=f"agree if poses are read as {name} .* give --pose-convention {name}, or auto$"):
         found(wrong)
     taken, text = found(wrong, "auto")
     assert taken == name and text.startswith(f"poses are read as {name}: ")
-    np.testing.assert_allclose(reread(wrong.poses, wrong.layout, name), room.poses, atol=1e-9)
+    np.testing.assert_allclose(reinterpret_poses(wrong.poses, wrong.layout, name), room.poses, atol=1e-9)
     assert found(wrong, name) == (name, "")
 
 
-def test_a_wrong_convention_that_was_asked_for_is_refused(room: PosedRgbd) -> None:
+def test_a_requested_wrong_convention_is_refused(room: PosedRgbd) -> None:
     with pytest.raises(ScanError, match="agree if poses are read as opencv "):
         found(room, "opengl")
 
 
-def test_poses_that_are_right_in_no_convention_are_taken_as_they_are(room: PosedRgbd) -> None:
+def test_poses_that_are_consistent_in_no_convention_stay_as_read(room: PosedRgbd) -> None:
     assert found(room.with_poses(np.roll(room.poses, COUNT // 2 - 1, axis=0)[::-1])) == ("as-read", "")
 
 
-def test_frames_that_turned_alike_tell_nothing(room: PosedRgbd) -> None:
+def test_frames_without_rotation_do_not_distinguish_conventions(room: PosedRgbd) -> None:
     still = room.subset([3, 3, 3])
     assert found(still.with_poses(still.poses @ OPENGL)) == ("as-read", "")
     assert found(room.subset([3])) == ("as-read", "")

@@ -16,11 +16,11 @@ from gibson_sim_tools.scanning.intrinsics_files import find_intrinsics, write_in
 from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, ScanError, check_pose, depth_units, metres
 from gibson_sim_tools.scanning.route import RigView, StationPaths, short_tour
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
-from gibson_sim_tools.scanning.stations import Station, StoreyFloor, nearest_beside
-from gibson_sim_tools.scanning.trajectories import associate, numbers_of, pose_at, read_lines
+from gibson_sim_tools.scanning.stations import Station, StoreyFloor, nearest_at_horizon
+from gibson_sim_tools.scanning.trajectories import associate, parse_numbers, pose_at, read_lines
 
 
-def test_a_moving_rig_was_behind_a_moment_ago() -> None:
+def test_an_earlier_pose_of_a_moving_rig_lies_behind() -> None:
     view = RigView(1.0, 2.0, 3.0, 1.5, 0.0, 0.0, math.pi / 2, velocity_x=0.4, velocity_y=-0.2, yaw_rate=math.pi)
     assert view.T_world_rig[:3, 3].tolist() == [2.0, 3.0, 1.5]
     assert view.T_world_rig[:3, 0] == pytest.approx([0.0, 1.0, 0.0])  # x, forward, points along y of the world
@@ -48,11 +48,11 @@ def test_paths_between_stations_are_those_of_the_grid() -> None:
     assert np.linalg.norm(np.diff(points, axis=0), axis=1).sum() == pytest.approx(1.0)
 
 
-def test_what_is_near_counts_at_the_height_of_the_eyes_only() -> None:
+def test_only_obstacles_near_the_horizon_count() -> None:
     panorama = np.full((8, 16), 5.0, dtype=np.float32)
     panorama[0], panorama[7] = 0.1, 0.2  # ceiling and floor
     panorama[4, 3] = 1.5
-    assert nearest_beside(panorama) == 1.5
+    assert nearest_at_horizon(panorama) == 1.5
 
 
 def test_cameras_of_a_rig_look_up_for_a_positive_pitch() -> None:
@@ -131,9 +131,9 @@ def test_lines_leave_out_comments_and_keep_their_numbers(tmp_path: Path) -> None
     path = tmp_path / "a.txt"
     path.write_text("# head\n\n 1 2 \n#x\n3\n")
     assert read_lines(path) == [(3, "1 2"), (5, "3")]
-    assert numbers_of(path, 3, ["1", "2"], 2, "two") == [1.0, 2.0]
+    assert parse_numbers(path, 3, ["1", "2"], 2, "two") == [1.0, 2.0]
     with pytest.raises(ScanError, match=r"a\.txt:5: '3' must be two numbers"):
-        numbers_of(path, 5, ["3"], 2, "two numbers")
+        parse_numbers(path, 5, ["3"], 2, "two numbers")
 
 
 def test_stamps_are_associated_in_the_order_of_time() -> None:

@@ -10,7 +10,7 @@ import pytest
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim_tools.cli.scan import level_text
-from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, moved, write_ply
+from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, transformed, write_ply
 from gibson_sim_tools.scanning.robot_views import robot_view_holes
 from support.interiors import room, triangles
 
@@ -25,7 +25,7 @@ def test_holes_are_the_same_in_every_frame() -> None:
     T_scan_level = matrix_from_pose(pose_from_xyz_rpy(xyz=(1.0, -2.0, 3.0), rpy=(0.7, 0.2, -1.1)))
     closed = robot_view_holes(_room(), np.eye(4))
     level, turned = (
-        robot_view_holes(moved(_room(5), T), invert(T)) for T in (np.eye(4), T_scan_level)
+        robot_view_holes(transformed(_room(5), T), invert(T)) for T in (np.eye(4), T_scan_level)
     )  # fmt: skip
     assert closed is not None and closed.share == 0.0
     assert level is not None and turned is not None and level.nothing > 0.02
@@ -40,7 +40,7 @@ def test_without_a_floor_at_its_height_nothing_is_measured() -> None:
     assert robot_view_holes(_room(), T) is None
 
 
-def test_what_is_said_of_the_floor_names_tilt_and_height() -> None:
+def test_the_message_about_the_floor_names_tilt_and_height() -> None:
     T = matrix_from_pose(pose_from_xyz_rpy(xyz=(0.0, 0.0, 0.25), rpy=(np.radians(0.2), 0.0, 0.0)))
     assert level_text(T, False) == "the floor is level to 0.20 degrees, at z = -0.250 m"
     T = matrix_from_pose(pose_from_xyz_rpy(rpy=(np.radians(1.65), 0.0, 0.0)))

@@ -11,11 +11,11 @@ import pytest
 
 from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.types import CameraSpec
-from gibson_sim_tools.scanning.clean_scene import SurfacePoints, sample_surface, seen_points
+from gibson_sim_tools.scanning.clean_scene import SurfaceSamples, sample_surface, visible_points
 from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from gibson_sim_tools.scanning.route import plan_views, short_tour
 from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
-from gibson_sim_tools.scanning.stations import Station, StoreyFloor, candidates, choose_stations, visible_from
+from gibson_sim_tools.scanning.stations import Station, StoreyFloor, candidate_stations, select_stations, visible_from
 
 SIZE = np.array([6.0, 4.0, 2.5])
 TOUR = TourSettings(pitches_deg="-40,0,40")
@@ -31,7 +31,7 @@ def empty_storey(*, wall: bool = False) -> StoreyFloor:
     return StoreyFloor(floor_map, 0.0, floor_map.inflate(0.3))
 
 
-def room() -> SurfacePoints:
+def room() -> SurfaceSamples:
     """Points on all six sides."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * SIZE
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -56,21 +56,24 @@ def panoramas(cameras: Sequence[CameraSpec]) -> list[np.ndarray]:
     return out
 
 
-def choose(
-    tour: TourSettings = TOUR, most: int = 100, reach: tuple[float, float] = (0.1, 10.0), surface: SurfacePoints | None = None
+def select(
+    tour: TourSettings = TOUR,
+    max_stations: int = 100,
+    ranges: tuple[float, float] = (0.1, 10.0),
+    surface: SurfaceSamples | None = None,
 ):
     storeys = [empty_storey()]
-    return choose_stations(
-        candidates(storeys, tour), storeys, surface or room(), WIDE, tour, reach, most, panoramas, lambda _: None
+    return select_stations(
+        candidate_stations(storeys, tour), storeys, surface or room(), WIDE, tour, ranges, max_stations, panoramas, lambda _: None
     )
 
 
-def test_points_are_spread_evenly():
+def test_samples_are_uniform():
     z = room().points[:, 2]
     assert (z == 0.0).mean() == pytest.approx(24.0 / 98.0, abs=0.03)
 
 
-def test_a_room_is_seen_all_around_from_its_middle():
+def test_a_room_is_visible_from_its_centre():
     eye = np.array([3.0, 2.0, 1.25])
     (panorama,) = panoramas([CameraSpec("", "", width=512, height=256, pose=_pose(eye))])
     surface = room()
@@ -78,7 +81,7 @@ def test_a_room_is_seen_all_around_from_its_middle():
     seen = visible_from(eye, panorama, surface, [(-0.2, 0.2)], (0.1, 10.0))
     elevation = np.arcsin((surface.points - eye)[:, 2] / np.linalg.norm(surface.points - eye, axis=1))
     assert not seen[np.abs(elevation) > 0.2].any()
-    behind = SurfacePoints(surface.points + 0.5 * np.sign(surface.points - eye), surface.normals)
+    behind = SurfaceSamples(surface.points + 0.5 * np.sign(surface.points - eye), surface.normals)
     assert visible_from(eye, panorama, behind, [(-1.6, 1.6)], (0.1, 10.0)).mean() < 0.01
 
 
@@ -89,31 +92,31 @@ def _pose(eye):
 
 
 def test_one_or_two_stations_are_enough_for_an_empty_room():
-    found = choose()
+    found = select()
     assert 1 <= len(found.stations) <= 3
     assert found.coverage >= 0.98
 
 
 def test_a_short_range_needs_more_stations_and_a_limit_holds():
-    many = choose(reach=(0.1, 2.2))
-    assert len(many.stations) > len(choose().stations)
-    assert len(choose(reach=(0.1, 2.2), most=1).stations) == 1
+    many = select(ranges=(0.1, 2.2))
+    assert len(many.stations) > len(select().stations)
+    assert len(select(ranges=(0.1, 2.2), max_stations=1).stations) == 1
 
 
 def test_the_same_seed_gives_the_same_stations_and_another_one_others():
-    assert choose().stations == choose().stations
-    assert choose(TourSettings(seed=1)).stations != choose().stations
+    assert select().stations == select().stations
+    assert select(TourSettings(seed=1)).stations != select().stations
 
 
 def test_stations_keep_their_distance_and_height():
-    for station in candidates([empty_storey()], TOUR):
+    for station in candidate_stations([empty_storey()], TOUR):
         assert 0.3 <= station.x <= 5.7 and 0.3 <= station.y <= 3.7
         assert 1.2 <= station.height <= 1.6
 
 
 def test_nothing_in_range_is_an_error():
     with pytest.raises(ScanError, match="range_max"):
-        choose(reach=(0.01, 0.02))
+        select(ranges=(0.01, 0.02))
 
 
 def test_a_tour_has_no_crossing():
@@ -158,11 +161,11 @@ def test_views_between_stations_are_thinned_out_first():
     assert len(plan_views(stations(), [empty_storey()], TOUR, 4, 3)) == 3
 
 
-def test_seen_points_agree_with_the_depth():
-    surface = SurfacePoints(
+def test_visible_points_agree_with_the_depth():
+    surface = SurfaceSamples(
         np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, -2.0], [9.0, 0.0, 2.0]]), np.tile([0.0, 0.0, 1.0], (4, 1))
     )
     K = np.array([[10.0, 0, 5], [0, 10.0, 5], [0, 0, 1]])
     depth = np.full((11, 11), 2.0, dtype=np.float32)
-    assert seen_points(surface, depth, K, np.eye(4), 0.05).tolist() == [True, False, False, False]
-    assert not seen_points(surface, np.full((11, 11), np.nan, np.float32), K, np.eye(4), 0.05).any()
+    assert visible_points(surface, depth, K, np.eye(4), 0.05).tolist() == [True, False, False, False]
+    assert not visible_points(surface, np.full((11, 11), np.nan, np.float32), K, np.eye(4), 0.05).any()

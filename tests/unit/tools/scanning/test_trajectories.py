@@ -1,4 +1,4 @@
-"""Pose files, and the association of stamps."""
+"""Trajectory files, and the association of stamps."""
 
 from __future__ import annotations
 

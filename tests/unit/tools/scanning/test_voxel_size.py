@@ -1,4 +1,4 @@
-"""The size of the voxels follows from what the pixels resolve and what fits into memory."""
+"""The voxel size follows from pixel spacing, depth noise and memory."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_limit_of_memory_makes_voxels_larger_and_says_so() -> None:
     assert "--memory 0.1" in found.text(0.1) and f"voxels of {100 * found.voxel:g} cm" in found.text(0.1)
 
 
-def test_where_nothing_is_in_range_or_nothing_fits_it_is_told() -> None:
+def test_no_depth_in_range_or_no_memory_is_an_error() -> None:
     with pytest.raises(ScanError, match="--depth-max"):
         select_voxel_size(Wall(100.0, 9.0), FuseSettings(), range(4))
     with pytest.raises(ScanError, match="--memory"):
