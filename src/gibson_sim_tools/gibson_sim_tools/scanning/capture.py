@@ -79,8 +79,8 @@ def scan(
     """Captures a scan of a scene, or the rest of an interrupted one, and returns its plan.
 
     Args:
-        scene: the scene; robots are left out.
-        folder: output: new, empty, or with the beginning of the same scan.
+        scene: scene to scan, without its robots.
+        folder: output folder: new, empty, or with an interrupted scan of the same settings.
         settings: settings of the scan.
         cache: cache folder of ``Renderer``.
         progress: called with the fraction that is done, 0 to 1.
@@ -91,17 +91,17 @@ def scan(
     """
     resumed_plan = _resumed_plan(folder, scene, settings)
     links = tuple(f"scanner/{k}" for k in range(_BATCH_SIZE))
-    drawn = static_scene(scene, links)
-    with Renderer(drawn, cache=cache) as renderer:
-        plan = resumed_plan or _plan(scene, settings, _RigRenderer(renderer, drawn.revision, links), progress)
+    static = static_scene(scene, links)
+    with Renderer(static, cache=cache) as renderer:
+        plan = resumed_plan or _plan(scene, settings, _RigRenderer(renderer, static.revision, links), progress)
         if resumed_plan is None:
             _write_headers(folder, scene, settings, plan)
         _Capture(
             folder,
             settings,
             plan,
-            _RigRenderer(renderer, drawn.revision, links),
-            _shiny_class_ids(drawn.semantic_classes, settings.defects),
+            _RigRenderer(renderer, static.revision, links),
+            _shiny_class_ids(static.semantic_classes, settings.defects),
         ).run(progress)
     return plan
 

@@ -9,14 +9,14 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.settings import check_settings, setting
 
 AS_READ, AUTO = "as-read", "auto"
-"""Conventions of poses: that of the layout, and the one in which images agree best."""
+"""Values of the pose convention besides the named ones: that of the layout, and automatic detection."""
 CAMERA_CONVENTIONS = {
     "opencv": "camera-to-world, cameras look along z with y down",
     "opengl": "camera-to-world, cameras look along -z with y up",
     "opencv-world-to-camera": "world-to-camera, cameras look along z with y down",
     "opengl-world-to-camera": "world-to-camera, cameras look along -z with y up",
 }
-"""Conventions of poses in files by name, and what each is."""
+"""Pose conventions of files: name -> meaning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class TourSettings:
 
     @property
     def pitches(self) -> tuple[float, ...]:
-        """Pitch of each camera, degrees, up is positive.
+        """Pitch of each camera, degrees, positive upwards.
 
         Raises:
             ConfigError: the setting is no list of angles.
@@ -76,7 +76,7 @@ class TourSettings:
 
 @dataclass(frozen=True, slots=True)
 class ScanCamera:
-    """The camera; all cameras of a rig are equal."""
+    """Camera of the rig; all cameras of a rig have the same settings."""
 
     width: int = setting(640, "Image width", unit="px", minimum=16, maximum=8192)
     height: int = setting(480, "Image height", unit="px", minimum=16, maximum=8192)
@@ -89,7 +89,7 @@ class ScanCamera:
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """Errors of a real scanner in depths, poses and colours. The defaults only limit the range."""
+    """Error model of a scanner: depths, poses, colours. The defaults only limit the range."""
 
     depth_constant: float = setting(0.0, "Depth noise: constant term", unit="m", minimum=0.0, maximum=1.0)
     depth_linear: float = setting(0.0, "Depth noise: coefficient of the depth z", minimum=0.0, maximum=1.0)
@@ -220,4 +220,4 @@ PRESETS: dict[str, dict[str, Any]] = {
         "pitches_deg": "-28,12", "wobble_deg": 3.0, "fov_y_deg": 55.0, "turn_deg": 24.0, "samples": 1,
     },
 }  # fmt: skip
-"""Name -> settings that differ from the defaults. ``clean``: three cameras on a tripod that see everything as it is, to 10 m."""
+"""Name -> settings that differ from the defaults. ``clean``: three cameras on a tripod without errors, range 10 m."""
