@@ -383,7 +383,7 @@ def test_run_serves_it_too_and_goes_on_without_it(simulation: Launched) -> None:
     _talk(simulation, talk)
     pid = int(simulation.node_pid("foxglove"))
     os.kill(pid, signal.SIGKILL)
-    simulation.wait_for_line("the simulation goes on without it: `gibson-sim web --foxglove` serves it again")
+    simulation.wait_for_line("the simulation goes on without it: `gibson-sim web --foxglove` restarts it")
     assert simulation.process.poll() is None
 
 

@@ -192,7 +192,7 @@ class JobRun:
                 self._start(name)
             elif name == "web" and code != USER_ERROR:
                 write_file(self._job.folder / PAGE, "", durable=False)  # time need not wait for it
-                say(f"{node.ending()}; the simulation goes on without its page: `gibson-sim web` serves it again")
+                say(f"{node.ending()}; the simulation goes on without its page: `gibson-sim web` restarts it")
             elif name == "foxglove" and code != USER_ERROR:
                 say(f"{node.ending()}; the simulation goes on without it: `gibson-sim web --foxglove` restarts it")
             elif name == "record" and code != USER_ERROR:
