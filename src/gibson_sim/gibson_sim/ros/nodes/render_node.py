@@ -38,9 +38,9 @@ from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import CameraSpec, Frame, SceneState as State
 
 _LATE_CHECK_S = 0.25
-"""Wall time between two looks for subscribers that came while time stands, seconds."""
+"""Wall time between two checks for late subscribers, seconds."""
 _LATE_AFTER_S = 1.0
-"""Wall time without a new state after which time is taken to stand, seconds."""
+"""Wall time without a new state after which the simulation counts as paused, seconds."""
 _REVISION_TIMEOUT_S = 2.0
 """Wall time after which states of another revision than the scene's are logged, s: scene and states arrive on two topics, in any order."""
 
@@ -234,7 +234,9 @@ class RenderNode(Node):
             self._latest, self._latest_since = drawable[-1], time.monotonic()
         drawn = None
         if newest is not None and _when(newest) != self._last_done:
-            drawn = self._draw(newest, {i: subscribed[i] for i in newest.due_cameras if i in due})
+            requested = {i: subscribed[i] for i in newest.due_cameras if i in due}
+            drawn = self._draw(newest, requested)
+            self._served.update({self._cameras[i].camera.name: kinds for i, kinds in requested.items()})
         tick = next((state for state in reversed(drawable) if state.due_cameras), None)
         if tick is not None and self._lockstep is not None:
             self._last_done = _when(tick)
@@ -245,10 +247,10 @@ class RenderNode(Node):
             self._publish_diagnostics()
 
     def _serve_late_subscribers(self) -> None:
-        """While time stands, draws the newest state for those who subscribed after it was drawn: a paused simulation is seen, too.
+        """Renders the newest state for late subscribers while the simulation is paused.
 
-        Cameras with flow or a shutter are left out, since their image would depend on when somebody subscribed. In lockstep only due cameras are
-        drawn, and none in runs whose digests are compared, so that what is published depends on simulation time alone.
+        Cameras with flow or a shutter are left out: their images would depend on the time of the subscription. In lockstep only due cameras are
+        rendered, and none in runs with digests, so that published images depend on simulation time alone.
         """
         state = self._latest
         if state is None or self._scene is None or state.revision != self._scene.revision or self._digests is not None:
@@ -262,10 +264,9 @@ class RenderNode(Node):
             if not kinds - served or needs_previous(publisher.camera) or (is_in_lockstep(self) and i not in state.due_cameras):
                 continue
             late[i] = kinds - served
-        before = {i: self._served[self._cameras[i].camera.name] for i in late}
         drawn = self._draw(state, late) if late else None
-        for i, kinds in before.items():
-            self._served[self._cameras[i].camera.name] = kinds | late[i]
+        for i, kinds in late.items():
+            self._served[self._cameras[i].camera.name] |= kinds
         if drawn is not None:
             self._stats.add(*drawn)
 
@@ -306,7 +307,6 @@ class RenderNode(Node):
             self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
             return None
         for i, kinds in subscribed.items():
-            self._served[self._cameras[i].camera.name] = kinds
             if kinds:
                 if i in msg.due_cameras:
                     self._stats.count_due(self._cameras[i].camera, stamp_ns, subscribed=True)
