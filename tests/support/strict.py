@@ -12,6 +12,8 @@ from typing import Any
 
 VARIABLE = "GIBSON_SIM_STRICT"
 """Set: the run is strict."""
+FAILURES_VARIABLE = "GIBSON_SIM_TEST_FAILURES"
+"""Names a file to which each run appends its failures, one line each: ``make test`` makes two runs and shows them all at its end."""
 FLAKY_LIST = Path(__file__).resolve().parents[1] / "flaky.txt"
 MAY_BE_MISSING = {
     "graphics card": r"\bGPU\b|CUDA|graphics card|nvidia|UUIDs of their own",
@@ -54,3 +56,23 @@ def faults(stats: dict[str, list[Any]]) -> list[str]:
         if not any(fnmatchcase(report.nodeid, pattern) for pattern in flaky)
     ]
     return found
+
+
+def failures(stats: dict[str, list[Any]]) -> list[str]:
+    """Returns the failed tests, and the modules that cannot be imported, each with the end of its traceback, in one line.
+
+    Args:
+        stats: as pytest's terminal reporter counts them: "failed", "error" and "rerun" -> reports.
+    """
+    return [
+        f"{outcome}: {report.nodeid}: {_reason(report)}"
+        for outcome in ("failed", "error", "rerun")
+        for report in stats.get(outcome, ())
+    ]
+
+
+def _reason(report: Any) -> str:
+    lines = [
+        line[1:].strip() for line in report.longreprtext.splitlines() if line.startswith("E ")
+    ] or report.longreprtext.splitlines()[-1:]
+    return " ".join(lines)[:400]

@@ -33,3 +33,15 @@ def test_a_second_attempt_is_refused_unless_it_is_explained() -> None:
 
 def test_each_flaky_test_has_a_reason() -> None:
     assert all(strict.known_flaky().values())
+
+
+def test_each_failure_is_one_line_with_its_reason() -> None:
+    failed = SimpleNamespace(
+        nodeid="tests/unit/test_a.py::test_b",
+        longreprtext="def test_b():\n>   assert 1 == 2\nE   assert 1 == 2\n\na.py:3: AssertionError",
+    )
+    broken = SimpleNamespace(nodeid="tests/unit/test_c.py", longreprtext="ImportError while importing\nNo module named 'd'")
+    assert strict.failures({"failed": [failed], "error": [broken], "passed": [object()]}) == [
+        "failed: tests/unit/test_a.py::test_b: assert 1 == 2",
+        "error: tests/unit/test_c.py: No module named 'd'",
+    ]
