@@ -1,1 +1,1 @@
-"""What ``gibson-sim scene robot --new`` does: writes a ``robot.yaml``, measures how a robot stands and drives, and reports it."""
+"""Implements ``gibson-sim scene robot``: writes a ``robot.yaml``, measures how a robot stands and drives, and reports the results."""

@@ -1,4 +1,4 @@
-"""What ``RobotTrial`` measured, as lines for the user: how the robot stands and drives, its footprint, its topics, what to set by hand."""
+"""Reports a ``RobotTrial`` as lines of text: rest, stability, test drive, footprint, topics, and values to set by hand."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from gibson_sim.robots.loading.guess import Guess
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim_tools.robots.trial import DriveTest, RobotTrial
 
-_SAFE = 0.8
-"""Part of the tipping acceleration that is proposed as a limit."""
+_SAFETY_FACTOR = 0.8
+"""Fraction of the tipping acceleration proposed as a limit."""
 _LEVEL = math.radians(0.3)
-"""Tilt below which a robot stands level, radians."""
-_LEANS = 0.1
-"""Distance of the centre of mass from the middle, as a part of the width of the support polygon, from which on it is named."""
-_SLIPS, _TURNS_WRONG = 0.02, math.radians(5.0)
-"""Slip, and error of a turn (radians), from which on they are named."""
-_DRIFTS = 0.005
-"""Motion of a robot at rest that is named, metres."""
-_LEAST_ACCELERATION = 0.1
-"""Least acceleration that is proposed as a limit, m/s^2."""
-_TWO = 2
-_ASSUMED = " has no mass; "
-"""Marks the engine's warning about a mass that is assumed."""
+"""Pitch or roll below which a robot stands level, radians."""
+_OFF_CENTRE = 0.1
+"""Lateral offset of the centre of mass from the middle, as a fraction of the support polygon's width, above which it is reported."""
+_SLIP, _TURN_ERROR = 0.02, math.radians(5.0)
+"""Slip, and error of a turn (radians), above which they are reported."""
+_DRIFT = 0.005
+"""Drift of a robot at rest above which it is reported, m."""
+_MIN_ACCELERATION = 0.1
+"""Minimum acceleration proposed as a limit, m/s^2."""
+_TWO_WHEELS = 2
+_ASSUMED_MASS = " has no mass; "
+"""Part of the physics engine's warning about an assumed mass."""
 _MISPLACED = "it falls over: its centre of mass is not above its wheels and casters"
 _LONGEST_NAME = 60
-"""Characters of a link's name."""
+"""Maximum length of a link's name in the report, characters."""
 _SUSPENSION = re.compile(r"suspension|wheel|caster|bumper|rocker|bogie", re.IGNORECASE)
-"""Joints with motors that no task moves."""
+"""Names of joints with motors that no task moves."""
 _MAX_NAMED = 4
-"""Lines about masses and meshes that are repeated; the rest is counted."""
+"""Maximum number of items listed; the rest are counted."""
 
 
 def report_lines(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> list[str]:
-    """Returns the report: measured values, footprint and topics, then what to set by hand, one line each.
+    """Returns the report: measured values, footprint and topics, then values to set by hand, one line each.
 
     Args:
         trial: The measurements.
-        guesses: How the robot's file came about; they say what the description does not have.
+        guesses: Guesses behind the robot's file; they name what the description lacks.
     """
     robot = trial.robot
     lines = [*_assumed_masses(trial), *_standing(trial), *(_drive_line(drive) for drive in trial.drives)]
@@ -63,7 +63,7 @@ def report_lines(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> list[str]:
 
 
 def _assumed_masses(trial: RobotTrial) -> list[str]:
-    """Returns the line about masses that the description lacks: the other figures depend on them."""
+    """Returns the line about masses missing in the description; the other figures depend on them."""
     assumed = trial.stability.assumed
     if not assumed:
         return []
@@ -73,41 +73,41 @@ def _assumed_masses(trial: RobotTrial) -> list[str]:
 
 
 def _standing(trial: RobotTrial) -> list[str]:
-    """Returns what was measured at rest."""
-    stable, (x, y, z) = trial.stability, trial.stability.center_of_mass.tolist()
+    """Returns the lines about the robot at rest."""
+    stability, (x, y, z) = trial.stability, trial.stability.center_of_mass.tolist()
     lean = ""
     if abs(trial.pitch) > _LEVEL:
         lean += f", nose {'down' if trial.pitch > 0 else 'up'}"
     if abs(trial.roll) > _LEVEL:
         lean += f", {'right' if trial.roll > 0 else 'left'} side down"
     lines = []
-    if not trial.lacks_support:  # else the way it lies is chance
+    if not trial.lacks_support:  # else its pose on the floor is arbitrary
         lines.append(
             f"at rest: tilt {math.degrees(trial.tilt):.2f} degrees{lean}; moved {trial.drift * 1000:.1f} mm by itself in 2 s"
         )
-    lines.append(f"mass: {stable.mass:.4g} kg, centre of mass at x {x:.3f}, y {y:.3f} m, {z:.3f} m above the floor")
+    lines.append(f"mass: {stability.mass:.4g} kg, centre of mass at x {x:.3f}, y {y:.3f} m, {z:.3f} m above the floor")
     if trial.robot.fixed_base:
         lines.append("support: its base is fixed, it cannot tip over")
         return lines
     if trial.lacks_support:
-        two = len(list(_driven(trial.robot))) == _TWO
+        two = len(list(_driven(trial.robot))) == _TWO_WHEELS
         lines.append(
             f'support: it stands on {"two wheels" if two else "a line"}: add a caster, such as a ball with <lateral_friction value="0"/>'
         )
         return lines
-    corners = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in stable.support.tolist())
-    if len(stable.support) < 3:
+    corners = ", ".join(f"({x:.3f}, {y:.3f})" for x, y in stability.support.tolist())
+    if len(stability.support) < 3:
         lines.append(f"support: stands on {corners or 'nothing'}, which is not an area")
         return lines
-    if stable.margin <= 0.0 or z <= 0.0:
+    if stability.margin <= 0.0 or z <= 0.0:
         lines.append(f"support polygon: {corners} m; {_MISPLACED}")
         return lines
-    slope = math.degrees(stable.tilt_margin)
+    slope = math.degrees(stability.tilt_margin)
     lines.append(f"support polygon: {corners} m")
     lines.append(
-        f"static stability margin: {stable.margin * 1000:.0f} mm; tips over on a slope of {slope:.1f} degrees in the worst direction"
+        f"static stability margin: {stability.margin * 1000:.0f} mm; tips over on a slope of {slope:.1f} degrees in the worst direction"
     )
-    start, brake, left, right = (stable.tipping_acceleration(d) for d in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
+    start, brake, left, right = (stability.tipping_acceleration(d) for d in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
     lines.append(
         f"tips over at: starting {start:.2f}, braking {brake:.2f}, sideways {min(left, right):.2f} m/s^2{_limits(trial.robot)}"
     )
@@ -115,7 +115,7 @@ def _standing(trial: RobotTrial) -> list[str]:
 
 
 def _limits(robot: RobotSpec) -> str:
-    """Returns the greatest accelerations that the drive gives, as a part of a line."""
+    """Returns the largest accelerations that the drive allows, as part of a line."""
     drive = robot.drive
     if drive is None:
         return ""
@@ -126,13 +126,13 @@ def _limits(robot: RobotSpec) -> str:
 
 
 def _drive_line(drive: DriveTest) -> str:
-    """Returns the errors of one motion of the test drive."""
+    """Returns the line about the errors of one motion of the test drive."""
     x, y, yaw = drive.driven
     tilt = f"tilt up to {math.degrees(drive.tilt):.2f} degrees"
     if drive.turns:
-        turned, away = math.degrees(yaw), math.hypot(x, y) * 1000
+        turned, moved = math.degrees(yaw), math.hypot(x, y) * 1000
         error = turned - math.degrees(drive.commanded.yaw)
-        return f"{drive.name}: {turned:.2f} degrees ({round(error, 2) + 0.0:+.2f}), {away:.1f} mm off its place; slip {_percent(drive.slip)}; {tilt}"
+        return f"{drive.name}: {turned:.2f} degrees ({round(error, 2) + 0.0:+.2f}), {moved:.1f} mm off its place; slip {_percent(drive.slip)}; {tilt}"
     ahead = np.array(drive.commanded[:2]) / np.hypot(*drive.commanded[:2])
     distance, aside = float(ahead @ (x, y)), float(ahead[0] * y - ahead[1] * x)
     error = distance - math.hypot(*drive.commanded[:2])
@@ -142,39 +142,39 @@ def _drive_line(drive: DriveTest) -> str:
 
 
 def _percent(part: float) -> str:
-    """Returns a part in percent, without a negative zero."""
+    """Returns a fraction in percent, without a negative zero."""
     return f"{round(100 * part, 2) + 0.0:.2f} %"
 
 
 def topics(robot: RobotSpec) -> tuple[str, ...]:
-    """Returns the topics that a robot will have, each with its type, and ``in`` if the simulation subscribes to it."""
-    found = []
+    """Returns the topics of a robot, each with its type, and ``in`` if the simulation subscribes to it."""
+    names = []
     if robot.drive is not None:
-        found.append("cmd_vel (in; geometry_msgs/Twist or TwistStamped)")
-    found += [
+        names.append("cmd_vel (in; geometry_msgs/Twist or TwistStamped)")
+    names += [
         "odom, ground_truth/odom (nav_msgs/Odometry)",
         "joint_states (sensor_msgs/JointState)",
         "/tf, /tf_static, robot_description",
     ]
     model = read_urdf(robot.urdf)
     if any(joint.has_motor for joint in model.joints if joint.name not in _driven(robot)):
-        found.append("joint_trajectory (in; trajectory_msgs/JointTrajectory), joint_command (in; sensor_msgs/JointState)")
+        names.append("joint_trajectory (in; trajectory_msgs/JointTrajectory), joint_command (in; sensor_msgs/JointState)")
     sensors = robot.sensors
-    found += [f"{lidar.name} (sensor_msgs/LaserScan, {lidar.rate_hz:g} Hz)" for lidar in sensors.lidars]
-    found += [f"{lidar.name} (sensor_msgs/PointCloud2, {lidar.rate_hz:g} Hz)" for lidar in sensors.lidars_3d]
-    found += [f"{imu.name} (sensor_msgs/Imu, {imu.rate_hz:g} Hz)" for imu in sensors.imus]
-    found += [f"{bumper.name} (std_msgs/Bool, {bumper.rate_hz:g} Hz), {bumper.name}/wrench" for bumper in sensors.bumpers]
-    found += [f"{sensors.battery.name} (sensor_msgs/BatteryState)"] if sensors.battery is not None else []
+    names += [f"{lidar.name} (sensor_msgs/LaserScan, {lidar.rate_hz:g} Hz)" for lidar in sensors.lidars]
+    names += [f"{lidar.name} (sensor_msgs/PointCloud2, {lidar.rate_hz:g} Hz)" for lidar in sensors.lidars_3d]
+    names += [f"{imu.name} (sensor_msgs/Imu, {imu.rate_hz:g} Hz)" for imu in sensors.imus]
+    names += [f"{bumper.name} (std_msgs/Bool, {bumper.rate_hz:g} Hz), {bumper.name}/wrench" for bumper in sensors.bumpers]
+    names += [f"{sensors.battery.name} (sensor_msgs/BatteryState)"] if sensors.battery is not None else []
     for camera in robot.cameras:
         images = [f"{camera.name}/{'' if output == 'rgb' else output + '/'}image_raw" for output in camera.outputs]
-        found.append(
+        names.append(
             f"{', '.join(images)} (sensor_msgs/Image, {camera.rate_hz:g} Hz, {camera.width} x {camera.height}), with camera_info"
         )
-    return tuple(found)
+    return tuple(names)
 
 
 def _driven(robot: RobotSpec) -> Iterable[str]:
-    """Returns the joints of the drive."""
+    """Returns the names of the drive's joints."""
     if robot.drive is None:
         return ()
     drive = make_drive(robot.drive)
@@ -182,63 +182,63 @@ def _driven(robot: RobotSpec) -> Iterable[str]:
 
 
 def by_hand(trial: RobotTrial, guesses: Sequence[Guess] = ()) -> tuple[str, ...]:
-    """Returns what to set in the file, or to correct in the description, one line each."""
+    """Returns the values to set in the file or to correct in the description, one line each."""
     robot = trial.robot
-    found = [guess.by_hand for guess in guesses if guess.by_hand]
+    lines = [guess.by_hand for guess in guesses if guess.by_hand]
     if robot.drive is not None and guesses:
         limits = "max_linear, max_angular, their accelerations and max_wheel_torque"
-        found.append(
+        lines.append(
             f"drive: {limits}, from its data sheet; now {robot.drive.max_linear:g} m/s and {robot.drive.max_angular:g} rad/s, the defaults"
         )
     if guesses and robot.drive is not None and not (robot.cameras or robot.sensors.lidars or robot.sensors.lidars_3d):
-        found.append("cameras, lidar: none was found in the description; add those of the robot, on its links")
-    warnings = [line for line in trial.warnings if _ASSUMED not in line]  # the first line of the report
-    found += [*_stability_by_hand(trial), *_drive_by_hand(trial), *_joints_by_hand(robot), *_warnings_by_hand(warnings)]
-    return tuple(found)
+        lines.append("cameras, lidar: none was found in the description; add those of the robot, on its links")
+    warnings = [line for line in trial.warnings if _ASSUMED_MASS not in line]  # they are in the first line of the report
+    lines += [*_stability_by_hand(trial), *_drive_by_hand(trial), *_joints_by_hand(robot), *_warnings_by_hand(warnings)]
+    return tuple(lines)
 
 
 def _stability_by_hand(trial: RobotTrial) -> list[str]:
-    robot, stable = trial.robot, trial.stability
-    found: list[str] = []
-    if robot.fixed_base or len(stable.support) < 3 or trial.lacks_support:
-        return found
-    if stable.margin <= 0.0 or stable.center_of_mass[2] <= 0.0:
-        found.append(f"{_MISPLACED}; correct masses and origins in the description")
+    robot, stability = trial.robot, trial.stability
+    lines: list[str] = []
+    if robot.fixed_base or len(stability.support) < 3 or trial.lacks_support:
+        return lines
+    if stability.margin <= 0.0 or stability.center_of_mass[2] <= 0.0:
+        lines.append(f"{_MISPLACED}; correct masses and origins in the description")
     elif robot.drive is not None:
-        least = min(stable.tipping_acceleration((1.0, 0.0)), stable.tipping_acceleration((-1.0, 0.0)))
-        if least < _LEAST_ACCELERATION:
-            found.append(
+        least = min(stability.tipping_acceleration((1.0, 0.0)), stability.tipping_acceleration((-1.0, 0.0)))
+        if least < _MIN_ACCELERATION:
+            lines.append(
                 "it all but tips over at rest: its centre of mass is above the edge of its support; correct masses and origins, or move a caster"
             )
         elif least < robot.drive.max_linear_acceleration:
-            found.append(
-                f"drive.max_linear_acceleration: {_SAFE * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, with which it "
-                "tips, or masses in the description that are those of the robot"
+            lines.append(
+                f"drive.max_linear_acceleration: {_SAFETY_FACTOR * least:.2g} instead of {robot.drive.max_linear_acceleration:g} m/s^2, with which "
+                "it tips, or masses in the description that are those of the robot"
             )
-    across = stable.support[:, 1].min(), stable.support[:, 1].max()
-    aside = float(stable.center_of_mass[1]) - (across[0] + across[1]) / 2
-    if abs(aside) > _LEANS * (across[1] - across[0]):
+    sides = stability.support[:, 1].min(), stability.support[:, 1].max()
+    aside = float(stability.center_of_mass[1]) - (sides[0] + sides[1]) / 2
+    if abs(aside) > _OFF_CENTRE * (sides[1] - sides[0]):
         side = "left" if aside > 0 else "right"
-        found.append(
+        lines.append(
             f"masses: the centre of mass is {abs(aside) * 1000:.0f} mm to the {side} of the middle; is it so on the robot?"
         )
-    if trial.drift > _DRIFTS:
-        found.append(f"it moves {trial.drift * 1000:.0f} mm by itself; check the heights of wheels and casters (wheel_drop)")
-    return found
+    if trial.drift > _DRIFT:
+        lines.append(f"it moves {trial.drift * 1000:.0f} mm by itself; check the heights of wheels and casters (wheel_drop)")
+    return lines
 
 
 def _drive_by_hand(trial: RobotTrial) -> list[str]:
-    found = []
+    lines = []
     for drive in trial.drives:
-        if abs(drive.slip) > _SLIPS:
-            found.append(
+        if abs(drive.slip) > _SLIP:
+            lines.append(
                 f"{drive.name}: its wheels slip by {100 * drive.slip:.1f} %; check friction, wheel_radius, wheel_drop and what else touches the floor"
             )
-        elif drive.turns and abs(drive.driven.yaw - drive.commanded.yaw) > _TURNS_WRONG:
-            found.append(
+        elif drive.turns and abs(drive.driven.yaw - drive.commanded.yaw) > _TURN_ERROR:
+            lines.append(
                 f"{drive.name}: it turns {math.degrees(drive.driven.yaw):.0f} degrees; check max_wheel_torque and masses"
             )
-    return found
+    return lines
 
 
 def _joints_by_hand(robot: RobotSpec) -> list[str]:
