@@ -31,7 +31,7 @@ from gibson_sim.ros.trials.trial_node import _ActionGoal  # noqa: E402
 from gibson_sim.trials.execution import execute, session  # noqa: E402
 from gibson_sim.trials.execution.monitor import RunMonitor  # noqa: E402
 from gibson_sim.trials.execution.plan import TrialPlan  # noqa: E402
-from gibson_sim.trials.records import Outcome, Person, PlacedThing, RunSpec  # noqa: E402
+from gibson_sim.trials.records import Outcome, Person, PlacedObject, RunSpec  # noqa: E402
 from gibson_sim.trials.scenario_spec import GoalInterface, Limits, Ready, Scenario, StackSpec, Status  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -95,7 +95,7 @@ def leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("leaves_nothing")
 def test_equal_runs_with_things_and_people_are_equal_to_the_bit(room: str, tmp_path: Path) -> None:
-    box, anna = PlacedThing("box", "box_cardboard", (1.0, 1.0, 0.3)), Person("anna", ((-1.0, -1.0), (1.0, -1.0)), 0.8, 0.25, 1.75)
+    box, anna = PlacedObject("box", "box_cardboard", (1.0, 1.0, 0.3)), Person("anna", ((-1.0, -1.0), (1.0, -1.0)), 0.8, 0.25, 1.75)
     run = replace(run_in(room), things=(box,), people=(anna,))
     outcomes: list[Outcome] = []
     for number in range(2):

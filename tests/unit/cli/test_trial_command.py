@@ -179,7 +179,7 @@ def test_a_decline_beyond_chance_ends_with_1_where_that_is_wanted(tmp_path: Path
         (("rooms.yaml", "--resume"), "--resume needs --output DIR"),
         (("rooms.yaml", "--compare", "none.json"), "none.json: cannot be read: No such file"),
         (("rooms.yaml", "--runs", "0"), "--runs is 0, must be at least 1"),
-        (("rooms.yaml", "--output", "."), "the folder holds 'rooms.yaml' already"),
+        (("rooms.yaml", "--output", "."), "the folder already contains 'rooms.yaml'"),
     ],
 )
 def test_wrong_input_is_one_line_before_anything_starts(

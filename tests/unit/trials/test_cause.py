@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.trials.judging import judge
-from gibson_sim.trials.records import Cause, Person, PlacedThing
+from gibson_sim.trials.records import Cause, Person, PlacedObject
 from support.run_bags import DRIVES_THERE, GOAL, START, Run, along, commands, messages, planned, scenario, until
 
 FOREVER = commands((0.0, 12.0, 0.5))
@@ -202,7 +202,7 @@ def test_plan_that_is_as_near_as_the_robot_is_wide_is_not_blamed(tmp_path: Path)
 
 def test_plan_through_a_thing_that_was_put_there(tmp_path: Path) -> None:
     """In a scene of ours, so that its rooms are named: the box is on the straight path, in the living room of the flat."""
-    box = PlacedThing("box_1", "box_cardboard", (2.0, 2.0, 0.0), 0.1)
+    box = PlacedObject("box_1", "box_cardboard", (2.0, 2.0, 0.0), 0.1)
     run = Run(truth=until(1.4, 1.7), touches=[(1.4, 12.0, "box_1")], commands=FOREVER)
     cause = sure(blamed(tmp_path, run, spec=planned(scene="flat", things=(box,))))
     assert cause.kind == "plan through obstacle"

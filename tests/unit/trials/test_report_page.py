@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.trials.comparing.comparison import compare
-from gibson_sim.trials.records import Cause, PlacedThing, RunResult, Verdict
+from gibson_sim.trials.records import Cause, PlacedObject, RunResult, Verdict
 from gibson_sim.trials.report.maps import SceneMap, map_svg
 from gibson_sim.trials.report.page import trial_page
 from gibson_sim.trials.report.paths import read_path, simplified
@@ -157,7 +157,7 @@ def test_map_tells_failed_paths_by_more_than_colour() -> None:
 
 
 def test_map_shows_what_was_in_the_way_of_a_failed_run() -> None:
-    things = (PlacedThing("box", "box_cardboard", (1.0, 2.0, 0.0)),)
+    things = (PlacedObject("box", "box_cardboard", (1.0, 2.0, 0.0)),)
     runs = [(made(0, things=things), ((0.0, 0.0), (10.0, 0.0))) for made in (passed, failed)]
     unit = 0.106  # a hundredth of the width, 10 m and the margins
     assert map_svg(None, runs).count("<rect") == 1

@@ -14,7 +14,7 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.jobs.units import Unit, UnitResult
 from gibson_sim.trials import execution, judging, running
 from gibson_sim.trials.records import Outcome, RunResult, RunSpec
-from gibson_sim.trials.running import Changes, broken, claimed, finished, make_run, make_runs, prepare
+from gibson_sim.trials.running import Overrides, check_output_folder, claimed, execute_run, execute_runs, finished, worker_failure
 from gibson_sim.trials.scenario_spec import Scenario, StackSpec
 from support.trial_results import failed, passed, spec
 
@@ -40,7 +40,7 @@ class Here:
             self.made.append(int(unit.id))
             (output / unit.id).mkdir()
             try:
-                value = make_run(
+                value = execute_run(
                     json.loads(json.dumps(unit.arguments)),
                     output / unit.id,
                     Context(lambda text, u=unit: on_progress(u.id, text)),
@@ -100,8 +100,8 @@ def made(
 ) -> tuple[list[RunResult], list[tuple[int, str]]]:
     results: list[RunResult] = []
     told: list[tuple[int, str]] = []
-    make_runs(
-        scenario, Changes(), runs, backend or Here(), folder, results.append, lambda number, text: told.append((number, text))
+    execute_runs(
+        scenario, Overrides(), runs, backend or Here(), folder, results.append, lambda number, text: told.append((number, text))
     )
     return results, told
 
@@ -129,14 +129,14 @@ def test_bags_of_failed_runs_alone_are_kept(tmp_path: Path, scenario: Scenario) 
 
 
 def test_all_bags_are_kept_where_that_is_wanted(tmp_path: Path, scenario: Scenario) -> None:
-    make_runs(scenario, Changes(keep="all"), [spec(0)], Here(), tmp_path, lambda result: None, lambda number, text: None)
+    execute_runs(scenario, Overrides(keep="all"), [spec(0)], Here(), tmp_path, lambda result: None, lambda number, text: None)
     assert (tmp_path / "runs/0000/bag").is_dir()
 
 
 def test_a_run_whose_worker_fails_is_a_failed_run_and_the_others_go_on(tmp_path: Path, scenario: Scenario) -> None:
     results, _ = made(scenario, [spec(4), spec(6)], tmp_path)
     assert [result.passed for result in results] == [False, True]
-    assert results[0] == broken(scenario, spec(4), "no free ROS domain")
+    assert results[0] == worker_failure(scenario, spec(4), "no free ROS domain")
     assert results[0].cause is not None
     assert results[0].cause.kind == "simulation failed"
     assert finished(tmp_path, [spec(4)]) == {4: results[0]}
@@ -170,29 +170,29 @@ def test_a_damaged_result_is_made_again(tmp_path: Path, scenario: Scenario, text
 
 
 def test_an_output_folder_is_new_or_empty(tmp_path: Path) -> None:
-    prepare(tmp_path / "new", resume=False)
-    prepare(tmp_path, resume=False)
-    prepare(tmp_path / "new", resume=True)
+    check_output_folder(tmp_path / "new", resume=False)
+    check_output_folder(tmp_path, resume=False)
+    check_output_folder(tmp_path / "new", resume=True)
 
 
 def test_a_folder_with_other_content_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(ConfigError, match=r"holds 'thesis\.tex' already; give a new one$"):
-        prepare(tmp_path, resume=False)
-    with pytest.raises(ConfigError, match="no trial to go on with"):
-        prepare(tmp_path, resume=True)
+    with pytest.raises(ConfigError, match=r"already contains 'thesis\.tex'; give a new one$"):
+        check_output_folder(tmp_path, resume=False)
+    with pytest.raises(ConfigError, match="no trial to resume"):
+        check_output_folder(tmp_path, resume=True)
 
 
 def test_a_folder_with_a_trial_goes_on_with_resume_alone(tmp_path: Path) -> None:
     (tmp_path / "runs").mkdir()
-    with pytest.raises(ConfigError, match="or add --resume to go on"):
-        prepare(tmp_path, resume=False)
-    prepare(tmp_path, resume=True)
+    with pytest.raises(ConfigError, match="or add --resume to continue"):
+        check_output_folder(tmp_path, resume=False)
+    check_output_folder(tmp_path, resume=True)
 
 
 def test_two_trials_do_not_share_a_folder(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "out"
-    used = pytest.raises(ConfigError, match="another trial is being made in the folder")
+    used = pytest.raises(ConfigError, match="another trial is writing to the folder")
     with claimed(folder, resume=False), used, claimed(folder, resume=True):
         raise AssertionError("it is in use")
     with claimed(folder, resume=False):
@@ -202,18 +202,18 @@ def test_two_trials_do_not_share_a_folder(tmp_path: Path) -> None:
 def test_output_that_cannot_be_a_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes").write_text("")
     with pytest.raises(ConfigError, match=r"notes' is a file, must be a folder$"):
-        prepare(tmp_path / "notes", resume=False)
-    with pytest.raises(ConfigError, match=r"cannot be made: .*notes is a file$"):
-        prepare(tmp_path / "notes" / "out", resume=False)
+        check_output_folder(tmp_path / "notes", resume=False)
+    with pytest.raises(ConfigError, match=r"cannot be created: .*notes is a file$"):
+        check_output_folder(tmp_path / "notes" / "out", resume=False)
 
 
 def test_changes_of_the_command_line_count(scenario: Scenario) -> None:
-    changed = Changes(runs=3, restart="never", keep="all").applied(scenario)
+    changed = Overrides(runs=3, restart="never", keep="all").applied(scenario)
     assert (changed.runs, changed.stack.restart, changed.record.keep) == (3, "never", "all")
-    assert Changes().applied(scenario) == scenario
-    assert Changes(runs=3, restart="never", keep="all").options() == ("--runs", "3", "--restart", "never")
+    assert Overrides().applied(scenario) == scenario
+    assert Overrides(runs=3, restart="never", keep="all").options() == ("--runs", "3", "--restart", "never")
     with pytest.raises(ConfigError, match="--runs is 0, must be at least 1"):
-        Changes(runs=0).applied(scenario)
+        Overrides(runs=0).applied(scenario)
 
 
 def test_files_are_taken_from_where_they_are_on_the_machine_of_a_worker(
@@ -230,11 +230,11 @@ def test_files_are_taken_from_where_they_are_on_the_machine_of_a_worker(
     arguments = {
         "scenario": "/home/me/t.yaml",
         "folder": "/home/me",
-        "changes": {},
+        "overrides": {},
         "run": json.loads(json.dumps(run.to_json())),
         "followed": False,
     }
-    make_run(arguments, tmp_path, Context(root="/elsewhere"))
+    execute_run(arguments, tmp_path, Context(root="/elsewhere"))
     assert seen == [(Path("/elsewhere/home/me"), "/elsewhere/data/my_flat", "gibson_bot")]
     assert finished_run(tmp_path) == run
 

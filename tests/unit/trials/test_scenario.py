@@ -141,7 +141,7 @@ def test_all_mistakes_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     assert [line.split(" ", 1)[0] for line in found] == [
         "scens", "runs", "stack.comand", "stack.command", "obstacles.people[1].path[0]", "scenes",
     ]  # fmt: skip
-    assert found[0].startswith("scens is no key; did you mean 'scenes'? known: scenes, stack,")
+    assert found[0].startswith("scens is not a key; did you mean 'scenes'? known: scenes, stack,")
     assert found[1] == "runs is 0, must be a whole number from 1 to 10000"
 
 
@@ -152,7 +152,7 @@ def test_all_mistakes_of_a_file_are_told_at_once(tmp_path: Path) -> None:
         ("", "is empty, must be a mapping with scenes, stack,"),
         ("scenes: flat\n", "stack is missing: a mapping with command,"),
         ("scenes: flot\nstack: {command: python}\n", "scenes is 'flot': scene 'flot' is not found; did you mean 'flat'?"),
-        ("scenes: [flat, flat]\nstack: {command: python}\n", "scenes[1] is 'flat', which is there twice"),
+        ("scenes: [flat, flat]\nstack: {command: python}\n", "scenes[1] is 'flat', which is a duplicate"),
         ("scenes: [arena, all]\nstack: {command: python}\n", "scenes[1] is 'all': scene 'all' is not found"),
         (LEAST + "robots: gibson_bt\n", "robots is 'gibson_bt': robot 'gibson_bt' is not found; did you mean 'gibson_bot'?"),
         (LEAST + "robots: a=gibson_bot\n", "robots is 'a=gibson_bot', must be one robot, which drives alone"),
@@ -162,13 +162,13 @@ def test_all_mistakes_of_a_file_are_told_at_once(tmp_path: Path) -> None:
         (LEAST + "seed: -1\n", "seed is -1, must be a whole number from 0 to"),
         (LEAST + "obstacles:\n", "obstacles has no value, must be a mapping with spawn,"),
         (LEAST + "obstacles: {spawn: {object: mugg}}\n", "obstacles.spawn.object is 'mugg', must be a file, or an object of the catalogue"),
-        (LEAST + "obstacles: {closed_doors: [all, x]}\n", "obstacles.closed_doors has all and names of doors"),
+        (LEAST + "obstacles: {closed_doors: [all, x]}\n", "obstacles.closed_doors has both all and names of doors"),
         (LEAST + "obstacles: {people: [{path: [[0, 0]]}]}\n", "obstacles.people[0].path has 1 values, must have 2 to 200"),
         (LEAST + "randomise: {slip: [0.2, 0.1]}\n", "randomise.slip is [0.2, 0.1], must be a number from -0.5 to 0.9, or [smallest, largest]"),
         (LEAST + "randomise: {looks: exmple}\n", "randomise.looks is 'exmple': configuration of kind 'randomisation' 'exmple' is not found"),
-        (LEAST + "physics: {ratee: 1}\n", "physics.ratee is no setting that a trial takes; did you mean 'rate'?"),
+        (LEAST + "physics: {ratee: 1}\n", "physics.ratee is not a setting that a trial accepts; did you mean 'rate'?"),
         (LEAST + "physics: {seed: 1}\n", "physics.seed is set by the trial; leave it out"),
-        (LEAST + "physics: {publish_hz: 7}\n", "physics cannot be: setting 'publish_hz' is 7 Hz, must divide"),
+        (LEAST + "physics: {publish_hz: 7}\n", "physics is not allowed: setting 'publish_hz' is 7 Hz, must divide"),
         (LEAST + "verdicts: {collisions: 0.5}\n", "verdicts.collisions is 0.5, must be a whole number"),
         (LEAST + "verdicts: {rates: [{topic: 1x, least: 1}]}\n", "verdicts.rates[0].topic is '1x', must be the name of a topic"),
         (LEAST + "verdicts: {rates: [{topic: a__b, least: 1}]}\n", "verdicts.rates[0].topic is 'a__b', must be the name of a topic"),
@@ -190,21 +190,21 @@ def test_a_wrong_value_is_told_with_the_path_of_its_key(tmp_path: Path, text: st
         ("command: 'a \"b'", "command is 'a \"b': no closing quotation"),
         ("command: []", "command is [], must be a command line"),
         ("command: [python, 3]", "command is ['python', 3], must be a command line"),
-        ("command: python\n  folder: nowhere", "folder is 'nowhere', must be a folder; there is none at "),
+        ("command: python\n  folder: nowhere", "folder is 'nowhere', must be a folder; "),
         ("command: python\n  environment: {ROS_DOMAIN_ID: 3}", "environment.ROS_DOMAIN_ID is set by the trial"),
         ("command: python\n  environment: {A: true}", "environment.A is True, must be text or a number"),
-        ("command: python\n  environment: {'A=B': x}", "environment.A=B is no name of a variable"),
+        ("command: python\n  environment: {'A=B': x}", "environment.A=B is not a variable name"),
         ("command: python\n  restart: nevr", "restart is 'nevr', must be one of each, never; did you mean 'never'?"),
-        ("command: python\n  ready: {topc: x}", "ready.topc is no key; did you mean 'topic'? known: topic, service, node, within"),
+        ("command: python\n  ready: {topc: x}", "ready.topc is not a key; did you mean 'topic'? known: topic, service, node, within"),
         ("command: python\n  ready: {topic: 'a b'}", "ready.topic is 'a b', must be the name of a topic"),
-        ("command: python\n  status: {reached: '('}", "status.reached is '(': is no regular expression"),
+        ("command: python\n  status: {reached: '('}", "status.reached is '(': is not a regular expression"),
         ("command: python\n  lockstep: cmd_vel sometimes", "lockstep is 'cmd_vel sometimes', must be a rule of lockstep"),
         ("command: python\n  lockstep: [cmd_vel after odom, cmd_vel after scan]", "lockstep[1] is 'cmd_vel after scan', a second rule"),
         ("command: python\n  goal: {}", "goal has none of topic, action and service, must have one"),
         ("command: python\n  goal: {topic: a, action: b}", "goal has topic and action, must have one"),
-        ("command: python\n  goal: {action: go}", "goal.type is missing, must be a type of actions"),
-        ("command: python\n  goal: {action: go, type: a/srv/B}", "goal.type is 'a/srv/B', must be a type of actions"),
-        ("command: python\n  goal: {topic: go, type: a/srv/B}", "goal.type is no key here; known: topic"),
+        ("command: python\n  goal: {action: go}", "goal.type is missing, must be an action type"),
+        ("command: python\n  goal: {action: go, type: a/srv/B}", "goal.type is 'a/srv/B', must be an action type"),
+        ("command: python\n  goal: {topic: go, type: a/srv/B}", "goal.type is not a key here; known: topic"),
         ("command: python\n  goal: tusk", "goal is 'tusk', must be task, {topic: ..}"),
     ],
 )  # fmt: skip
@@ -260,4 +260,4 @@ def test_a_message_names_further_mistakes(tmp_path: Path) -> None:
 def test_a_file_with_very_many_mistakes_is_told_so(tmp_path: Path) -> None:
     found = mistakes(tmp_path, LEAST + "".join(f"x{k}: 1\n" for k in range(30)))
     assert len(found) == 21
-    assert found[-1] == "has more than 20 mistakes: mend these first"
+    assert found[-1] == "has more than 20 mistakes: fix these first"

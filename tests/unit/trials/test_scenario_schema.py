@@ -15,7 +15,7 @@ import yaml
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.trials.scenario.json_schema import schema, write_schema
 from gibson_sim.trials.scenario.keys import SCENARIO, SET_BY_TRIAL
-from gibson_sim.trials.scenario.kinds import Place
+from gibson_sim.trials.scenario.kinds import Location
 from gibson_sim.trials.scenario.load import load_scenario
 from gibson_sim.trials.scenario_spec import GoalInterface, Scenario
 
@@ -141,7 +141,7 @@ def without(document: Any, steps: Steps) -> Any:
 def mistakes(document: Any) -> list[str]:
     """Returns the mistakes of form that the loader finds; empty = none."""
     found: list[str] = []
-    top = Place("", found)
+    top = Location("", found)
     if isinstance(document, dict):
         SCENARIO.values(document, top)
     else:

@@ -1,12 +1,12 @@
-"""What passes between the parts of a trial: a planned run, how it ended, and its result. All are JSON in the folder of the run.
+"""Records of a trial: planned run, outcome and result, each stored as JSON in the folder of the run.
 
 ::
 
-    OUT/results.json            the whole trial: scenario, all results
+    OUT/results.json            the whole trial: scenario and all results
     OUT/runs/0007/run.json      RunSpec
     OUT/runs/0007/outcome.json  Outcome
     OUT/runs/0007/result.json   RunResult
-    OUT/runs/0007/bag/          rosbag2, with /inputs, /run_info and /tick_digest, so that it can be replayed to the bit
+    OUT/runs/0007/bag/          rosbag2, with /inputs, /run_info and /tick_digest for bit-exact replay
     OUT/runs/0007/stack.log, simulation.log
 """
 
@@ -18,16 +18,16 @@ from typing import Any, Literal
 PlanarPose = tuple[float, float, float]
 """x, y, yaw: map frame, metres and radians."""
 REFUSED_GOAL = "did not accept the goal"
-"""End of the detail of an outcome of a stack whose action refused the goal."""
+"""Suffix of ``Outcome.detail`` if the stack's action rejected the goal."""
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedThing:
-    """A thing to spawn."""
+class PlacedObject:
+    """An object to spawn."""
 
     name: str
     object: str
-    """As for ``gibson-sim spawn``."""
+    """Catalogue name or file, as for ``gibson-sim spawn``."""
     pose: PlanarPose
     z: float = 0.0
     """Height of its origin, metres."""
@@ -35,64 +35,69 @@ class PlacedThing:
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """A person who walks to and fro."""
+    """A person who walks back and forth along a path."""
 
     name: str
     path: tuple[tuple[float, float], ...]
+    """Waypoints, map frame, metres."""
     speed: float
+    """m/s."""
     radius: float
     height: float
+    """Metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunSpec:
-    """One planned run: all that was drawn, so that the same run can be made again, on any machine."""
+    """One planned run: all sampled values, so that the run can be repeated on any machine."""
 
     number: int
     scene: str
     robot: str
-    """Name or file; a file in the run's folder where the robot is randomised."""
+    """Name or file; a file in the run's folder if the robot is randomised."""
     seed: int
-    """Of the simulation's noise, and of everything else that is drawn in the run."""
+    """Seed of the simulation's noise and of all other sampling in the run."""
     start: PlanarPose
     goal: PlanarPose
     shortest: float
     """Length of the shortest path on the map, metres."""
     radius: float
-    """Of the robot, metres."""
+    """Radius of the robot, metres."""
     initial_error: PlanarPose = (0.0, 0.0, 0.0)
-    """Of the initial pose, in the robot's frame."""
-    things: tuple[PlacedThing, ...] = ()
+    """Error of the initial pose estimate, in the robot's frame."""
+    things: tuple[PlacedObject, ...] = ()
+    """Spawned objects."""
     closed_doors: tuple[str, ...] = ()
+    """Names of bodies whose doors are closed."""
     people: tuple[Person, ...] = ()
     physics: dict[str, Any] = field(default_factory=dict)
-    """Settings of the physics node, all that differ from its defaults, except scene, robot, start and seed."""
+    """Settings of the physics node that differ from its defaults, without scene, robot, start and seed."""
     drawn: dict[str, float] = field(default_factory=dict)
-    """What was drawn for this run, such as ``slip``, for the report."""
+    """Sampled values of this run, such as ``slip``, for the report."""
     files: dict[str, str] = field(default_factory=dict)
-    """Text files that belong to the run, by their path in its folder, such as ``robot/robot.yaml``."""
+    """Text files of the run by path relative to its folder, such as ``robot/robot.yaml``."""
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the run as values of JSON."""
+        """Returns the run as JSON values."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> RunSpec:
-        """Returns the run that ``to_json`` returned."""
+        """Restores a run from the values that ``to_json`` returned."""
         return cls(**{
             **values,
             "start": tuple(values["start"]),
             "goal": tuple(values["goal"]),
             "initial_error": tuple(values["initial_error"]),
-            "things": tuple(PlacedThing(**{**t, "pose": tuple(t["pose"])}) for t in values["things"]),
+            "things": tuple(PlacedObject(**{**o, "pose": tuple(o["pose"])}) for o in values["things"]),
             "closed_doors": tuple(values["closed_doors"]),
             "people": tuple(Person(**{**p, "path": tuple(map(tuple, p["path"]))}) for p in values["people"]),
         })  # fmt: skip
 
 
 End = Literal[
-    "reached",  # the stack says so, or the robot stands at the goal
-    "gave up",  # the stack says that it failed
+    "reached",  # the stack reports it, or the robot stands at the goal
+    "gave up",  # the stack reports a failure
     "time limit",  # simulation time
     "wall time limit",
     "never ready",
@@ -105,34 +110,34 @@ End = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a run ended."""
+    """Outcome of a run."""
 
     end: End
     detail: str
-    """One line: what, which value, which limit."""
+    """One line: event, value, limit."""
     lockstep: bool
-    """Whether time waited for the stack; else the run was in real time, and cannot be repeated with the stack to the bit."""
+    """Whether time waited for the stack; otherwise the run was in real time and is not bit-exact when repeated with the stack."""
     goal_ns: int = -1
-    """Stamp at which the goal was given; -1 = it was not."""
+    """Stamp at which the goal was sent; -1 = never."""
     decided_ns: int = -1
-    """Stamp at which the stack told its end, or the robot began to stand at the goal; the run goes on until the robot stands still."""
+    """Stamp at which the stack reported its end or the robot came to rest at the goal; the run continues until the robot stands still."""
     end_ns: int = -1
     """Stamp of the last tick."""
     exit_code: int | None = None
-    """Of the stack, if it ended by itself; negative = the signal."""
+    """Exit code of the stack if it ended by itself; negative = the signal."""
     status: str = ""
-    """Last text on the status topic."""
+    """Latest text on the status topic."""
     refused_commands: int = 0
-    """Commands that were not finite, or of another form."""
+    """Number of rejected commands: not finite, or malformed."""
     start_up_s: float = 0.0
     """Wall time until simulation time began."""
     running_s: float = 0.0
-    """Wall time in which simulation time passed."""
+    """Wall time during which simulation time advanced."""
     ending_s: float = 0.0
-    """Wall time from there until all processes had ended."""
+    """Wall time from the last tick until all processes had ended."""
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as values of JSON."""
+        """Returns the outcome as JSON values."""
         return asdict(self)
 
 
@@ -169,47 +174,47 @@ CauseKind = Literal[
     "verdict",
     "unknown",
 ]
-"""What can go wrong first in a run."""
+"""Kinds of causes of a failed run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """The first thing that went wrong in a failed run."""
+    """The earliest event that led to the failure of a run."""
 
     kind: CauseKind
     text: str
-    """One sentence that tells what, where and when."""
+    """One sentence: what happened, where and when."""
     time: float | None = None
-    """Seconds of simulation time after the goal was given."""
+    """Simulation time after the goal was sent, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """A run, judged."""
+    """Result of a judged run."""
 
     run: RunSpec
     outcome: Outcome
     verdicts: tuple[Verdict, ...]
     measures: dict[str, float]
-    """What was measured: ``time``, ``length``, ``path_ratio``, ``clearance``, ``goal_distance``, ``collisions``, ``rms_acceleration``,
-    ``localisation_error``, ... SI units; what is unknown is left out."""
+    """Measured values: ``time``, ``length``, ``path_ratio``, ``clearance``, ``goal_distance``, ``collisions``, ``rms_acceleration``,
+    ``localisation_error``, ... SI units; unknown values are omitted."""
     digest: str
-    """Of all that physics published in the run, tick by tick: equal digests = equal runs, to the bit. Empty = the bag has none."""
+    """Digest of all messages that physics published, tick by tick: equal digests = bit-exact equal runs. Empty = the bag has none."""
     cause: Cause | None = None
-    """None = it passed."""
+    """None = the run passed."""
 
     @property
     def passed(self) -> bool:
-        """Whether all verdicts are good."""
+        """Whether all verdicts passed."""
         return all(verdict.passed for verdict in self.verdicts)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as values of JSON, with ``passed``, and without the run's files, which are in its folder."""
+        """Returns the result as JSON values, with ``passed`` and without the run's files, which are in its folder."""
         return {"passed": self.passed, **asdict(replace(self, run=replace(self.run, files={})))}
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> RunResult:
-        """Returns the result that ``to_json`` returned; its run has no files."""
+        """Restores a result from the values that ``to_json`` returned; its run has no files."""
         return cls(
             RunSpec.from_json(values["run"]),
             Outcome(**values["outcome"]),

@@ -1,4 +1,4 @@
-"""Makes the runs of a trial: each is a unit of work (``jobs``), executed and judged in a worker process. Gathers their results."""
+"""Executes and judges the runs of a trial, each as a unit of work (``jobs``) in a worker process, and collects their results."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from gibson_sim.writing import cannot_write, write_file
 RUNS = "runs"
 RUN, RESULT = "run.json", "result.json"
 """Files in the folder of a run."""
-_FUNCTION = f"{__name__}:make_run"
+_FUNCTION = f"{__name__}:execute_run"
 
 
 @dataclass(frozen=True, slots=True)
-class Changes:
-    """What a command line changes in a scenario; None = nothing."""
+class Overrides:
+    """Command-line overrides of scenario settings; None = as in the file."""
 
     runs: int | None = None
-    """In each scene with each robot."""
+    """Number of runs in each scene with each robot."""
     restart: Literal["each", "never"] | None = None
     keep: Literal["failed", "all"] | None = None
 
     def applied(self, scenario: Scenario) -> Scenario:
-        """Returns the scenario with these changes.
+        """Returns the scenario with these overrides applied.
 
         Raises:
-            ConfigError: a value is impossible.
+            ConfigError: a value is not allowed.
         """
         if self.runs is not None:
             if self.runs < 1:
@@ -55,18 +55,18 @@ class Changes:
         return scenario
 
     def options(self) -> tuple[str, ...]:
-        """Returns those options of the command line that a repetition of a run needs."""
-        found = (("--runs", self.runs), ("--restart", self.restart))
-        return tuple(word for name, value in found if value is not None for word in (name, str(value)))
+        """Returns the command-line options that a repetition of a run needs."""
+        options = (("--runs", self.runs), ("--restart", self.restart))
+        return tuple(word for name, value in options if value is not None for word in (name, str(value)))
 
 
 def check(scenario: Scenario) -> None:
-    """Checks what can be known of a scenario's stack before anything starts.
+    """Checks a scenario's stack before any process starts.
 
     Raises:
-        GibsonSimError: its program is not there, or what is wanted of it cannot be done.
+        GibsonSimError: its program does not exist, or a setting of the stack cannot be used.
     """
-    # Loaded here: planning and comparing need no ROS domain.
+    # Imported here: planning and comparing need no ROS domain.
     from gibson_sim.trials.execution import check_stack
 
     try:
@@ -75,98 +75,98 @@ def check(scenario: Scenario) -> None:
         raise ConfigError(f"{scenario.path}: {error}") from error
 
 
-def prepare(folder: Path, *, resume: bool) -> None:
-    """Checks that the output folder is new or empty, or is that of a trial that goes on.
+def check_output_folder(folder: Path, *, resume: bool) -> None:
+    """Checks that the output folder is new or empty, or belongs to a trial that is resumed.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: the folder cannot be used.
     """
     try:
-        there = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
-        above = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        entries = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
+        ancestor = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     except NotADirectoryError as error:
         raise ConfigError(f"--output {quoted(str(folder))} is a file, must be a folder") from error
     except OSError as error:
         raise ConfigError(f"--output {quoted(str(folder))}: cannot be read: {error.strerror}") from error
-    if not (above.is_dir() and os.access(above, os.W_OK)):
+    if not (ancestor.is_dir() and os.access(ancestor, os.W_OK)):
         raise ConfigError(
-            f"--output {quoted(str(folder))} cannot be made: {above} is {'read-only' if above.is_dir() else 'a file'}"
+            f"--output {quoted(str(folder))} cannot be created: {ancestor} is {'read-only' if ancestor.is_dir() else 'a file'}"
         )
-    if there and not resume:
-        is_trial = RESULTS in there or RUNS in there
-        remedy = "give a new one, or add --resume to go on with the trial in it" if is_trial else "give a new one"
-        raise ConfigError(f"--output {quoted(str(folder))}: the folder holds {quoted(there[0])} already; {remedy}")
-    if there and RUNS not in there:
+    if entries and not resume:
+        is_trial = RESULTS in entries or RUNS in entries
+        remedy = "give a new one, or add --resume to continue the trial in it" if is_trial else "give a new one"
+        raise ConfigError(f"--output {quoted(str(folder))}: the folder already contains {quoted(entries[0])}; {remedy}")
+    if entries and RUNS not in entries:
         raise ConfigError(
-            f"--output {quoted(str(folder))}: the folder holds {quoted(there[0])}, but no trial to go on with; give another one"
+            f"--output {quoted(str(folder))}: the folder contains {quoted(entries[0])}, but no trial to resume; give another one"
         )
 
 
 @contextmanager
 def claimed(folder: Path, *, resume: bool) -> Iterator[None]:
-    """Makes the output folder, see ``prepare``, and keeps other trials out of it in a block.
+    """Creates the output folder, see ``check_output_folder``, and locks it against other trials within a ``with`` block.
 
     Raises:
-        ConfigError: another trial is being made in it, or it cannot be used.
-        WriteError: it cannot be made.
+        ConfigError: another trial uses the folder, or it cannot be used.
+        WriteError: the folder cannot be created.
     """
     in_use = ConfigError(
-        f"--output {quoted(str(folder))}: another trial is being made in the folder; wait for it, or give a new one"
+        f"--output {quoted(str(folder))}: another trial is writing to the folder; wait for it, or give a new one"
     )
     with locked_folder(folder, in_use):
-        prepare(folder, resume=resume)
+        check_output_folder(folder, resume=resume)
         yield
 
 
 def finished(folder: Path, runs: Iterable[RunSpec]) -> dict[int, RunResult]:
-    """Returns the results of those runs that were made before, in the same way; by number.
+    """Returns the results of planned runs that an earlier attempt executed with the same plan, by number.
 
     Args:
         folder: of the trial.
         runs: planned runs.
     """
-    found = {}
+    results = {}
     for run in runs:
-        own = run_folder(folder, run.number)
+        path = run_folder(folder, run.number)
         try:
-            before = json.loads(read_file(own / RUN))
-            result = result_from_json(json.loads(read_file(own / RESULT)))
+            executed = json.loads(read_file(path / RUN))
+            result = result_from_json(json.loads(read_file(path / RESULT)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue
-        if before == json.loads(json_text(run.to_json())) and result.outcome.end != "interrupted":
-            found[run.number] = result
-    return found
+        if executed == json.loads(json_text(run.to_json())) and result.outcome.end != "interrupted":
+            results[run.number] = result
+    return results
 
 
-def make_runs(
+def execute_runs(
     scenario: Scenario,
-    changes: Changes,
+    overrides: Overrides,
     runs: Sequence[RunSpec],
     backend: Backend,
     folder: Path,
     on_result: Callable[[RunResult], None],
     on_progress: Callable[[int, str], None],
 ) -> None:
-    """Makes runs, each with its folder in that of the trial; hands over each result as it comes.
+    """Executes runs, each in a folder within that of the trial, and hands over each result when it is available.
 
     Args:
-        scenario: with the changes.
-        changes: that were made in what the file says.
+        scenario: scenario with the overrides applied.
+        overrides: command-line overrides of the file.
         runs: planned runs.
-        backend: where they are made.
-        folder: of the trial.
+        backend: executes the units of work.
+        folder: folder of the trial.
         on_result: called in this thread.
-        on_progress: called in this thread with the number of a run and what happens in it.
+        on_progress: called in this thread with the number of a run and its state as text.
 
     Raises:
         WriteError: the folder cannot be written to.
-        KeyboardInterrupt: Ctrl-C; all processes have ended, and results that were handed over stay.
+        KeyboardInterrupt: Ctrl-C; all processes have ended, and the results handed over so far are kept.
     """
     by_id = {f"{run.number:04d}": run for run in runs}
     files = _files(scenario)
-    arguments = {"scenario": str(scenario.path), "folder": str(scenario.stack.folder), "changes": asdict(changes)}
+    arguments = {"scenario": str(scenario.path), "folder": str(scenario.stack.folder), "overrides": asdict(overrides)}
     units = [
-        # The last one is followed by none; with several workers that holds for the last runs of the others, too, which nobody knows before.
+        # No run follows the last one. With several workers, each has a last run, but which one is unknown in advance.
         Unit(name, _FUNCTION, {**arguments, "run": run.to_json(), "followed": number < len(runs)}, files)
         for number, (name, run) in enumerate(by_id.items(), 1)
     ]
@@ -178,10 +178,10 @@ def make_runs(
             return
         run = by_id[unit.id]
         if unit.error:
-            result = broken(scenario, run, unit.error)
-            own = run_folder(folder, run.number)
-            write_file(own / RUN, json_text(run.to_json()))
-            write_file(own / RESULT, json_text(result.to_json()))
+            result = worker_failure(scenario, run, unit.error)
+            path = run_folder(folder, run.number)
+            write_file(path / RUN, json_text(run.to_json()))
+            write_file(path / RESULT, json_text(result.to_json()))
         else:
             result = result_from_json(unit.value)
         on_result(result)
@@ -191,23 +191,23 @@ def make_runs(
     )
 
 
-def make_run(arguments: dict[str, Any], folder: Path, context: Context) -> dict[str, Any] | None:
-    """Executes and judges one run, in a worker process; returns its result as values of JSON, None if it was told to stop.
+def execute_run(arguments: dict[str, Any], folder: Path, context: Context) -> dict[str, Any] | None:
+    """Executes and judges one run in a worker process; returns its result as JSON values, or None if it was interrupted.
 
     Args:
-        arguments: the scenario file, what is changed in it, the run, and whether other runs follow it.
-        folder: of the run.
-        context: of the unit.
+        arguments: the scenario file, its overrides, the run, and whether other runs follow it.
+        folder: folder of the run.
+        context: context of the unit.
     """
-    # Loaded here: the command line needs neither to plan nor to compare.
+    # Imported here: the command line needs neither for planning nor for comparing.
     from gibson_sim.trials.execution import execute
     from gibson_sim.trials.judging import judge
     from gibson_sim.trials.report.keeping import keep_of_run
 
-    scenario = Changes(**arguments["changes"]).applied(load_scenario(context.path(arguments["scenario"])))
+    scenario = Overrides(**arguments["overrides"]).applied(load_scenario(context.path(arguments["scenario"])))
     scenario = replace(scenario, stack=replace(scenario.stack, folder=context.path(arguments["folder"])))
     planned = RunSpec.from_json(arguments["run"])
-    run = replace(planned, scene=_here(planned.scene, context), robot=_here(planned.robot, context))
+    run = replace(planned, scene=_local_path(planned.scene, context), robot=_local_path(planned.robot, context))
     outcome = execute(scenario, run, folder, followed=arguments["followed"], on_progress=context.progress, stop=context.stop)
     write_file(folder / RUN, json_text(planned.to_json()), durable=False)
     if outcome.end == "interrupted" or context.stop():
@@ -220,26 +220,26 @@ def make_run(arguments: dict[str, Any], folder: Path, context: Context) -> dict[
     return values
 
 
-def broken(scenario: Scenario, run: RunSpec, error: str) -> RunResult:
-    """Returns the result of a run whose worker failed: the stack is not to blame."""
+def worker_failure(scenario: Scenario, run: RunSpec, error: str) -> RunResult:
+    """Returns the result of a run whose worker failed through no fault of the stack."""
     outcome = Outcome("simulation failed", error, lockstep=bool(scenario.stack.lockstep))
     return RunResult(run, outcome, (Verdict("run", False, error),), {}, "", Cause("simulation failed", error))
 
 
 def _files(scenario: Scenario) -> tuple[Path, ...]:
-    """Returns what the workers read, which travels to other machines: the folders of scenario and stack, and of scenes and robots in files."""
+    """Returns the folders that workers on other machines need: those of scenario, stack, and scenes and robots given as files."""
     named = [path for path in map(Path, (*scenario.scenes, *scenario.robots)) if path.is_absolute()]
-    found = [scenario.path.parent, scenario.stack.folder, *(path.parent if path.is_file() else path for path in named)]
-    return tuple(dict.fromkeys(path for path in found if not any(other in path.parents for other in found)))
+    folders = [scenario.path.parent, scenario.stack.folder, *(path.parent if path.is_file() else path for path in named)]
+    return tuple(dict.fromkeys(path for path in folders if not any(other in path.parents for other in folders)))
 
 
-def _here(name: str, context: Context) -> str:
-    """Returns the name of a scene or a robot, or where its file is on this machine."""
+def _local_path(name: str, context: Context) -> str:
+    """Returns the name of a scene or a robot, or the path of its file on this machine."""
     return str(context.path(name)) if Path(name).is_absolute() else name
 
 
 def _remove(folder: Path) -> None:
-    """Removes what an earlier attempt of a run left."""
+    """Removes the files of an earlier attempt of a run."""
     try:
         if folder.exists():
             shutil.rmtree(folder)

@@ -79,11 +79,11 @@ def run(args: argparse.Namespace) -> int:
         return _compare_two(args)
     # Loaded here: a comparison of two files needs none of it.
     from gibson_sim.trials.report.words import plan_table
-    from gibson_sim.trials.running import Changes, check, claimed, prepare
+    from gibson_sim.trials.running import Overrides, check, check_output_folder, claimed
     from gibson_sim.trials.scenario.load import ScenarioError, load_scenario
 
     before = _results(args.compare[0]) if args.compare else None
-    changes, backend = Changes(args.runs, args.restart, args.keep), _backend(args)
+    changes, backend = Overrides(args.runs, args.restart, args.keep), _backend(args)
     try:
         scenario = changes.applied(load_scenario(args.scenario))
         folder: Path = args.output or _OUTPUT / f"{scenario.name}_{datetime.now():%Y%m%d-%H%M%S}"
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
             # Before the runs are planned, which may take minutes.
             if not args.ray:
                 require_nodes()
-            prepare(folder, resume=args.resume)
+            check_output_folder(folder, resume=args.resume)
             check(scenario)
         plan = _plan(scenario, () if args.resume else args.numbers)
     except ScenarioError as error:
@@ -188,7 +188,7 @@ class _Trial:
         from gibson_sim.cli.trial_progress import TrialProgress
         from gibson_sim.trials.comparing.comparison import runs_text
         from gibson_sim.trials.report.results import RESULTS
-        from gibson_sim.trials.running import finished, make_runs
+        from gibson_sim.trials.running import execute_runs, finished
 
         spent = 0.0
         if self._args.resume:
@@ -207,7 +207,7 @@ class _Trial:
         interrupted = False
         progress.begins()
         try:
-            make_runs(self._scenario, self._changes, todo, backend, self._folder, keep, progress.tell)
+            execute_runs(self._scenario, self._changes, todo, backend, self._folder, keep, progress.tell)
         except KeyboardInterrupt:
             interrupted = True
         finally:

@@ -25,7 +25,7 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.trials.planning.places import NoPlaceError, Places
 from gibson_sim.trials.planning.seeds import stream
 from gibson_sim.trials.planning.site import XY, Site
-from gibson_sim.trials.records import Person, PlacedThing
+from gibson_sim.trials.records import Person, PlacedObject
 from gibson_sim.trials.scenario_spec import SAMPLED, Obstacles, PersonRule, SpawnRule
 from gibson_sim.types import Pose
 
@@ -91,7 +91,7 @@ def _shape(object_name: str) -> _Shape:
 
 def obstructed(
     site: Site, places: Places, obstacles: Obstacles, seed: int, attempt: int
-) -> tuple[Places, tuple[PlacedThing, ...], tuple[Person, ...]]:
+) -> tuple[Places, tuple[PlacedObject, ...], tuple[Person, ...]]:
     """Returns start and goal with the shortest path around the things, the things, and the people.
 
     Args:
@@ -140,7 +140,7 @@ class _Placer:
             return self._places.shortest, self._places.path
         return self._site.shortest_on(self.floor, self._places.start[:2], self._places.goal[:2])
 
-    def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedThing:
+    def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedObject:
         """Returns a thing at a place that leaves a way round, and adds it to the map."""
         try:
             shape = _shape(rule.object)
@@ -151,7 +151,7 @@ class _Placer:
         else:
             x, y, yaw = self._drawn(key, rule, shape, rng)
         self.floor = self._next
-        return PlacedThing(
+        return PlacedObject(
             self._name(rule.object, number), rule.object, (x, y, yaw), round(self._site.floor.floor_z - shape.low[2], 4)
         )
 

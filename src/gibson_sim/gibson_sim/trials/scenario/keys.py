@@ -1,4 +1,4 @@
-"""Declares the keys of a scenario file, with limits: ``load`` reads a file by them, and ``json_schema`` describes them to editors.
+"""Declares the keys of a scenario file and their limits, for the loader (``load``) and the JSON schema (``json_schema``).
 
 Names, defaults and meanings are those of the fields in ``scenario_spec``.
 """
@@ -18,12 +18,13 @@ from gibson_sim.settings import nearest
 from gibson_sim.standard.lockstep import parse_participants
 from gibson_sim.trials.scenario.kinds import (
     Choice,
+    CommandLine,
     Flag,
     Kind,
-    Many,
+    ListOf,
+    Location,
     Number,
     OrNone,
-    Place,
     Point,
     Schema,
     Section,
@@ -31,8 +32,7 @@ from gibson_sim.trials.scenario.kinds import (
     Span,
     Text,
     Variables,
-    Words,
-    shown,
+    key_text,
 )  # fmt: skip
 from gibson_sim.trials.scenario_spec import (
     GoalInterface,
@@ -55,42 +55,42 @@ from gibson_sim.trials.scenario_spec import (
 )  # fmt: skip
 
 MOST_RUNS = 10_000
-"""Runs of a trial, all scenes and robots together."""
+"""Largest number of runs of a trial, all scenes and robots together."""
 ALL = "all"
 """Stands for all scenes that are found by name, and for all doors of a scene."""
 SET_BY_TRIAL = (
     "scene", "robot", "start", "robot_tf", "start_paused", "seed", "duration", "randomise", "randomise_seed", "service_prefix", "lockstep",
     "participants", "participant_timeout", "on_timeout", "digests", "wait_for", "summary_path",
 )  # fmt: skip
-"""Settings of the physics node that a scenario file cannot set under ``physics``: the trial does, from other keys."""
+"""Settings of the physics node that a scenario file cannot set under ``physics``: the trial sets them from other keys."""
 _FAR = 10_000.0
 """Largest coordinate, metres."""
 _DAY = 86_400.0
-"""Seconds."""
+"""Length of a day, seconds."""
 _ROS_NAME = r"/?(?!.*__)[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _TOPIC = Text("the name of a topic: letters, digits, _ and /, no digit at the beginning of a part", _ROS_NAME)
 _NAME = Text("a name or a file")
-_RULE = "a rule of lockstep, as `cmd_vel after odom` or `cmd_vel every 0.05 from goal_pose`"
+_RULE = "a rule of lockstep, such as `cmd_vel after odom` or `cmd_vel every 0.05 from goal_pose`"
 
 
 def _or_none(text: Text) -> Text:
-    return Text(f"{text.words}; or empty", text.pattern, text.check, empty=True)
+    return Text(f"{text.allowed}; or empty", text.pattern, text.check, empty=True)
 
 
-def _ros_name(what: str) -> Text:
-    return Text(f"the name of a {what}: letters, digits, _ and /, no digit at the beginning of a part", _ROS_NAME, empty=True)
+def _ros_name(noun: str) -> Text:
+    return Text(f"the name of a {noun}: letters, digits, _ and /, no digit at the beginning of a part", _ROS_NAME, empty=True)
 
 
-def _wrong_regex(text: str) -> str:
+def _regex_problem(text: str) -> str:
     try:
         re.compile(text)
     except (re.error, OverflowError, RecursionError) as error:
-        return f"is no regular expression: {error}"
+        return f"is not a regular expression: {error}"
     return ""
 
 
-def _wrong_rule(text: str) -> str:
-    """Returns what is wrong with a rule of lockstep, which has no name of its own in a scenario."""
+def _rule_problem(text: str) -> str:
+    """Returns what is wrong with a lockstep rule, which has no name in a scenario; empty = it is valid."""
     try:
         if len(parse_participants(f"stack={text}")) == 1:
             return ""
@@ -101,69 +101,71 @@ def _wrong_rule(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Goal:
-    """How the goal is given: ``task``, or a mapping with one of ``topic``, ``action`` and ``service``."""
+    """The goal interface: ``task``, or a mapping with one of ``topic``, ``action`` and ``service``."""
 
     cls: ClassVar[type] = GoalInterface
-    ways: ClassVar[Mapping[str, Kind]] = {"topic": _TOPIC, "action": _ros_name("action"), "service": _ros_name("service")}
+    interfaces: ClassVar[Mapping[str, Kind]] = {"topic": _TOPIC, "action": _ros_name("action"), "service": _ros_name("service")}
     types: ClassVar[Mapping[str, Text]] = {
-        "action": Text("a type of actions, as nav2_msgs/action/NavigateToPose", r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*"),
-        "service": Text("a type of services, as my_msgs/srv/SetGoal", r"[a-z][a-z0-9_]*/srv/[A-Z][A-Za-z0-9]*"),
+        "action": Text("an action type such as nav2_msgs/action/NavigateToPose", r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*"),
+        "service": Text("a service type such as my_msgs/srv/SetGoal", r"[a-z][a-z0-9_]*/srv/[A-Z][A-Za-z0-9]*"),
     }
     field: ClassVar[Text] = Text("the name of a field", r"[a-z][a-z0-9_]*")
     task: ClassVar[str] = "task"
 
-    def read(self, value: Any, at: Place) -> GoalInterface | None:
+    def read(self, value: Any, at: Location) -> GoalInterface | None:
         if value == self.task:
             return GoalInterface("task", "task/goal")
         if not isinstance(value, Mapping):
-            at.refuse(value, self.words)
+            at.refuse(value, self.allowed)
             return None
-        given = [way for way in self.ways if way in value]
+        given = [interface for interface in self.interfaces if interface in value]
         if len(given) != 1:
             at.note(
                 f"has {' and '.join(given) or 'none of topic, action and service'}, must have one of topic, action and service"
             )
             return None
-        (way,) = given
-        known = (way,) if way == "topic" else (way, "type", "field")
+        (interface,) = given
+        known = (interface,) if interface == "topic" else (interface, "type", "field")
         for key in value:
             if key not in known:
                 hint = nearest(str(key), known)
-                at.key(shown(key)).note(f"is no key here; {f'{hint} ' if hint else ''}known: {', '.join(known)}")
-        name = self.ways[way].read(value[way], at.key(way))
-        if way == "topic":
+                at.key(key_text(key)).note(f"is not a key here; {f'{hint} ' if hint else ''}known: {', '.join(known)}")
+        name = self.interfaces[interface].read(value[interface], at.key(interface))
+        if interface == "topic":
             return GoalInterface("topic", name)
         if "type" not in value:
-            at.key("type").note(f"is missing, must be {self.types[way].words}")
+            at.key("type").note(f"is missing, must be {self.types[interface].allowed}")
             return None
-        kind = self.types[way].read(value["type"], at.key("type"))
+        kind = self.types[interface].read(value["type"], at.key("type"))
         field = self.field.read(value.get("field", GoalInterface().field), at.key("field"))
-        return GoalInterface("action" if way == "action" else "service", name, kind, field)
+        return GoalInterface("action" if interface == "action" else "service", name, kind, field)
 
     def schema(self) -> Schema:
         docs = field_docs(GoalInterface)
         forms: list[Schema] = [{"const": self.task, "description": "As for tasks, on task/goal."}]
-        for way, kind in self.ways.items():
-            properties: Schema = {way: {"description": f"Name of the {way}.", **kind.schema()}}
-            if way in self.types:
-                properties["type"] = {"description": f"Type of the {way}.", **self.types[way].schema()}
+        for interface, kind in self.interfaces.items():
+            properties: Schema = {interface: {"description": f"Name of the {interface}.", **kind.schema()}}
+            if interface in self.types:
+                properties["type"] = {"description": f"Type of the {interface}.", **self.types[interface].schema()}
                 properties["field"] = {"description": docs["field"], **self.field.schema(), "default": GoalInterface().field}
             required = [key for key in properties if key != "field"]
             forms.append({"type": "object", "properties": properties, "required": required, "additionalProperties": False})
         return {"anyOf": forms}
 
     @property
-    def words(self) -> str:
+    def allowed(self) -> str:
         return f"{self.task}, {{topic: ..}}, {{action: .., type: ..}} or {{service: .., type: ..}}"
 
 
-_REGEX = Text("a regular expression", check=_wrong_regex)
-_REGIONS = OrNone(Many(Section(Region, {"name": Text("a name"), "corners": Many(Point(_FAR), 1000, 3, alone=False)}), 100, 0), ())
-_POSES = Many(Text("sampled, the name of a pose, or 'x,y,yaw_deg' in quotes"), 1000)
+_REGEX = Text("a regular expression", check=_regex_problem)
+_REGIONS = OrNone(
+    ListOf(Section(Region, {"name": Text("a name"), "corners": ListOf(Point(_FAR), 1000, 3, allow_single=False)}), 100, 0), ()
+)
+_POSES = ListOf(Text("sampled, the name of a pose, or 'x,y,yaw_deg' in quotes"), 1000)
 _ANGLE = Number(0.0, 180.0)
 
 _STACK = Section(StackSpec, {
-    "command": Words(1000, shlex.split),
+    "command": CommandLine(1000, shlex.split),
     "environment": Variables(("ROS_DOMAIN_ID",)),
     "folder": Text("a folder"),
     "restart": Choice(("each", "never")),
@@ -182,18 +184,18 @@ _STACK = Section(StackSpec, {
     }), InitialPose(topic="")),
     "goal": _Goal(),
     "status": Section(Status, {"topic": _or_none(_TOPIC), "reached": _REGEX, "failed": _REGEX}),
-    "lockstep": Many(Text(_RULE, r"[A-Za-z0-9_./-]+\s+(after|every)\s+\S.*", _wrong_rule), 20, 0),
+    "lockstep": ListOf(Text(_RULE, r"[A-Za-z0-9_./-]+\s+(after|every)\s+\S.*", _rule_problem), 20, 0),
 })  # fmt: skip
 
 _OBSTACLES = Section(Obstacles, {
-    "spawn": Many(Section(SpawnRule, {
+    "spawn": ListOf(Section(SpawnRule, {
         "object": _NAME,
         "count": Number(1, 100, whole=True),
         "at": Text("path, sampled, the name of a pose, or 'x,y,yaw_deg' in quotes"),
     }, short="object"), 50, 0),
-    "closed_doors": Many(Text("the name of a body with a door, or all"), 200, 0),
-    "people": Many(Section(PersonRule, {
-        "path": Many(Point(_FAR), 200, 2, alone=False),
+    "closed_doors": ListOf(Text("the name of a body with a door, or all"), 200, 0),
+    "people": ListOf(Section(PersonRule, {
+        "path": ListOf(Point(_FAR), 200, 2, allow_single=False),
         "speed": Number(0.01, 10.0),
         "radius": Number(0.05, 2.0),
         "height": Number(0.2, 3.0),
@@ -218,15 +220,15 @@ _VERDICTS = Section(Verdicts, {
     "path_ratio": OrNone(Number(1.0, 1000.0)),
     "time": OrNone(Number(0.1, _DAY)),
     "max_acceleration": OrNone(Number(0.001, 1000.0)),
-    "rates": OrNone(Many(Section(RateLimit, {"topic": _TOPIC, "least": Number(0.001, 100_000.0)}), 100, 0), ()),
+    "rates": OrNone(ListOf(Section(RateLimit, {"topic": _TOPIC, "least": Number(0.001, 100_000.0)}), 100, 0), ()),
     "alive": OrNone(Flag(), False),
-    "predicates": OrNone(Many(Text("module:function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"), 100, 0), ()),
+    "predicates": OrNone(ListOf(Text("module:function", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"), 100, 0), ()),
 })  # fmt: skip
 
 SCENARIO = Section(Scenario, {
-    "scenes": Many(Text("the name of a scene, a file, or all"), 1000),
+    "scenes": ListOf(Text("the name of a scene, a file, or all"), 1000),
     "stack": _STACK,
-    "robots": Many(Text("the name of a robot, or a file"), 100),
+    "robots": ListOf(Text("the name of a robot, or a file"), 100),
     "runs": Number(1, MOST_RUNS, whole=True),
     "seed": Number(0, 2**53, whole=True),
     "starts": _POSES,

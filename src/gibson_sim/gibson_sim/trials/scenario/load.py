@@ -1,4 +1,4 @@
-"""Reads a scenario file, and checks all of it that can be checked without loading scenes and robots."""
+"""Loads a scenario file and checks it as far as possible without loading scenes and robots."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ from gibson_sim.resources import find_config, find_robot, find_scene, known_obje
 from gibson_sim.scenes.randomise import load_rules
 from gibson_sim.settings import nearest
 from gibson_sim.trials.scenario.keys import ALL, MOST_RUNS, SCENARIO
-from gibson_sim.trials.scenario.kinds import Place
-from gibson_sim.trials.scenario.predicates import wrong_predicate
+from gibson_sim.trials.scenario.kinds import Location
+from gibson_sim.trials.scenario.predicates import predicate_problem
 from gibson_sim.trials.scenario_spec import Obstacles, Scenario, StackSpec, Verdicts
 
 FOLDER = "trials"
-"""Folder of ``config`` with the scenario files that are found by name."""
+"""Folder below ``config`` with the scenario files that are found by name."""
 _MAX_BYTES = 1_000_000
-"""Largest size of a scenario file."""
+"""Largest size of a scenario file, bytes."""
 _PYTHON = ("python", "python3")
-"""Programs of a stack that stand for the interpreter of this process."""
+"""Program names that stand for the interpreter of this process."""
 _LONGEST = 2000
-"""Characters of a mistake."""
+"""Largest length of a mistake, characters."""
 _MOST_LISTED = 3
-"""Further mistakes whose places a message names."""
+"""Number of further mistakes whose keys a message names."""
 
 
 class ScenarioError(ConfigError):
-    """A scenario file has mistakes, or cannot be met. The message is the first mistake."""
+    """A scenario file has mistakes or cannot be satisfied. The message is the first mistake."""
 
     def __init__(self, file: Path, mistakes: Sequence[str]) -> None:
         self.mistakes = tuple(clipped(f"{file}: {mistake}", _LONGEST) for mistake in mistakes)
         """All mistakes, one line each."""
         more = [mistake.split(" ", 1)[0].rstrip(":") for mistake in mistakes[1:]]
-        named = ", ".join(more[:_MOST_LISTED]) + (", ..." if len(more) > _MOST_LISTED else "")
-        super().__init__(f"{self.mistakes[0]}{f' ({len(more)} more: {named})' if more else ''}")
+        keys = ", ".join(more[:_MOST_LISTED]) + (", ..." if len(more) > _MOST_LISTED else "")
+        super().__init__(f"{self.mistakes[0]}{f' ({len(more)} more: {keys})' if more else ''}")
 
 
 def load_scenario(path: str | Path) -> Scenario:
-    """Returns the scenario in a file, complete and checked; relative paths in it are those from its folder.
+    """Returns the scenario in a file, complete and checked; relative paths in it are relative to its folder.
 
     Args:
         path: a file, or the name of one under ``config/trials`` of a share folder.
 
     Raises:
-        ScenarioError: a key or a value is wrong, or something that it names is not there.
-        ConfigError: there is no such file, or it is no YAML.
+        ScenarioError: a key or a value is not allowed, or a file or program that it names does not exist.
+        ConfigError: the file does not exist or is not YAML.
     """
     file = Path(os.path.expanduser(path))
     file = (file if is_file(file) else find_config(path, FOLDER)).absolute()
@@ -64,12 +64,12 @@ def load_scenario(path: str | Path) -> Scenario:
     except TextError as error:
         raise ConfigError(f"{file}: {error}") from error
     mistakes: list[str] = []
-    top = Place("", mistakes)
+    top = Location("", mistakes)
     if not isinstance(document, Mapping):
         if document is None:
-            top.note(f"is empty, must be {SCENARIO.words}")
+            top.note(f"is empty, must be {SCENARIO.allowed}")
         else:
-            top.refuse(document, SCENARIO.words)
+            top.refuse(document, SCENARIO.allowed)
         raise ScenarioError(file, mistakes)
     values = SCENARIO.values(document, top)
     if mistakes:
@@ -81,13 +81,13 @@ def load_scenario(path: str | Path) -> Scenario:
 
 
 class _Resolver:
-    """Finds what a scenario names: files, resources, programs."""
+    """Resolves the files, resources and programs that a scenario names."""
 
-    def __init__(self, file: Path, document: Mapping[str, Any], top: Place) -> None:
+    def __init__(self, file: Path, document: Mapping[str, Any], top: Location) -> None:
         self._folder, self._document, self._top = file.parent, document, top
 
     def resolve(self, scenario: Scenario) -> Scenario:
-        """Returns the scenario with names that are found from anywhere; notes what is not there."""
+        """Returns the scenario with names that do not depend on the current folder; records those that do not exist."""
         scenes = self._scenes(scenario.scenes)
         robots = self._robots(scenario.robots)
         runs = len(scenes) * len(robots) * scenario.runs
@@ -108,38 +108,38 @@ class _Resolver:
         )
 
     def _path(self, text: str) -> Path:
-        """Returns the path that a text stands for, from the folder of the file."""
+        """Returns the path for a text, relative to the folder of the file."""
         return self._folder / os.path.expanduser(text)
 
-    def _places(self, count: int, *keys: str) -> list[Place]:
-        """Returns the places of the values under a key: a list, or one value alone."""
-        place = self._top
+    def _locations(self, count: int, *keys: str) -> list[Location]:
+        """Returns the locations of the values of a key: a list or a single value."""
+        location = self._top
         content: Any = self._document
         for key in keys:
-            place, content = place.key(key), content.get(key, {})
-        return [place.item(i) if isinstance(content, list) else place for i in range(count)]
+            location, content = location.key(key), content.get(key, {})
+        return [location.item(i) if isinstance(content, list) else location for i in range(count)]
 
     def _scenes(self, given: tuple[str, ...]) -> tuple[str, ...]:
-        places = self._places(len(given), "scenes")
+        locations = self._locations(len(given), "scenes")
         if given == (ALL,):
             return tuple(list_scenes())
         known = list_scenes()
-        out = tuple(self._found(text, at, find_scene, known) for text, at in zip(given, places, strict=True))
-        _check_twice(out, places)
-        return out
+        scenes = tuple(self._resolved(text, at, find_scene, known) for text, at in zip(given, locations, strict=True))
+        _check_duplicates(scenes, locations)
+        return scenes
 
     def _robots(self, given: tuple[str, ...]) -> tuple[str, ...]:
-        places, known, out = self._places(len(given), "robots"), list_robots(), []
-        for text, at in zip(given, places, strict=True):
+        locations, known, robots = self._locations(len(given), "robots"), list_robots(), []
+        for text, at in zip(given, locations, strict=True):
             if "=" in text or "," in text:
-                at.refuse(text, "one robot, which drives alone; make a list of those that shall take turns")
+                at.refuse(text, "one robot, which drives alone; give a list to test several in turn")
             else:
-                out.append(self._found(text, at, find_robot, known))
-        _check_twice(out, places)
-        return tuple(out)
+                robots.append(self._resolved(text, at, find_robot, known))
+        _check_duplicates(robots, locations)
+        return tuple(robots)
 
-    def _found(self, text: str, at: Place, find: Callable[[str], Path], known: Sequence[str]) -> str:
-        """Returns a name as it is, and a file or folder as an absolute path."""
+    def _resolved(self, text: str, at: Location, find: Callable[[str], Path], known: Sequence[str]) -> str:
+        """Returns a known name unchanged, and a file or folder as an absolute path."""
         if text in known:
             return text
         path = self._path(text)
@@ -155,7 +155,7 @@ class _Resolver:
         at = self._top.key("stack")
         folder = Path(os.path.normpath(self._path(str(stack.folder))))
         if not is_folder(folder):
-            at.key("folder").refuse(str(stack.folder), f"a folder; there is none at {folder}")
+            at.key("folder").refuse(str(stack.folder), f"a folder; {folder} does not exist")
         program = stack.command[0]
         if program in _PYTHON:
             program = sys.executable
@@ -163,8 +163,8 @@ class _Resolver:
             path = folder / os.path.expanduser(program)
             program = str(path) if program.startswith("~") else program
             if not (is_file(path) and os.access(path, os.X_OK)):
-                what = "cannot be executed" if is_file(path) else "is not there"
-                at.key("command").note(f"is {quoted(' '.join(stack.command))}: {path} {what}")
+                problem = "cannot be executed" if is_file(path) else "does not exist"
+                at.key("command").note(f"is {quoted(' '.join(stack.command))}: {path} {problem}")
         else:
             search = stack.environment.get("PATH", os.environ.get("PATH", os.defpath))
             if shutil.which(program, path=search) is None:
@@ -172,25 +172,25 @@ class _Resolver:
                     f"is {quoted(' '.join(stack.command))}: the program {quoted(program)} is not found in PATH; install it, source the "
                     "workspace that has it, or give its path"
                 )
-        # Each rule is a participant of lockstep that has the name of its topic.
+        # Each rule is a lockstep participant named after its topic.
         topics = [rule.split()[0].strip("/") for rule in stack.lockstep]
-        for i, rule_at in enumerate(self._places(len(topics), "stack", "lockstep")):
+        for i, rule_at in enumerate(self._locations(len(topics), "stack", "lockstep")):
             if topics[i] in topics[:i]:
                 rule_at.note(
-                    f"is {quoted(stack.lockstep[i])}, a second rule for topic {quoted(topics[i])}, must be one for each topic"
+                    f"is {quoted(stack.lockstep[i])}, a second rule for topic {quoted(topics[i])}, must be one rule for each topic"
                 )
         return replace(stack, folder=folder, command=(program, *stack.command[1:]))
 
     def _obstacles(self, obstacles: Obstacles) -> Obstacles:
         if ALL in obstacles.closed_doors and len(obstacles.closed_doors) > 1:
-            self._top.key("obstacles").key("closed_doors").note("has all and names of doors, must have one or the other")
+            self._top.key("obstacles").key("closed_doors").note("has both all and names of doors, must have one or the other")
         known = known_objects()
         rules = []
-        for rule, place in zip(obstacles.spawn, self._places(len(obstacles.spawn), "obstacles", "spawn"), strict=True):
+        for rule, location in zip(obstacles.spawn, self._locations(len(obstacles.spawn), "obstacles", "spawn"), strict=True):
             path = self._path(rule.object)
             if rule.object not in known and not (is_file(path) or is_folder(path)):
                 hint = nearest(rule.object, known)
-                place.key("object").refuse(
+                location.key("object").refuse(
                     rule.object, f"a file, or an object of the catalogue, see docs/objects.md{f'; {hint}' if hint else ''}"
                 )
             rules.append(rule if rule.object in known else replace(rule, object=os.path.normpath(path)))
@@ -202,8 +202,8 @@ class _Resolver:
         at = self._top.key("randomise").key("looks")
         path = self._path(text)
         try:
-            found = path if is_file(path) else find_config(text, "randomisation")
-            load_rules(found)
+            file = path if is_file(path) else find_config(text, "randomisation")
+            load_rules(file)
         except (ConfigError, SceneError) as error:
             at.note(f"is {quoted(text)}: {error}")
             return text
@@ -213,21 +213,21 @@ class _Resolver:
         try:
             PhysicsConfig(**scenario.physics, lockstep=bool(scenario.stack.lockstep))
         except ConfigError as error:
-            self._top.key("physics").note(f"cannot be: {error}")
+            self._top.key("physics").note(f"is not allowed: {error}")
         return scenario.physics
 
     def _verdicts(self, verdicts: Verdicts) -> Verdicts:
         # A predicate may lie beside the scenario file, as the stack does.
         folders = (str(self._folder), *sys.path)
-        places = self._places(len(verdicts.predicates), "verdicts", "predicates")
-        for text, at in zip(verdicts.predicates, places, strict=True):
-            wrong = wrong_predicate(text, folders)
-            if wrong:
-                at.note(f"is {quoted(text)}: {wrong}")
+        locations = self._locations(len(verdicts.predicates), "verdicts", "predicates")
+        for text, at in zip(verdicts.predicates, locations, strict=True):
+            problem = predicate_problem(text, folders)
+            if problem:
+                at.note(f"is {quoted(text)}: {problem}")
         return verdicts
 
 
-def _check_twice(values: Sequence[str], places: Sequence[Place]) -> None:
-    for i, (value, at) in enumerate(zip(values, places, strict=False)):
+def _check_duplicates(values: Sequence[str], locations: Sequence[Location]) -> None:
+    for i, (value, at) in enumerate(zip(values, locations, strict=False)):
         if value in values[:i]:
-            at.note(f"is {quoted(value)}, which is there twice; give each once, and more runs")
+            at.note(f"is {quoted(value)}, which is a duplicate; give each once, and increase runs instead")

@@ -1,4 +1,4 @@
-"""Finds the functions that a scenario names as predicates, without running any of their code."""
+"""Checks that the predicate functions named by a scenario exist, without running any of their code."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from gibson_sim.reading import read_file
 from gibson_sim.settings import nearest
 
 _MAX_BYTES = 4_000_000
-"""Largest size of a module that is read."""
+"""Largest size of a module that is read, bytes."""
 
 
-def wrong_predicate(text: str, folders: Sequence[str]) -> str:
-    """Returns why ``module:function`` cannot be called; empty = the module is there and seems to have the function.
+def predicate_problem(text: str, folders: Sequence[str]) -> str:
+    """Returns why ``module:function`` cannot be called; empty = the module exists and seems to define the function.
 
     Args:
         text: the predicate.
-        folders: where modules are searched, as ``sys.path``.
+        folders: search path for modules, like ``sys.path``.
     """
     module, _, function = text.partition(":")
-    where: Sequence[str] | None = folders
+    locations: Sequence[str] | None = folders
     spec = None
     for depth, part in enumerate(module.split("."), 1):
-        # Unlike importlib.util.find_spec, this imports no package on the way.
-        spec = PathFinder.find_spec(part, list(where or ()))
+        # Unlike importlib.util.find_spec, this does not import parent packages.
+        spec = PathFinder.find_spec(part, list(locations or ()))
         if spec is None:
             name = ".".join(module.split(".")[:depth])
-            beside = f"in {folders[0]} and in Python's path" if depth == 1 else "in that package"
-            return f"there is no module {quoted(name)} {beside}"
-        where = spec.submodule_search_locations
+            searched = f"in {folders[0]} and in Python's path" if depth == 1 else "in that package"
+            return f"there is no module {quoted(name)} {searched}"
+        locations = spec.submodule_search_locations
     if spec is None or not (spec.origin or "").endswith(".py"):
         return "" if spec is not None and spec.origin else f"{quoted(module)} is a folder, not a module"
     try:
@@ -47,7 +47,7 @@ def wrong_predicate(text: str, folders: Sequence[str]) -> str:
 
 
 def _names(tree: ast.Module) -> Iterator[str]:
-    """Yields the names that a module gives a value to, wherever in it; ``*`` if it imports all names of another."""
+    """Yields the names that a module binds in any scope; ``*`` if it imports all names of another module."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             yield node.name
