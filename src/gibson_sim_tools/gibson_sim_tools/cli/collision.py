@@ -1,4 +1,4 @@
-"""``gibson-sim scene collision``: writes collision geometry for a mesh: convex parts of an object, or the simplified mesh of a scan."""
+"""``gibson-sim scene collision``: writes collision geometry: a convex decomposition of an object, or the simplified mesh of a scan."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from gibson_sim.errors import GibsonSimError
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "collision", help="write convex parts of an object's mesh for its URDF, or simplify a scan",
-        description="Convex parts are made by CoACD (pip install 'gibson_sim_tools[collision]'), or by V-HACD where that is not installed.",
+        "collision", help="decompose an object's mesh into convex parts for its URDF, or simplify a scan",
+        description="Convex decomposition uses CoACD (pip install 'gibson_sim_tools[collision]'), or V-HACD if CoACD is not installed.",
     )  # fmt: skip
     parser.add_argument("mesh", type=Path, metavar="MESH", help="mesh file")
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for part_0.obj, part_1.obj, ... (default: write nothing)"
     )
-    parser.add_argument("--scan", action="store_true", help="simplify it as `collision: simplified` does, z up, metres")
+    parser.add_argument("--scan", action="store_true", help="simplify the mesh, z up, metres, as `collision: simplified` does")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need none of it.
+    # Lazy imports: the other sub-commands do not need them.
     from gibson_sim.formats.load_mesh import load_mesh
     from gibson_sim.physics.convex_parts import convex_parts as v_hacd_parts
     from gibson_sim.scenes.collision.simplified import scan_shapes
@@ -36,8 +36,8 @@ def _run(args: argparse.Namespace) -> ExitCode:
     if args.scan:
         shapes = [shape for shape, _ in scan_shapes(vertices, triangles, args.mesh.name)]
         files = [Path(shape.mesh) for shape in shapes if shape.kind == "mesh"]
-        count = sum(len(load_mesh(file, [file.parent]).merged()[1]) for file in files)
-        print(f"{len(triangles)} triangles: {count} triangles and {len(shapes) - len(files)} boxes for level floors")
+        simplified_count = sum(len(load_mesh(file, [file.parent]).merged()[1]) for file in files)
+        print(f"{len(triangles)} triangles: {simplified_count} triangles and {len(shapes) - len(files)} boxes for level floors")
     else:
         files = list(convex_parts(vertices, triangles, args.mesh.name, otherwise=v_hacd_parts))
         print(f"{len(triangles)} triangles: {len(files)} convex parts")

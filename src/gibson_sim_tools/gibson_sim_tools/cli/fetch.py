@@ -1,4 +1,4 @@
-"""``gibson-sim scene fetch``: downloads public scenes from their origin, after showing their licence."""
+"""``gibson-sim scene fetch``: downloads a public scene from its origin, after the user accepts its licence, and imports it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from gibson_sim.errors import ConfigError
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "fetch", help="download a public scene from its origin and import it; without a name: list them"
+        "fetch", help="download a public scene from its origin and import it; without a name: list the known scenes"
     )
-    parser.add_argument("name", nargs="?", default="", metavar="NAME", help="name of a recipe, or its file")
+    parser.add_argument("name", nargs="?", default="", metavar="NAME", help="name or file of a recipe")
     parser.add_argument("--output", type=Path, metavar="DIR", help="new folder for the scene (default: ./NAME)")
-    parser.add_argument("--yes", action="store_true", help="accept the licence and the size without being asked")
+    parser.add_argument("--yes", action="store_true", help="accept the licence and the size without a prompt")
     parser.set_defaults(run=_run)
 
 
@@ -47,10 +47,10 @@ def _run(args: argparse.Namespace) -> ExitCode:
 
 
 def _accepted() -> bool:
-    """Returns whether the user says yes.
+    """Asks the user to accept the licence; returns whether they do.
 
     Raises:
-        ConfigError: standard input is no terminal.
+        ConfigError: standard input is not a terminal.
     """
     if not sys.stdin.isatty():
         raise ConfigError("no terminal to accept the licence in: run it in a terminal, or add --yes if you accept it")

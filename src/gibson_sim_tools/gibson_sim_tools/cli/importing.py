@@ -21,39 +21,39 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "import",
-        help="make a scene from a folder of posed photographs, a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, "
+        help="import a folder of posed photographs, a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, "
         "a USD file, or an archive",
-        description="See docs/importing.md for what is read of each format, docs/your_building.md for photographs.",
+        description="docs/importing.md lists the formats and what is imported of each; docs/your_building.md is about photographs.",
     )
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file, folder or archive (.zip, .tar.gz)")
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="new folder for the scene.yaml and a copy of all files (default: scene.yaml beside the source, nothing is copied; of photographs: "
+        help="new folder for the scene.yaml and a copy of all files (default: scene.yaml next to the source, without a copy; for photographs: "
         "NAME_scene)",
     )  # fmt: skip
-    add_choices(parser)
+    add_import_options(parser)
     add_photograph_options(parser)
     parser.set_defaults(run=_run)
 
 
-def add_choices(parser: argparse.ArgumentParser) -> None:
-    """Adds the options of an import."""
+def add_import_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of an import, which ``import_options`` reads."""
     parser.add_argument("--name", default="", help="name of the scene (default: that of the source)")
     parser.add_argument(
         "--up-axis",
         metavar="UP",
-        help="axis of the file that is up, x, y or z; of a single mesh also -y or a direction, as 0.1,0.3,0.9 (default: as its format or its "
-        "floor says)",
+        help="up axis of the file, x, y or z; for a single mesh also -y or a direction, as 0.1,0.3,0.9 (default: from its format or "
+        "its floor)",
     )
     parser.add_argument(
         "--unit",
         metavar="UNIT",
-        help="unit of the file: m, cm, mm, inch, foot, km, or metres per unit (default: as its format says)",
+        help="unit of the file: m, cm, mm, inch, foot, km, or metres per unit (default: from its format)",
     )
-    parser.add_argument("--no-semantics", action="store_true", help="leave labels out; the scene is one object")
+    parser.add_argument("--no-semantics", action="store_true", help="ignore labels; the scene is one object")
 
 
-def chosen(args: argparse.Namespace) -> ImportOptions:
+def import_options(args: argparse.Namespace) -> ImportOptions:
     """Returns the options of an import.
 
     Raises:
@@ -92,7 +92,7 @@ def unit_m(text: str | None) -> float | None:
 
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need no meshes.
+    # Lazy imports: the other sub-commands do not read meshes.
     from gibson_sim_tools.from_photographs.archive import is_photograph_archive
     from gibson_sim_tools.from_photographs.inputs import is_photograph_folder
     from gibson_sim_tools.importing.checks.facts import scene_facts
@@ -100,11 +100,15 @@ def _run(args: argparse.Namespace) -> ExitCode:
 
     if is_photograph_folder(args.source) or is_photograph_archive(args.source):
         return import_photographs(args, unit_m(args.unit))
-    given = [f"--{name.replace('_', '-')}" for name in PHOTOGRAPH_OPTIONS if getattr(args, name) not in (None, False)]
-    if given:
-        raise ConfigError(f"{', '.join(given)}: is for a folder of photographs, which {args.source} is not; leave it out")
-    choices = chosen(args)
-    imported = import_scene(args.source, args.output, choices)
+    photograph_options = [
+        f"--{name.replace('_', '-')}" for name in PHOTOGRAPH_OPTIONS if getattr(args, name) not in (None, False)
+    ]
+    if photograph_options:
+        raise ConfigError(
+            f"{', '.join(photograph_options)}: is for a folder of photographs, which {args.source} is not; leave it out"
+        )
+    options = import_options(args)
+    imported = import_scene(args.source, args.output, options)
     for warning in imported.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     print(f"{imported.file}: from a {imported.kind}")

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from gibson_sim.types import Vec3
     from gibson_sim_tools.importing.checks.check import SceneReport
 
-_MOST_ALIKE = 3
+_MAX_PER_KIND = 3
+"""Maximum number of findings of one kind that are printed."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -33,14 +34,14 @@ def add_parser(subparsers: Any) -> None:
         parser.add_argument("scene", metavar="SCENE", help="name, folder or file of a scene")
         parser.add_argument("--json", action="store_true", help="as JSON")
     check.add_argument("--fix", action="store_true", help="write a repaired copy to --output and check that")
-    check.add_argument("--output", type=Path, metavar="DIR", help="new folder of the repaired copy")
+    check.add_argument("--output", type=Path, metavar="DIR", help="new folder for the repaired copy")
     check.add_argument(
         "--max-texture", type=int, default=8192, metavar="PX", help="--fix: longest side of textures (default: 8192)"
     )
     check.add_argument("--no-level", action="store_true", help="--fix: do not rotate the scene")
     check.add_argument(
         "--up", metavar="UP",
-        help="--fix: approximate up direction of the scene, if it is not found: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
+        help="--fix: approximate up direction of the scene, if it cannot be detected: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
     )  # fmt: skip
     check.add_argument("--unit", metavar="UNIT", help="--fix: unit of the scene: m, cm, mm, inch, foot, km, or metres per unit")
     check.add_argument(
@@ -90,7 +91,7 @@ def _check(args: argparse.Namespace) -> ExitCode:
         raise ConfigError(
             "--align-splats changes scene.yaml, and --fix writes a copy, with splats aligned if they need it: give one of them"
         )
-    factor = unit_m(args.unit)
+    scale = unit_m(args.unit)
     up = _up(args.up)
     if args.align_splats:
         _align_splats(args.scene, args.json)
@@ -102,17 +103,17 @@ def _check(args: argparse.Namespace) -> ExitCode:
 
     if not args.json:
         _print(report, False)
-    file, mended = fix_scene(report, args.output, FixOptions(factor, args.max_texture, not args.no_level, up))
+    file, fixed_report = fix_scene(report, args.output, FixOptions(scale, args.max_texture, not args.no_level, up))
     if not args.json:
-        unclear = any(finding.what == "up-unclear" for finding in mended.findings)
+        unclear = any(finding.what == "up-unclear" for finding in fixed_report.findings)
         print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'repaired'}: {file}")
-    _print(mended, args.json)
-    return ExitCode.OK if mended.clean else ExitCode.ERROR
+    _print(fixed_report, args.json)
+    return ExitCode.OK if fixed_report.clean else ExitCode.ERROR
 
 
 @quiet()
 def _align_splats(name: str, as_json: bool) -> None:
-    """Writes where the splats of a scene lie on its mesh into its scene.yaml."""
+    """Registers the splats of a scene to its mesh and writes their pose and scale into its scene.yaml."""
     import numpy as np
 
     from gibson_sim.scenes.load import DESCRIPTION, load_scene
@@ -148,13 +149,13 @@ def _print(report: SceneReport, as_json: bool) -> None:
 
 
 def _print_lines(report: SceneReport) -> None:
-    """Prints findings; of many of one kind, such as furniture with open undersides, the first ones and the number of the rest."""
-    shown: dict[tuple[str, str], int] = {}
+    """Prints findings; of each kind, the first few and the number of the rest."""
+    counts: dict[tuple[str, str], int] = {}
     for finding in report.findings:
         kind = (finding.level, finding.what)
-        shown[kind] = shown.get(kind, 0) + 1
-        if shown[kind] <= _MOST_ALIKE:
+        counts[kind] = counts.get(kind, 0) + 1
+        if counts[kind] <= _MAX_PER_KIND:
             print(finding.line())
-    for (level, what), count in shown.items():
-        if count > _MOST_ALIKE:
-            print(f"{level:>7}  {what}: and {count - _MOST_ALIKE} more like these; --json has them all")
+    for (level, what), count in counts.items():
+        if count > _MAX_PER_KIND:
+            print(f"{level:>7}  {what}: and {count - _MAX_PER_KIND} more of this kind; --json lists them all")

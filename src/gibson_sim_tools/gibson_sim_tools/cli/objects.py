@@ -1,4 +1,4 @@
-"""``gibson-sim scene objects``: makes our objects with Blender."""
+"""``gibson-sim scene objects``: generates the built-in objects with Blender."""
 
 from __future__ import annotations
 
@@ -15,21 +15,24 @@ from gibson_sim.picture_files import write_picture
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "objects", help="make the built-in objects with Blender: meshes, URDFs and, with --picture, a picture of them"
+        "objects", help="generate the built-in objects with Blender: meshes, URDFs and, with --picture, a picture of them"
     )
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="objects to make (default: all)")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="objects to generate (default: all)")
     parser.add_argument("--output", default="scenes/objects", metavar="DIR", help="output folder (default: scenes/objects)")
     parser.add_argument(
-        "--blender-python", default="", metavar="FILE", help="Python with Blender, `pip install bpy` (default: this one)"
+        "--blender-python",
+        default="",
+        metavar="FILE",
+        help="Python interpreter with Blender, `pip install bpy` (default: this one)",
     )
     parser.add_argument("--picture", default="", metavar="FILE", help="write a picture of the objects, PNG")
-    parser.add_argument("--picture-only", action="store_true", help="only draw the objects in --output; needs no Blender")
+    parser.add_argument("--picture-only", action="store_true", help="only render the objects in --output; does not need Blender")
     parser.add_argument("--table", action="store_true", help="only print a table of sizes, masses and joints")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need none of it.
+    # Lazy import: the other sub-commands do not need it.
     from gibson_sim_tools.making.objects.program import chosen, default_blender_python, make_objects
     from gibson_sim_tools.making.objects.table import objects_table
 

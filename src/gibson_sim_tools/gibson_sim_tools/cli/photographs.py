@@ -1,4 +1,4 @@
-"""``gibson-sim scene import`` of a folder of photographs: a bar for each stage, and what is said of it."""
+"""``gibson-sim scene import`` for a folder of photographs: a progress bar and a report for each stage."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim_tools.from_photographs.settings import PhotographSettings
 
 PHOTOGRAPH_OPTIONS = ("mesh", "fuse", *(f.name for f in fields(PhotographSettings)))
-"""Names of the options that other sources do not have."""
+"""Names of the options that only imports from photographs have."""
 _INDENT = "    "
 
 
@@ -34,13 +34,13 @@ def add_photograph_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="texture this mesh (default: the one in the folder, else one is fused from depth)",
     )
-    group.add_argument("--fuse", action="store_true", help="fuse a mesh from depth although one is in the folder")
+    group.add_argument("--fuse", action="store_true", help="fuse a mesh from depth, even if the folder contains one")
     add_settings(group, PhotographSettings, [f.name for f in fields(PhotographSettings)])
 
 
 def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCode:
-    """Imports a folder of photographs as a scene, or resumes that; ``scale``: metres per unit of poses and mesh."""
-    # Loaded here: the other sub-commands need none of it.
+    """Imports a folder of photographs as a scene, or resumes an interrupted import. ``scale``: metres per unit of poses and mesh."""
+    # Lazy import: the other sub-commands do not need it.
     from gibson_sim_tools.from_photographs.archive import unpack_photographs
     from gibson_sim_tools.from_photographs.importing import INTERMEDIATES, SHEET, PhotographImport
     from gibson_sim_tools.from_photographs.inputs import find_inputs
@@ -53,7 +53,7 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
     output = args.output or Path(f"{args.source.resolve().name.removesuffix('.zip')}_scene")
     folder, source = args.source, str(args.source.resolve())
     if not folder.is_dir():
-        # Opened before anything is written into its folder.
+        # The job locks the output folder before anything is written into it.
         with StagedJob(output, source).locked(), progress_bar(f"unpacking {folder.name}"):
             folder = unpack_photographs(folder, output / INTERMEDIATES / "photographs")
     inputs = find_inputs(folder, args.mesh, fuse=args.fuse, longest_side=settings.longest_side, excluded=output)
@@ -81,27 +81,27 @@ def import_photographs(args: argparse.Namespace, scale: float | None) -> ExitCod
 def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callable[[int], Any], Callable[[Any], None]]]:
     """Yields the callbacks of ``StagedJob.run``: ``stage_progress`` and ``on_result``.
 
-    On a terminal two bars are shown, of the stage and of all, with the time since the start and the time that is left.
+    A terminal shows two bars, for the stage and for the whole import, with the elapsed and the remaining time.
     """
-    errors = Console(stderr=True)
+    terminal = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn(), TextColumn("left:"),
         TimeRemainingColumn(),
     )  # fmt: skip
-    total, ended = sum(weights), [0]
-    with Progress(*columns, console=errors, transient=True, refresh_per_second=4, disable=not errors.is_terminal) as bars:
-        whole = bars.add_task("all stages", total=total)
+    total, finished = sum(weights), [0]
+    with Progress(*columns, console=terminal, transient=True, refresh_per_second=4, disable=not terminal.is_terminal) as bars:
+        all_stages = bars.add_task("all stages", total=total)
 
         @contextmanager
         def stage_progress(number: int) -> Iterator[Callable[[float], None]]:
-            if not errors.is_terminal:
+            if not terminal.is_terminal:
                 print(f"{number + 1}/{len(names)} {names[number]} ...", file=sys.stderr, flush=True)
             stage = bars.add_task(f"{number + 1}/{len(names)} {names[number]}", total=1.0)
-            before = sum(weights[:number])
+            weight_before = sum(weights[:number])
 
             def advance(part: float) -> None:
                 bars.update(stage, completed=part)
-                bars.update(whole, completed=before + part * weights[number])
+                bars.update(all_stages, completed=weight_before + part * weights[number])
 
             try:
                 yield advance
@@ -109,11 +109,11 @@ def stage_bars(names: list[str], weights: list[float]) -> Iterator[tuple[Callabl
                 bars.remove_task(stage)
 
         def on_result(stage: Any) -> None:
-            ended[0] += 1
-            bars.update(whole, completed=sum(weights[: ended[0]]))
+            finished[0] += 1
+            bars.update(all_stages, completed=sum(weights[: finished[0]]))
             time = "done before" if stage.reused else _time(stage.seconds)
-            text = f"{ended[0]}/{len(names)} {stage.name} ({time}): " + f"\n{_INDENT}".join(stage.lines)
-            if errors.is_terminal and sys.stdout.isatty():
+            text = f"{finished[0]}/{len(names)} {stage.name} ({time}): " + f"\n{_INDENT}".join(stage.lines)
+            if terminal.is_terminal and sys.stdout.isatty():
                 bars.console.print(text, markup=False, soft_wrap=True, highlight=False)  # above the bars
             else:
                 print(text, flush=True)

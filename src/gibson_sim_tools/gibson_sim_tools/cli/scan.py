@@ -1,4 +1,4 @@
-"""``gibson-sim scene scan`` and ``gibson-sim scene fuse``: a simulated scanner, and meshes from posed RGB-D."""
+"""``gibson-sim scene scan`` and ``gibson-sim scene fuse``: simulates a scanner, and fuses posed RGB-D into a mesh."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _add_scan(subparsers: Any) -> None:
     )
     parser.add_argument("scene", help="name, folder or file of a scene")
     parser.add_argument(
-        "--output", required=True, metavar="DIR", help="folder of the scan: new, empty, or with the same scan interrupted"
+        "--output", required=True, metavar="DIR", help="folder for the scan: new, empty, or with the same scan, interrupted"
     )
     parser.add_argument(
         "--preset",
@@ -64,36 +64,36 @@ def _add_scan(subparsers: Any) -> None:
 def _add_fuse(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "fuse",
-        help="fuse posed RGB-D (our scans; Open3D, 7-Scenes and TUM folders) into a mesh with vertex colours",
+        help="fuse posed RGB-D (Gibson Sim scans; Open3D, 7-Scenes and TUM folders) into a mesh with vertex colours",
         description="Needs Open3D: pip install 'gibson_sim_tools[scanning]'.",
     )
     parser.add_argument("folder", metavar="DIR", help="folder of posed RGB-D; the layout is detected")
     parser.add_argument("--output", required=True, metavar="FILE", help="the mesh, .ply")
     parser.add_argument(
-        "--intrinsics", metavar="FX,FY,CX,CY", help="intrinsics of the camera, pixels; replace those of the folder"
+        "--intrinsics", metavar="FX,FY,CX,CY", help="intrinsics of the camera, pixels; override those of the folder"
     )
     parser.add_argument(
-        "--depth-scale", type=float, metavar="X", help="units of the depth images per metre; replaces that of the layout"
+        "--depth-scale", type=float, metavar="X", help="units of the depth images per metre; overrides that of the layout"
     )
     parser.add_argument(
         "--pose-convention",
         choices=(AS_READ, AUTO, *CAMERA_CONVENTIONS),
         default=AS_READ,
-        help="convention of the poses: as-read = that of the layout; auto = the one in which neighbouring depth images agree; or by name",
+        help="convention of the poses: as-read = that of the layout; auto = the one for which neighbouring depth images agree; or a name",
     )
-    parser.add_argument("--compare", metavar="SCENE", help="compare the mesh with this scene, which was scanned")
+    parser.add_argument("--compare", metavar="SCENE", help="compare the mesh with this scene, the original of the scan")
     parser.add_argument("--report", metavar="FILE", help="write the comparison as JSON")
     add_settings(parser, FuseSettings, _names(FuseSettings))
     parser.set_defaults(run=_fuse)
 
 
 def _scan(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need neither OpenGL nor physics.
+    # Lazy imports: the other sub-commands need neither OpenGL nor physics.
     from gibson_sim.render.cache import default_folder
     from gibson_sim.scenes.load import load_scene
     from gibson_sim_tools.scanning.capture import ScanSettings, scan
 
-    tour, camera, defects = (_chosen(part, args) for part in _PARTS.values())
+    tour, camera, defects = (_merged_settings(part, args) for part in _PARTS.values())
     folder = Path(args.output)
     with progress_bar(f"scanning {args.scene}") as progress:
         plan = scan(
@@ -119,8 +119,8 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     output = Path(args.output)
     if output.suffix.lower() != ".ply":
         raise ConfigError(f"--output {output}: must end in .ply")
-    open3d()  # before any work
-    rgbd = open_posed_rgbd(Path(args.folder), focal=_focal(args.intrinsics), depth_scale=args.depth_scale)
+    open3d()  # fails early if it is not installed
+    rgbd = open_posed_rgbd(Path(args.folder), focal=_parse_intrinsics(args.intrinsics), depth_scale=args.depth_scale)
     for warning in rgbd.warnings:
         print(f"gibson-sim: {rgbd.folder}: {warning}", file=sys.stderr)
     scene = load_scene(args.compare) if args.compare else None
@@ -130,15 +130,15 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
     rgbd = rgbd.with_poses(reinterpret_poses(rgbd.poses, rgbd.layout, convention))
     if text:
         print(text)
-    named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
-    with progress_bar(f"fusing {named} ({rgbd.layout})") as progress:
+    frame_count = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
+    with progress_bar(f"fusing {frame_count} ({rgbd.layout})") as progress:
         fusion = fuse_scan(rgbd, settings, progress)
     mesh, T = fusion.mesh, fusion.T_level_scan
     write_ply(
         output, mesh, [f"T_level_scan {' '.join(f'{c:.9g}' for c in T.ravel())}"] if settings.level and T is not None else []
     )
     print(
-        f"{output}: {len(mesh.triangles)} triangles, {len(mesh.vertices)} vertices, {mesh.area:.1f} m2, from {named} ({rgbd.layout})"
+        f"{output}: {len(mesh.triangles)} triangles, {len(mesh.vertices)} vertices, {mesh.area:.1f} m2, from {frame_count} ({rgbd.layout})"
     )
     report: dict[str, Any] = {
         "frames": len(frames), "triangles": len(mesh.triangles), "vertices": len(mesh.vertices), "area_m2": mesh.area, "voxel_m": fusion.voxel,
@@ -159,12 +159,12 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         report["view_holes"] = None if holes is None else {**asdict(holes), "share": holes.share}
     if scene is not None:
         with progress_bar("comparing") as progress:
-            found = compare(mesh, rgbd, scene, distances_to_mesh, progress, frames=frames)
-        report = {**report, **found.as_dict()}
-        for name, d in (("mesh to scene", found.mesh_to_scene), ("scene to mesh", found.scene_to_mesh)):
+            result = compare(mesh, rgbd, scene, distances_to_mesh, progress, frames=frames)
+        report = {**report, **result.as_dict()}
+        for name, d in (("mesh to scene", result.mesh_to_scene), ("scene to mesh", result.scene_to_mesh)):
             print(f"{name}: median {d.median_mm:.1f} mm, mean {d.mean_mm:.1f}, 95 % below {d.p95_mm:.1f}, at most {d.max_mm:.1f}")
         print(
-            f"images show {100.0 * found.shown:.1f} % of all solid surfaces; the mesh has {100.0 * found.covered:.1f} % of these within 5 cm"
+            f"images show {100.0 * result.shown:.1f} % of all solid surfaces; the mesh has {100.0 * result.covered:.1f} % of these within 5 cm"
         )
     print(f"next: `gibson-sim scene check {output}` reports holes, floor areas that gaps separate, and tilt")
     write_json(Path(args.report) if args.report else None, report)
@@ -172,7 +172,7 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
 
 
 def level_text(T_level_scan: NDArray[np.float64] | None, turned: bool) -> str:
-    """Returns what is said of the floor of a scan."""
+    """Returns a sentence about the tilt and the height of a scan's floor."""
     if T_level_scan is None:
         return "no level surface faces up, so there is no floor, and holes are not measured"
     tilt = math.degrees(math.acos(min(1.0, float(T_level_scan[2, 2]))))
@@ -184,11 +184,11 @@ def level_text(T_level_scan: NDArray[np.float64] | None, turned: bool) -> str:
     return f"the floor is {tilt:.2f} degrees out of level: --level turns the mesh and puts the floor at z = 0"
 
 
-def _focal(text: str | None) -> tuple[float, float, float, float] | None:
-    """Returns fx, fy, cx, cy of an option.
+def _parse_intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
+    """Parses ``FX,FY,CX,CY``, pixels; None without the option.
 
     Raises:
-        ConfigError: it is something else.
+        ConfigError: the text is not four numbers.
     """
     if text is None:
         return None
@@ -203,8 +203,8 @@ def _names(part: type[Any]) -> list[str]:
     return [f.name for f in fields(part)]
 
 
-def _chosen(part: type[Any], args: argparse.Namespace) -> Any:
-    """Returns settings: from options, else from the preset, else the defaults."""
+def _merged_settings(part: type[Any], args: argparse.Namespace) -> Any:
+    """Returns settings from options, else from the preset, else the defaults."""
     names = _names(part)
     preset = {name: value for name, value in PRESETS[args.preset].items() if name in names}
     return part(**{**preset, **given(args, names)})

@@ -1,4 +1,4 @@
-"""``gibson-sim scene texture``: a textured scene from a mesh and posed photographs."""
+"""``gibson-sim scene texture``: textures a mesh from posed photographs and writes it as a scene."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
         "texture",
-        help="texture a mesh from posed photographs (our scans; Open3D, 7-Scenes, TUM, COLMAP and nerfstudio folders)",
-        description="Writes a scene that is textured from the photographs. See docs/texturing.md.",
+        help="texture a mesh from posed photographs (Gibson Sim scans; Open3D, 7-Scenes, TUM, COLMAP and nerfstudio folders)",
+        description="Writes a scene textured from the photographs. See docs/texturing.md.",
     )
     parser.add_argument("photographs", type=Path, metavar="PHOTOS", help="folder of posed photographs; the layout is detected")
     parser.add_argument("mesh", type=Path, metavar="MESH", help="mesh file, z up, metres, in the frame of the poses")
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="new folder of the scene")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="new folder for the scene")
     parser.add_argument("--name", default="", help="name of the scene (default: that of the folder)")
     parser.add_argument(
         "--level",
         action="store_true",
-        help="turn the scene so that z is up and the floor is at z = 0, for scans in the frame of a camera",
+        help="rotate the scene so that z is up, and put the floor at z = 0, for scans in the frame of a camera",
     )
     parser.add_argument(
         "--hold-out",
@@ -50,7 +50,7 @@ def add_parser(subparsers: Any) -> None:
         "--pose-convention",
         choices=(AS_READ, AUTO, *POSE_CONVENTIONS),
         default=AS_READ,
-        help="convention of the poses: as-read = that of the layout; auto = the one in which photographs agree best; or by name",
+        help="convention of the poses: as-read = that of the layout; auto = the one for which the photographs agree best; or a name",
     )
     parser.add_argument(
         "--unit", metavar="UNIT", help="unit of poses and mesh: a name as in scene import, or metres per unit (default: metres)"
@@ -59,14 +59,14 @@ def add_parser(subparsers: Any) -> None:
         "--known-length",
         type=_known_length,
         metavar="MESH,METRES",
-        help="instead of --unit: a length in the mesh and its true length in metres, such as 1.37,2.0 for a door",
+        help="instead of --unit: a length in mesh units and the true length in metres, such as 1.37,2.0 for a door",
     )
     parser.add_argument(
         "--most-photographs",
         type=int,
         default=MOST_PHOTOGRAPHS,
         metavar="N",
-        help=f"largest number of photographs; of more, those that together cover the mesh best are used (default: {MOST_PHOTOGRAPHS})",
+        help=f"maximum number of photographs; from more, the subset that covers the mesh best is selected (default: {MOST_PHOTOGRAPHS})",
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     add_settings(parser, TextureSettings, [f.name for f in fields(TextureSettings)])
@@ -74,6 +74,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _known_length(text: str) -> float:
+    """Returns metres per mesh unit, from ``MESH,METRES``."""
     try:
         measured, true = (float(word) for word in text.split(","))
     except ValueError:
@@ -86,7 +87,7 @@ def _known_length(text: str) -> float:
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need none of it.
+    # Lazy imports: the other sub-commands do not need them.
     from gibson_sim.formats.load_mesh import load_mesh
     from gibson_sim.picture_files import write_picture
     from gibson_sim_tools.cli.importing import unit_m

@@ -1,4 +1,4 @@
-"""``gibson-sim scene view``: pictures of a scene without a display."""
+"""``gibson-sim scene view``: renders a scene to a picture, without a display."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.load import load_scene
 
-MOST_VIEWS = 22
+MAX_VIEWS = 22
+"""Maximum number of views at eye height."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -23,11 +24,11 @@ def add_parser(subparsers: Any) -> None:
         "view",
         help="write one picture: views at eye height from free positions, from above, and the floor map",
         description="Writes one picture of a scene: views at eye height from free positions, from above, and the floor map. For several "
-        "scenes: a row of views of each.",
+        "scenes: one row of views for each.",
     )
     parser.add_argument("scene", metavar="SCENE", nargs="+", help="name, folder or file of a scene")
     parser.add_argument(
-        "--output", type=Path, metavar="FILE", help="the picture, .png or .jpg (default: NAME_view.png, of the first)"
+        "--output", type=Path, metavar="FILE", help="the picture, .png or .jpg (default: NAME_view.png, after the first scene)"
     )
     parser.add_argument("--views", type=int, default=4, metavar="N", help="views at eye height (default: 4)")
     parser.add_argument(
@@ -35,26 +36,26 @@ def add_parser(subparsers: Any) -> None:
         type=int,
         default=None,
         metavar="N",
-        help="number of the floor, 0 = the lowest (default: that of the start poses); for one scene",
+        help="index of the floor, 0 = the lowest (default: the floor of the start poses); only for one scene",
     )
-    parser.add_argument(
-        "--width", type=int, default=0, metavar="PX", help="scale the sheet to this width (default: 640 pixels a picture)"
-    )
+    parser.add_argument("--width", type=int, default=0, metavar="PX", help="width of the picture (default: 640 pixels per view)")
     parser.set_defaults(run=_run)
 
 
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
-    # Loaded here: the other sub-commands need no OpenGL.
+    # Lazy import: the other sub-commands do not need OpenGL.
     from gibson_sim_tools.importing.views import contact_sheet, gallery_of_scenes
 
-    if not 1 <= args.views <= MOST_VIEWS:
-        raise ConfigError(f"--views is {args.views}, must be 1 to {MOST_VIEWS}")
+    if not 1 <= args.views <= MAX_VIEWS:
+        raise ConfigError(f"--views is {args.views}, must be 1 to {MAX_VIEWS}")
     scenes = [load_scene(name) for name in args.scene]
     scene = scenes[0]
     if len(scenes) > 1:
         if args.floor is not None:
-            raise ConfigError("--floor is for one scene: of several, all floors are shown; name one scene, or leave it out")
+            raise ConfigError(
+                "--floor is for one scene; for several scenes, all floors are shown: name one scene, or leave --floor out"
+            )
         picture = gallery_of_scenes(scenes, args.views)
     else:
         if args.floor is not None and not 0 <= args.floor < len(scene.floors):
