@@ -57,13 +57,13 @@ def test_each_collision_is_noted_once_with_its_time() -> None:
     log.add(2.0, 1, ("base", "wall"))
     log.add(3.0, 1, ("base", "wall"))
     log.add(4.0, 2, ("base", "wall"))
-    assert [str(one) for one in log.found] == ["wall (base, at 2.00 s)", "wall (base, at 4.00 s)"]
+    assert [str(one) for one in log.collisions] == ["wall (base, at 2.00 s)", "wall (base, at 4.00 s)"]
 
 
 def test_of_several_collisions_in_a_tick_all_that_are_known_are_noted() -> None:
     log = CollisionLog("robot")
     log.add(1.0, 2, ("base", "box"), [("base", "box"), ("base", "chair"), ("wheel", "floor")])
-    assert [(one.link, one.body) for one in log.found] == [("base", "chair"), ("base", "box")]
+    assert [(one.link, one.body) for one in log.collisions] == [("base", "chair"), ("base", "box")]
 
 
 def test_a_reset_begins_the_count_anew() -> None:
@@ -71,4 +71,4 @@ def test_a_reset_begins_the_count_anew() -> None:
     log.add(1.0, 1, ("base", "wall"))
     log.clear()
     log.add(0.5, 1, ("base", "wall"))
-    assert [one.time for one in log.found] == [0.5]
+    assert [one.time for one in log.collisions] == [0.5]

@@ -170,9 +170,9 @@ def test_ticks_wait_from_a_message_on_the_topic_of_from_on() -> None:
     lockstep = nav()
     assert lockstep.received_topics == {"cmd_vel", "goal_pose"}
     assert ticks_that_wait(lockstep, range(10, 101, 10)) == []
-    assert lockstep.any_rests
+    assert lockstep.any_idle
     assert lockstep.receive("goal_pose", 0) == ()
-    assert not lockstep.any_rests
+    assert not lockstep.any_idle
     assert ticks_that_wait(lockstep, range(110, 201, 10)) == [150, 200], "a period after the tick at which the goal came"
 
 
@@ -201,8 +201,8 @@ def test_one_that_has_answered_and_is_silent_rests_until_its_next_goal() -> None
     lockstep.receive("goal_pose", 0)
     assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
     lockstep.begin_tick(100 * MS, (), 1000)
-    assert lockstep.rest_silent(1000 + 5, 5) == ()
-    assert lockstep.rest_silent(1000 + 6, 5) == ("nav",)
+    assert lockstep.idle_silent(1000 + 5, 5) == ()
+    assert lockstep.idle_silent(1000 + 6, 5) == ("nav",)
     assert lockstep.is_open
     assert lockstep.participants[0].missed == 0, "nothing is missing: it is idle"
     assert ticks_that_wait(lockstep, range(110, 401, 10)) == []
@@ -214,14 +214,14 @@ def test_one_that_has_never_answered_has_twice_the_time() -> None:
     lockstep = nav()
     lockstep.receive("goal_pose", 0)
     lockstep.begin_tick(50 * MS, (), 1000)
-    assert lockstep.rest_silent(1000 + 10, 5) == ()
-    assert lockstep.rest_silent(1000 + 11, 5) == ("nav",)
+    assert lockstep.idle_silent(1000 + 10, 5) == ()
+    assert lockstep.idle_silent(1000 + 11, 5) == ("nav",)
 
 
 def test_one_without_from_never_rests() -> None:
     lockstep = nav("cmd_vel every 0.05")
     lockstep.begin_tick(50 * MS, (), 0)
-    assert lockstep.rest_silent(10**12, 5) == ()
+    assert lockstep.idle_silent(10**12, 5) == ()
     assert not lockstep.is_open
 
 
@@ -230,7 +230,7 @@ def test_one_that_answers_while_it_rests_was_slow_and_is_named() -> None:
     lockstep.receive("goal_pose", 0)
     assert ticks_that_wait(lockstep, range(10, 61, 10)) == [50]
     lockstep.begin_tick(100 * MS, (), 0)
-    lockstep.rest_silent(6, 5)
+    lockstep.idle_silent(6, 5)
     lockstep.begin_tick(110 * MS, (), 0)
     assert lockstep.receive("cmd_vel", 0) == ("nav",)
     assert ticks_that_wait(lockstep, range(120, 211, 10)) == [160, 210]
@@ -257,10 +257,10 @@ def test_a_rule_is_read_with_its_names_as_they_are_written(text: str, rule: Part
 
 
 def test_names_of_a_rule_are_resolved_but_for_cameras() -> None:
-    rule = ParticipantRule("a", "pose", CAMERAS, begins="/goal").resolved(
+    rule = ParticipantRule("a", "pose", CAMERAS, activation="/goal").resolved(
         lambda name: f"ns/{name}" if name[0] != "/" else name[1:]
     )
-    assert rule == ParticipantRule("a", "ns/pose", CAMERAS, begins="goal")
+    assert rule == ParticipantRule("a", "ns/pose", CAMERAS, activation="goal")
 
 
 def test_a_participant_that_rejoined_needs_the_tick_again() -> None:

@@ -242,7 +242,7 @@ def test_taken_name_gets_a_number_where_renaming_is_allowed(people: Population) 
 def test_full_world_refuses_more(make: Callable[..., Simulator]) -> None:
     world = make().world
     assert world is not None
-    people = Population(world, most=4)
+    people = Population(world, max_entities=4)
     people.spawn(SpawnRequest(text=BALL))
     outcomes = people.spawn_all([SpawnRequest(text=BALL, allow_renaming=True)] * 3)
     assert {outcome.error.code for outcome in outcomes if outcome.error} == {Result.OPERATION_FAILED}

@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from gibson_sim.standard.posix_regex import MOST_STATES, PatternError, PosixRegex
+from gibson_sim.standard.posix_regex import MAX_STATES, PatternError, PosixRegex
 
 
 @pytest.mark.parametrize(
@@ -56,22 +56,22 @@ def test_pattern_finds_what_posix_says(pattern: str, text: str, found: bool) -> 
 @pytest.mark.parametrize(
     ("pattern", "hint"),
     [
-        ("*a", "nothing stands before *"),
-        ("a|+", "nothing stands before +"),
+        ("*a", "nothing precedes *"),
+        ("a|+", "nothing precedes +"),
         ("(", "( is not closed"),
         (")", "closes nothing"),
         ("[a", "[ is not closed"),
-        ("[[:foo:]]", "no class 'foo'; known: alnum, alpha"),
+        ("[[:foo:]]", "class 'foo' does not exist; known: alnum, alpha"),
         ("a{", "{m}"),
         ("a{3,2}", "0 to 255"),
         ("a{256}", "0 to 255"),
         ("\\d+", "[[:digit:]]"),
         ("a\\", "at the end"),
-        ("[z-a]", "runs backwards"),
+        ("[z-a]", "is reversed"),
         ("(" * 60 + ")" * 60, "more than 50"),
         ("a" * 1001, "must be at most 1000"),
-        ("((a{99}){99}){99}", f"more than {MOST_STATES}"),
-        ("(((){255}){255}){255}", f"more than {MOST_STATES}"),
+        ("((a{99}){99}){99}", f"more than {MAX_STATES}"),
+        ("(((){255}){255}){255}", f"more than {MAX_STATES}"),
     ],
 )
 def test_pattern_that_is_none_is_refused_with_a_hint(pattern: str, hint: str) -> None:

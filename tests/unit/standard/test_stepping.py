@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gibson_sim.standard.codes import Result, SimulationError
-from gibson_sim.standard.stepping import MOST_REQUESTS, StepQueue, StepRequest
+from gibson_sim.standard.stepping import MAX_REQUESTS, StepQueue, StepRequest
 
 
 def test_requests_are_served_in_the_order_of_arrival() -> None:
@@ -62,7 +62,7 @@ def test_request_cancelled_by_its_own_progress_ends_once() -> None:
 
 def test_too_many_requests_are_refused() -> None:
     queue = StepQueue()
-    for _ in range(MOST_REQUESTS):
+    for _ in range(MAX_REQUESTS):
         queue.add(StepRequest(1))
     with pytest.raises(SimulationError) as error:
         queue.add(StepRequest(1))

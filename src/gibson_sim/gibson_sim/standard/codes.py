@@ -1,4 +1,4 @@
-"""The result codes of the standard, general ones (0 to 4) and those of single services (above 100), and the error that carries one.
+"""Result codes of the standard, common to all services (0 to 4) and specific to one (above 100), and the error that carries one.
 
 https://github.com/ros-simulation/simulation_interfaces; versions 1.x and 2.x have the same codes.
 """
@@ -12,10 +12,10 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import clipped
 
 _log = logging.getLogger(__name__)
-LONGEST_LOGGED = 4000
-"""Greatest length of a message in the log, characters."""
-LONGEST_MESSAGE = 600
-"""Greatest length of a message to a client, characters: a name of megabytes is not sent back."""
+MAX_LOGGED_LENGTH = 4000
+"""Maximum length of a message in the log, characters."""
+MAX_MESSAGE_LENGTH = 600
+"""Maximum length of a message to a client, characters: a name of megabytes is not echoed."""
 
 
 class Result(IntEnum):
@@ -29,7 +29,7 @@ class Result(IntEnum):
 
 
 class StateCode(IntEnum):
-    """SetSimulationState."""
+    """Codes of SetSimulationState."""
 
     ALREADY_IN_TARGET_STATE = 101
     STATE_TRANSITION_ERROR = 102
@@ -37,7 +37,7 @@ class StateCode(IntEnum):
 
 
 class SpawnCode(IntEnum):
-    """SpawnEntity and each item of SpawnEntities."""
+    """Codes of SpawnEntity and of each item of SpawnEntities."""
 
     NAME_NOT_UNIQUE = 101
     NAME_INVALID = 102
@@ -51,31 +51,31 @@ class SpawnCode(IntEnum):
 
 
 class SpawnEntitiesCode(IntEnum):
-    """SpawnEntities as a whole."""
+    """Codes of SpawnEntities as a whole."""
 
     ENTITIES_SPAWN_FAILED = 150
 
 
 class EntityStateCode(IntEnum):
-    """SetEntityState."""
+    """Codes of SetEntityState."""
 
     INVALID_POSE = 101
 
 
 class WorldsCode(IntEnum):
-    """GetAvailableWorlds."""
+    """Codes of GetAvailableWorlds."""
 
     DEFAULT_SOURCES_FAILED = 101
 
 
 class WorldCode(IntEnum):
-    """GetCurrentWorld and UnloadWorld."""
+    """Codes of GetCurrentWorld and UnloadWorld."""
 
     NO_WORLD_LOADED = 101
 
 
 class LoadWorldCode(IntEnum):
-    """LoadWorld."""
+    """Codes of LoadWorld."""
 
     UNSUPPORTED_FORMAT = 101
     NO_RESOURCE = 102
@@ -93,16 +93,16 @@ class SimulationError(GibsonSimError):
         self.code = code
 
 
-def client_message(what: str, error: GibsonSimError) -> str:
-    """Returns the message to a client that named an unusable file, without anything of the file's contents.
+def client_message(resource: str, error: GibsonSimError) -> str:
+    """Returns the error message to a client for an unusable resource, without any of the file's contents.
 
-    The log has the whole error: users who may read the log may read the file.
+    The whole error goes to the log: users who may read the log may read the file.
     """
     reason = error.public or "cannot be used"
-    _log.warning("%s cannot be used: %s", what, clipped(str(error), LONGEST_LOGGED))
-    return f"{what}: {reason}; the log of the simulation says more"
+    _log.warning("%s cannot be used: %s", resource, clipped(str(error), MAX_LOGGED_LENGTH))
+    return f"{resource}: {reason}; see the log of the simulation"
 
 
 def shortened(text: str) -> str:
     """Returns the text on one line; the middle of a long text is omitted."""
-    return clipped(text, LONGEST_MESSAGE)
+    return clipped(text, MAX_MESSAGE_LENGTH)

@@ -1,4 +1,4 @@
-"""The features of the standard that this simulator supports: the one table behind GetSimulatorFeatures and ``docs/simulation_interfaces.md``."""
+"""Features of the standard that this simulator supports: the table behind GetSimulatorFeatures and ``docs/simulation_interfaces.md``."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One line of ``SimulatorFeatures``."""
+    """One constant of ``SimulatorFeatures``."""
 
     name: str
-    """Name of the constant."""
     number: int
     supported: bool
     remark: str
@@ -19,7 +18,7 @@ class Feature:
 
 FEATURES = (
     Feature("SPAWNING", 0, True, "`spawn_entity`, at most 2,000 entities"),
-    Feature("DELETING", 1, True, "`delete_entity`, also what the world brought; a reset of everything brings that back"),
+    Feature("DELETING", 1, True, "`delete_entity`, also entities of the world file; a reset of everything restores those"),
     Feature(
         "NAMED_POSES",
         2,
@@ -27,9 +26,9 @@ FEATURES = (
         "`get_named_poses`: start poses, free places, rooms and doors, by the scene's names (`floor_0/kitchen`)",
     ),
     Feature("POSE_BOUNDS", 3, True, "`get_named_pose_bounds`: a box about the pose, in its frame"),
-    Feature("ENTITY_TAGS", 4, True, "`semantic_class` to begin with, then what `set_entity_info` says"),
+    Feature("ENTITY_TAGS", 4, True, "initially `semantic_class`, then the tags from `set_entity_info`"),
     Feature("ENTITY_BOUNDS", 5, True, "`get_entity_bounds`: always a box, in the frame of the root link"),
-    Feature("ENTITY_BOUNDS_BOX", 6, True, "filter in the world frame, against the box about an entity's collision shapes"),
+    Feature("ENTITY_BOUNDS_BOX", 6, True, "filter in the world frame, against the bounding box of an entity's collision shapes"),
     Feature("ENTITY_BOUNDS_CONVEX", 7, True, "the same with 3 to 256 points"),
     Feature("ENTITY_CATEGORIES", 8, True, "robot, human, dynamic object, static object; others by `set_entity_info`"),
     Feature("SPAWNING_RESOURCE_STRING", 9, True, "URDF and SDF as text"),
@@ -41,12 +40,12 @@ FEATURES = (
     Feature("SIMULATION_RESET", 20, True, "`reset_simulation`; if time was running, it runs on after the reset"),
     Feature("SIMULATION_RESET_TIME", 21, True, "/clock is 0 again, unless `reset_time` is `monotonic`"),
     Feature("SIMULATION_RESET_STATE", 22, True, "poses, velocities, joints, odometry, commands"),
-    Feature("SIMULATION_RESET_SPAWNED", 23, True, "removes what came by `spawn_entity` and `spawn_entities`"),
+    Feature("SIMULATION_RESET_SPAWNED", 23, True, "removes the entities from `spawn_entity` and `spawn_entities`"),
     Feature("SIMULATION_STATE_GETTING", 24, True, "`get_simulation_state`"),
     Feature("SIMULATION_STATE_SETTING", 25, True, "`set_simulation_state`"),
-    Feature("SIMULATION_STATE_PAUSE", 26, True, "also from STOPPED: the simulation is then ready and paused"),
-    Feature("STEP_SIMULATION_SINGLE", 31, True, "`step_simulation`: a step is one of physics, `1 / step_hz` s"),
-    Feature("STEP_SIMULATION_MULTIPLE", 32, True, "as fast as the machine can; other services answer meanwhile"),
+    Feature("SIMULATION_STATE_PAUSE", 26, True, "also from STOPPED: the simulation starts paused"),
+    Feature("STEP_SIMULATION_SINGLE", 31, True, "`step_simulation`: a step is one physics step, `1 / step_hz` s"),
+    Feature("STEP_SIMULATION_MULTIPLE", 32, True, "as fast as the machine allows; other services respond meanwhile"),
     Feature("STEP_SIMULATION_ACTION", 33, True, "`simulate_steps`: feedback after each step, can be cancelled"),
     Feature("WORLD_LOADING", 40, True, "`load_world`; the new world has no robot: spawn one"),
     Feature("WORLD_RESOURCE_STRING", 41, True, "SDF as text"),

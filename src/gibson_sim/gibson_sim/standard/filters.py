@@ -1,4 +1,4 @@
-"""Filters of a client's request on entities, poses and worlds; all filters that are set must pass."""
+"""Filters of a client's request on entities, poses and worlds; an item must pass all filters that are set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FILTER_MODE_ANY, FILTER_MODE_ALL = 0, 1
 
 @dataclass(frozen=True, slots=True)
 class TagsFilter:
-    """Passes things with any of the tags, or with all; no tags = everything passes."""
+    """Passes items with any or all of the tags; without tags, every item passes."""
 
     tags: tuple[str, ...] = ()
     mode: int = FILTER_MODE_ANY
@@ -30,11 +30,11 @@ class TagsFilter:
             )
 
     def passes(self, tags: Iterable[str]) -> bool:
-        """Returns whether a thing with these tags passes."""
-        has = set(tags)
+        """Returns whether an item with these tags passes."""
+        item_tags = set(tags)
         if not self.tags:
             return True
-        return has.issuperset(self.tags) if self.mode == FILTER_MODE_ALL else not has.isdisjoint(self.tags)
+        return item_tags.issuperset(self.tags) if self.mode == FILTER_MODE_ALL else not item_tags.isdisjoint(self.tags)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,23 +42,24 @@ class EntityFilters:
     """Filters on entities."""
 
     pattern: str = ""
-    """POSIX extended regular expression, searched in the name; empty = any name."""
+    """POSIX extended regular expression that must match a part of the name; empty = any name."""
     categories: tuple[int, ...] = ()
-    """Any of these; empty = any."""
+    """Numbers of the allowed categories; empty = any."""
     tags: TagsFilter = field(default_factory=TagsFilter)
     bounds: Bounds = field(default_factory=lambda: Bounds(BoundsType.EMPTY))
-    """World frame, metres."""
+    """Volume that the entity's bounding box must overlap, world frame, m."""
 
 
 def filtered(
     entities: Iterable[Entity], filters: EntityFilters, box_of: Callable[[str], tuple[ArrayLike, ArrayLike]]
 ) -> tuple[Entity, ...]:
-    """Returns the entities that pass.
+    """Returns the entities that pass all filters.
 
     Args:
         entities: all entities.
-        filters: of the request.
-        box_of: returns the lowest and the highest corner of an entity, world frame; is called only for entities that pass all other filters.
+        filters: filters of the request.
+        box_of: returns the lower and upper corner, each (3,), m, of an entity's bounding box, world frame; called only for entities that
+            pass all other filters.
 
     Raises:
         SimulationError: a filter is invalid.

@@ -1,16 +1,17 @@
-"""Lockstep: a tick begins only when every participant has done the last one. Pure.
+"""Lockstep: a tick begins only when every participant has finished the previous one. Pure.
 
 The node's loop::
 
-    if lockstep.is_open: make the steps of the next tick, publish it, then lockstep.begin_tick(stamp_ns, topics)
+    if lockstep.is_open: execute the steps of the next tick, publish it, then lockstep.begin_tick(stamp_ns, topics)
     at a TickDone:       lockstep.join / tick_done / leave
     at a command, or at a message on a topic of ``received_topics``: lockstep.receive(topic)
 
-A participant either announces itself (``join``, then ``tick_done`` for every tick), or is declared by a rule on its output: with
-``follow=cmd_vel after odom``, the first message on ``cmd_vel`` after a tick at which ``odom`` was published is the sign that the tick is done.
-With ``nav=cmd_vel every 0.05``, a tick waits if the last message on ``cmd_vel`` came 0.05 s of simulation time before it, or earlier. This needs
-no knowledge of when the node wakes: a message that comes between two such ticks moves the next of them. With ``from goal_pose`` a rule counts
-from a message on ``goal_pose`` on, until its participant rests: a node without a goal cannot be told from a slow one but by waiting.
+A participant either announces itself (``join``, then ``tick_done`` for every tick), or is declared by a rule on its output. With
+``follow=cmd_vel after odom``, the first message on ``cmd_vel`` after a tick at which ``odom`` was published reports that the tick is done.
+With ``nav=cmd_vel every 0.05``, a tick waits if the last message on ``cmd_vel`` arrived at least 0.05 s of simulation time before it. This
+does not depend on the phase of the node's timer: a message between two such ticks delays the next of them. With ``from goal_pose``, a rule
+is in force from a message on ``goal_pose`` until its participant becomes idle: only waiting distinguishes a node without a goal from a slow
+one.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
 CAMERAS = "cameras"
-"""Stands for a topic in ``after``: ticks at which any camera is due, which renderers draw."""
+"""Placeholder for a topic in ``after``: ticks at which any camera is due, which renderers draw."""
 _TOPIC = r"(/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*)"
 _RULE = re.compile(
     rf"\s*([\w./-]+)\s*(?:=\s*{_TOPIC}\s+(?:after\s+{_TOPIC}|every\s+(\d+(?:\.\d*)?|\.\d+)\s*s?)(?:\s+from\s+{_TOPIC})?)?\s*",
@@ -35,95 +36,97 @@ _ALLOWED = "`render`, `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05 fro
 
 @dataclass(frozen=True, slots=True)
 class ParticipantRule:
-    """A participant that must be there before time starts, as the setting ``participants`` declares it."""
+    """A participant that the setting ``participants`` declares; one without ``answer`` must join before time starts."""
 
     name: str
     answer: str = ""
     """Topic of the messages that count as its answer; empty = it joins and reports each tick itself."""
     after: str = ""
-    """Topic that it answers to; empty = every tick, or as ``every_s`` says."""
+    """Topic that it answers; empty = every tick, or every ``every_s``."""
     every_s: float = 0.0
-    """Longest time between two answers, seconds of simulation time; 0 = none."""
-    begins: str = ""
-    """Topic of the messages from which on it answers; empty = always."""
+    """Maximum simulation time between two answers, s; 0 = no limit."""
+    activation: str = ""
+    """Topic of the message that activates it; empty = always active."""
 
     def resolved(self, resolve: Callable[[str], str]) -> ParticipantRule:
-        """Returns the rule with the full names of its topics."""
-        answer, after, begins = (
-            name and (name if name == CAMERAS else resolve(name)) for name in (self.answer, self.after, self.begins)
+        """Returns the rule with the full names of its topics, which ``resolve`` returns."""
+        answer, after, activation = (
+            name and (name if name == CAMERAS else resolve(name)) for name in (self.answer, self.after, self.activation)
         )
-        return replace(self, answer=answer, after=after, begins=begins)
+        return replace(self, answer=answer, after=after, activation=activation)
 
 
 def parse_participants(text: str) -> tuple[ParticipantRule, ...]:
     """Returns the participants that a setting lists.
 
     Raises:
-        ConfigError: the setting is not of the form that the message shows.
+        ConfigError: the setting does not match the syntax.
     """
-    found: list[ParticipantRule] = []
+    rules: list[ParticipantRule] = []
     for part in filter(str.strip, text.split(";")):
         match = _RULE.fullmatch(part)
-        name, answer, after, every, begins = match.groups(default="") if match else ("",) * 5
+        name, answer, after, every, activation = match.groups(default="") if match else ("",) * 5
         every_s = float(every or 0.0)
         if match is None or (every and not 0.001 <= every_s <= 3600.0):
             raise ConfigError(f"setting 'participants' has {quoted(part.strip())}, must be {_ALLOWED}")
-        if any(name == other.name for other in found):
+        if any(name == other.name for other in rules):
             raise ConfigError(f"setting 'participants' names {quoted(name)} twice; each needs a name of its own")
-        found.append(ParticipantRule(name, answer, after, every_s, begins))
-    return tuple(found)
+        rules.append(ParticipantRule(name, answer, after, every_s, activation))
+    return tuple(rules)
 
 
 @dataclass(slots=True)
 class Participant:
-    """A node that time waits for, and how long the ticks waited for it."""
+    """A node that time waits for, and the wall time that ticks waited for it."""
 
     name: str
     answer: str = ""
     """See ``ParticipantRule``."""
     after: str = ""
     every_ns: int = 0
-    begins: str = ""
-    rests: bool = False
-    """Whether no tick waits for it: a message on ``begins`` has not come, or it has been silent for long since."""
+    activation: str = ""
+    idle: bool = False
+    """Whether no tick waits for it: no message on ``activation`` has arrived, or it has been silent for too long since."""
     pending: bool = False
     """Whether the present tick still waits for it."""
     in_flight: dict[str, int] = field(default_factory=dict)
-    """Commands that it sent and that have not arrived, by topic."""
+    """Topic -> number of commands that it has sent and that have not arrived."""
     arrived: set[str] = field(default_factory=set)
     """Topics on which a command that it sent has arrived."""
     answered: bool = False
+    """Whether it has answered the present tick."""
     ticks: int = 0
-    """Ticks that it has done."""
+    """Number of ticks that it has finished."""
     waited_ns: int = 0
-    """Wall time that those ticks waited for it, and the longest of them."""
+    """Total wall time that those ticks waited for it, ns."""
     longest_ns: int = 0
+    """Longest wall time that one of them waited, ns."""
     missed: int = 0
-    """Ticks that went on without it."""
+    """Number of ticks that ended without it."""
     last_ns: int | None = None
-    """Stamp of the tick at which it answered last, or began; None = not yet. For a rule with a period."""
+    """Stamp of the tick at which it last answered, or was activated, ns; None = not yet. For a rule with a period."""
 
 
 class Lockstep:
-    """Keeps track of which participants the present tick waits for. Times are of any steady clock, nanoseconds."""
+    """Keeps track of the participants that the present tick waits for. ``now_ns`` is of any monotonic clock, ns."""
 
     def __init__(self, rules: Sequence[ParticipantRule] = ()) -> None:
         self._missing = {rule.name for rule in rules if not rule.answer}
         self._participants = {rule.name: _participant_of(rule) for rule in rules if rule.answer}
         self._received: dict[str, int] = {}
         self._newest_ns: int | None = None
-        """Stamp of the tick that began last."""
+        """Stamp of the newest tick, ns."""
         self._stamp_ns: int | None = None
         self._opened_ns = 0
 
     @property
     def participants(self) -> tuple[Participant, ...]:
-        """All present participants."""
+        """Participants that have joined or have a rule on their output."""
         return tuple(self._participants.values())
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names of the declared participants that have not joined: time must not start without them."""
+        """Names of the declared participants that have not joined; time must not start without them."""
         return tuple(sorted(self._missing))
 
     @property
@@ -133,38 +136,38 @@ class Lockstep:
 
     @property
     def stamp_ns(self) -> int | None:
-        """Stamp of the tick that is not done; None = it is."""
+        """Stamp of the unfinished tick, ns; None = there is none."""
         return self._stamp_ns
 
     @property
     def waits_for(self) -> tuple[str, ...]:
-        """Names of the participants that have not joined, then of those that have not done the present tick."""
+        """Names of the participants that have not joined, then of those that have not finished the present tick."""
         return (*self.missing, *(p.name for p in self._participants.values() if p.pending))
 
     @property
-    def any_rests(self) -> bool:
-        """Whether there is a participant that no tick waits for, until there is a message on the topic with which it begins."""
-        return any(p.rests for p in self._participants.values())
+    def any_idle(self) -> bool:
+        """Whether any participant is idle, so that no tick waits for it until it is activated."""
+        return any(p.idle for p in self._participants.values())
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics whose presence at a tick matters to ``begin_tick``."""
+        """Topics of which ``begin_tick`` must know whether they were published at the tick."""
         return frozenset(p.after for p in self._participants.values() if p.after)
 
     @property
     def received_topics(self) -> frozenset[str]:
-        """Topics whose messages ``receive`` must be told of."""
-        return frozenset(t for p in self._participants.values() for t in (p.answer, p.begins) if t)
+        """Topics whose messages must be reported to ``receive``."""
+        return frozenset(t for p in self._participants.values() for t in (p.answer, p.activation) if t)
 
     def waited_ns(self, now_ns: int) -> int:
-        """Returns how long the present tick has waited."""
+        """Returns the wall time that the present tick has waited, ns."""
         return 0 if self._stamp_ns is None else now_ns - self._opened_ns
 
     def join(self, name: str, after: str = "") -> bool:
-        """Adds a participant from the next tick on. If the present tick waits for one of the same name, it goes on waiting.
+        """Adds a participant from the next tick on. If the present tick waits for one of the same name, it still does.
 
         Returns:
-            Whether it replaces a pending participant, so that it must be given the present tick again.
+            Whether it replaces a pending participant, so that the present tick must be sent to it again.
         """
         self._missing.discard(name)
         old = self._participants.get(name)
@@ -181,29 +184,29 @@ class Lockstep:
             self._update(now_ns)
 
     def begin_tick(self, stamp_ns: int, topics: Collection[str], now_ns: int) -> None:
-        """Begins to wait for all participants that a published tick concerns.
+        """Begins to wait for all participants that must answer a published tick.
 
         Args:
-            stamp_ns: of the tick, simulation time.
-            topics: those of ``topics`` that were published at it.
-            now_ns: now.
+            stamp_ns: stamp of the tick, simulation time, ns.
+            topics: the subset of ``topics`` that was published at it.
+            now_ns: now, ns.
         """
         self._stamp_ns = self._newest_ns = stamp_ns
         self._opened_ns = now_ns
         self._received.clear()
         for participant in self._participants.values():
-            participant.pending = _is_concerned(participant, stamp_ns, topics)
+            participant.pending = _must_answer(participant, stamp_ns, topics)
             participant.answered = False
         self._update(now_ns)
 
     def tick_done(self, name: str, stamp_ns: int, sent: Iterable[str], now_ns: int) -> bool:
-        """Handles the report of a participant that it has done a tick.
+        """Handles a participant's report that it has finished a tick.
 
         Args:
-            name: of the participant.
-            stamp_ns: of the tick.
-            sent: topics of the commands that it sent, once for each; they may still be on their way.
-            now_ns: now.
+            name: name of the participant.
+            stamp_ns: stamp of the tick, ns.
+            sent: topic of each command that it sent; the commands may still be in flight.
+            now_ns: now, ns.
 
         Returns:
             Whether the present tick was waiting for this report; if not, it is ignored.
@@ -219,18 +222,18 @@ class Lockstep:
         return True
 
     def receive(self, topic: str, now_ns: int) -> tuple[str, ...]:
-        """Handles the arrival of a command or of another message that rules name.
+        """Handles the arrival of a command or of a message on one of ``received_topics``.
 
         Returns:
-            Names of the participants that rested and no longer do, though only an answer of theirs has come: they were slow, not idle.
+            Names of the idle participants that an answer, not an activation, makes active again: they were slow, not idle.
         """
         resumed = []
         for participant in self._participants.values():
-            if topic not in (participant.answer, participant.begins):
+            if topic not in (participant.answer, participant.activation):
                 continue
-            if participant.rests:
-                participant.rests, participant.last_ns = False, self._newest_ns
-                if topic != participant.begins:
+            if participant.idle:
+                participant.idle, participant.last_ns = False, self._newest_ns
+                if topic != participant.activation:
                     resumed.append(participant.name)
             if topic == participant.answer:
                 participant.answered |= participant.pending
@@ -240,21 +243,21 @@ class Lockstep:
         self._update(now_ns)
         return tuple(resumed)
 
-    def rest_silent(self, now_ns: int, silent_ns: int) -> tuple[str, ...]:
-        """Lets participants rest that may, and that the present tick has waited for since ``silent_ns``; returns their names.
+    def idle_silent(self, now_ns: int, silent_ns: int) -> tuple[str, ...]:
+        """Marks participants with an activation topic as idle if the present tick has waited longer than ``silent_ns``; returns their names.
 
-        One that has never answered has twice the time: its node may still be starting.
+        A participant that has never answered gets twice the time: its node may still be starting.
         """
         waited_ns = self.waited_ns(now_ns)
-        idle = [
+        silent = [
             p
             for p in self._participants.values()
-            if p.begins and p.pending and waited_ns > (silent_ns if p.ticks else 2 * silent_ns)
+            if p.activation and p.pending and waited_ns > (silent_ns if p.ticks else 2 * silent_ns)
         ]
-        for participant in idle:
-            participant.rests, participant.pending = True, False
+        for participant in silent:
+            participant.idle, participant.pending = True, False
         self._update(now_ns)
-        return tuple(p.name for p in idle)
+        return tuple(p.name for p in silent)
 
     def skip_late(self, now_ns: int) -> tuple[str, ...]:
         """Ends the present tick without its pending participants; returns their names."""
@@ -267,12 +270,13 @@ class Lockstep:
         return tuple(p.name for p in late)
 
     def lose_first_commands(self, now_ns: int, after_ns: int) -> tuple[tuple[str, str], ...]:
-        """Gives up commands that were sent before their publisher was discovered, and will never arrive; returns (participant, topic) of each.
+        """Drops commands that were sent before discovery and will never arrive; returns (participant, topic) of each.
+
+        Only topics on which none of the participant's commands has arrived yet are affected.
 
         Args:
-            now_ns: now.
-            after_ns: how long the present tick must have waited, ns. Only a topic on which none of the participant's commands has arrived yet
-                counts.
+            now_ns: now, ns.
+            after_ns: minimum time that the present tick must have waited, ns.
         """
         if self.waited_ns(now_ns) <= after_ns:
             return ()
@@ -284,7 +288,7 @@ class Lockstep:
         return tuple((participant.name, topic) for participant, topic in lost)
 
     def reset(self) -> None:
-        """Forgets the present tick: the simulation was reset."""
+        """Discards the present tick: the simulation was reset."""
         self._stamp_ns = self._newest_ns = None
         self._received.clear()
         for participant in self._participants.values():
@@ -292,7 +296,7 @@ class Lockstep:
             participant.in_flight = {}
 
     def _match_commands(self) -> None:
-        """Sets off commands that arrived against those that participants reported as sent."""
+        """Matches commands that arrived with those that participants reported as sent."""
         for participant in self._participants.values():
             for topic in list(participant.in_flight):
                 arrived = min(participant.in_flight[topic], self._received.get(topic, 0))
@@ -304,7 +308,7 @@ class Lockstep:
                     del participant.in_flight[topic]
 
     def _update(self, now_ns: int) -> None:
-        """Ends the present tick if all participants have done it."""
+        """Ends the present tick if all participants have finished it."""
         if self._stamp_ns is None:
             return
         for participant in self._participants.values():
@@ -320,17 +324,17 @@ class Lockstep:
 
 def _participant_of(rule: ParticipantRule) -> Participant:
     return Participant(
-        rule.name, rule.answer, rule.after, round(rule.every_s * NS_PER_S), begins=rule.begins, rests=bool(rule.begins)
+        rule.name, rule.answer, rule.after, round(rule.every_s * NS_PER_S), activation=rule.activation, idle=bool(rule.activation)
     )
 
 
-def _is_concerned(participant: Participant, stamp_ns: int, topics: Collection[str]) -> bool:
+def _must_answer(participant: Participant, stamp_ns: int, topics: Collection[str]) -> bool:
     """Returns whether a tick waits for an answer of a participant."""
-    if participant.rests:
+    if participant.idle:
         return False
     if participant.every_ns:
         if participant.last_ns is None:
-            # As if it had answered at the last whole period before: timers that began at time 0 wake at whole periods.
+            # As if it had answered at the previous multiple of its period: timers that started at time 0 fire at multiples.
             participant.last_ns = (stamp_ns - 1) // participant.every_ns * participant.every_ns
         return stamp_ns - participant.last_ns >= participant.every_ns
     return not participant.after or participant.after in topics

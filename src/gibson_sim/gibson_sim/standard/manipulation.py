@@ -1,4 +1,4 @@
-"""Converts the arm settings of the physics node for ``PhysicsWorld``."""
+"""Converts the gripper and servo settings of the physics node for ``PhysicsWorld``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gibson_sim.robots.joints.servo import ServoSettings
 
 
 def grasp_settings(config: PhysicsConfig) -> GraspSettings:
-    """Returns the settings of grippers."""
+    """Returns the grasp settings of all grippers; distance in m, forces in N, angle converted to rad."""
     return GraspSettings(
         cast(GraspMode, config.grasp_mode),  # ``PhysicsConfig`` has checked it
         config.grasp_distance,

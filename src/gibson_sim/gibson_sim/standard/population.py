@@ -25,13 +25,15 @@ from gibson_sim.standard.filters import EntityFilters, filtered
 from gibson_sim.standard.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
 from gibson_sim.types import Pose, Quat, Vec3
 
-MOST_ENTITIES = 2000
-"""Greatest number in a world: beyond it the physics of even resting bodies is slow, and messages that list all of them get large."""
-_ABOVE, _DEEPEST = 0.1, 1000.0
-"""Height above a spawned thing's origin at which the search for a floor begins, since it may be a little inside of it, and its depth, metres."""
+MAX_ENTITIES = 2000
+"""Maximum number of entities in a world: with more, physics is slow even if all bodies are at rest, and messages that list them are large."""
+_RAY_START_HEIGHT = 0.1
+"""Height above a spawned entity's origin at which the ray that searches for a floor starts, m: the origin may lie slightly below the floor."""
+_RAY_LENGTH = 1000.0
+"""Length of the ray that searches for a floor, m."""
 _LOG = logging.getLogger(__name__)
-_MOST_LISTED = 8
-"""Entities that an error message names."""
+_MAX_LISTED = 8
+"""Maximum number of entities that an error message lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class SpawnRequest:
     allow_renaming: bool = False
     uri: str = ""
     text: str = ""
-    """The file itself; used where ``uri`` is empty."""
+    """Contents of the file; used where ``uri`` is empty."""
     namespace: str = ""
     frame_id: str = ""
     position: Vec3 = (0.0, 0.0, 0.0)
@@ -50,21 +52,22 @@ class SpawnRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class ReadAhead:
+class PreloadedResource:
     """The resource of a spawn request, read before the request takes effect."""
 
     in_file: str
     """Name in the resource."""
     name: str
-    """Name of the entity, as it was chosen at that time."""
+    """Name of the entity, chosen when the resource was read."""
     pose: Pose
-    """T_world_root, as it was at that time."""
-    found: RobotSpec | BodySpec | SimulationError
+    """T_world_root, computed when the resource was read."""
+    result: RobotSpec | BodySpec | SimulationError
+    """Specification in the resource, or the error in reading it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpawnOutcome:
-    """Result of one of several requests: a name, or an error."""
+    """Result of one of several spawn requests: the entity's name, or an error."""
 
     name: str = ""
     error: SimulationError | None = None
@@ -77,14 +80,14 @@ class EntityState:
     pose: Pose
     """T_world_root."""
     linear: Vec3 = (0.0, 0.0, 0.0)
-    """m/s, of the root's origin."""
+    """Velocity of the root's origin, m/s."""
     angular: Vec3 = (0.0, 0.0, 0.0)
-    """rad/s."""
+    """Angular velocity, rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class StateChange:
-    """A client's request to set an entity's state, unchecked, in the frame ``frame_id``."""
+    """A client's request to set an entity's state in the frame ``frame_id``, unchecked; m, m/s, rad/s."""
 
     frame_id: str = ""
     position: Vec3 = (0.0, 0.0, 0.0)
@@ -92,7 +95,7 @@ class StateChange:
     linear: Vec3 = (0.0, 0.0, 0.0)
     angular: Vec3 = (0.0, 0.0, 0.0)
     acceleration: tuple[float, ...] = (0.0,) * 6
-    """Ignored, except that static entities must have none."""
+    """Linear and angular acceleration; ignored, but must be 0 for static entities."""
     set_pose: bool = True
     set_twist: bool = True
     set_acceleration: bool = True
@@ -113,8 +116,8 @@ def _load(request: SpawnRequest, name: str, pose: Pose) -> RobotSpec | BodySpec:
         raise SimulationError(SpawnCode[error.code.name], client_message(_resource_name(request), error)) from error
 
 
-def _read_ahead(request: SpawnRequest, pose: Pose, used: Mapping[str, object]) -> ReadAhead | None:
-    """Returns the resource of a request, or the error in reading it; None if no name can be chosen."""
+def _preload(request: SpawnRequest, pose: Pose, used: Mapping[str, object]) -> PreloadedResource | None:
+    """Reads the resource of a request; returns None if no name can be chosen."""
     if not (request.uri.strip() or request.text.strip()):
         return None
     in_file = _name_in_file(request)
@@ -125,31 +128,31 @@ def _read_ahead(request: SpawnRequest, pose: Pose, used: Mapping[str, object]) -
     try:
         spec = _load(request, name, pose)
     except SimulationError as error:
-        return ReadAhead(in_file, name, pose, error)
+        return PreloadedResource(in_file, name, pose, error)
     if isinstance(spec, BodySpec):
         prepare_meshes(spec)
-    return ReadAhead(in_file, name, pose, spec)
+    return PreloadedResource(in_file, name, pose, spec)
 
 
 class Population:
     """All robots and bodies of a world. Every method may raise SimulationError with a code of its service."""
 
-    def __init__(self, world: PhysicsWorld, *, robot_tf: str = "namespaced", most: int = MOST_ENTITIES) -> None:
-        """Lists the entities that are in ``world``.
+    def __init__(self, world: PhysicsWorld, *, robot_tf: str = "namespaced", max_entities: int = MAX_ENTITIES) -> None:
+        """Registers the entities that are in ``world``.
 
         Args:
-            world: to be changed; its owner closes it.
-            robot_tf: how robots with a namespace publish transforms, see ``gibson_sim.config.PhysicsConfig``.
-            most: greatest number of entities.
+            world: world of the entities; its owner closes it.
+            robot_tf: setting for the transforms of robots with a namespace, see ``gibson_sim.config.PhysicsConfig``.
+            max_entities: maximum number of entities.
         """
-        self._world, self._robot_tf, self._most = world, robot_tf, most
+        self._world, self._robot_tf, self._max_entities = world, robot_tf, max_entities
         self._initial = world.scene
         self._entities: dict[str, Entity] = {}
         self._list_entities()
         for robot in world.scene.robots:
             if self._has_nothing_below(robot.start, robot.name):
                 x, y, _ = robot.start.position
-                hint = "`gibson-sim scene inspect` shows where a scene has floor, and the names of its starts"
+                hint = "`gibson-sim scene inspect` shows the floors of a scene and the names of its start poses"
                 _LOG.warning("%s starts at %.2f,%.2f, where there is nothing below it: it falls; %s", robot.name, x, y, hint)
 
     @property
@@ -162,25 +165,25 @@ class Population:
         return filtered(self._entities.values(), filters, self._world.bounds)
 
     def entity(self, name: str) -> Entity:
-        """Returns an entity's name, namespace and info."""
-        found = self._entities.get(name)
-        if found is None:
+        """Returns the entity with a name."""
+        entity = self._entities.get(name)
+        if entity is None:
             raise SimulationError(Result.NOT_FOUND, f"there is no entity {quoted(name)}; {self._listed()}")
-        return found
+        return entity
 
     def set_info(self, name: str, info: EntityInfo) -> None:
-        """Replaces category, description and tags of an entity."""
+        """Replaces the category, description and tags of an entity."""
         entity = self.entity(name)
         self._entities[name] = replace(entity, info=check_info(info))
 
     def state(self, name: str) -> EntityState:
-        """Returns pose and velocity of an entity."""
+        """Returns the pose and velocity of an entity, world frame."""
         self.entity(name)
         linear, angular = self._world.body_twist(name)
         return EntityState(self._world.body_pose(name), vec3(linear), vec3(angular))
 
     def set_state(self, name: str, change: StateChange) -> None:
-        """Moves an entity, or changes its velocity, at once.
+        """Sets the pose or velocity of an entity immediately.
 
         A velocity is that of the root's origin relative to the frame; the velocity of a moving frame is added.
         """
@@ -210,16 +213,16 @@ class Population:
         )
 
     def bounds(self, name: str) -> Bounds:
-        """Returns the bounding box of an entity's collision shapes, in the frame of its root link."""
+        """Returns the bounding box of an entity's collision shapes, in the frame of its root link, m."""
         self.entity(name)
         T_root_world = invert(matrix_from_pose(self._world.body_pose(name)))
         low, high = self._world.bounds(name, T_frame_world=T_root_world)
         return box_bounds(vec3(low), vec3(high))
 
-    def file_reader(self, requests: Sequence[SpawnRequest]) -> Callable[[], list[ReadAhead | None]]:
-        """Returns a function that reads the resources of requests for ``spawn``; it touches nothing else and may be called in any thread.
+    def file_reader(self, requests: Sequence[SpawnRequest]) -> Callable[[], list[PreloadedResource | None]]:
+        """Returns a function that reads the resources of requests for ``spawn``; any thread may call it, since it changes nothing here.
 
-        It returns None for a request that cannot be read ahead; ``spawn`` raises the reason.
+        Its result has None for a request that cannot be preloaded; ``spawn`` raises the reason.
         """
         used: dict[str, object] = dict(self._entities)
         placed: list[tuple[SpawnRequest, Pose | None]] = []
@@ -229,33 +232,33 @@ class Population:
             except SimulationError:
                 placed.append((request, None))
 
-        def read() -> list[ReadAhead | None]:
-            found: list[ReadAhead | None] = []
+        def read() -> list[PreloadedResource | None]:
+            resources: list[PreloadedResource | None] = []
             for request, pose in placed:
-                ahead = None if pose is None else _read_ahead(request, pose, used)
-                if ahead is not None:
-                    used[ahead.name] = ahead
-                found.append(ahead)
-            return found
+                preloaded = None if pose is None else _preload(request, pose, used)
+                if preloaded is not None:
+                    used[preloaded.name] = preloaded
+                resources.append(preloaded)
+            return resources
 
         return read
 
-    def spawn(self, request: SpawnRequest, ahead: ReadAhead | None = None) -> str:
-        """Adds a robot or a body to the world and returns its name; ``ahead``: the result of ``file_reader`` for the request."""
+    def spawn(self, request: SpawnRequest, preloaded: PreloadedResource | None = None) -> str:
+        """Adds a robot or a body to the world and returns its name; ``preloaded`` is the result of ``file_reader`` for the request."""
         if not (request.uri.strip() or request.text.strip()):
             raise SimulationError(SpawnCode.NO_RESOURCE, "neither a uri nor a resource_string is given; see get_spawnables")
-        if len(self._entities) >= self._most:
+        if len(self._entities) >= self._max_entities:
             raise SimulationError(
-                Result.OPERATION_FAILED, f"there are {self._most} entities, and there may not be more: delete some"
+                Result.OPERATION_FAILED, f"the world has {self._max_entities} entities, the maximum: delete some"
             )
         check_namespace(request.namespace)
         pose = self._spawn_pose(request)
-        in_file = _name_in_file(request) if ahead is None else ahead.in_file
+        in_file = _name_in_file(request) if preloaded is None else preloaded.in_file
         name = choose_name(request.name, in_file, request.allow_renaming, self._entities)
-        if ahead is not None and isinstance(ahead.found, SimulationError):
-            raise ahead.found
-        known = ahead is not None and (ahead.name, ahead.pose) == (name, pose)
-        spec = ahead.found if ahead is not None and known else _load(request, name, pose)
+        if preloaded is not None and isinstance(preloaded.result, SimulationError):
+            raise preloaded.result
+        is_current = preloaded is not None and (preloaded.name, preloaded.pose) == (name, pose)
+        spec = preloaded.result if preloaded is not None and is_current else _load(request, name, pose)
         assert not isinstance(spec, SimulationError)
         namespace = request.namespace.strip("/")
         if isinstance(spec, RobotSpec):
@@ -275,9 +278,10 @@ class Population:
         return name
 
     def _has_nothing_below(self, pose: Pose, robot: str | None = None) -> bool:
-        """Returns whether no floor or thing is below a pose, however deep, but for a ``robot`` that is there already."""
+        """Returns whether a downward ray from a pose hits neither floor nor object; it ignores ``robot``."""
         x, y, z = pose.position
-        return bool(np.isinf(self._world.cast_rays([(x, y, z + _ABOVE)], [(0.0, 0.0, -1.0)], _DEEPEST, robot)[0]))
+        ranges = self._world.cast_rays([(x, y, z + _RAY_START_HEIGHT)], [(0.0, 0.0, -1.0)], _RAY_LENGTH, robot)
+        return bool(np.isinf(ranges[0]))
 
     def _spawn_pose(self, request: SpawnRequest) -> Pose:
         return self._placed(
@@ -287,7 +291,7 @@ class Population:
         )
 
     def spawn_all(self, requests: Sequence[SpawnRequest]) -> tuple[SpawnOutcome, ...]:
-        """Spawns entities one after the other; returns the result of each. Those that were spawned stay if others fail."""
+        """Spawns entities one after the other; returns the result of each. If some fail, the others stay."""
         outcomes = []
         for request in requests:
             try:
@@ -308,7 +312,7 @@ class Population:
             self.delete(name)
 
     def restore(self) -> None:
-        """Restores the entities that the world was loaded with, in their order: equal order gives equal physics."""
+        """Restores the initial entities of the world in their initial order: physics depends on the order."""
         initial: tuple[RobotSpec | BodySpec, ...] = (*self._initial.robots, *self._initial.bodies)
         try:
             if self._world.names != tuple(spec.name for spec in initial):
@@ -326,7 +330,7 @@ class Population:
             self._entities[body.name] = Entity(body.name, initial_info(body))
 
     def _robot_namespace(self, name: str, namespace: str) -> str:
-        """Returns the namespace of a new robot: its name if none is requested and another robot has no namespace."""
+        """Returns the namespace of a new robot: its name, if none is requested and another robot already has none."""
         used = {robot.namespace: robot.name for robot in self._world.scene.robots}
         if not namespace and namespace in used:
             namespace = name
@@ -338,7 +342,7 @@ class Population:
         return namespace
 
     def _frame(self, frame_id: str, code: IntEnum) -> EntityState:
-        """Returns pose and velocity of a frame: the world, or the root link of an entity."""
+        """Returns the pose and velocity of a frame: the world, or the root link of an entity."""
         if frame_id in WORLD_FRAMES:
             return EntityState(Pose())
         if frame_id in self._entities:
@@ -355,7 +359,7 @@ class Population:
 
     @staticmethod
     def _change(code: IntEnum, change: Callable[[], None]) -> None:
-        """Changes the world; its errors become a SimulationError with ``code``."""
+        """Changes the world; converts its errors to a SimulationError with ``code``."""
         try:
             change()
         except StartError as error:
@@ -365,5 +369,5 @@ class Population:
 
     def _listed(self) -> str:
         names = list(self._entities)
-        more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-        return f"there are: {', '.join(names[:_MOST_LISTED]) or 'none'}{more}"
+        more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+        return f"there are: {', '.join(names[:_MAX_LISTED]) or 'none'}{more}"

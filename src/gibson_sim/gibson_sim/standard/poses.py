@@ -1,4 +1,4 @@
-"""Checks poses and velocities from clients, whose numbers and frames are untrusted."""
+"""Checks poses and velocities from clients, which are untrusted."""
 
 from __future__ import annotations
 
@@ -11,16 +11,21 @@ from numpy.typing import ArrayLike
 from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.types import FARTHEST_M, Pose, Quat, Vec3
 
-FASTEST = 1e3
-"""Greatest velocity, m/s and rad/s."""
+MAX_SPEED = 1e3
+"""Maximum magnitude of each component of a velocity, m/s and rad/s."""
 NORM_TOLERANCE = 0.01
-"""Greatest deviation of a quaternion's length from 1: clients round to two digits."""
+"""Maximum deviation of a quaternion's norm from 1: clients round to two digits."""
 WORLD_FRAMES = ("", "world", "map")
 """Names of the world frame in requests."""
 
 
 def checked_pose(position: Vec3, quat_xyzw: Quat, code: IntEnum) -> Pose:
-    """Returns the pose with a normalised quaternion; four zeros, the default of some clients' messages, are no rotation.
+    """Returns the pose with a normalised quaternion; four zeros, the default of some clients' messages, mean no rotation.
+
+    Args:
+        position: x, y, z, m.
+        quat_xyzw: orientation.
+        code: result code of an invalid pose.
 
     Raises:
         SimulationError: with ``code``.
@@ -40,16 +45,17 @@ def checked_pose(position: Vec3, quat_xyzw: Quat, code: IntEnum) -> Pose:
     return Pose(position, (x, y, z, w))
 
 
-def checked_velocity(what: str, velocity: Vec3, unit: str) -> Vec3:
-    """Returns the velocity, or raises SimulationError(OPERATION_FAILED)."""
-    if not all(math.isfinite(c) and abs(c) <= FASTEST for c in velocity):
+def checked_velocity(kind: str, velocity: Vec3, unit: str) -> Vec3:
+    """Returns the velocity if it is valid, or raises SimulationError(OPERATION_FAILED); ``kind`` and ``unit`` are for the message."""
+    if not all(math.isfinite(c) and abs(c) <= MAX_SPEED for c in velocity):
         raise SimulationError(
-            Result.OPERATION_FAILED, f"{what} velocity is {velocity}, each part must be -{FASTEST:g} to {FASTEST:g} {unit}"
+            Result.OPERATION_FAILED,
+            f"{kind} velocity is {velocity}, each component must be -{MAX_SPEED:g} to {MAX_SPEED:g} {unit}",
         )
     return velocity
 
 
 def vec3(values: ArrayLike) -> Vec3:
-    """Returns three numbers as a tuple."""
+    """Returns an array (3,) as a tuple of floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return (x, y, z)

@@ -1,9 +1,9 @@
 """POSIX extended regular expressions, matched in linear time.
 
-Python's ``re`` has another syntax and takes exponential time for hostile patterns; a client's filter must not block the simulator. A
-pattern becomes a Glushkov automaton, which has one state per character of the pattern; a set of states is an integer with one bit for each.
-https://pubs.opengroup.org/onlinepubs/9799919799/basedefs/V1_chap09.html, section 9.4; without back-references, which extended
-expressions do not have, and with the classes of the POSIX locale.
+Python's ``re`` has a different syntax and takes exponential time for malicious patterns; a client's filter must not block the simulator.
+A pattern is compiled to a Glushkov automaton, which has one state per character of the pattern; a set of states is an integer with one
+bit for each. https://pubs.opengroup.org/onlinepubs/9799919799/basedefs/V1_chap09.html, section 9.4, with the character classes of the
+POSIX locale.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from operator import or_
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 
-LONGEST_PATTERN = 1000
-"""Greatest length of a pattern, characters."""
-MOST_STATES = 256
-"""Greatest number of characters of a pattern in which intervals such as ``{2,5}`` are expanded."""
-_MOST_REPEATS = 255
-"""Greatest number in an interval."""
-_MOST_NESTED = 50
-"""Greatest depth of nested parentheses."""
+MAX_PATTERN_LENGTH = 1000
+"""Maximum length of a pattern, characters."""
+MAX_STATES = 256
+"""Maximum number of states: characters of the pattern after intervals such as ``{2,5}`` are expanded."""
+_MAX_REPEATS = 255
+"""Maximum count in an interval."""
+_MAX_DEPTH = 50
+"""Maximum nesting depth of parentheses."""
 _CACHE_SIZE = 20_000
-"""Transitions that a pattern remembers."""
+"""Maximum number of transitions that a pattern caches."""
 _START, _END = "\x02", "\x03"
-"""Characters added before and after every text, so that anchors match a character like any other."""
+"""Characters added before and after every text, which the anchors ``^`` and ``$`` match."""
 _INTERVAL = re.compile(r"([0-9]{1,4})(,([0-9]{1,4})?)?}")
 _SPECIAL = "^.[$()|*+?{\\"
 _ASCII = [chr(i) for i in range(128)]
@@ -50,7 +50,7 @@ _CLASSES = {
 
 
 class PatternError(ConfigError):
-    """A pattern is not a POSIX extended regular expression, or it is too large."""
+    """The pattern is not a POSIX extended regular expression, or is too large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +62,16 @@ class _Characters:
     negated: bool = False
 
     def matches(self, char: str) -> bool:
-        found = char in self.chars or any(low <= char <= high for low, high in self.ranges)
-        return found != self.negated and (not self.negated or char not in (_START, _END))
+        contained = char in self.chars or any(low <= char <= high for low, high in self.ranges)
+        return contained != self.negated and (not self.negated or char not in (_START, _END))
 
 
 @dataclass(frozen=True, slots=True)
 class _Fragment:
-    """A fragment of the automaton, with Glushkov's sets of positions as integers, one bit each."""
+    """A fragment of the automaton; Glushkov's sets of positions are integers, one bit for each position."""
 
     nullable: bool
-    """Whether it matches the empty text."""
+    """Whether it matches the empty string."""
     first: int
     """Positions at which a match may begin."""
     last: int
@@ -86,8 +86,8 @@ class PosixRegex:
     """
 
     def __init__(self, pattern: str) -> None:
-        if len(pattern) > LONGEST_PATTERN:
-            raise PatternError(f"the pattern has {len(pattern)} characters, must be at most {LONGEST_PATTERN}")
+        if len(pattern) > MAX_PATTERN_LENGTH:
+            raise PatternError(f"the pattern has {len(pattern)} characters, must be at most {MAX_PATTERN_LENGTH}")
         if _START in pattern or _END in pattern:
             raise PatternError("the pattern holds a control character (2 or 3), which no name has")
         builder = _Builder()
@@ -107,11 +107,11 @@ class PosixRegex:
         return False
 
     def _step(self, states: int, char: str) -> int:
-        """Returns the positions after ``char``; a match may begin at every character."""
+        """Returns the states after ``char``; a match may begin at every character."""
         key = (states, char)
-        known = self._transitions.get(key)
-        if known is not None:
-            return known
+        cached = self._transitions.get(key)
+        if cached is not None:
+            return cached
         reachable = self._whole.first | _union(self._follow[i] for i in _bits(states))
         after = _union(1 << i for i in _bits(reachable) if self._positions[i].matches(char))
         if len(self._transitions) >= _CACHE_SIZE:
@@ -122,7 +122,7 @@ class PosixRegex:
 
 @dataclass(frozen=True, slots=True)
 class _Repeat:
-    """``part`` ``low`` to ``high`` times; None = no limit."""
+    """``part`` repeated ``low`` to ``high`` times; None = no limit."""
 
     part: _Node
     low: int
@@ -143,7 +143,7 @@ _Node = _Characters | _Repeat | _Sequence | _Alternation
 
 
 class _Builder:
-    """Builds the automaton: its positions, and which positions may follow each of them."""
+    """Builds the automaton: its positions, and the set of positions that may follow each of them."""
 
     def __init__(self) -> None:
         self.positions: list[_Characters] = []
@@ -152,8 +152,8 @@ class _Builder:
 
     def build(self, node: _Node) -> _Fragment:
         self._work += 1
-        if self._work > 8 * MOST_STATES or len(self.positions) > MOST_STATES:
-            raise PatternError(f"the pattern is too large: more than {MOST_STATES} characters when {{m,n}} is expanded")
+        if self._work > 8 * MAX_STATES or len(self.positions) > MAX_STATES:
+            raise PatternError(f"the pattern is too large: more than {MAX_STATES} characters when {{m,n}} is expanded")
         if isinstance(node, _Characters):
             bit = 1 << len(self.positions)
             self.positions.append(node)
@@ -203,17 +203,17 @@ class _Parser:
             raise self._error("a ) that closes nothing; write \\) for the character")
         return node
 
-    def _error(self, what: str) -> PatternError:
+    def _error(self, reason: str) -> PatternError:
         shown = self._pattern if len(self._pattern) <= 80 else f"{self._pattern[:80]}..."
-        return PatternError(f"{quoted(shown)} is not a POSIX extended regular expression: at character {self._at + 1}: {what}")
+        return PatternError(f"{quoted(shown)} is not a POSIX extended regular expression: at character {self._at + 1}: {reason}")
 
     def _peek(self) -> str:
         return self._pattern[self._at : self._at + 1]
 
     def _alternation(self) -> _Node:
         self._depth += 1
-        if self._depth > _MOST_NESTED:
-            raise self._error(f"more than {_MOST_NESTED} parentheses in each other")
+        if self._depth > _MAX_DEPTH:
+            raise self._error(f"more than {_MAX_DEPTH} nested parentheses")
         parts = [self._sequence()]
         while self._peek() == "|":
             self._at += 1
@@ -231,25 +231,25 @@ class _Parser:
         return _Sequence(tuple(parts))
 
     def _counts(self) -> tuple[int, int | None]:
-        """Parses one of ``* + ? {m} {m,} {m,n}``; returns the least and the greatest number, None = no limit."""
-        sign = self._peek()
+        """Parses one of ``* + ? {m} {m,} {m,n}``; returns the minimum and maximum count, None = no limit."""
+        operator = self._peek()
         self._at += 1
-        if sign != "{":
-            return {"*": (0, None), "+": (1, None), "?": (0, 1)}[sign]
-        found = _INTERVAL.match(self._pattern, self._at)
-        if not found:
+        if operator != "{":
+            return {"*": (0, None), "+": (1, None), "?": (0, 1)}[operator]
+        match = _INTERVAL.match(self._pattern, self._at)
+        if not match:
             raise self._error("a { must begin {m}, {m,} or {m,n}; write \\{ for the character")
-        low = int(found[1])
-        high = int(found[3]) if found[3] else None if found[2] else low
-        if max(low, high or 0) > _MOST_REPEATS or (high is not None and high < low):
-            raise self._error(f"the numbers in {{m,n}} must be 0 to {_MOST_REPEATS}, the second not below the first")
-        self._at = found.end()
+        low = int(match[1])
+        high = int(match[3]) if match[3] else None if match[2] else low
+        if max(low, high or 0) > _MAX_REPEATS or (high is not None and high < low):
+            raise self._error(f"the numbers in {{m,n}} must be 0 to {_MAX_REPEATS}, the second not below the first")
+        self._at = match.end()
         return low, high
 
     def _atom(self) -> _Node:
         char = self._peek()
         if char in ("*", "+", "?", "{"):
-            raise self._error(f"nothing stands before {char}; write \\{char} for the character")
+            raise self._error(f"nothing precedes {char}; write \\{char} for the character")
         self._at += 1
         if char == "(":
             node = self._alternation()
@@ -268,20 +268,20 @@ class _Parser:
     def _escaped(self) -> _Characters:
         char = self._peek()
         if not char:
-            raise self._error("a \\ stands at the end")
+            raise self._error("a \\ at the end of the pattern")
         if char not in _SPECIAL and char.isalnum():
-            raise self._error(f"\\{char} means nothing here; write [[:digit:]], [[:alpha:]], [[:space:]] and so on for classes")
+            raise self._error(f"\\{char} has no meaning; write [[:digit:]], [[:alpha:]], [[:space:]] and so on for classes")
         self._at += 1
         return _Characters(frozenset(char))
 
     def _bracket(self) -> _Characters:
-        """Parses a bracket expression ``[...]`` after its first bracket."""
+        """Parses a bracket expression ``[...]`` after its opening bracket."""
         negated = self._peek() == "^"
         self._at += negated
         chars: set[str] = set()
         ranges: list[tuple[str, str]] = []
-        begun = self._at
-        while self._peek() != "]" or self._at == begun:
+        start = self._at
+        while self._peek() != "]" or self._at == start:
             if not self._peek():
                 raise self._error("a [ is not closed")
             if self._pattern.startswith("[:", self._at):
@@ -292,7 +292,7 @@ class _Parser:
                 self._at += 1
                 high = self._bracket_character()
                 if high < low:
-                    raise self._error(f"the range {low}-{high} runs backwards")
+                    raise self._error(f"the range {low}-{high} is reversed")
                 ranges.append((low, high))
             else:
                 chars.add(low)
@@ -317,7 +317,7 @@ class _Parser:
         end = self._pattern.find(":]", self._at + 2)
         name = self._pattern[self._at + 2 : end] if end >= 0 else ""
         if name not in _CLASSES:
-            raise self._error(f"there is no class {quoted(name)}; known: {', '.join(sorted(_CLASSES))}")
+            raise self._error(f"class {quoted(name)} does not exist; known: {', '.join(sorted(_CLASSES))}")
         self._at = end + 2
         return _CLASSES[name]
 
@@ -331,5 +331,5 @@ def _bits(states: int) -> Iterator[int]:
 
 
 def _union(sets: Iterable[int]) -> int:
-    """Returns the union of ``sets``."""
+    """Returns the union of sets of states."""
     return reduce(or_, sets, 0)

@@ -1,4 +1,4 @@
-"""Values of requests about the simulation as a whole: worlds and resets."""
+"""Value types of requests that concern the whole simulation: worlds and resets."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 EPOCH_REQUESTS = ("reset_simulation", "set_simulation_state", "load_world")
-"""Services that may begin a new epoch, in which steps count from 0."""
+"""Services that may begin a new epoch, in which steps are counted from 0."""
 
 
 class ResetScope(IntFlag):
-    """Parts of a reset; 0 and 255 mean all of them."""
+    """Scope of a reset, as bits; 0 and 255 mean all of them."""
 
     TIME = 1
     STATE = 2
@@ -19,7 +19,7 @@ class ResetScope(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class WorldInfo:
-    """Description of a world, with the resource of the client's request."""
+    """Description of a loaded world, with the resource of the client's request."""
 
     name: str
     uri: str = ""
@@ -34,16 +34,16 @@ class LoadRequest:
 
     uri: str = ""
     text: str = ""
-    """The file itself; used where ``uri`` is empty."""
+    """Contents of the world file; used where ``uri`` is empty."""
     fail_on_unsupported: bool = False
     ignore_missing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class LastReset:
-    """How the newest epoch began."""
+    """The reset that began the newest epoch."""
 
     scope: int = 0
     """Bits of ``ResetScope``."""
     rewound: bool = False
-    """Time restarted at 0."""
+    """Whether time restarted at 0."""

@@ -1,13 +1,13 @@
 """The simulation of ``simulation_interfaces``: a state, at most one world, and the steps that clients request.
 
-The node's loop does this, and nothing else makes time pass::
+Time passes only in the node's loop::
 
     steps = simulator.steps_due(pacer.due(now_ns))   # also while paused: the pacer's ticks are dropped then
     for _ in range(steps):
-        simulator.step()                             # one physics step; publish what is due at it
-    if simulator.scene.revision != published: ...    # entities came or went, or there is another world: publish the scene again
-    if simulator.epoch != published_epoch: ...       # it was reset, or there is another world: see ``simulator.last_reset``
-    if simulator.quitting: ...                       # let the services respond, then end
+        simulator.step()                             # one physics step; publish the data that is due at it
+    if simulator.scene.revision != published: ...    # entities were added or removed, or the world replaced: publish the scene again
+    if simulator.epoch != published_epoch: ...       # reset, or the world replaced: see ``simulator.last_reset``
+    if simulator.quitting: ...                       # let the services respond, then exit
 
 ``simulator.world`` is None while no world is loaded. It is another object after ``load_world``: do not store it.
 """
@@ -39,7 +39,7 @@ from gibson_sim.standard.stepping import StepQueue, StepRequest
 logger = logging.getLogger(__name__)
 
 STEPS_AT_ONCE = 60
-"""Greatest number of requested steps that the loop makes before it handles messages again."""
+"""Maximum number of requested steps that the loop executes before it handles messages again."""
 EVERYTHING = 255
 """Scope of a reset of everything."""
 _ALL = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
@@ -50,7 +50,7 @@ def _resource_name(request: LoadRequest) -> str:
 
 
 class Simulator:
-    """Owns the world. Not thread-safe but for ``read_world``. Close it, whatever happens."""
+    """Owns the world, and must be closed. Not thread-safe, except ``read_world``."""
 
     def __init__(
         self,
@@ -59,12 +59,12 @@ class Simulator:
         *,
         make_world: Callable[..., PhysicsWorld] = PhysicsWorld,
     ) -> None:
-        """Loads the scene, and plays; with ``config.start_paused`` it is stopped.
+        """Loads the scene; the state is then PLAYING, or STOPPED with ``config.start_paused``.
 
         Args:
-            scene: of the first world; None = no world.
+            scene: scene of the first world; None = no world.
             config: settings of the physics node.
-            make_world: makes a world from a scene.
+            make_world: creates the world of a scene.
 
         Raises:
             GibsonSimError: the scene cannot be used.
@@ -83,6 +83,7 @@ class Simulator:
         """Number of resets and new worlds so far."""
         self._epoch_start = 0
         self.last_reset = LastReset()
+        """The reset or load that began the newest epoch."""
         if scene is not None:
             self._enter(scene, uri=config.scene)
             self.epoch = 0
@@ -90,12 +91,12 @@ class Simulator:
 
     @property
     def state(self) -> SimulationState:
-        """The state."""
+        """State of the simulation."""
         return self._state
 
     @property
     def quitting(self) -> bool:
-        """Whether a client has requested the end."""
+        """Whether a client has requested to quit."""
         return self._state is SimulationState.QUITTING
 
     @property
@@ -105,15 +106,15 @@ class Simulator:
 
     @property
     def scene(self) -> SceneSpec:
-        """The present scene, empty without a world; ``revision`` grows with every change, across worlds."""
+        """The present scene, empty without a world; ``revision`` increases with every change, across worlds."""
         return self._empty if self._world is None else self._world.scene
 
     @property
     def population(self) -> Population:
-        """The entities.
+        """The entities of the world.
 
         Raises:
-            SimulationError: INCORRECT_STATE, no world is loaded.
+            SimulationError: INCORRECT_STATE if no world is loaded.
         """
         if self._population is None or self._state not in HAS_WORLD:
             raise SimulationError(
@@ -122,7 +123,7 @@ class Simulator:
         return self._population
 
     def set_state(self, target: int) -> None:
-        """Plays, pauses, stops or quits. Requests for steps end.
+        """Plays, pauses, stops or quits. Step requests end.
 
         Raises:
             SimulationError: with a StateCode.
@@ -142,7 +143,7 @@ class Simulator:
         self._state = state
 
     def reset(self, scope: int = EVERYTHING) -> None:
-        """Restores the initial state of the world, or parts of it. A simulation that plays goes on playing.
+        """Restores the initial state of the world, or parts of it. A playing simulation continues to play.
 
         A reset of everything (0, 255, or all three bits) also restores deleted entities and the initial info of all entities.
 
@@ -174,10 +175,10 @@ class Simulator:
             self._begin_epoch(LastReset(int(parts), rewinds))
 
     def steps_due(self, paced: int) -> int:
-        """Returns how many steps the loop makes now.
+        """Returns the number of steps that the loop must execute now.
 
         Args:
-            paced: steps due by wall time, if time passes at all.
+            paced: steps due by wall time, used only if the simulation is playing.
         """
         if self._world is None:
             return 0
@@ -186,7 +187,7 @@ class Simulator:
         return min(self._steps.remaining, STEPS_AT_ONCE) if self._state is SimulationState.PAUSED else 0
 
     def step(self) -> None:
-        """Makes one step of ``1 / step_hz`` seconds, and counts it for the first request for steps, if there is one."""
+        """Executes one step of ``1 / step_hz`` s, and counts it for the first step request, if there is one."""
         if self._world is not None:
             self._world.step(1)
             self._steps.count_step()
@@ -197,7 +198,7 @@ class Simulator:
         on_progress: Callable[[StepRequest], None] | None = None,
         on_end: Callable[[StepRequest], None] | None = None,
     ) -> StepRequest:
-        """Requests steps while paused. Later turns of the loop make them; ``on_end`` is called once, maybe before this returns.
+        """Requests steps while paused, which the loop executes later; ``on_end`` is called once, maybe before this returns.
 
         Raises:
             SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED if it is not paused.
@@ -207,14 +208,14 @@ class Simulator:
         if self._state is not SimulationState.PAUSED:
             raise SimulationError(
                 Result.OPERATION_FAILED,
-                f"the simulation is {self._state.name}, must be PAUSED to make steps: set its state first",
+                f"the simulation is {self._state.name}, must be PAUSED to step: set its state first",
             )
         request = StepRequest(steps, on_progress, on_end)
         self._steps.add(request)
         return request
 
     def cancel_steps(self, request: StepRequest) -> None:
-        """Cancels a request; no effect on one that has ended."""
+        """Cancels a step request; has no effect on one that has ended."""
         self._steps.cancel(request, "cancelled")
 
     def load_world(self, request: LoadRequest) -> WorldInfo:
@@ -231,10 +232,10 @@ class Simulator:
         """Unloads the world, as the standard requires; the state is LOADING_WORLD until ``finish_load`` or ``abandon_load``.
 
         Raises:
-            SimulationError: the request names nothing, or another world is being loaded; the present world stays.
+            SimulationError: the request has no resource, or another world is being loaded; the present world stays loaded.
         """
         if self._state in (SimulationState.LOADING_WORLD, SimulationState.QUITTING):
-            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait for its end")
+            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait until it has finished")
         if not (request.uri.strip() or request.text.strip()):
             raise SimulationError(
                 LoadWorldCode.NO_RESOURCE, "neither a uri nor a resource_string is given; see get_available_worlds"
@@ -244,7 +245,7 @@ class Simulator:
 
     @staticmethod
     def read_world(request: LoadRequest) -> SceneSpec:
-        """Returns the requested scene. It touches nothing else and may take long: any thread may call it.
+        """Reads and returns the requested scene; uses no state of the simulator and may take long, so any thread may call it.
 
         Raises:
             SimulationError: with a LoadWorldCode.
@@ -262,10 +263,10 @@ class Simulator:
             raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, client_message(_resource_name(request), error)) from error
 
     def finish_load(self, request: LoadRequest, scene: SceneSpec) -> WorldInfo:
-        """Makes the world of a scene that was read; it is stopped.
+        """Creates the world of a scene that ``read_world`` returned; the state is then STOPPED.
 
         Raises:
-            SimulationError: the world cannot be made, or a client has requested the end meanwhile.
+            SimulationError: the world cannot be created, or a client has requested to quit meanwhile.
         """
         if self._state is not SimulationState.LOADING_WORLD:
             raise SimulationError(Result.INCORRECT_STATE, f"the simulation became {self._state.name} while the world was read")
@@ -278,7 +279,7 @@ class Simulator:
         return self.current_world()
 
     def abandon_load(self) -> None:
-        """Ends the loading of a world that could not be read; no world is loaded then."""
+        """Ends the loading of a world that could not be read; the state is then NO_WORLD."""
         if self._state is SimulationState.LOADING_WORLD:
             self._state = SimulationState.NO_WORLD
 
@@ -289,28 +290,28 @@ class Simulator:
             SimulationError: WorldCode.NO_WORLD_LOADED, or INCORRECT_STATE while one is being loaded.
         """
         if self._state in (SimulationState.LOADING_WORLD, SimulationState.QUITTING):
-            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait for its end")
+            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait until it has finished")
         self.current_world()
         self._leave()
         self._state = SimulationState.NO_WORLD
 
     def current_world(self) -> WorldInfo:
-        """Returns the description of the world, or raises SimulationError(NO_WORLD_LOADED)."""
+        """Returns the description of the loaded world, or raises SimulationError(NO_WORLD_LOADED)."""
         if self._info is None:
             raise SimulationError(WorldCode.NO_WORLD_LOADED, "no world is loaded; see get_available_worlds and load_world")
         return self._info
 
     def named_poses(self, tags: TagsFilter) -> tuple[NamedPose, ...]:
-        """Returns the named poses of the world."""
+        """Returns the named poses of the world that pass the filter."""
         tags.check()
         return tuple(pose for pose in self._all_named_poses() if tags.passes(pose.tags))
 
     def named_pose_bounds(self, name: str) -> Bounds:
-        """Returns the box of free space about a named pose, in its frame."""
+        """Returns the box of free space around a named pose, in the frame of the pose, m."""
         for pose in self._all_named_poses():
             if pose.name == name:
                 return box_bounds(pose.low, pose.high)
-        raise SimulationError(Result.NOT_FOUND, f"there is no pose {quoted(name)}; see get_named_poses")
+        raise SimulationError(Result.NOT_FOUND, f"pose {quoted(name)} does not exist; see get_named_poses")
 
     def close(self) -> None:
         """Frees the world; a second call does nothing."""
@@ -328,7 +329,7 @@ class Simulator:
         return self._named_poses
 
     def _enter(self, scene: SceneSpec, uri: str, text: str = "") -> None:
-        """Makes the world of a scene, with a revision higher than that of all scenes before."""
+        """Creates the world of a scene, with a revision higher than that of all previous scenes."""
         world = self._make_world(
             replace(scene, revision=self._empty.revision + 1),
             step_hz=self._config.step_hz,
@@ -339,8 +340,8 @@ class Simulator:
         )
         if self._config.reset_time == "monotonic":
             world.set_step_count(self._steps_before)
-        known = description_of(uri) if uri else None
-        description, tags = (known.description, known.tags) if known is not None else ("", ())
+        entry = description_of(uri) if uri else None
+        description, tags = (entry.description, entry.tags) if entry is not None else ("", ())
         self._world, self._info = world, WorldInfo(scene.name, uri, text, description, tags)
         self._population = Population(world, robot_tf=self._config.robot_tf)
         self._first_scene, self._named_poses = world.scene, None
@@ -357,7 +358,7 @@ class Simulator:
 
     @property
     def epoch_step(self) -> int:
-        """Steps since the epoch began; without a world, the last world's steps in it."""
+        """Number of steps since the epoch began; without a world, those of the last world in it."""
         return (self._steps_before if self._world is None else self._world.step_count) - self._epoch_start
 
     def _begin_epoch(self, reset: LastReset) -> None:

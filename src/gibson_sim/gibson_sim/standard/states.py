@@ -11,10 +11,10 @@ class SimulationState(IntEnum):
     """States of ``simulation_interfaces/SimulationState``."""
 
     STOPPED = 0
-    """Time stands still, everything is at its start."""
+    """Time stands still, all entities are in their initial states."""
     PLAYING = 1
     PAUSED = 2
-    """Time stands still, everything stays where it is."""
+    """Time stands still, all entities keep their states."""
     QUITTING = 3
     """The process is about to end."""
     NO_WORLD = 4
@@ -28,20 +28,20 @@ HAS_WORLD = (SimulationState.STOPPED, SimulationState.PLAYING, SimulationState.P
 def check_transition(now: SimulationState, target: int) -> SimulationState:
     """Returns the target as a state if a client may request it now.
 
-    Stopped to paused is allowed: it starts paused, without a step, as SimulationState.msg describes. (SetSimulationState.srv names
-    it as an example of an incorrect transition; the two contradict each other.)
+    STOPPED to PAUSED is allowed: the simulation starts paused, without a step, as SimulationState.msg describes. SetSimulationState.srv
+    contradicts it, and gives this as an example of an incorrect transition.
 
     Raises:
         SimulationError: StateCode.ALREADY_IN_TARGET_STATE or INCORRECT_TRANSITION.
     """
     if target not in list(SimulationState):
         known = ", ".join(f"{state.value} {state.name}" for state in (*HAS_WORLD, SimulationState.QUITTING))
-        raise SimulationError(StateCode.INCORRECT_TRANSITION, f"there is no state {target}; a client may set {known}")
+        raise SimulationError(StateCode.INCORRECT_TRANSITION, f"state {target} does not exist; a client may set {known}")
     state = SimulationState(target)
     if state is now:
         raise SimulationError(StateCode.ALREADY_IN_TARGET_STATE, f"the simulation is {now.name} already")
     if now is SimulationState.QUITTING:
-        raise SimulationError(StateCode.INCORRECT_TRANSITION, "the simulation is QUITTING and will not come back")
+        raise SimulationError(StateCode.INCORRECT_TRANSITION, "the simulation is QUITTING and cannot return to another state")
     if state is SimulationState.QUITTING:
         return state
     if state not in HAS_WORLD:

@@ -1,4 +1,4 @@
-"""Steps that clients request while the simulation is paused; the node's loop makes them, a few at a time, in the order of the requests."""
+"""Steps that clients request while the simulation is paused; the node's loop executes them, a few at a time, in the order of the requests."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from gibson_sim.standard.codes import Result, SimulationError
 
-MOST_REQUESTS = 64
-"""Greatest number of waiting requests."""
+MAX_REQUESTS = 64
+"""Maximum number of queued requests."""
 
 
 class StepRequest:
@@ -21,27 +21,27 @@ class StepRequest:
         on_end: Callable[[StepRequest], None] | None = None,
     ) -> None:
         self.steps = steps
-        """Steps requested."""
+        """Number of requested steps."""
         self.completed = 0
-        """Steps made."""
+        """Number of executed steps."""
         self.failure = ""
-        """Why it ended before all steps were made; empty = it did not."""
+        """Reason why it ended before all steps were executed; empty = it did not."""
         self.ended = False
         self._on_progress, self._on_end = on_progress, on_end
 
     @property
     def remaining(self) -> int:
-        """Steps still to be made."""
+        """Number of steps still to be executed."""
         return self.steps - self.completed
 
     def advance(self) -> None:
-        """Counts a step that was made."""
+        """Counts an executed step."""
         self.completed += 1
         if self._on_progress is not None:
             self._on_progress(self)
 
     def end(self, failure: str = "") -> None:
-        """Ends the request; a second call does nothing."""
+        """Ends the request, with a reason if it failed; a second call does nothing."""
         if self.ended:
             return
         self.ended = True
@@ -52,25 +52,25 @@ class StepRequest:
 
 
 class StepQueue:
-    """Requests in the order of their arrival."""
+    """Queue of step requests, first in, first out."""
 
     def __init__(self) -> None:
         self._waiting: deque[StepRequest] = deque()
 
     @property
     def remaining(self) -> int:
-        """Steps still to be made for all requests together."""
+        """Number of steps still to be executed, of all requests together."""
         return sum(request.remaining for request in self._waiting)
 
     def add(self, request: StepRequest) -> None:
         """Appends a request; a request for no steps ends at once.
 
         Raises:
-            SimulationError: too many are waiting.
+            SimulationError: the queue is full.
         """
-        if len(self._waiting) >= MOST_REQUESTS:
+        if len(self._waiting) >= MAX_REQUESTS:
             raise SimulationError(
-                Result.OPERATION_FAILED, f"{MOST_REQUESTS} requests for steps are waiting already; wait for them"
+                Result.OPERATION_FAILED, f"{MAX_REQUESTS} requests for steps are waiting already; wait for them"
             )
         if request.steps == 0:
             request.end()
@@ -83,20 +83,20 @@ class StepQueue:
             return
         first = self._waiting[0]
         first.advance()
-        # Its callback may have cancelled it, and all others.
+        # Its progress callback may have cancelled it, and all others.
         if first.remaining == 0 and not first.ended:
             self._waiting.remove(first)
             first.end()
 
-    def cancel(self, request: StepRequest, why: str) -> None:
-        """Ends one request before its time."""
+    def cancel(self, request: StepRequest, reason: str) -> None:
+        """Ends one request early; does nothing if it is not queued."""
         if request in self._waiting:
             self._waiting.remove(request)
-            request.end(why)
+            request.end(reason)
 
-    def clear(self, why: str) -> bool:
-        """Ends all requests before their time; returns whether there were any."""
+    def clear(self, reason: str) -> bool:
+        """Ends all requests early; returns whether there were any."""
         ended, self._waiting = self._waiting, deque()
         for request in ended:
-            request.end(why)
+            request.end(reason)
         return bool(ended)

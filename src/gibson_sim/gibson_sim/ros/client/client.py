@@ -597,7 +597,7 @@ class Client:
 
     def collisions(self) -> list[Collision]:
         """Returns the collisions of all robots since the beginning or a reset, in their order."""
-        return sorted((one for log in self._collisions.values() for one in log.found), key=lambda one: one.time)
+        return sorted((one for log in self._collisions.values() for one in log.collisions), key=lambda one: one.time)
 
     def command(self, robot: str, linear: float, angular: float) -> None:
         """Sends a velocity, m/s and rad/s, which takes effect with the next step."""

@@ -27,7 +27,7 @@ class CollisionLog:
 
     def __init__(self, robot: str) -> None:
         self._robot, self._count = robot, 0
-        self.found: list[Collision] = []
+        self.collisions: list[Collision] = []
 
     def add(self, time: float, count: int, last: tuple[str, str], touching: Iterable[tuple[str, str]] = ()) -> None:
         """Adds what a tick reports.
@@ -42,10 +42,10 @@ class CollisionLog:
         self._count = count
         if more < 0:
             return
-        known = {(one.link, one.body) for one in self.found} | {last}
+        known = {(one.link, one.body) for one in self.collisions} | {last}
         others = [pair for pair in dict.fromkeys(touching) if pair not in known][:more]
-        self.found += [Collision(time, self._robot, *pair) for pair in (*others, last)]
+        self.collisions += [Collision(time, self._robot, *pair) for pair in (*others, last)]
 
     def clear(self) -> None:
         """Forgets everything: the simulation was reset."""
-        self._count, self.found = 0, []
+        self._count, self.collisions = 0, []

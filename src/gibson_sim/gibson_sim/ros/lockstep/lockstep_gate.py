@@ -155,7 +155,7 @@ class LockstepGate:
         """Returns whether the next tick may begin; logs which participants are late, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
         timeout_s, opened_ns = max(JOIN_TIMEOUT_S, self._config.participant_timeout), self._started_ns
-        self._answers.find(now_ns, again=core.any_rests)
+        self._answers.find(now_ns, again=core.any_idle)
         if not core.missing:
             if not core.is_open:
                 timeout_s, opened_ns = self._config.participant_timeout, now_ns - core.waited_ns(now_ns)
@@ -265,9 +265,9 @@ class LockstepGate:
     def _let_rest(self, now_ns: int) -> None:
         """Stops waiting for participants that are silent and may be idle."""
         stamp_ns = self.core.stamp_ns or 0
-        for name in self.core.rest_silent(now_ns, IDLE_NS):
+        for name in self.core.idle_silent(now_ns, IDLE_NS):
             rule = next(p for p in self.core.participants if p.name == name)
-            topics = rule.answer if rule.answer == rule.begins else f"{rule.answer} or {rule.begins}"
+            topics = rule.answer if rule.answer == rule.activation else f"{rule.answer} or {rule.activation}"
             self._node.get_logger().info(
                 f"lockstep: {quoted(name)} has sent nothing on {rule.answer} in answer to {stamp_ns / NS_PER_S:.3f} s; time goes on without it "
                 f"until there is a message on {topics}"
@@ -358,7 +358,7 @@ class LockstepGate:
     def _rule_is_matched(self, rule: Participant) -> bool:
         """Returns whether the topic of a rule has publishers, all that their nodes subscribe to reaches them, and their messages arrive here."""
         found = [p for p in self._node.get_publishers_info_by_topic(f"/{rule.answer}") if p.node_name]
-        received = [topic for topic in (rule.answer, rule.begins) if topic]
+        received = [topic for topic in (rule.answer, rule.activation) if topic]
         return bool(found) and all(map(self._node_is_matched, found)) and all(map(self._answers.is_matched, received))
 
     def _node_is_matched(self, endpoint: Any, topic: str = "") -> bool:

@@ -18,7 +18,7 @@ from simulation_interfaces.msg import (
 from gibson_sim.maps.named_poses import NamedPose
 from gibson_sim.ros.conversions.basics import header_to_msg, pose_to_msg, vector_from_msg, vector_to_msg
 from gibson_sim.scenes.spawning import Spawnable
-from gibson_sim.standard.bounds import MOST_POINTS, Bounds, box_bounds
+from gibson_sim.standard.bounds import MAX_POINTS, Bounds, box_bounds
 from gibson_sim.standard.entities import EntityInfo
 from gibson_sim.standard.filters import EntityFilters, TagsFilter
 from gibson_sim.standard.population import EntityState, SpawnRequest, StateChange
@@ -81,7 +81,7 @@ def filters_from_msg(msg: Any) -> EntityFilters:
 
 def bounds_from_msg(msg: Any) -> Bounds:
     """Returns the volume; if it has too many points, only as many as it takes to be refused."""
-    return Bounds(msg.type, tuple(vector_from_msg(point) for point in msg.points[: MOST_POINTS + 1]))
+    return Bounds(msg.type, tuple(vector_from_msg(point) for point in msg.points[: MAX_POINTS + 1]))
 
 
 def bounds_to_msg(bounds: Bounds) -> RosBounds:

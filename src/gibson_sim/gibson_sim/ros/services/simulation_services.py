@@ -34,7 +34,7 @@ from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.standard import catalogue
 from gibson_sim.standard.codes import Result, SimulationError, SpawnEntitiesCode, shortened
 from gibson_sim.standard.features import supported_features
-from gibson_sim.standard.population import ReadAhead
+from gibson_sim.standard.population import PreloadedResource
 from gibson_sim.standard.requests import LoadRequest, WorldInfo
 from gibson_sim.standard.simulator import Simulator
 from gibson_sim.standard.states import SimulationState
@@ -60,7 +60,7 @@ _CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
 _SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
 """Services whose requests name files; their handlers get what was read ahead."""
 _Handler = Callable[..., DeferredResponse | str | None]
-_Found = list[ReadAhead | None] | None
+_Found = list[PreloadedResource | None] | None
 SPAWNS_AT_ONCE = 50
 """Entities of one request that are spawned before the loop goes on."""
 QUIT_GRACE_S = 0.3
@@ -278,7 +278,7 @@ class SimulationServices:
         spawn_some()
         return deferred
 
-    def _spawn_result(self, item: Any, ahead: ReadAhead | None) -> SpawnResult:
+    def _spawn_result(self, item: Any, ahead: PreloadedResource | None) -> SpawnResult:
         """Spawns one of several entities and returns its result."""
         result = SpawnResult()
         try:
@@ -418,7 +418,7 @@ def failed(response: Any, error: Exception) -> Any:
     text = str(error)
     if not isinstance(error, GibsonSimError):
         logger.error("a request failed with an internal error", exc_info=error)
-        text = f"internal error: {type(error).__name__}; the log of the simulation says more"
+        text = f"internal error: {type(error).__name__}; see the log of the simulation"
     if hasattr(response, "result"):
         response.result.result, response.result.error_message = int(code), shortened(text)
     return response
