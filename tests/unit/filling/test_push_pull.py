@@ -2,20 +2,46 @@
 
 import cv2
 import numpy as np
+import pytest
 
 from gibson_sim.filling.push_pull import push_pull, push_pull_depth
 
 
 def test_a_single_unknown_pixel_takes_the_interpolation_of_the_means_around_it() -> None:
-    values = np.array([[1, 2, 3, 4], [5, 6, 7, 8], [9, 10, 11, 12], [13, 14, 15, 16]], dtype=np.float32)
-    hole = np.zeros((4, 4), dtype=bool)
-    hole[1, 1] = True
-    # Means of the known ones of four: (1 + 2 + 5) / 3, 5.5, 11.5, 13.5. Pixel (1, 1) lies a quarter of a pixel from the first centre.
-    means = np.array([[8 / 3, 5.5], [11.5, 13.5]])
-    shares = np.array([[9, 3], [3, 1]]) / 16
+    values = np.random.default_rng(0).random((8, 8)).astype(np.float32)
+    hole = np.zeros((8, 8), dtype=bool)
+    hole[3, 3] = True
+    # It lies amid four pixels of the image of half the size: means around (2, 2), (2, 4), (4, 2), (4, 4), weighted by the binomial kernel.
+    kernel = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1]) / 256
+    means = []
+    for row, column in ((2, 2), (2, 4), (4, 2), (4, 4)):
+        window = np.s_[row - 2 : row + 3, column - 2 : column + 3]
+        means.append((kernel * values[window])[~hole[window]].sum() / kernel[~hole[window]].sum())
     filled = push_pull(values, hole)
-    assert np.isclose(filled[1, 1], (means * shares).sum())
+    assert np.isclose(filled[3, 3], np.mean(means))
     assert np.array_equal(filled[~hole], values[~hole])
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 3), (5, 64), (63, 2)])
+def test_images_of_any_shape_are_filled_within_the_range_of_the_known_values(shape: tuple[int, int]) -> None:
+    values = np.random.default_rng(1).uniform(2.0, 3.0, shape).astype(np.float32)
+    hole = np.ones(shape, dtype=bool)
+    hole[0, 0] = hole[-1, -1] = False
+    filled = push_pull(values, hole)
+    low, high = sorted((values[0, 0], values[-1, -1]))
+    assert (filled[hole] >= low - 1e-5).all() and (filled[hole] <= high + 1e-5).all()
+
+
+def test_filled_pixels_move_with_the_image() -> None:
+    """A pyramid of 2x2 means flickers: its values depend on how its grid lies over the image."""
+    rng = np.random.default_rng(2)
+    values = cv2.GaussianBlur(rng.uniform(0.0, 255.0, (128, 129)), (0, 0), 3).astype(np.float32)
+    values = (values - values.min()) / (values.max() - values.min())
+    hole = np.zeros(values.shape, dtype=bool)
+    hole[40:90, 30:100] = True
+    one, other = (push_pull(values[:, k : k + 128], hole[:, k : k + 128]) for k in (0, 1))
+    change = np.abs(one[:, 1:] - other[:, :-1])[hole[:, 1:-1]]
+    assert change.mean() < 0.0025
 
 
 def test_one_known_pixel_fills_the_whole_image() -> None:

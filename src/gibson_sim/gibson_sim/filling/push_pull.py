@@ -1,7 +1,9 @@
-"""Fills holes of an image from what is around them, by a pyramid: *push-pull* (Gortler et al., The Lumigraph, 1996, section 3.4).
+"""Fills holes of an image from the pixels around them, by a pyramid: *push-pull* (Gortler et al., The Lumigraph, 1996, section 3.4).
 
-Push: an image of half the size holds the mean of the known ones of each four pixels, until all are known. Pull: from the smallest image
-on, an unknown pixel takes the bilinear interpolation of the image of half the size. Known pixels do not change.
+Push: each level is the weighted mean of the finer one under the 5x5 binomial kernel, at half the size, until all pixels are known. Weights
+are multiplied by four and saturate at 1: a quarter of the kernel's pixels makes a pixel known. Pull: from the coarsest level on, each level is
+blended over the interpolated coarser one by its weights. The smooth kernel and weights keep filled pixels steady when the camera moves.
+Known pixels do not change.
 """
 
 from __future__ import annotations
@@ -15,6 +17,10 @@ from numpy.typing import NDArray
 Bools = NDArray[np.bool_]
 F32 = NDArray[np.float32]
 Value = TypeVar("Value", np.uint8, np.float32)
+
+_SATURATION = np.float32(4.0)
+"""Factor on the weights from level to level, before they are cut at 1."""
+_TINY = np.float32(1e-20)
 
 
 def push_pull(values: NDArray[Value], hole: Bools, known: Bools | None = None) -> NDArray[Value]:
@@ -51,38 +57,38 @@ def push_pull_depth(depth: F32, hole: Bools) -> F32:
 
 
 def _filled(values: NDArray[Value], known: Bools) -> F32:
-    """Returns an image, float32, whose pixels are all known; at least one of them was."""
+    """Returns the pyramid's image, float32, of all pixels, the known ones unchanged; at least one pixel is known."""
     weight = known.astype(np.float32)
     levels = [(_masked(values, known), weight)]
-    while not weight.all():
+    while levels[-1][1].min() < 1.0 and levels[-1][1].size > 1:
         levels.append(_pushed(*levels[-1]))
-        weight = levels[-1][1]
-    out = levels[-1][0]
-    for finer, weight in levels[-2::-1]:
+    weighted, weight = levels[-1]
+    out = weighted / np.maximum(_per_channel(weight, weighted), _TINY)
+    for weighted, weight in levels[-2::-1]:
         height, width = weight.shape
-        twice = cv2.resize(out, (2 * out.shape[1], 2 * out.shape[0]), interpolation=cv2.INTER_LINEAR)
-        out = np.array(twice[:height, :width], dtype=np.float32)
-        cv2.copyTo(finer, weight.astype(np.uint8), out)
+        out = weighted + (1.0 - _per_channel(weight, weighted)) * cv2.pyrUp(out)[:height, :width]
     return out
 
 
 def _masked(values: NDArray[Value], known: Bools) -> F32:
-    """Returns an image as float32, 0 where it is not known."""
+    """Returns an image as float32, 0 where it is unknown."""
     out = np.zeros(values.shape, dtype=np.float32)
     return np.asarray(cv2.copyTo(np.asarray(values, dtype=np.float32), known.astype(np.uint8), out))
 
 
-def _pushed(values: F32, weight: F32) -> tuple[F32, F32]:
-    """Returns the image of half the size, rounded up, and its weights: 1 = known, 0 = unknown, where the values are 0."""
+def _pushed(weighted: F32, weight: F32) -> tuple[F32, F32]:
+    """Returns the image of half the size, rounded up, multiplied by its weights, and the weights, 0 to 1."""
     height, width = weight.shape
-    half = ((width + 1) // 2, (height + 1) // 2)
 
     def halved(image: F32) -> F32:
         even = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_CONSTANT)
-        return np.asarray(cv2.resize(even, half, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        return np.asarray(cv2.pyrDown(even), dtype=np.float32)
 
-    mean, share = halved(values), halved(weight)
-    some = share > 0.0
-    divisor = np.where(some, share, np.float32(1.0))
-    mean /= divisor if mean.ndim == 2 else divisor[:, :, None]
-    return mean, some.astype(np.float32)
+    sums, share = halved(weighted), halved(weight)
+    new = np.minimum(_SATURATION * share, np.float32(1.0))
+    return sums * _per_channel(new / np.maximum(share, _TINY), sums), new
+
+
+def _per_channel(weight: F32, image: F32) -> F32:
+    """Returns weights (H, W) in a shape that multiplies an image (H, W) or (H, W, C)."""
+    return weight if image.ndim == 2 else weight[:, :, None]
