@@ -175,7 +175,7 @@ def test_a_folder_that_cannot_be_made_is_a_warning(tmp_path: Path, visuals: Visu
     with caplog.at_level(logging.WARNING):
         assert cache.load(path) is None
         cache.store(path, _build(visuals))
-    assert "cannot be kept" in caplog.text
+    assert "cannot be cached" in caplog.text
 
 
 def test_a_folder_that_cannot_be_written_to_is_a_warning(
@@ -189,7 +189,7 @@ def test_a_folder_that_cannot_be_written_to_is_a_warning(
     monkeypatch.setattr(module, "_pack", refuse)
     with caplog.at_level(logging.WARNING):
         cache.store(kept, _build(visuals))
-    assert "cannot be kept" in caplog.text
+    assert "cannot be cached" in caplog.text
     assert "Permission denied" in caplog.text
     assert [file.name for file in kept.parent.iterdir()] == [kept.name], "nothing half-written is left"
     assert kept.read_bytes() == content

@@ -1,1 +1,1 @@
-"""Draws a scene without a window: EGL contexts, GPU buffers, RGB and depth. The only package that speaks OpenGL."""
+"""Renders a scene off-screen: EGL contexts, GPU buffers, RGB and depth. The only package that uses OpenGL."""

@@ -1,9 +1,8 @@
 """Caches the geometry of loaded scenes, so that the next start does not build it again.
 
-One file for each scene: a pickle of the ``SceneGeometry`` with its arrays outside it, page-aligned, so that they are mapped into memory and
-never copied. The file's name is a hash of what is drawn and of the code that reads and cuts it; the meshes and textures that were
-read are compared by size and time of change. Unpickling can run code from the file: a file that another user owns or may write is not
-read.
+Each scene has one file: a pickle of the ``SceneGeometry`` with out-of-band arrays, page-aligned, which are memory-mapped and never
+copied. The file name is a hash of the visuals and of the code that builds geometry; meshes and textures are compared by size and
+modification time. Unpickling can execute code from the file, so a file that another user owns or can write is not read.
 """
 
 from __future__ import annotations
@@ -30,22 +29,22 @@ _log = logging.getLogger(__name__)
 _MAGIC = b"gibson-sim scene 3\n"
 _PAGE = 4096
 SMALLEST = 20_000
-"""Least number of triangles of a cached scene: smaller scenes load as fast without the cache."""
+"""Minimum number of triangles of a cached scene: smaller scenes load as fast without the cache."""
 LIMIT_BYTES = 8 * 2**30
-"""Largest size of the folder: the least recently used files are deleted first."""
+"""Maximum size of the folder, bytes; the least recently used files are deleted first."""
 
 
 def default_folder() -> Path:
-    """Returns the folder in the user's cache."""
+    """Returns the scene cache in the user's cache folder."""
     return cache_folder("scenes")
 
 
 class SceneCache:
-    """A folder of loaded scenes. A failure costs time, never the scene.
+    """A folder of cached scene geometry. After a failure the scene is loaded from its own files.
 
     Args:
-        folder: made when first needed.
-        limit_bytes: as ``LIMIT_BYTES``.
+        folder: created when first needed.
+        limit_bytes: maximum size of the folder, see ``LIMIT_BYTES``.
     """
 
     def __init__(self, folder: Path, limit_bytes: int = LIMIT_BYTES) -> None:
@@ -60,10 +59,10 @@ class SceneCache:
         coarser: bool,
         roots: Sequence[Path] = (),
     ) -> Path:
-        """Returns the file of a scene; ``roots`` are the folders that its files may lie in, the other arguments those of ``build_geometry``."""
+        """Returns the path of a scene's file; ``roots`` are the folders that its files may lie in, for the rest see ``build_geometry``."""
         digest = hashlib.sha256(_MAGIC)
         used = {visual.link for visual in visuals}
-        # Links after the last one that is drawn, such as those of views, change nothing.
+        # Links after the last drawn one, such as those of views, do not affect the geometry.
         count = max((number + 1 for number, link in enumerate(links) if link in used), default=0)
         for part in (
             __version__,
@@ -79,7 +78,7 @@ class SceneCache:
         return self._folder / f"{digest.hexdigest()[:32]}.scene"
 
     def load(self, path: Path) -> SceneGeometry | None:
-        """Returns the geometry in a file, or None if there is none or it is outdated. Its arrays cannot be written to."""
+        """Returns the geometry in a file, with read-only arrays, or None if the file does not exist, is unsafe, damaged or outdated."""
         try:
             reason = _unsafe(self._folder)
             descriptor = -1 if reason else os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -91,7 +90,7 @@ class SceneCache:
                 return None
             with open(descriptor, "rb") as file:
                 content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            geometry, files = _unpacked(memoryview(content))
+            geometry, files = _unpack(memoryview(content))
         except FileNotFoundError:
             return None
         except (
@@ -109,7 +108,7 @@ class SceneCache:
         if [_file_state(Path(name)) for name, _ in files] != [state for _, state in files]:
             return None
         try:
-            os.utime(path)  # recently used
+            os.utime(path)  # marks it as recently used
         except OSError as error:
             _log.debug("%s: %s", path, error)
         return geometry
@@ -133,20 +132,18 @@ class SceneCache:
             temporary.replace(path)
             self._trim()
         except OSError as error:
-            _log.warning("the loaded scene cannot be kept in %s (%s); the next start will load it again", path.parent, error)
+            _log.warning("the loaded scene cannot be cached in %s (%s); the next start will load it again", path.parent, error)
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
 
     def _distrust(self, reason: str) -> None:
-        """Warns, once, why the cache is not used."""
+        """Logs the reason why the cache is not used, once."""
         if not self._distrusted:
             self._distrusted = True
-            _log.warning(
-                "%s: the cache of loaded scenes is not used; remove it, or set XDG_CACHE_HOME to a folder of your own", reason
-            )
+            _log.warning("%s: the scene cache is not used; remove it, or set XDG_CACHE_HOME to a folder of your own", reason)
 
     def _trim(self) -> None:
-        """Deletes the least recently used files until the rest is below the limit."""
+        """Deletes the least recently used files until the folder is below the limit."""
         files = sorted(self._folder.glob("*.scene"), key=lambda file: file.stat().st_mtime, reverse=True)
         total = 0
         for file in files:
@@ -156,22 +153,22 @@ class SceneCache:
 
 
 def _unsafe(folder: Path) -> str:
-    """Returns why files in the cache cannot be trusted, by the owner and mode of its folder and the one above, or "" if they can."""
-    for place in (folder, folder.parent):
+    """Returns the reason not to trust files in the cache, by owner and mode of its folder and the parent folder, or "" if they are safe."""
+    for checked in (folder, folder.parent):
         try:
-            status = place.stat()
+            status = checked.stat()
         except FileNotFoundError:
             continue
         # The sticky bit, as on /tmp, keeps other users from replacing the folder.
-        if place != folder and status.st_mode & stat.S_ISVTX:
+        if checked != folder and status.st_mode & stat.S_ISVTX:
             continue
         if reason := _others_may_write(status):
-            return f"{place} {reason}"
+            return f"{checked} {reason}"
     return ""
 
 
 def _others_may_write(status: os.stat_result) -> str:
-    """Returns why other users could have written a file or folder, or "" if they could not."""
+    """Returns the reason why other users could have written a file or folder, or "" if they could not."""
     if status.st_uid not in (0, os.geteuid()):  # root is trusted
         return f"belongs to user {status.st_uid}"
     return "may be written by others" if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) else ""
@@ -188,49 +185,49 @@ def _pack(file: Any, value: object) -> None:
         file.write(part)
 
 
-def _unpacked(content: memoryview) -> tuple[SceneGeometry, list[tuple[str, tuple[int, int] | None]]]:
-    at = len(_MAGIC)
-    if bytes(content[:at]) != _MAGIC:
+def _unpack(content: memoryview) -> tuple[SceneGeometry, list[tuple[str, tuple[int, int] | None]]]:
+    offset = len(_MAGIC)
+    if bytes(content[:offset]) != _MAGIC:
         raise ValueError("its header is wrong")
-    known, start = bytes(content[at : at + 32]), at + 32
+    checksum, start = bytes(content[offset : offset + 32]), offset + 32
     size, count = struct.unpack_from("<2Q", content, start)
-    at = start + 16 + 8 * count + size
-    # Unpickling damaged data could do anything.
-    if at > len(content) or hashlib.sha256(content[start:at]).digest() != known:
+    offset = start + 16 + 8 * count + size
+    # Unpickling damaged data could execute arbitrary code.
+    if offset > len(content) or hashlib.sha256(content[start:offset]).digest() != checksum:
         raise ValueError("it is damaged")
-    sizes, head = struct.unpack_from(f"<{count}Q", content, start + 16), content[at - size : at]
+    sizes, head = struct.unpack_from(f"<{count}Q", content, start + 16), content[offset - size : offset]
     buffers = []
     for length in sizes:
-        at += -at % _PAGE
-        if at + length > len(content):
-            raise ValueError("its end is missing")
-        buffers.append(content[at : at + length])
-        at += length
+        offset += -offset % _PAGE
+        if offset + length > len(content):
+            raise ValueError("it is truncated")
+        buffers.append(content[offset : offset + length])
+        offset += length
     value: tuple[SceneGeometry, list[tuple[str, tuple[int, int] | None]]] = pickle.loads(head, buffers=buffers)
     return value
 
 
 def _folders(files: Sequence[Path]) -> set[Path]:
-    """Returns the folders in which missing files could appear: a folder's time of change is updated when a file is added."""
-    above = {file.parent.parent for file in files}
-    found = {file.parent for file in files} | above
-    for folder in above:
+    """Returns the folders in which missing files could appear; adding a file changes a folder's modification time."""
+    parents = {file.parent.parent for file in files}
+    folders = {file.parent for file in files} | parents
+    for folder in parents:
         for pattern in ("*", "*/*"):
-            found.update(path for path in folder.glob(pattern) if path.is_dir())
-    return found
+            folders.update(path for path in folder.glob(pattern) if path.is_dir())
+    return folders
 
 
 def _file_state(file: Path) -> tuple[int, int] | None:
-    """Returns size and time of change of a file, or None if it is gone."""
+    """Returns size in bytes and modification time in ns of a file, or None if it does not exist."""
     try:
-        found = file.stat()
+        status = file.stat()
     except OSError:
         return None
-    return found.st_size, found.st_mtime_ns
+    return status.st_size, status.st_mtime_ns
 
 
 def _code_digest() -> str:
-    """Returns a digest of the code that builds geometry: another version may build it differently."""
+    """Returns a digest of the code that builds geometry: another version may build other geometry."""
     package = Path(__file__).parent.parent
     folders = ("geometry", "description", "formats", "scenes", "render/batching", "render/lod")
     files = [file for folder in folders for file in sorted((package / folder).glob("*.py"))]

@@ -1,4 +1,4 @@
-"""The renderer: (SceneState, CameraSpecs) -> Frames. Knows OpenGL and nothing of ROS or physics."""
+"""The renderer: (SceneState, CameraSpecs) -> Frames. Depends on OpenGL, not on ROS or physics."""
 
 from __future__ import annotations
 
@@ -44,25 +44,24 @@ from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 
 
 class Renderer:
-    """Draws a scene. One thread makes, uses and closes it; several may live side by side.
+    """Renders a scene. One thread creates, uses and closes it; several renderers may exist at once.
 
-    Materials: textures are filtered in linear light; unlit ones are drawn as they are, others with the lights of the scene. Masked
-    materials are opaque where alpha reaches the cutoff. Blended ones are opaque, with a depth, where alpha is at least 0.9; elsewhere
-    they tint what is behind them, whose depth is reported.
+    Textures are filtered in linear light. Unlit materials keep their colours, others are lit by the lights of the scene. Masked
+    materials are opaque where alpha reaches the cutoff. Blended materials are opaque, with a depth, where alpha is at least 0.9;
+    elsewhere they tint the background, whose depth is reported.
 
     Args:
-        scene: what to draw: a scene from ``load_scene``, whose robots and bodies are left out, or one with links (``drawn_scene``).
-        device: EGL device, by number or UUID (see ``gibson-sim doctor``); None = a GPU if one works, else software.
+        scene: a scene from ``load_scene``, drawn without its robots and bodies, or a scene with links (``drawn_scene``).
+        device: EGL device, by number or UUID (see ``gibson-sim doctor``); None = the first GPU that works, else software.
         library: name of the EGL library.
-        loader: returns the mesh of a shape; None = reads the files.
-        allowed_roots: folders that meshes and textures must lie in; None = the folders above those of the meshes.
-        detail_px: largest error, pixels, of levels of detail in the image, in scenes of 50,000 triangles and more; 0 = draw every
+        loader: returns the mesh of a shape; None = read the mesh files.
+        allowed_roots: folders that meshes and textures must lie in; None = the parents of the meshes' folders.
+        detail_px: largest screen-space error of levels of detail, pixels, in scenes of 50,000 triangles or more; 0 = draw every
             triangle.
-        compress_textures: keep the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours
+        compress_textures: store the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours
             change slightly.
-        cull: leave out what is outside the image; off only to check that nothing else changes.
-        cache: folder of loaded scenes for the next start (``render.cache.default_folder()``); None = none. Not used with a
-            ``loader``.
+        cull: view-frustum and occlusion culling; False only to verify that culling changes no image.
+        cache: folder of the scene cache (``render.cache.default_folder()``); None = no cache. Not used with a ``loader``.
         progress: called with the current stage of loading and its progress, 0 to 1.
 
     Raises:
@@ -87,7 +86,7 @@ class Renderer:
         self._scene: GlScene | None = None
         self._splats: SplatPass | None = None
         self._splats_of_scene: tuple[SplatsSpec | None, str] = None, ""
-        """Where the splats come from: their specification, and the digest of the scene's files."""
+        """Source of the splats: their specification, and the digest of the scene's files."""
         self._effects: EffectsPass | None = None
         self._shutter: Shutter | None = None
         self._hole_filling: HoleFilling | None = None
@@ -99,12 +98,12 @@ class Renderer:
             allowed_roots = scene_roots(scene) if allowed_roots is None else allowed_roots
             scene = drawn_scene(replace(scene, robots=(), bodies=()), ())
         self._loader, self._allowed_roots, self._cache = loader, allowed_roots, cache
-        self._own_loader: MeshLoader | None = None
+        self._mesh_loader: MeshLoader | None = None
         self._detail_px, self._compress, self._cull = detail_px, compress_textures, cull
         self.warnings: tuple[str, ...] = ()
-        """What the last load or update could not load and left out or replaced, one line each."""
+        """One line for each item that the last load or update could not load, and omitted or replaced."""
         self.info: dict[str, Any] = {}
-        """The device, and sizes of the scene."""
+        """Properties of the device, and sizes of the scene."""
         try:
             self._context = open_context(device, library=library)
             self._readback = Readback(self._context)
@@ -115,27 +114,27 @@ class Renderer:
             raise
 
     def _load(self, scene: DrawnScene, progress: Progress | None) -> None:
-        """Loads a scene and replaces the current one, if any. No mesh that was read before is used: its file may have changed."""
-        geometry = _loaded(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
-        made = GlScene(
+        """Loads a scene and replaces the current one, if any. Reads all meshes again: their files may have changed."""
+        geometry = _load_geometry(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
+        gl_scene = GlScene(
             self.context, geometry, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
         )  # fmt: skip
         try:
             splats = self._splats_of(scene)
         except BaseException:
-            made.close()
+            gl_scene.close()
             raise
         for old in (self._camera_images, self._scene, self._splats if splats is not self._splats else None):
             if old is not None:
                 old.close()
-        self._own_loader = None
+        self._mesh_loader = None
         self._splats, self._splats_of_scene = splats, (scene.splats, scene.content_hash)
-        self._scene, self._camera_images = made, CameraImages(self.context, made, splats)
+        self._scene, self._camera_images = gl_scene, CameraImages(self.context, gl_scene, splats)
         self._composition = Composition(scene, geometry, self._loader_of, coarser=self._detail_px > 0.0)
-        self._describe(scene, geometry, (*geometry.warnings, *made.warnings))
+        self._describe(scene, geometry, (*geometry.warnings, *gl_scene.warnings))
 
     def _splats_of(self, scene: DrawnScene) -> SplatPass | None:
-        """Returns the splats of a scene: those of the current one, if they are the same."""
+        """Returns the splats of a scene; reuses those of the current scene if they are the same."""
         spec = scene.splats
         if spec is None or (spec, scene.content_hash) == self._splats_of_scene:
             return None if spec is None else self._splats
@@ -147,17 +146,20 @@ class Renderer:
         return SplatPass(self.context, load_splats(path), T_world_file, cull=self._cull)
 
     def update(self, scene: DrawnScene, progress: Progress | None = None) -> bool:
-        """Replaces the scene by another revision. A change of bodies costs little; any other change loads it anew, and returns True.
+        """Replaces the scene by another revision and sets ``warnings``.
 
-        ``warnings`` lists what could not be loaded.
+        A change of bodies is cheap; any other change reloads the scene.
 
         Args:
-            scene: what to draw from now on; states must be of its revision.
-            progress: as in the constructor, if it is loaded anew.
+            scene: the new revision; later states must have its revision number.
+            progress: as in the constructor, if the scene is reloaded.
+
+        Returns:
+            Whether the scene was reloaded.
 
         Raises:
-            RenderError: closed, or called from another thread.
-            GibsonSimError: the scene cannot be drawn; the previous one stays.
+            RenderError: the renderer is closed, or another thread calls it.
+            GibsonSimError: the scene cannot be drawn; the previous revision is kept.
         """
         self._check_usable()
         assert self._scene is not None
@@ -189,29 +191,29 @@ class Renderer:
         }
 
     def _loader_of(self, scene: DrawnScene) -> Loader:
-        """Returns the loader for bodies that come later; it reads each file once."""
+        """Returns the loader for bodies added after loading; it reads each file once."""
         if self._loader is not None:
             return self._loader
         roots = set(_roots(scene, self._allowed_roots))
-        known = set(self._own_loader.roots or ()) if self._own_loader is not None else set()
-        if self._own_loader is None or not roots <= known:
-            self._own_loader = MeshLoader(sorted(roots | known))
-        return self._own_loader.shape
+        known = set(self._mesh_loader.roots or ()) if self._mesh_loader is not None else set()
+        if self._mesh_loader is None or not roots <= known:
+            self._mesh_loader = MeshLoader(sorted(roots | known))
+        return self._mesh_loader.shape
 
     def render(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> list[Frame]:
         """Returns one frame for each camera, with the stamp of the state; the arrays belong to the caller.
 
-        Cameras with the same outputs are drawn side by side and read back at once.
+        Cameras with the same outputs are drawn side by side into one target and read back together.
 
         Args:
             state: poses of all links.
-            cameras: what to draw.
-            previous: the state before, for optical flow, motion blur and rolling shutters; None = nothing has moved.
+            cameras: cameras to render.
+            previous: the previous state, for optical flow, motion blur and rolling shutters; None = no motion.
 
         Raises:
-            SceneMismatchError: a state belongs to another scene, or another revision of it.
-            ConfigError: a camera is on a link that the scene does not have.
-            RenderError: closed, called from another thread, or an image too large for the driver.
+            SceneMismatchError: a state belongs to another scene or another revision.
+            ConfigError: the link of a camera is not in the scene.
+            RenderError: the renderer is closed, another thread calls it, or an image is too large for the driver.
         """
         frames: dict[int, Frame] = {}
         for target, images, numbers in self.drawn(state, cameras, previous):
@@ -219,7 +221,10 @@ class Renderer:
         return [frames[k] for k in range(len(cameras))]
 
     def start(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> PendingFrames:
-        """Draws and returns at once: call ``result`` on the returned object after the next frames are started. For arguments see ``render``."""
+        """Starts rendering and reading back, without waiting. For arguments see ``render``.
+
+        Call ``result`` on the returned object after starting the next frames, so that both overlap.
+        """
         reads = []
         buffers, context = self._pixel_buffers, self.context
         assert buffers is not None
@@ -230,7 +235,7 @@ class Renderer:
     def render_tensors(
         self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
     ) -> list[TensorFrame]:
-        """Returns the frames as tensors: on the GPU that drew them if CUDA is available, else on the CPU. For arguments see ``render``."""
+        """Returns the frames as tensors: on the rendering GPU if CUDA is available, else on the CPU. For arguments see ``render``."""
         tensors = self._tensors_of_context()
         if not tensors.on_gpu:
             return tensors.of_frames(self.render(state, cameras, previous))
@@ -241,24 +246,24 @@ class Renderer:
 
     @property
     def drawn_triangles(self) -> int:
-        """Number of triangles drawn in the last picture, or in the last pictures that were drawn side by side."""
+        """Number of triangles drawn for the last image, or for the last images that share a target."""
         return 0 if self._scene is None else self._scene.drawn_triangles
 
     @property
     def drawn_splats(self) -> int:
-        """Number of splats drawn in the last picture, or in the last pictures that were drawn side by side."""
+        """Number of splats drawn for the last image, or for the last images that share a target."""
         return 0 if self._splats is None else self._splats.drawn
 
     @property
     def tensors_on(self) -> str:
-        """Device of the tensors of ``render_tensors``, as PyTorch names it: ``cuda:0``, or ``cpu``."""
+        """Device of the tensors of ``render_tensors``, in PyTorch's notation: ``cuda:0`` or ``cpu``."""
         return self._tensors_of_context().device
 
     @property
     def context(self) -> GlContext:
-        """The OpenGL context, for callers that read targets themselves."""
+        """OpenGL context, for callers that read targets themselves."""
         if self._context is None:
-            raise RenderError("the renderer is closed; make a new one")
+            raise RenderError("the renderer is closed; create a new one")
         return self._context
 
     def _tensors_of_context(self) -> Tensors:
@@ -270,14 +275,14 @@ class Renderer:
     def drawn(
         self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
     ) -> Iterator[tuple[RenderTarget, list[TargetImage], list[int]]]:
-        """Draws, and yields each target with its images and the numbers of their cameras. Read it before advancing to the next one.
+        """Renders, and yields each target with its images and the indices of their cameras.
 
-        For arguments and errors see ``render``.
+        Read a target before advancing to the next one. For arguments and errors see ``render``.
         """
         self._check_usable()
         assert self._camera_images is not None and self._context is not None
         T_world_links = self._link_matrices(state)
-        before = T_world_links if previous is None else self._link_matrices(previous)
+        T_previous = T_world_links if previous is None else self._link_matrices(previous)
         poses = [self._camera_matrix(camera, T_world_links) for camera in cameras]
         plans = [exposures(camera, previous, state) for camera in cameras]
         if self._splats is not None:
@@ -292,35 +297,43 @@ class Renderer:
             single = [
                 image for k, image in zip(group.numbers, images, strict=True) if len(plans[k]) == 1 and plans[k][0].state is state
             ]
-            self._draw(target, single, T_world_links, before)
+            self._draw(target, single, T_world_links, T_previous)
             for k, image in zip(group.numbers, images, strict=True):
-                self._develop(target, image, plans[k] if image not in single else (), before)
+                self._finish_image(target, image, plans[k] if image not in single else (), T_previous)
             yield target, images, list(group.numbers)
 
     def _check_usable(self) -> None:
         if self._camera_images is None or self._context is None:
-            raise RenderError("the renderer is closed; make a new one")
+            raise RenderError("the renderer is closed; create a new one")
         if os.getpid() != self._process:
             raise RenderError(
-                "the renderer belongs to the process that was forked, and no drawing works after a fork: start processes by `spawn`, "
-                "and make a renderer in each"
+                "the renderer belongs to the process that was forked, and OpenGL does not work after a fork: start processes with "
+                "`spawn`, and create a renderer in each"
             )
         if threading.get_ident() != self._thread:
-            raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
+            raise RenderError(
+                "the renderer belongs to the thread that created it; render in that thread, or create one per thread"
+            )
 
     def _draw(
-        self, target: RenderTarget, images: Sequence[TargetImage], T_world_links: NDArray[np.float64], before: NDArray[np.float64]
+        self,
+        target: RenderTarget,
+        images: Sequence[TargetImage],
+        T_world_links: NDArray[np.float64],
+        T_previous: NDArray[np.float64],
     ) -> None:
-        """Clears a target and draws images into it."""
+        """Clears a target and draws images into it; ``T_previous`` is T_world_links, (L + 1, 4, 4), of the previous state."""
         assert self._scene is not None
         assert self._camera_images is not None
-        self._scene.set_links(T_world_links, before)
-        still = before is T_world_links
-        poses = [image.T_world_camera if still else self._camera_matrix(image.camera, before) for image in images]
+        self._scene.set_links(T_world_links, T_previous)
+        still = T_previous is T_world_links
+        poses = [image.T_world_camera if still else self._camera_matrix(image.camera, T_previous) for image in images]
         self._camera_images.draw(target, images, poses)
 
-    def _develop(self, target: RenderTarget, image: TargetImage, plan: Sequence[Exposure], before: NDArray[np.float64]) -> None:
-        """Finishes an image in place: draws it, if it has several exposures, and applies the effects on colours."""
+    def _finish_image(
+        self, target: RenderTarget, image: TargetImage, plan: Sequence[Exposure], T_previous: NDArray[np.float64]
+    ) -> None:
+        """Finishes an image in place: draws it if it has several exposures, fills holes and applies the colour effects."""
         assert self._context is not None
         camera, average = image.camera, False
         changes = "rgb" in camera.outputs and changes_colors(camera.effects)
@@ -335,10 +348,10 @@ class Renderer:
 
             def draw(picture: RenderTarget, rows: CameraSpec, state: SceneState) -> None:
                 links = self._link_matrices(state)
-                self._draw(picture, [TargetImage(rows, image.stamp_ns, self._camera_matrix(rows, links))], links, before)
+                self._draw(picture, [TargetImage(rows, image.stamp_ns, self._camera_matrix(rows, links))], links, T_previous)
 
             average = self._shutter.image(target, camera, plan, image.x, image.y, draw)
-        # Noise lies over what is filled, too; an average of pictures is finished by the effects, and filled after them.
+        # Holes are filled before the effects, so that filled pixels get noise too; an averaged image exists only after the effects.
         if not average:
             self._fill_holes(target, image)
         if average or changes:
@@ -356,7 +369,7 @@ class Renderer:
         return self._hole_filling
 
     def prepare(self, cameras: Sequence[CameraSpec]) -> None:
-        """Loads the networks that fill the holes of cameras' images, which else happens at the first image.
+        """Loads the hole-filling networks of cameras, which otherwise load at the first image.
 
         Raises:
             ConfigError: a network cannot be loaded, or the scene has splats.
@@ -368,7 +381,7 @@ class Renderer:
             self._filling().prepare(fill)
 
     def _check_fills(self, cameras: Sequence[CameraSpec]) -> None:
-        """Raises ConfigError where pictures of splats are to be filled: their colours are seen where the mesh has no depth."""
+        """Raises ConfigError if a camera fills holes in a scene with splats, which have colours where the mesh has no depth."""
         for camera in cameras:
             if camera.fill:
                 raise ConfigError(
@@ -377,19 +390,19 @@ class Renderer:
                 )
 
     def _link_matrices(self, state: SceneState) -> NDArray[np.float64]:
-        """Returns T_world_links, (L + 1, 4, 4), the world first."""
+        """Returns T_world_links, (L + 1, 4, 4), of the world and the links of a state."""
         if state.revision != self._revision:
             raise SceneMismatchError(
-                f"the state is of scene revision {state.revision}, revision {self._revision} is loaded; load the scene again"
+                f"the state has scene revision {state.revision}, but revision {self._revision} is loaded; load the scene again"
             )
         if state.links != self._links:
             raise SceneMismatchError(
-                f"the state has {len(state.links)} links, others than the {len(self._links)} of the scene that is loaded; load its scene"
+                f"the {len(state.links)} links of the state are not the {len(self._links)} of the loaded scene; load the state's scene"
             )
         return world_from_links(state.positions, state.quats_xyzw)
 
     def camera_matrix(self, state: SceneState, camera: CameraSpec) -> Mat4:
-        """Returns T_world_camera, (4, 4), optical frame, at a state; for errors see ``render``."""
+        """Returns T_world_camera, (4, 4), optical frame, in a state; for errors see ``render``."""
         return self._camera_matrix(camera, self._link_matrices(state))
 
     def _camera_matrix(self, camera: CameraSpec, T_world_links: NDArray[np.float64]) -> Mat4:
@@ -402,7 +415,7 @@ class Renderer:
         return T_world_camera
 
     def close(self) -> None:
-        """Frees everything; a second call does nothing."""
+        """Frees all GPU resources; a second call does nothing."""
         context = self._context
         handles = (
             self._camera_images, self._effects, self._shutter, self._pixel_buffers, self._tensors, self._splats, self._scene
@@ -431,7 +444,7 @@ _T_link_camera: IdentityCache[Pose, Mat4] = IdentityCache(matrix_from_pose)
 """Returns T_link_camera, (4, 4), of the pose of a camera."""
 
 
-def _loaded(
+def _load_geometry(
     scene: DrawnScene,
     loader: Loader | None,
     allowed_roots: Sequence[Path] | None,
@@ -439,14 +452,14 @@ def _loaded(
     folder: Path | None,
     progress: Progress | None,
 ) -> SceneGeometry:
-    """Returns the geometry of a scene, from the cache if it is there."""
+    """Returns the geometry of a scene, from the cache in ``folder`` if it has it."""
     labels, roots = scene.labels(), _roots(scene, allowed_roots)
     cache = SceneCache(folder) if folder is not None and loader is None else None
     path = cache.path(scene.visuals, scene.links, labels, coarser, roots) if cache is not None else None
     if cache is not None and path is not None:
-        found = cache.load(path)
-        if found is not None:
-            return found
+        cached = cache.load(path)
+        if cached is not None:
+            return cached
     load = loader or MeshLoader(roots).shape
     geometry = build_geometry(scene.visuals, scene.links, load, labels, coarser=coarser, progress=progress)
     if cache is not None and path is not None:
@@ -455,7 +468,7 @@ def _loaded(
 
 
 def _roots(scene: DrawnScene, allowed_roots: Sequence[Path] | None) -> list[Path]:
-    """Returns the folders that files may lie in: those above the meshes, since models have ``meshes/`` and ``materials/`` side by side."""
+    """Returns the folders that files may lie in: the parents of the meshes' folders, since models keep ``meshes/`` beside ``materials/``."""
     if allowed_roots is not None:
         return list(allowed_roots)
     folders = mesh_folders(visual.shape for visual in scene.visuals)

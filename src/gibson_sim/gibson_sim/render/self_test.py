@@ -1,7 +1,7 @@
-"""Self-test: draws four plates whose pixels are known in advance, and compares. It shows that a device draws correctly.
+"""Self-test of a rendering device: draws four plates and compares the image with the expected pixels.
 
-The edges of the plates lie halfway between pixel centres, their textures are unlit, and nothing is behind them, so colours and labels
-must be right to the bit and depths to 0.1 mm, on every driver.
+The edges of the plates lie halfway between pixel centres, their textures are unlit and the background is empty, so on every driver
+colours and labels must be exact and depths accurate to 0.1 mm.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from gibson_sim.types import CameraSpec, Frame, Pose, SceneState, Vec3
 
 SIZE = 64
 FOCAL = SIZE / 2.0
-"""Pixels: the field of view is 90 degrees."""
+"""Focal length, pixels, of a field of view of 90 degrees."""
 DEPTH_TOLERANCE = 1e-4
-"""Metres."""
+"""Largest depth error, metres."""
 _CENTRE = (SIZE - 1) / 2.0
 _BLEND_PX = 3
-"""Rows on either side of the border between the halves of a texture whose colours may be interpolated."""
+"""Rows on either side of the border between the halves of a texture where colours may be interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +38,10 @@ class _Plate:
 
     name: str
     columns: tuple[int, int]
-    """First column that it covers, and the first one after it."""
+    """First covered column, and the first one after the plate."""
     rows: tuple[int, int]
     distance: float
-    """Metres."""
+    """Distance from the camera, metres."""
     upper: tuple[int, int, int]
     """Colour of the upper half of its texture, sRGB bytes."""
     lower: tuple[int, int, int]
@@ -59,25 +59,25 @@ _CLASSES = ("east", "north", "south", "west")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedFrame:
-    """The correct frame."""
+    """The expected images, (H, W)."""
 
     rgb: NDArray[np.uint8]
     depth: NDArray[np.float32]
     semantic: NDArray[np.uint16]
     instance: NDArray[np.uint16]
     exact: NDArray[np.bool_]
-    """(H, W): whether the colour is known to the bit."""
+    """(H, W): whether the colour must match exactly."""
 
 
 def self_test(device: int | str | None = None) -> str:
-    """Returns one line on the device, which draws correctly.
+    """Returns a one-line description of the device if it draws correctly.
 
     Args:
         device: number or UUID; None = the default device.
 
     Raises:
-        GraphicsUnavailableError: it cannot draw.
-        RenderError: it draws something else.
+        GraphicsUnavailableError: the device cannot draw.
+        RenderError: the image differs from the expected one.
     """
     eye = CameraSpec(
         "eye", "", Pose((0.0, 0.0, 0.0), quat_from_matrix(R_LINK_OPTICAL)), SIZE, SIZE, math.pi / 2,
@@ -97,7 +97,7 @@ def self_test(device: int | str | None = None) -> str:
 
 
 def expected() -> ExpectedFrame:
-    """Returns the correct frame, computed without drawing."""
+    """Returns the expected frame, computed without rendering."""
     shape = (SIZE, SIZE)
     out = ExpectedFrame(
         np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32), np.zeros(shape, np.uint16), np.zeros(shape, np.uint16),
@@ -116,7 +116,7 @@ def expected() -> ExpectedFrame:
 
 
 def compare(frame: Frame) -> list[str]:
-    """Returns the differences from ``expected``, one short text for each output."""
+    """Returns the differences from ``expected``, one message for each output."""
     assert frame.rgb is not None
     assert frame.depth is not None
     assert frame.semantic is not None
@@ -137,7 +137,7 @@ def compare(frame: Frame) -> list[str]:
 
 
 def digest(frame: Frame) -> str:
-    """Returns the first eight digits of a hash of all that must be the same on every device: equal digits = equal images."""
+    """Returns the first eight digits of a hash of the device-independent pixels: equal digits = equal images."""
     assert frame.rgb is not None
     assert frame.depth is not None
     assert frame.semantic is not None
@@ -154,7 +154,7 @@ def _loader() -> Callable[[Shape], Mesh]:
 
 
 def _mesh(plate: _Plate) -> Mesh:
-    """Returns the plate, ``distance`` along +x in front of the camera, which looks along it: +y is left, +z is up."""
+    """Returns the mesh of a plate, ``distance`` in front of the camera, which looks along +x: +y is left, +z is up."""
 
     def at(column: int, row: int) -> Vec3:
         # The edge of a pixel is half a pixel before its centre.

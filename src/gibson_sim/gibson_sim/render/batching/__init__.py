@@ -1,1 +1,1 @@
-"""The triangles of a scene as arrays: visuals become batches of clusters, materials become rows, and bodies come and go."""
+"""Triangles of a scene as arrays: batches of clusters from visuals, rows from materials, and bodies added and removed."""

@@ -1,4 +1,4 @@
-"""Assembles the submeshes of a scene into ``SceneGeometry``: clusters, levels of detail, triangles shared by equal bodies. No OpenGL here."""
+"""Assembles the submeshes of a scene into ``SceneGeometry``: clusters, levels of detail, triangles shared by equal bodies. No OpenGL."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from gibson_sim.render.lod.clusters import build_clusters, simplifier, weld
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 CLUSTER_TRIANGLES = 256
-"""Most triangles in a cluster."""
+"""Maximum number of triangles in a cluster."""
 DETAIL_FROM = 50_000
-"""Least number of triangles of a scene with levels of detail."""
+"""Minimum number of triangles of a scene with levels of detail."""
 MOVING_DETAIL_UPTO = 60_000
-"""Most triangles of a link with levels of detail: images wait while those of a spawned body are made."""
+"""Maximum number of triangles of a link with levels of detail: rendering blocks while those of a spawned body are built."""
 BLEND_CLUSTERS = 2048
-"""Clusters, at least one triangle each, that a translucent submesh is cut into: they are drawn in order of their distance."""
+"""Maximum number of clusters of a translucent submesh, which are drawn sorted by distance."""
 
 
 @dataclass(slots=True)
 class Submesh:
-    """Triangles of one link with one set of draw settings, gathered from its visuals."""
+    """Triangles of one link with one set of draw settings, collected from its visuals."""
 
     vertices: list[NDArray[np.void]] = field(default_factory=list)
     triangles: list[I64] = field(default_factory=list)
@@ -55,8 +55,8 @@ class Submesh:
 
 SubmeshKey = tuple[bool, int, int, AlphaMode, bool, bool, bool, int]
 """Moving, texture, maps, alpha mode, unlit, colored, closed, link. Submeshes are sorted by it, so those of one batch are consecutive. It
-leaves out what an appearance changes: levels of detail and the order of drawing, and with them depth, labels and normals, must not
-depend on appearances."""
+does not depend on appearances: these must change neither levels of detail nor the drawing order, and thus neither depth, labels nor
+normals."""
 
 
 def _unpacked_colors(packed: F32) -> F32:
@@ -87,7 +87,7 @@ class GeometryAssembler:
                 "placement",
             )
         }
-        self._clusters["placement"].append(np.zeros(1, dtype=PLACEMENT))  # of all static clusters
+        self._clusters["placement"].append(np.zeros(1, dtype=PLACEMENT))  # shared by all static clusters
         self._shapes: dict[bytes, dict[str, NDArray[Any]]] = {}
         self._index_count = self._vertex_count = self._cluster_count = self._group_count = self._triangles = 0
 
@@ -104,16 +104,16 @@ class GeometryAssembler:
         """Returns the geometry; call it once.
 
         Args:
-            submeshes: all of the scene.
-            table: materials that the vertices name.
-            textures: numbered as in the keys of the submeshes.
-            map_sets: likewise.
+            submeshes: all submeshes of the scene.
+            table: materials referenced by the vertices.
+            textures: textures, in the order of their numbers in the keys of the submeshes.
+            map_sets: material maps, in the same order as the keys' numbers.
             closed: ``closed_box`` and ``closed_link``.
-            files: files that were read.
-            warnings: what was left out.
+            files: files read so far.
+            warnings: warnings so far.
 
         Raises:
-            ConfigError: there are more triangles than can be drawn.
+            ConfigError: the scene has more triangles than can be drawn.
         """
         materials = table.materials()
         matte = (materials["surface"][:, 0] <= 0.0) & (materials["surface"][:, 1] >= MATTE_ROUGHNESS)
@@ -122,7 +122,7 @@ class GeometryAssembler:
         self._coarser &= total >= DETAIL_FROM
         if self._coarser and simplifier() is None:
             warnings += (
-                f"{total} triangles are drawn without levels of detail, slowly: install meshoptimizer (pip install meshoptimizer)",
+                f"{total} triangles are drawn without levels of detail, which is slow: install meshoptimizer (pip install meshoptimizer)",
             )
         shared = _shared_vertices(submeshes) if self._coarser else {}
         batches: list[Batch] = []
@@ -177,7 +177,7 @@ class GeometryAssembler:
         )
 
     def _add(self, key: SubmeshKey, submesh: Submesh, fixed: NDArray[np.bool_] | None) -> None:
-        """Appends the clusters of a submesh, all levels. It shares the triangles of an earlier one that differs in label, material and link alone."""
+        """Appends the clusters of a submesh, all levels; reuses the triangles of an earlier one that differs only in label, material or link."""
         _, texture, maps, alpha_mode, _, colored, closed, link = key
         vertices = np.concatenate(submesh.vertices)
         placement = np.zeros(1, dtype=PLACEMENT)
@@ -189,7 +189,7 @@ class GeometryAssembler:
                     vertices[name] = 0
         triangles = np.concatenate(submesh.triangles)
         if not closed:  # closed surfaces are wound outwards
-            triangles = _wound(vertices, triangles)
+            triangles = _with_outward_winding(vertices, triangles)
         size = CLUSTER_TRIANGLES
         if alpha_mode == "blend":
             size = min(max(len(triangles) // BLEND_CLUSTERS, 1), size)
@@ -230,7 +230,7 @@ class GeometryAssembler:
         textured: bool,
         colored: bool,
     ) -> dict[str, NDArray[Any]]:
-        """Appends triangles, all levels, and returns their clusters and groups; groups are numbered from 0."""
+        """Appends triangles, all levels, and returns the columns of their clusters and groups; groups are numbered from 0."""
         clusters = build_clusters(
             vertices["position"],
             vertices["normal"].astype(np.float32) / np.float32(32767.0),
@@ -262,20 +262,20 @@ class GeometryAssembler:
     def _add_level(self, vertices: NDArray[np.void], triangles: I64) -> None:
         """Appends triangles with a copy of their vertices in the order of first use.
 
-        The vertex stage of a software renderer depends on memory locality: a coarse level must not fetch from all over the fine one.
+        The vertex stage of a software renderer needs memory locality: vertices of a coarse level must not be scattered over the fine one.
         """
         used, first, inverse = np.unique(triangles, return_index=True, return_inverse=True)
         order = np.argsort(first, kind="stable")
-        new_number = np.empty(len(used), dtype=np.int64)
-        new_number[order] = np.arange(len(used))
-        self._indices.append(new_number[inverse.ravel()] + self._vertex_count)
+        new_index = np.empty(len(used), dtype=np.int64)
+        new_index[order] = np.arange(len(used))
+        self._indices.append(new_index[inverse.ravel()] + self._vertex_count)
         self._vertices.append(vertices[used[order]])
         self._vertex_count += len(used)
         self._index_count += triangles.size
 
 
-def _wound(vertices: NDArray[np.void], triangles: I64) -> I64:
-    """Returns triangles wound as their normals say: counter-clockwise seen from outside."""
+def _with_outward_winding(vertices: NDArray[np.void], triangles: I64) -> I64:
+    """Returns triangles wound to match their normals: counter-clockwise seen from outside."""
     a, b, c = (vertices["position"][triangles[:, k]] for k in range(3))
     outward = vertices["normal"][triangles].sum(axis=1, dtype=np.int64)
     wrong = np.einsum("fk,fk->f", np.cross(b - a, c - a), outward) < 0.0
@@ -288,7 +288,7 @@ def _joined(arrays: Sequence[NDArray[Any]], dtype: type[np.generic]) -> NDArray[
 
 
 def _shared_vertices(submeshes: dict[SubmeshKey, Submesh]) -> dict[SubmeshKey, NDArray[np.bool_]]:
-    """Returns for each submesh which vertices coincide with one of another submesh of its link: moving them would open cracks."""
+    """Returns for each submesh a mask of the vertices shared with another submesh of its link: moving them would open cracks."""
     shared: dict[SubmeshKey, NDArray[np.bool_]] = {}
     for keys in _by_link(submeshes):
         sizes = [submeshes[key].count for key in keys]

@@ -1,4 +1,4 @@
-"""Merges all visuals of a scene into ``SceneGeometry``. No OpenGL here."""
+"""Merges all visuals of a scene into ``SceneGeometry``. No OpenGL."""
 
 from __future__ import annotations
 
@@ -33,19 +33,22 @@ def build_geometry(
     coarser: bool = True,
     progress: Progress | None = None,
 ) -> SceneGeometry:
-    """Returns the triangles of all visuals; a visual that cannot be loaded is left out with a warning.
+    """Returns the triangles of all visuals; a visual that cannot be loaded is omitted with a warning.
 
     Args:
-        visuals: what to draw.
+        visuals: visuals to draw.
         links: names of the moving links, in the order of ``SceneState.links``.
         loader: returns the mesh of a shape, or raises a ``GibsonSimError``.
         labels: semantic class and instance of each visual; empty = all 0.
-        coarser: make levels of detail.
-        progress: called with the progress.
+        coarser: build levels of detail.
+        progress: called with the current stage and its progress, 0 to 1.
+
+    Raises:
+        ConfigError: there are more classes, instances or materials than numbers for them.
     """
     highest = max((max(label) for label in labels), default=0)
     if highest > MAX_LABEL:
-        raise ConfigError(f"the scene has {highest} classes or instances, at most {MAX_LABEL} can be told apart in an image")
+        raise ConfigError(f"the scene has {highest} classes or instances, an image can distinguish at most {MAX_LABEL}")
     progress = progress or (lambda what, part: None)
     link_numbers = {"": 0, **{name: i + 1 for i, name in enumerate(links)}}
     submeshes: dict[SubmeshKey, Submesh] = {}
@@ -74,10 +77,10 @@ def build_geometry(
         materials = [part.material if visual.color is None else _plain(visual.color) for part in mesh.parts]
         drawn = [material.texture if part.uvs is not None else None for part, material in zip(mesh.parts, materials, strict=True)]
         alpha_modes = tuple(map(_alpha_mode, materials, drawn))
-        alike = (visual.shape, tuple(mode == "opaque" for mode in alpha_modes))
-        if alike not in known_closed:
-            known_closed[alike] = find_closed_surfaces(mesh.parts, alike[1])
-        surfaces = known_closed[alike]
+        closed_key = (visual.shape, tuple(mode == "opaque" for mode in alpha_modes))
+        if closed_key not in known_closed:
+            known_closed[closed_key] = find_closed_surfaces(mesh.parts, closed_key[1])
+        surfaces = known_closed[closed_key]
         closed_boxes.append(transformed_boxes(surfaces.boxes, T_link_visual))
         closed_links.append(np.full(len(surfaces.boxes), link))
         for part, material, texture, alpha_mode, is_closed in zip(
@@ -86,8 +89,8 @@ def build_geometry(
             number = -1 if texture is None else textures.setdefault(id(texture), (len(textures), texture))[0]
             maps = -1
             if part.uvs is not None and material.has_maps:
-                found = _map_set(material)
-                maps = map_sets.setdefault(tuple(map(id, found)), (len(map_sets), found))[0]
+                map_set = _map_set(material)
+                maps = map_sets.setdefault(tuple(map(id, map_set)), (len(map_sets), map_set))[0]
             row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.appearance)
             vertices = _vertices(part, row, T_link_visual, label)
             colored = material.colored and part.colors is not None
@@ -97,7 +100,7 @@ def build_geometry(
                 triangles = part.triangles[is_closed == closed]
                 if len(triangles):
                     key = (link > 0, number, maps, alpha_mode, material.unlit, colored, closed, link)
-                    submeshes.setdefault(key, Submesh()).add(*_used(vertices, triangles))
+                    submeshes.setdefault(key, Submesh()).add(*_without_unused_vertices(vertices, triangles))
     progress("reading meshes", 1.0)
     if len(table.rows) > MAX_LABEL:
         raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
@@ -112,8 +115,10 @@ def build_geometry(
     )
 
 
-def _used(vertices: NDArray[np.void], triangles: NDArray[np.uint32]) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
-    """Returns vertices and triangles without the vertices that no triangle uses."""
+def _without_unused_vertices(
+    vertices: NDArray[np.void], triangles: NDArray[np.uint32]
+) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Returns vertices and triangles without unreferenced vertices."""
     used = np.zeros(len(vertices), dtype=bool)
     used[triangles] = True
     if used.all():
@@ -126,7 +131,10 @@ def _plain(color: Rgba) -> Material:
 
 
 def _alpha_mode(material: Material, texture: TextureSource | None) -> AlphaMode:
-    """Returns how to draw it. Files often request blending where nothing is translucent, which would cost the depth, and time."""
+    """Returns the alpha mode to draw a material with.
+
+    Files often request blending for fully opaque materials, which would take time and lose the depth.
+    """
     if material.alpha_mode == "opaque":
         return "opaque"
     lowest = material.base_color[3]
@@ -153,7 +161,7 @@ def _vertices(part: MeshPart, material: int, T_link_visual: F64, label: tuple[in
 
 
 def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
-    """Returns sRGB colours, (V, 3), as (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit numbers."""
+    """Returns sRGB colours, (V, 3), as (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit integers."""
     assert colors is not None
     out = np.zeros((len(colors), 4), dtype="<u2")
     out[:, :3] = linear16_from_srgb8(colors)

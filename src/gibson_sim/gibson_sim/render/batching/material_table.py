@@ -1,7 +1,7 @@
-"""Materials and appearances of a scene as rows of the arrays that shaders read. No OpenGL here.
+"""Materials and appearances of a scene as rows of the arrays that shaders read. No OpenGL.
 
-``MaterialTable`` collects the rows. An appearance changes a material in two ways: ``apply_appearance`` replaces numbers of the material;
-the renderer draws tints of textures (``tint_matrix``) and patterns, whose pictures ``pattern_pictures`` makes.
+``MaterialTable`` collects the rows. An appearance changes a material in two ways: ``apply_appearance`` replaces parameters of the
+material; shaders apply tints of textures (``tint_matrix``) and patterns (``pattern_pictures``).
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from gibson_sim.reading import read_file
 from gibson_sim.render.batching.scene_geometry import APPEARANCE, MATERIAL, PLAIN_APPEARANCE
 
 OPAQUE_ALPHA = 0.9
-"""Alpha from which a blended material is drawn as opaque, so that it also has a depth."""
+"""Smallest alpha at which a blended material is drawn as opaque, so that it has a depth."""
 PATTERN_PX = 256
-"""Side of the picture of a pattern, pixels."""
+"""Side of a pattern image, pixels."""
 _CELLS = 8
-"""Cells of a checker, and stripes, along one side: even, so that it repeats without a seam."""
+"""Number of checker cells or stripes along one side; an even number repeats without a seam."""
 
 
 class MaterialTable:
-    """Rows of ``MATERIAL``, and of ``APPEARANCE`` beside them."""
+    """Rows of ``MATERIAL``, each with its row of ``APPEARANCE``."""
 
     def __init__(self, appearances: Sequence[Appearance], warn: Callable[[str], None]) -> None:
         self.rows: dict[tuple[tuple[float, ...], tuple[float, ...]], int] = {}
@@ -39,19 +39,19 @@ class MaterialTable:
         self._layers, self.patterns = pattern_pictures(patterns, warn)
 
     def row(self, material: Material, appearance: Appearance | None) -> int:
-        """Returns the row of a material under an appearance."""
-        worn = material if appearance is None else apply_appearance(material, appearance)
-        linear = linear_from_srgb(worn.base_color[:3]).tolist()
-        # A roughness of an appearance is that of the surface, not a factor on a map.
+        """Returns the row number of a material with an appearance."""
+        modified = material if appearance is None else apply_appearance(material, appearance)
+        linear = linear_from_srgb(modified.base_color[:3]).tolist()
+        # Metalness and roughness of an appearance replace those of a map instead of scaling them.
         from_map = [
             float(appearance is None or value is None)
             for value in (appearance and appearance.metallic, appearance and appearance.roughness)
         ]
         values = (
-            *linear, worn.base_color[3],
-            worn.metallic, worn.roughness, min(max(opaque_alpha(worn), 0.0), 1.0), float(worn.unlit),
-            *worn.emissive, 0.0,
-            0.0 if worn.normal_texture is None else worn.normal_scale, worn.occlusion_strength, *from_map,
+            *linear, modified.base_color[3],
+            modified.metallic, modified.roughness, min(max(opaque_alpha(modified), 0.0), 1.0), float(modified.unlit),
+            *modified.emissive, 0.0,
+            0.0 if modified.normal_texture is None else modified.normal_scale, modified.occlusion_strength, *from_map,
         )  # fmt: skip
         return self.rows.setdefault((values, self._appearance(material, appearance)), len(self.rows))
 
@@ -72,19 +72,19 @@ class MaterialTable:
 
     def appearances(self) -> NDArray[np.void]:
         """Returns (M,) of ``APPEARANCE``, or (0,) if there are none."""
-        worn = [appearance for _, appearance in self.rows]
-        if not any(worn):
+        appearances = [appearance for _, appearance in self.rows]
+        if not any(appearances):
             return np.zeros(0, dtype=APPEARANCE)
-        return np.array([appearance or PLAIN_APPEARANCE for appearance in worn], dtype=np.float32).view(APPEARANCE)[:, 0]
+        return np.array([appearance or PLAIN_APPEARANCE for appearance in appearances], dtype=np.float32).view(APPEARANCE)[:, 0]
 
 
 def opaque_alpha(material: Material) -> float:
-    """Returns the alpha from which a material is drawn as opaque."""
+    """Returns the smallest alpha at which a material is drawn as opaque."""
     return material.alpha_cutoff if material.alpha_mode == "mask" else OPAQUE_ALPHA
 
 
 def apply_appearance(material: Material, appearance: Appearance) -> Material:
-    """Returns a material under an appearance, without tints of textures and patterns, which the renderer draws."""
+    """Returns a material with an appearance, except for texture tints and patterns, which shaders apply."""
     changes: dict[str, object] = {}
     if appearance.is_tint and material.texture is None and not material.colored and appearance.pattern is None:
         changes["base_color"] = (*_tinted(material.base_color[:3], appearance), material.base_color[3])
@@ -96,20 +96,20 @@ def apply_appearance(material: Material, appearance: Appearance) -> Material:
 
 
 def is_drawn(material: Material, appearance: Appearance | None) -> bool:
-    """Returns whether the renderer has to tint a texture or to draw a pattern: an appearance does more than ``apply_appearance``."""
+    """Returns whether shaders must apply the appearance, because it tints a texture or has a pattern."""
     return appearance is not None and (
         appearance.pattern is not None or (appearance.is_tint and (material.texture is not None or material.colored))
     )
 
 
 def tint_matrix(appearance: Appearance) -> F64:
-    """Returns the (3, 3) matrix of a tint, linear light: hue turns about grey, saturation scales away from it, then value scales all."""
+    """Returns the (3, 3) matrix of a tint in linear light: rotates hue about grey, then scales saturation, then value."""
     angle = 2.0 * np.pi * appearance.hue
     c, s = np.cos(angle), np.sin(angle) / np.sqrt(3.0)
     third = (1.0 - c) / 3.0
-    turn = np.array([[c + third, third - s, third + s], [third + s, c + third, third - s], [third - s, third + s, c + third]])
+    rotation = np.array([[c + third, third - s, third + s], [third + s, c + third, third - s], [third - s, third + s, c + third]])
     grey = np.tile(LUMINANCE, (3, 1))
-    matrix: F64 = appearance.value * (grey + appearance.saturation * (np.eye(3) - grey)) @ turn
+    matrix: F64 = appearance.value * (grey + appearance.saturation * (np.eye(3) - grey)) @ rotation
     return matrix
 
 
@@ -118,15 +118,15 @@ def _tinted(srgb: tuple[float, ...], appearance: Appearance) -> tuple[float, ...
 
 
 def pattern_pictures(patterns: Sequence[Pattern], warn: Warn) -> tuple[dict[Pattern, int], NDArray[np.uint8]]:
-    """Makes the pictures of patterns: patterns that differ in colours and size alone share one.
+    """Creates the images of patterns; patterns that differ only in colours and size share an image.
 
     Returns:
-        The layer of each pattern, and the layers, (L, 256, 256, 3) uint8, sRGB. A pattern mixes its two colours by the picture's,
-        channel by channel, in linear light. An image that cannot be read has layer -1, after a warning.
+        The layer of each pattern, and the layers, (L, 256, 256, 3) uint8, sRGB. A shader interpolates between the pattern's two colours
+        by the image, per channel, in linear light. An image that cannot be read has layer -1, after a warning.
     """
     layers: dict[tuple[str, int, str], int] = {}
     pictures: list[NDArray[np.uint8]] = []
-    found: dict[Pattern, int] = {}
+    layer_of: dict[Pattern, int] = {}
     for pattern in patterns:
         key = (pattern.kind, pattern.seed if pattern.kind == "noise" else 0, pattern.image)
         if key not in layers:
@@ -134,12 +134,12 @@ def pattern_pictures(patterns: Sequence[Pattern], warn: Warn) -> tuple[dict[Patt
             layers[key] = -1 if picture is None else len(pictures)
             if picture is not None:
                 pictures.append(picture)
-        found[pattern] = layers[key]
-    return found, np.stack(pictures) if pictures else np.zeros((0, PATTERN_PX, PATTERN_PX, 3), dtype=np.uint8)
+        layer_of[pattern] = layers[key]
+    return layer_of, np.stack(pictures) if pictures else np.zeros((0, PATTERN_PX, PATTERN_PX, 3), dtype=np.uint8)
 
 
 def pattern_colors(pattern: Pattern) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Returns the colours where the picture is black and where it is white, sRGB; an image keeps its own."""
+    """Returns the colours for black and for white pixels of the pattern image, sRGB; a pattern of kind ``image`` keeps its colours."""
     return ((0.0,) * 3, (1.0,) * 3) if pattern.kind == "image" else pattern.colors
 
 
@@ -151,7 +151,7 @@ def _picture(pattern: Pattern, warn: Warn) -> NDArray[np.uint8] | None:
         except OSError:
             pixels = None
         if pixels is None:
-            warn(f"{pattern.image}: is no image that can be read; the surface keeps its own texture")
+            warn(f"{pattern.image} is not a readable image; the surface keeps its texture")
             return None
         return np.asarray(cv2.resize(np.ascontiguousarray(pixels[:, :, :3]), size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     cell = np.arange(PATTERN_PX) * _CELLS // PATTERN_PX
@@ -169,9 +169,9 @@ def _noise(rng: np.random.Generator) -> F64:
     total = np.zeros((PATTERN_PX, PATTERN_PX))
     for cells, weight in ((4, 0.5), (8, 0.27), (16, 0.14), (64, 0.09)):
         knots = rng.random((cells, cells))
-        at = np.arange(PATTERN_PX) * cells / PATTERN_PX
-        low = at.astype(np.int64)
-        t = at - low
+        coordinate = np.arange(PATTERN_PX) * cells / PATTERN_PX
+        low = coordinate.astype(np.int64)
+        t = coordinate - low
         t = t * t * (3.0 - 2.0 * t)
         high = (low + 1) % cells
         rows = knots[low] + t[:, None] * (knots[high] - knots[low])

@@ -1,6 +1,6 @@
-"""What a changing scene is merged from: the geometry it was loaded with, and a prototype for each kind of body that came later.
+"""Merges the geometry of a changing scene: the base, which was loaded, and a prototype for each kind of body added later.
 
-The base and each prototype number their own links, labels, materials and clusters; ``GeometryMerger`` renumbers them. No OpenGL here.
+The base and each prototype have their own numbers of links, labels, materials and clusters; ``GeometryMerger`` renumbers them. No OpenGL.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gibson_sim.scenes.spec import DrawnScene
 
 I64 = NDArray[np.int64]
 BODY = "body"
-"""Name of the body of every prototype, so that equal bodies have equal prototypes."""
+"""Body name in every prototype, so that equal bodies have equal prototypes."""
 _CLUSTER = (
     "cluster_first", "cluster_count", "cluster_box", "cluster_link", "cluster_placement", "cluster_group", "cluster_next_group",
 )  # fmt: skip
@@ -27,13 +27,13 @@ _CLOSED = ("closed_box", "closed_link")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyPrototype:
-    """The geometry that equal bodies share: its links and classes are numbered from 1, and its instance is 1."""
+    """The geometry that equal bodies share; links and classes are numbered from 1, the instance is 1."""
 
     geometry: SceneGeometry
     links: tuple[str, ...]
     classes: tuple[str, ...]
     labelled: bool
-    """Whether labels are in the vertices, because they differ within a link; else they are in the placements."""
+    """Whether labels are stored in the vertices, because they differ within a link; else they are in the placements."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class SceneNumbers:
     """Numbers of links, classes and instances in one scene."""
 
     links: dict[str, int]
-    """1 + index."""
+    """1 + index in the links of the scene; 0 = the world, whose name is empty."""
     classes: dict[str, int]
     instances: dict[str, int]
 
@@ -58,11 +58,11 @@ class SceneNumbers:
 class LabelMap:
     """Maps class and instance numbers of one scene to those of another, by name."""
 
-    def __init__(self, before: SceneNumbers, now: SceneNumbers) -> None:
-        # Names that are gone are not drawn: any number will do, so they keep theirs.
+    def __init__(self, source: SceneNumbers, target: SceneNumbers) -> None:
+        # Removed names are not drawn, so any number is correct; they keep theirs.
         self._columns = tuple(
             np.array([new.get(name, number) for name, number in old.items()], dtype=np.uint16)
-            for old, new in ((before.classes, now.classes), (before.instances, now.instances))
+            for old, new in ((source.classes, target.classes), (source.instances, target.instances))
         )
 
     def __eq__(self, other: object) -> bool:
@@ -71,7 +71,7 @@ class LabelMap:
     __hash__ = None  # type: ignore[assignment]
 
     def apply(self, rows: NDArray[np.void]) -> NDArray[np.void]:
-        """Returns a copy of rows with a field ``label``, with the new numbers."""
+        """Returns a copy of rows whose field ``label`` has the new numbers."""
         out = rows.copy()
         for k, column in enumerate(self._columns):
             out["label"][:, k] = column[rows["label"][:, k]]
@@ -83,25 +83,25 @@ class PlacedBody:
     """A body of a scene that is drawn with the geometry of a prototype."""
 
     links: I64
-    """(L + 1,), number in the scene of each link of the prototype, the world first."""
+    """(L + 1,), scene numbers of the world and of each link of the prototype."""
     classes: NDArray[np.uint16]
-    """Number in the scene of each class of the prototype."""
+    """Scene number of each class of the prototype."""
     instance: int
 
     @classmethod
     def of(cls, prototype: BodyPrototype, name: str, numbers: SceneNumbers) -> PlacedBody:
-        """Returns the body ``name`` of a scene, placed with a prototype."""
+        """Returns the body ``name`` of a scene as an instance of a prototype."""
         links = [0, *(numbers.links[name + link[len(BODY) :]] for link in prototype.links)]
         classes = [numbers.classes.get(label, 0) for label in prototype.classes]
         return cls(np.array(links), np.array(classes, dtype=np.uint16), numbers.instances[name])
 
     @property
     def key(self) -> bytes:
-        """Equal for bodies with equal ``labels``."""
+        """Key that is equal for bodies with equal ``labels``."""
         return self.classes.tobytes() + bytes(str(self.instance), "ascii")
 
     def labels(self, labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Returns the numbers in the scene of labels, (N, 2), of the prototype."""
+        """Returns the scene numbers of labels, (N, 2), of the prototype."""
         return np.stack([self.classes[labels[:, 0]], labels[:, 1] * np.uint16(self.instance)], axis=1)
 
     def relabelled(self, vertices: NDArray[np.void]) -> NDArray[np.void]:
@@ -121,7 +121,7 @@ class MaterialNumbers:
 
 
 class GeometryMerger:
-    """Merges the base and prototypes into one geometry, all but vertices and indices."""
+    """Merges the base and prototypes into one geometry, except for vertices and indices."""
 
     def __init__(self, base: SceneGeometry) -> None:
         self._base = base
@@ -138,11 +138,11 @@ class GeometryMerger:
         self._cluster_count = self._placement_count = self._group_count = 0
 
     def add_base(self, labels: LabelMap, links: I64, drawn: NDArray[np.bool_]) -> None:
-        """Adds what is still drawn of the base.
+        """Adds the part of the base that is still drawn.
 
         Args:
-            labels: from the numbers of the base to those of the scene.
-            links: (L + 1,), number in the scene of each link of the base.
+            labels: maps label numbers of the base to those of the scene.
+            links: (L + 1,), scene number of each link of the base.
             drawn: (L + 1,), whether the link is still drawn.
         """
         b = self._base
@@ -156,14 +156,14 @@ class GeometryMerger:
         for name, column in columns.items():
             self._rows[name].append(column)
         self._add_groups(b, links[b.group_link])
-        there = drawn[b.closed_link]
-        self._add_closed(b.closed_box[there], links[b.closed_link[there]])
-        before = np.concatenate([[0], np.cumsum(keep)])
+        keep_closed = drawn[b.closed_link]
+        self._add_closed(b.closed_box[keep_closed], links[b.closed_link[keep_closed]])
+        new_offset = np.concatenate([[0], np.cumsum(keep)])
         for batch in b.batches:
-            first, end = int(before[batch.first_cluster]), int(before[batch.end_cluster])
+            first, end = int(new_offset[batch.first_cluster]), int(new_offset[batch.end_cluster])
             if end > first:
                 self._batches.append(replace(batch, first_cluster=first, end_cluster=end))
-        self._cluster_count = int(before[-1])
+        self._cluster_count = int(new_offset[-1])
 
     def add_materials(self, prototype: BodyPrototype) -> MaterialNumbers:
         """Adds the materials and textures of a prototype."""
@@ -182,14 +182,13 @@ class GeometryMerger:
         """Adds bodies that share the triangles of a prototype, whose indices begin at ``first_index``."""
         b, count = prototype.geometry, len(bodies)
         links = np.stack([body.links for body in bodies])  # (U, L + 1)
-        own = b.placements
-        placements = np.tile(own, count)
-        placements["link"] = links[:, own["link"]].ravel()
+        placements = np.tile(b.placements, count)
+        placements["link"] = links[:, b.placements["link"]].ravel()
         placements["material"] += numbers.first_material
         if not prototype.labelled:
-            placements["label"] = np.concatenate([body.labels(own["label"]) for body in bodies])
-        of_body = np.arange(count)[:, None]
-        groups, placed = self._group_count + of_body * len(b.group_error), self._placement_count + of_body * len(own)
+            placements["label"] = np.concatenate([body.labels(b.placements["label"]) for body in bodies])
+        body = np.arange(count)[:, None]
+        groups, placed = self._group_count + body * len(b.group_error), self._placement_count + body * len(b.placements)
         for batch in b.batches:
             clusters = slice(batch.first_cluster, batch.end_cluster)
             columns = {
@@ -264,19 +263,19 @@ class GeometryMerger:
         )
 
     def _appearances(self) -> tuple[NDArray[np.void], NDArray[np.uint8]]:
-        """Returns the appearances of all materials, and the pictures of patterns that they name."""
+        """Returns the appearances of all materials, and the pattern images that they reference."""
         patterns = [b.patterns for b in self._sources if len(b.patterns)]
         joined = np.concatenate(patterns) if patterns else self._base.patterns
         if not any(len(b.appearances) for b in self._sources):
             return self._base.appearances, joined
         appearances, layer = [], 0
         for b in self._sources:
-            own = (
+            rows = (
                 b.appearances.copy()
                 if len(b.appearances)
                 else np.array([PLAIN_APPEARANCE] * len(b.materials), dtype=np.float32).reshape(-1, 20).view(APPEARANCE)[:, 0]
             )
-            own["first"][:, 3] += np.where(own["first"][:, 3] >= 0.0, np.float32(layer), np.float32(0.0))
-            appearances.append(own)
+            rows["first"][:, 3] += np.where(rows["first"][:, 3] >= 0.0, np.float32(layer), np.float32(0.0))
+            appearances.append(rows)
             layer += len(b.patterns)
         return np.concatenate(appearances), joined

@@ -1,8 +1,8 @@
-"""All triangles of a scene in few arrays that a GPU draws quickly; ``building`` makes them. No OpenGL here.
+"""All triangles of a scene in a few large arrays for the GPU; ``building`` builds them. No OpenGL.
 
-A *batch* is drawn with one set of settings: texture, alpha mode, shading; moving triangles are apart from static ones. A batch consists
-of *clusters*: up to 256 neighbouring triangles of one link, each with its box, at several levels of detail (``lod.clusters``). Static
-triangles are in the world frame (link number 0), all others in the frame of their link.
+A *batch* is drawn with one set of settings: texture, alpha mode, shading; moving and static triangles are in different batches. A batch
+consists of *clusters*: up to 256 neighbouring triangles of one link with a bounding box, at several levels of detail (``lod.clusters``).
+Static triangles are in the world frame (link number 0), all others in the frame of their link.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ I64 = NDArray[np.int64]
 
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<i2", 3), ("material", "<u2"), ("uv", "<f4", 2), ("label", "<u2", 2)])
 PLACEMENT = np.dtype([("link", "<u4"), ("label", "<u2", 2), ("material", "<u4")])
-"""One use of triangles that several bodies share: link, and the offsets that are added to the label and material numbers of the vertices."""
+"""An instance of shared triangles: its link, and offsets that are added to the label and material numbers of the vertices."""
 MATERIAL = np.dtype([("color", "<f4", 4), ("surface", "<f4", 4), ("emission", "<f4", 4), ("maps", "<f4", 4)])
-"""Base colour (linear) and alpha; metallic, roughness, alpha from which it is opaque, 1 = unlit; emission; and of the material maps the
-scale of normals, the strength of occlusion, and the weights of the maps of metallic and of roughness."""
+"""``color``: linear base colour and alpha. ``surface``: metalness, roughness, smallest opaque alpha, 1 = unlit. ``emission``: linear
+colour and 0. ``maps``: normal scale, occlusion strength, weights of the metalness map and of the roughness map."""
 APPEARANCE = np.dtype([("tint", "<f4", (3, 4)), ("first", "<f4", 4), ("second", "<f4", 4)])
-"""``Appearance`` of appearances.glsl."""
+"""Memory layout of ``Appearance`` in appearances.glsl."""
 PLAIN_APPEARANCE = (*np.eye(3, 4).ravel().tolist(), 0.0, 0.0, 0.0, -1.0, 1.0, 1.0, 1.0, 1.0)
-"""An appearance that changes nothing; the fourth number of ``first`` is the layer of the pattern, -1 = none."""
+"""The identity appearance; the fourth component of ``first`` is the layer of the pattern, -1 = none."""
 MapSet = tuple[TextureSource | None, TextureSource | None, TextureSource | None, TextureSource | None]
 """Material maps: metallic-roughness, normals, occlusion, emission."""
 MAX_LABEL = 2**16 - 1
-"""Greatest number of a semantic class, an instance or a material."""
+"""Largest number of a semantic class, an instance or a material."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +52,19 @@ class Batch:
     maps: int
     """Index in ``SceneGeometry.map_sets``; -1 = none."""
     unlit: bool
-    """No light falls on any of it."""
+    """Whether its materials are unlit."""
     glossy: bool
-    """Some of it shows highlights."""
+    """Whether any of its materials has specular highlights."""
     has_appearance: bool
-    """Some of it has a tint or a pattern."""
+    """Whether any of its materials has a tint or a pattern."""
     colored: bool
-    """Its vertices have colours instead of texture coordinates."""
+    """Whether its vertices have colours instead of texture coordinates."""
     moving: bool
-    """Its clusters belong to links, not to the world."""
+    """Whether its clusters belong to links, not to the world."""
     closed: bool
-    """All its triangles belong to closed surfaces: their back faces are never seen from outside."""
+    """Whether all its triangles belong to closed surfaces, whose back faces are never visible from outside."""
     material: int
-    """Index in ``SceneGeometry.materials`` if all its triangles have the same; -1 = they differ."""
+    """Index in ``SceneGeometry.materials`` if all its triangles share one material, else -1."""
     first_cluster: int
     end_cluster: int
 
@@ -76,18 +76,18 @@ class SceneGeometry:
     vertices: NDArray[np.void]
     """(V,) of ``VERTEX``."""
     indices: NDArray[np.uint32]
-    """(3 F,), rows of ``vertices``."""
+    """(3 F,), rows in ``vertices``."""
     materials: NDArray[np.void]
     """(M,) of ``MATERIAL``."""
     appearances: NDArray[np.void]
     """(M,) of ``APPEARANCE`` if any batch ``has_appearance``; else (0,)."""
     patterns: NDArray[np.uint8]
-    """(L, S, S, 3), sRGB: the layers that appearances name."""
+    """(L, S, S, 3), sRGB: layers referenced by ``appearances``."""
     map_sets: tuple[MapSet, ...]
     batches: tuple[Batch, ...]
     textures: tuple[TextureSource, ...]
     cluster_first: NDArray[np.uint32]
-    """(C,), position in ``indices``."""
+    """(C,), offset in ``indices``."""
     cluster_count: NDArray[np.uint32]
     """(C,), number of indices."""
     cluster_box: F64
@@ -95,27 +95,27 @@ class SceneGeometry:
     cluster_link: I64
     """(C,), 0 = the world, else 1 + index in ``links``."""
     cluster_placement: NDArray[np.uint32]
-    """(C,), row of ``placements``."""
+    """(C,), row in ``placements``."""
     placements: NDArray[np.void]
-    """(P,) of ``PLACEMENT``; the first is that of all static clusters."""
+    """(P,) of ``PLACEMENT``; the first one belongs to all static clusters."""
     cluster_group: I64
-    """(C,), as ``Clusters.group``, numbered through the whole scene."""
+    """(C,), as ``Clusters.group``, with numbers unique in the scene."""
     cluster_next_group: I64
     """(C,), as ``Clusters.next_group``."""
     group_error: F64
-    """(G,), metres."""
+    """(G,), geometric error, metres."""
     group_box: F64
     """(G, 6), centre and half extents, metres, frame of the link."""
     group_link: I64
     """(G,), as ``cluster_link``."""
     closed_box: F64
-    """(S, 6), of closed surfaces, centre and half extents, metres, frame of the link."""
+    """(S, 6), boxes of closed surfaces: centre and half extents, metres, frame of the link."""
     closed_link: I64
     """(S,), as ``cluster_link``."""
     triangles: int
     """Number of triangles at the finest level."""
     files: tuple[Path, ...]
-    """Files that were read."""
+    """Files read to build it."""
     warnings: tuple[str, ...]
 
 

@@ -1,4 +1,4 @@
-"""OpenGL contexts without a window: lists EGL devices and opens one."""
+"""Off-screen OpenGL contexts: lists EGL devices and opens one."""
 
 from gibson_sim.render.context.devices import EglDevice, GlContext, device_number, list_devices, open_context
 from gibson_sim.render.context.egl import LIBRARY, format_uuid

@@ -1,7 +1,7 @@
-"""Pins each thread of Mesa's software renderer to a core of its own.
+"""Pins each thread of Mesa's software renderer to a separate core.
 
-It has as many threads as there are cores, and wakes all of them for each picture. Linux may put two of them on one core beside an idle
-one and leave them there for milliseconds, which is as long as a picture takes.
+Mesa starts one thread per core and wakes all of them for each image. Linux may schedule two of them on one core while another core is
+idle, and keep them there for milliseconds, which is the time of an image.
 """
 
 from __future__ import annotations
@@ -15,30 +15,31 @@ _NAME = re.compile(r"llvmpipe-(\d+)")
 
 
 def spread_threads() -> dict[int, int]:
-    """Pins the threads and returns the core of each by thread id, or nothing if placement is left to the scheduler.
+    """Pins the threads to cores and returns the core of each by thread id.
 
-    It is if there are fewer threads than cores that this process may use (``LP_NUM_THREADS``): which cores other processes use is not known.
+    Pins nothing and returns an empty dict if this process may use more cores than there are threads (``LP_NUM_THREADS``), since other
+    processes may use some of these cores.
     """
     cores, threads = sorted(os.sched_getaffinity(0)), drawing_threads()
     if len(cores) < 2 or len(set(threads.values())) < len(cores):
         return {}
-    placed = {thread: cores[number % len(cores)] for thread, number in threads.items()}
-    for thread, core in placed.items():
+    core_of = {thread: cores[number % len(cores)] for thread, number in threads.items()}
+    for thread, core in core_of.items():
         try:
             os.sched_setaffinity(thread, {core})
-        except OSError:  # it has just ended, or must not be moved
+        except OSError:  # the thread has just ended, or its affinity must not be changed
             continue
-    return placed
+    return core_of
 
 
 def drawing_threads() -> dict[int, int]:
     """Returns the numbers of the renderer's threads in this process, by thread id."""
-    found = {}
+    threads = {}
     for task in _TASKS.iterdir() if _TASKS.is_dir() else ():
         try:
             name = _NAME.fullmatch((task / "comm").read_text().strip())
         except OSError:
             continue
         if name:
-            found[int(task.name)] = int(name[1])
-    return found
+            threads[int(task.name)] = int(name[1])
+    return threads

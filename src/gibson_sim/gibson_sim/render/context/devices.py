@@ -1,4 +1,4 @@
-"""Lists the devices that can draw on this machine, and opens one: a GPU if one works, else software."""
+"""Lists the EGL devices of this machine and opens one: the first GPU that works, else a software renderer."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ class EglDevice:
     """A GPU or a software renderer."""
 
     index: int
-    """Number that selects it."""
+    """EGL device number."""
     vendor: str = ""
     renderer: str = ""
-    """Name of the GPU or of the software renderer; empty if the driver reports it only after opening."""
+    """Name of the GPU or software renderer; empty if the driver reports it only for an open device."""
     version: str = ""
-    """OpenGL version; empty if it was not opened."""
+    """OpenGL version; empty if the device was not opened."""
     drm_node: str = ""
-    """Device file, e.g. ``/dev/dri/renderD128``; empty if it has none."""
+    """Device file, e.g. ``/dev/dri/renderD128``; empty if there is none."""
     software: bool = False
-    """It draws on the CPU."""
+    """Whether the device draws on the CPU."""
     usable: bool = False
-    """It was opened, and meets the requirements."""
+    """Whether the device was opened and meets the requirements."""
     problem: str = ""
-    """Why it is not usable; empty if it is usable or was not tried."""
+    """Reason why the device is not usable; empty if it is usable or was not tried."""
     uuid: str = ""
-    """Permanent name of a GPU in all drivers, e.g. ``01234567-89ab-cdef-0123-456789abcdef``; empty if the driver does not report it."""
+    """UUID of a GPU, the same in all drivers, e.g. ``01234567-89ab-cdef-0123-456789abcdef``; empty if the driver does not report it."""
     cuda_ordinal: int = -1
-    """CUDA's number of it; -1 = none, or the driver does not report it."""
+    """CUDA device ordinal; -1 = not a CUDA device, or the driver does not report it."""
 
 
 class GlContext:
-    """An open OpenGL context. One thread owns it."""
+    """An open OpenGL context, owned by one thread."""
 
     def __init__(self, device: EglDevice, egl_context: EglContext) -> None:
         self.device = device
@@ -62,47 +62,47 @@ class GlContext:
 
     @property
     def gl(self) -> moderngl.Context:
-        """The context as a ModernGL object."""
+        """ModernGL context."""
         if self._gl is None:
             # Imported here so that listing devices works without ModernGL.
             import moderngl
 
-            # It accepts any object with the methods of a context, though it is typed as a dictionary.
+            # ModernGL accepts any object with the methods of a context, although the parameter is typed as a dictionary.
             context: Any = self.egl
             self._gl = moderngl.create_context(require=450, standalone=True, context=context)
         return self._gl
 
     def make_current(self) -> None:
-        """Makes this the context of this thread's OpenGL calls."""
+        """Makes this the current context of the calling thread."""
         self.egl.make_current()
 
     def close(self) -> None:
-        """Frees the context and everything made in it; a second call does nothing."""
+        """Frees the context and all its objects; a second call does nothing."""
         self._gl = None
         self.egl.release()
 
 
 def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> GlContext:
-    """Opens a device; threads of a software renderer are pinned to a core each.
+    """Opens a device; pins each thread of a software renderer to a core.
 
     Args:
-        device: its number in ``list_devices``, or its UUID or the beginning of that, with or without ``GPU-``; None = the first GPU
-            that works, else software, with a warning.
+        device: number in ``list_devices``, UUID or prefix of a UUID, with or without ``GPU-``; None = the first GPU that works, else
+            software, with a warning.
         library: name of the EGL library.
 
     Raises:
-        GraphicsUnavailableError: there is no such device, or none works.
+        GraphicsUnavailableError: the device does not exist or does not work, or no device works.
     """
     egl = Egl(library)
     handles = egl.devices()
     if not handles:
-        raise GraphicsUnavailableError(f"cannot draw: EGL finds no device, neither a GPU nor software: {REMEDY}")
+        raise GraphicsUnavailableError(f"cannot draw: EGL finds no device, neither a GPU nor a software renderer: {REMEDY}")
     if isinstance(device, str):
         device = device_number(device, _uuids(egl, handles))
     if device is not None:
         if not 0 <= device < len(handles):
             raise GraphicsUnavailableError(
-                f"EGL device {device} does not exist, there are 0 to {len(handles) - 1}; see `gibson-sim doctor`"
+                f"EGL device {device} does not exist, the devices are 0 to {len(handles) - 1}; see `gibson-sim doctor`"
             )
         try:
             context = _open(egl, handles, device)
@@ -118,11 +118,11 @@ def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> 
 
 
 def device_number(device: str, uuids: Sequence[str]) -> int:
-    """Returns the number of a device that is given by number, by UUID, or by the beginning of a UUID.
+    """Returns the number of a device given by number, UUID or prefix of a UUID.
 
     Args:
         device: e.g. ``"1"``, ``"GPU-0123abcd-..."``, ``"0123abcd"``.
-        uuids: of each device; empty if unknown.
+        uuids: UUID of each device; empty if unknown.
 
     Raises:
         GraphicsUnavailableError: no device matches, or several do.
@@ -134,18 +134,18 @@ def device_number(device: str, uuids: Sequence[str]) -> int:
     known = ", ".join(f"{i}: {uuid or 'unknown'}" for i, uuid in enumerate(uuids))
     if not re.fullmatch(r"[0-9a-f][0-9a-f-]{3,35}", text):
         raise GraphicsUnavailableError(
-            f"EGL device {device!r} is neither a number nor a UUID or the first four digits of one; there are {known}"
+            f"EGL device {device!r} is neither a number nor a UUID or at least its first four digits; the devices are {known}"
         )
-    found = [i for i, uuid in enumerate(uuids) if uuid.replace("-", "").startswith(text.replace("-", ""))]
-    if len(found) != 1:
+    matches = [i for i, uuid in enumerate(uuids) if uuid.replace("-", "").startswith(text.replace("-", ""))]
+    if len(matches) != 1:
         raise GraphicsUnavailableError(
-            f"EGL device {device!r} is {'none' if not found else 'more than one'} of the UUIDs here: {known}"
+            f"EGL device {device!r} matches {'none' if not matches else 'more than one'} of the UUIDs: {known}"
         )
-    return found[0]
+    return matches[0]
 
 
 def _uuids(egl: Egl, handles: list[int]) -> list[str]:
-    """Returns the UUID of each device; opens those whose driver reports it only then."""
+    """Returns the UUID of each device; opens devices whose driver reports it only for an open device."""
     uuids = []
     for index, handle in enumerate(handles):
         uuid = egl.uuid(handle)
@@ -162,12 +162,12 @@ def _uuids(egl: Egl, handles: list[int]) -> list[str]:
 
 
 def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
-    """Returns every device, after opening it once to see whether it works.
+    """Returns every device, after opening each once to test it.
 
-    This is done in a child process, since a broken driver may crash its process.
+    A child process opens them, since a broken driver may crash its process.
 
     Raises:
-        GraphicsUnavailableError: there is no EGL library, or it cannot list devices.
+        GraphicsUnavailableError: the EGL library is missing or cannot list devices.
     """
     devices: dict[int, EglDevice] = {}
     start = 0
@@ -175,7 +175,7 @@ def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
         try:
             lines, code = _run_probe(library, start)
         except OSError as e:
-            raise GraphicsUnavailableError(f"the devices cannot be tried: {sys.executable} cannot be started: {e}") from e
+            raise GraphicsUnavailableError(f"the EGL devices cannot be tested: {sys.executable} cannot be started: {e}") from e
         for line in lines:
             if "fatal" in line:
                 raise GraphicsUnavailableError(line["fatal"])
@@ -184,10 +184,10 @@ def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
         pending = [i for i in sorted(devices) if i not in tried]
         if not pending:
             break
-        devices[pending[0]] = replace(devices[pending[0]], problem=f"the driver ended its process ({code})")
+        devices[pending[0]] = replace(devices[pending[0]], problem=f"the driver crashed its process ({code})")
         start = pending[0] + 1
     if not devices and code != "exit code 0":
-        raise GraphicsUnavailableError(f"cannot draw: the EGL library ended its process ({code}): {REMEDY}")
+        raise GraphicsUnavailableError(f"cannot draw: the EGL library crashed its process ({code}): {REMEDY}")
     return [devices[i] for i in sorted(devices)]
 
 
@@ -209,7 +209,7 @@ def _open(egl: Egl, handles: list[int], index: int) -> GlContext:
 
 
 def _open_best(egl: Egl, handles: list[int]) -> GlContext:
-    """Opens the first GPU that works, else software."""
+    """Opens the first GPU that works, else a software renderer."""
     hardware_first = sorted(range(len(handles)), key=lambda i: egl.describe(handles[i])[3])
     fallback: GlContext | None = None
     problems = []
@@ -232,9 +232,7 @@ def _open_best(egl: Egl, handles: list[int]) -> GlContext:
         raise GraphicsUnavailableError(f"cannot draw: no EGL device works ({'; '.join(problems)}): {REMEDY}")
     fallback.make_current()
     reason = f" ({'; '.join(problems)})" if problems else ""
-    _warn_once(
-        f"no GPU can draw here{reason}: drawing in software, on EGL device {fallback.device.index}, {fallback.device.renderer}"
-    )
+    _warn_once(f"no GPU can draw{reason}: drawing in software, on EGL device {fallback.device.index}, {fallback.device.renderer}")
     return fallback
 
 
@@ -244,19 +242,19 @@ def _warn_once(text: str) -> None:
 
 
 def _run_probe(library: str, start: int) -> tuple[list[dict[str, Any]], str]:
-    """Runs ``_probe`` in a child; returns the lines that it printed, and how it ended."""
+    """Runs ``_probe`` in a child process; returns the JSON lines that it printed and its exit status as text."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, "-c", _PROBE, library, str(start)]
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, timeout=_PROBE_TIMEOUT_S, check=False)
-        out, code = done.stdout, f"signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
+        child = subprocess.run(command, env=environment, capture_output=True, timeout=_PROBE_TIMEOUT_S, check=False)
+        out, code = child.stdout, f"signal {-child.returncode}" if child.returncode < 0 else f"exit code {child.returncode}"
     except subprocess.TimeoutExpired as e:
         out, code = e.stdout or b"", f"no answer in {_PROBE_TIMEOUT_S:.0f} s"
     return [json.loads(line) for line in out.splitlines() if line.startswith(b"{")], code
 
 
 def _probe(library: str, start: int) -> None:
-    """Prints each device from ``start`` on as a line of JSON: first all of them untried, then each again after it was tried."""
+    """Prints each device from ``start`` on as a line of JSON: first all of them untested, then each again after its test."""
     out = sys.__stdout__
     assert out is not None
 
@@ -269,12 +267,12 @@ def _probe(library: str, start: int) -> None:
         handles = egl.devices()
     except GraphicsUnavailableError as e:
         return report({"fatal": str(e)})
-    untried = []
+    untested = []
     for index in range(start, len(handles)):
         vendor, renderer, node, software = egl.describe(handles[index])
-        untried.append(EglDevice(index, vendor, renderer, "", node, software))
-        report(asdict(untried[-1]))
-    for device in untried:
+        untested.append(EglDevice(index, vendor, renderer, "", node, software))
+        report(asdict(untested[-1]))
+    for device in untested:
         try:
             context = _open(egl, handles, device.index)
         except GraphicsUnavailableError as e:

@@ -1,7 +1,7 @@
-"""ctypes bindings of the part of libEGL that drawing without a window needs.
+"""ctypes bindings of the part of libEGL that off-screen rendering needs.
 
-ModernGL can open such a context itself, but it needs libGL beside libEGL, does not check whether the device has a configuration, and
-does not name devices. This module needs ``libEGL.so.1`` alone and reports every failure in one line.
+ModernGL can open such a context, but it also needs libGL, does not check whether the device has a configuration, and does not list
+devices. This module needs only ``libEGL.so.1`` and reports every failure in one line.
 References: EGL 1.5, EGL_EXT_device_enumeration, EGL_EXT_device_query, EGL_EXT_platform_device, EGL_KHR_surfaceless_context,
 EGL_EXT_device_persistent_id, EGL_NV_device_cuda; GL_EXT_memory_object for the UUID of an open context.
 """
@@ -18,13 +18,13 @@ from gibson_sim.errors import GraphicsUnavailableError
 
 LIBRARY = "libEGL.so.1"
 REMEDY = (
-    "install libegl1 libegl-mesa0 libgl1-mesa-dri (Debian, Ubuntu); in a container with an NVIDIA GPU also give it the "
+    "install libegl1 libegl-mesa0 libgl1-mesa-dri (Debian, Ubuntu); in a container with an NVIDIA GPU also enable the "
     "graphics capability (NVIDIA_DRIVER_CAPABILITIES=all)"
 )
 
 _FILTER = ("GALLIVM_PERF", "brilinear")
-"""Makes Mesa's software renderer blend two mip levels only near the transition between them, as GPUs do: faster, with invisible
-differences. The driver reads it when it is loaded; a value that the user has set, even an empty one, is kept."""
+"""Environment variable that makes Mesa's software renderer blend two mip levels only near their transition, as GPUs do: faster, with
+invisible differences. The driver reads it when it is loaded. A value set by the user, even an empty one, is kept."""
 
 _NONE = 0x3038
 _EXTENSIONS = 0x3055
@@ -72,7 +72,7 @@ class Egl:
         library: name or path of the library.
 
     Raises:
-        GraphicsUnavailableError: it is missing, or it cannot list devices.
+        GraphicsUnavailableError: the library is missing, or it cannot list devices.
     """
 
     def __init__(self, library: str = LIBRARY) -> None:
@@ -112,7 +112,7 @@ class Egl:
         return [int(handles[k] or 0) for k in range(count.value)]
 
     def describe(self, device: int) -> tuple[str, str, str, bool]:
-        """Returns vendor, renderer, DRM node (each empty if unknown) and whether the device is software, without opening it."""
+        """Returns vendor, renderer, DRM node (each empty if unknown) and whether the device is a software renderer, without opening it."""
         extensions = self._device_text(device, _EXTENSIONS).split()
         vendor = renderer = node = ""
         if "EGL_EXT_device_query_name" in extensions:
@@ -124,7 +124,7 @@ class Egl:
         return vendor, renderer, node, "EGL_MESA_device_software" in extensions
 
     def uuid(self, device: int) -> str:
-        """Returns the UUID of a device, as ``format_uuid`` writes it, empty if the driver does not report it, without opening it."""
+        """Returns the UUID of a device in the format of ``format_uuid``, without opening it; empty if the driver does not report it."""
         address = self.address("eglQueryDeviceBinaryEXT")
         if "EGL_EXT_device_persistent_id" not in self._device_text(device, _EXTENSIONS).split() or not address:
             return ""
@@ -134,7 +134,7 @@ class Egl:
         return format_uuid(bytes(raw)) if good and size.value == _UUID_BYTES else ""
 
     def cuda_ordinal(self, device: int) -> int:
-        """Returns CUDA's number of a device, -1 if it is not NVIDIA's, without opening it."""
+        """Returns the CUDA ordinal of a device, -1 if it is not an NVIDIA GPU, without opening it."""
         address = self.address("eglQueryDeviceAttribEXT")
         if "EGL_NV_device_cuda" not in self._device_text(device, _EXTENSIONS).split() or not address:
             return -1
@@ -156,12 +156,12 @@ class Egl:
 
 
 class EglContext:
-    """An OpenGL core context on one device, without a surface, with the methods that ModernGL needs of a context.
+    """A surfaceless OpenGL core context on one device, with the methods that ModernGL expects of a context.
 
-    All contexts on the device share the display, which is never terminated: EGL would do that for all of them at once.
+    All contexts on the device share the display, which is never terminated: that would terminate it for all of them.
 
     Raises:
-        GraphicsUnavailableError: the device does not support one.
+        GraphicsUnavailableError: the device does not support such a context.
     """
 
     def __init__(self, egl: Egl, device: int) -> None:
@@ -169,7 +169,9 @@ class EglContext:
         self._context: int | None = None
         self._display = egl.call("eglGetPlatformDisplayEXT", _PLATFORM_DEVICE, device, None)
         if not self._display or not egl.call("eglInitialize", self._display, None, None):
-            raise GraphicsUnavailableError(f"eglInitialize failed ({egl.error()}); no driver for it, or no right to open it")
+            raise GraphicsUnavailableError(
+                f"eglInitialize failed ({egl.error()}); it has no driver, or this user may not open it"
+            )
         extensions = egl._text(egl.call("eglQueryString", self._display, _EXTENSIONS)).split()
         if "EGL_KHR_surfaceless_context" not in extensions:
             raise GraphicsUnavailableError("the driver lacks EGL_KHR_surfaceless_context")
@@ -179,7 +181,7 @@ class EglContext:
         config = None if "EGL_KHR_no_config_context" in extensions else self._config()
         self._context = egl.call("eglCreateContext", self._display, config, None, _ints(0x3098, 4, 0x30FB, 5, 0x30FD, 1, _NONE))
         if not self._context:
-            raise GraphicsUnavailableError(f"the driver gives no OpenGL 4.5 core context ({egl.error()}); update it")
+            raise GraphicsUnavailableError(f"the driver offers no OpenGL 4.5 core context ({egl.error()}); update it")
         self.make_current()
 
     def _config(self) -> Any:
@@ -191,7 +193,7 @@ class EglContext:
         return config
 
     def make_current(self) -> None:
-        """Makes this the context of this thread's OpenGL calls."""
+        """Makes this the current context of the calling thread."""
         if self._egl.call("eglGetCurrentContext") == self._context:
             return
         if not self._egl.call("eglMakeCurrent", self._display, None, None, self._context):
@@ -209,12 +211,12 @@ class EglContext:
         """Returns an OpenGL function with the given ctypes result and argument types."""
         address = self._egl.address(name)
         if not address:
-            raise GraphicsUnavailableError(f"the driver has no {name}; it is too old, OpenGL 4.5 is needed")
+            raise GraphicsUnavailableError(f"the driver lacks {name}; it is too old, OpenGL 4.5 is required")
         function: Callable[..., Any] = ctypes.CFUNCTYPE(result, *arguments)(address)
         return function
 
     def uuid(self) -> str:
-        """Returns the UUID of the device of the current context, empty if the driver does not report it."""
+        """Returns the UUID of the device of the current context; empty if the driver does not report it."""
         address = self._egl.address("glGetUnsignedBytei_vEXT")
         if "GL_EXT_memory_object" not in self._opengl_extensions() or not address:
             return ""
@@ -245,7 +247,7 @@ class EglContext:
 
 
 def format_uuid(raw: bytes) -> str:
-    """Returns 16 bytes as ``01234567-89ab-cdef-0123-456789abcdef``, as ``nvidia-smi -L`` shows them after ``GPU-``."""
+    """Returns 16 bytes as ``01234567-89ab-cdef-0123-456789abcdef``, the format of ``nvidia-smi -L`` after ``GPU-``."""
     text = raw.hex()
     return "-".join((text[:8], text[8:12], text[12:16], text[16:20], text[20:]))
 

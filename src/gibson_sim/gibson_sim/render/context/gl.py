@@ -1,4 +1,4 @@
-"""OpenGL functions and constants that ModernGL does not offer, typed for ctypes, loaded once for each context."""
+"""OpenGL functions and constants that ModernGL lacks, typed for ctypes, loaded once for each context."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ PACK_ALIGNMENT, UNPACK_ALIGNMENT, PIXEL_PACK_BUFFER, STREAM_READ, DYNAMIC_COPY =
 
 
 class Gl:
-    """The functions above, as attributes: ``gl.glViewport(0, 0, 64, 64)``; the context must be current."""
+    """The functions of ``_PROTOTYPES`` as attributes: ``gl.glViewport(0, 0, 64, 64)``; the context must be current."""
 
     def __init__(self, context: GlContext) -> None:
         self._context = context
@@ -131,11 +131,11 @@ class Gl:
         return value.value
 
     def create(self, function: str, *arguments: int) -> int:
-        """Returns the name of one new object of e.g. ``glCreateBuffers``."""
+        """Creates one object with ``function``, e.g. ``glCreateBuffers``, and returns its name."""
         name = _U(0)
         getattr(self, function)(*arguments, 1, ctypes.byref(name))
         return name.value
 
     def delete(self, function: str, name: int) -> None:
-        """Deletes one object by e.g. ``glDeleteBuffers``."""
+        """Deletes one object with ``function``, e.g. ``glDeleteBuffers``."""
         getattr(self, function)(1, ctypes.byref(_U(name)))

@@ -1,1 +1,1 @@
-"""What a picture leaves out: frustum, occlusion and back-face culling, and the plan of the draws that remain."""
+"""View-frustum, occlusion and back-face culling of a picture, and the plan of its remaining draws."""

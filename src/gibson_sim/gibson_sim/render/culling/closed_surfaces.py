@@ -1,4 +1,4 @@
-"""Closed surfaces. From outside only their front faces are seen, so half of their triangles need not be drawn. No OpenGL here."""
+"""Closed surfaces. From outside only their front faces are visible, so half of their triangles need not be drawn. No OpenGL."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 _WRONG_PART = 1e-3
-"""Largest part of a surface's area whose normals may point inward, by rounding."""
+"""Largest fraction of a surface's area whose normals may point inward, due to rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedSurfaces:
-    """Which triangles of a mesh belong to closed surfaces."""
+    """The closed surfaces of a mesh."""
 
     triangles: tuple[Bools, ...]
-    """(F,) of each mesh part."""
+    """Mask, (F,), of the triangles in closed surfaces, for each mesh part."""
     boxes: F64
-    """(S, 6) of each surface, centre and half extents, metres, frame of the mesh."""
+    """(S, 6), box of each surface: centre and half extents, metres, frame of the mesh."""
 
 
 def find_closed_surfaces(parts: Sequence[MeshPart], opaque: Sequence[bool]) -> ClosedSurfaces:
-    """Returns the closed surfaces of a mesh: connected opaque triangles without a border, wound counter-clockwise seen from outside.
+    """Finds the closed surfaces of a mesh: connected opaque triangles without a border, wound counter-clockwise seen from outside.
 
     Args:
-        parts: of the mesh; a surface may extend over several.
-        opaque: of each part.
+        parts: parts of the mesh; a surface may extend over several of them.
+        opaque: whether each part is opaque.
     """
     ends = np.cumsum([len(part.triangles) for part in parts])
     firsts = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -58,7 +58,7 @@ def find_closed_surfaces(parts: Sequence[MeshPart], opaque: Sequence[bool]) -> C
 
 
 def _at_a_border(corners: I64, count: int) -> Bools:
-    """Returns which triangles, (F,), have an edge that is not traversed equally often in both directions."""
+    """Returns a mask, (F,), of the triangles with an edge that is not traversed equally often in both directions."""
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
     edge, which = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
     balance = np.bincount(which, np.sign(end - start), minlength=len(edge))
@@ -66,13 +66,13 @@ def _at_a_border(corners: I64, count: int) -> Bools:
 
 
 def _outward(positions: NDArray[np.float32], normals: NDArray[np.float32], rows: I64, owner: I64, number: int) -> Bools:
-    """Returns which borderless surfaces enclose a volume, (number,), and have normals that point out of it."""
+    """Returns a mask, (number,), of the borderless surfaces that enclose a volume and whose normals point out of it."""
     middle = positions.mean(axis=0, dtype=np.float64)
     a, b, c = (positions[rows[:, k]] - middle for k in range(3))
-    across = np.cross(b - a, c - a)
-    volume = np.bincount(owner, np.einsum("fk,fk->f", a, across), minlength=number)
-    area = np.linalg.norm(across, axis=1)
-    inward = np.einsum("fk,fk->f", across, normals[rows].sum(axis=1, dtype=np.float64)) < 0.0
+    face_normal = np.cross(b - a, c - a)
+    volume = np.bincount(owner, np.einsum("fk,fk->f", a, face_normal), minlength=number)
+    area = np.linalg.norm(face_normal, axis=1)
+    inward = np.einsum("fk,fk->f", face_normal, normals[rows].sum(axis=1, dtype=np.float64)) < 0.0
     wrong = np.bincount(owner, np.where(inward, area, 0.0), minlength=number)
     return np.asarray((volume > 0.0) & (wrong <= _WRONG_PART * np.bincount(owner, area, minlength=number)))
 
@@ -87,26 +87,26 @@ def _boxes(positions: NDArray[np.float32], rows: I64, owner: I64, number: int) -
 
 
 def transformed_boxes(boxes: F64, T: F64) -> F64:
-    """Returns the axis-aligned boxes, (S, 6), around boxes that are transformed by T, (4, 4)."""
+    """Returns the axis-aligned bounding boxes, (S, 6), of boxes transformed by T, (4, 4)."""
     return np.hstack([boxes[:, :3] @ T[:3, :3].T + T[:3, 3], boxes[:, 3:] @ np.abs(T[:3, :3]).T])
 
 
 class NearPlaneTest:
-    """Tells whether the near plane of a picture touches a closed surface's box: then the picture may see its back faces.
+    """Tests whether the near plane of a picture intersects the box of a closed surface: if so, back faces may be visible.
 
     Args:
-        boxes: (S, 6), of closed surfaces, centre and half extents, metres, frame of the link.
-        links: (S,), number of the link of each, 0 = the world.
-        loops: by compiled loops instead of NumPy; the answers are the same.
+        boxes: (S, 6), boxes of closed surfaces: centre and half extents, metres, frame of the link.
+        links: (S,), link number of each, 0 = the world.
+        loops: use compiled loops instead of NumPy; the results are equal.
     """
 
     def __init__(self, boxes: F64, links: I64, *, loops: bool = CAN_COMPILE) -> None:
         self._boxes, self._links, self._loops = fixed(boxes), fixed(links), loops
         self.table = lod_selection.ClosedSurfaceTable(self._boxes, self._links)
-        """The boxes, for compiled loops."""
+        """Boxes for the compiled loops."""
 
     def touches(self, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
-        """Returns whether the near plane touches any box.
+        """Returns whether the near plane intersects any box.
 
         Args:
             eyes: (L, 3), the eye in the world, then in each link, metres.

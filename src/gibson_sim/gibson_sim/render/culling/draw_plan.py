@@ -1,7 +1,7 @@
-"""What to draw of one picture, and in which order.
+"""Plans the draws of one picture and their order.
 
-The order is that of all clusters inside the image, whether or not they are hidden and left out later: of two surfaces at exactly the same
-depth the one that is drawn first is seen, and which one that is must not depend on anything else.
+The order is determined by all clusters inside the image, including those culled later as hidden: of two surfaces at exactly the same
+depth, the one drawn first is visible, and occlusion culling must not change which one that is.
 
 A *draw* is one indirect draw command, a row of ``draw_table``. The draws of the opaque pass come first, batch by batch; those of the
 translucent pass follow, from far to near.
@@ -39,11 +39,11 @@ U32 = NDArray[np.uint32]
 VIEW = np.dtype(
     [("clip", "<f4", (4, 4)), ("clip_before", "<f4", (4, 4)), ("optical", "<f4", (4, 4)), ("eye", "<f4", 4), ("size", "<f4", 4), ("pad", "<f4", 8)]
 )  # fmt: skip
-"""Uniform block ``View`` of the shaders, matrices by columns, padded to the alignment of uniform buffers."""
+"""Uniform block ``View`` of the shaders, column-major matrices, padded to the alignment of uniform buffers."""
 DEPTH_KINDS = tuple(product((False, True), (False, True)))
-"""Kinds of draws of the depth pass: whether they move, and whether all their triangles belong to closed surfaces."""
+"""Kinds of draws of the depth pass: (moving, closed), as in ``Batch``."""
 _NEAR_PART = 0.25
-"""Part of the triangles that counts as the nearest ones."""
+"""Fraction of the triangles that counts as the nearest ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,20 +51,20 @@ class PinholePicture:
     """One pinhole picture to draw into a rectangle of a target."""
 
     T_world_camera: Mat4
-    """Optical frame."""
+    """Pose of the optical frame."""
     intrinsics: F64
     """K, (3, 3), pixels, pixel centres at whole numbers."""
     width: int
-    """Pixels."""
+    """Width, pixels."""
     height: int
     near: float
-    """Metres."""
+    """Depth of the near plane, metres."""
     x: int = 0
     """Left column in the target."""
     y: int = 0
     """Top row in the target."""
     T_world_camera_before: Mat4 | None = None
-    """At the state before; for the flow."""
+    """Camera pose in the previous state, for optical flow; None = no motion."""
 
 
 class MultiDraw(NamedTuple):
@@ -73,36 +73,36 @@ class MultiDraw(NamedTuple):
     batch: int
     draws: int
     translucent: bool
-    """Whether they belong to the translucent pass, not to the opaque one."""
+    """Whether they belong to the translucent pass instead of the opaque pass."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawPlan:
-    """What to draw of one picture."""
+    """The draws of one picture, in drawing order."""
 
     picture: PinholePicture
     T_camera_links: F64
     """(L + 1, 4, 4): optical frame from the world, then from each link."""
     clusters: I64
-    """(N,), cluster of each draw, in the order of drawing."""
+    """(N,), cluster of each draw."""
     draws: U32
-    """(N, 5), rows of ``draw_table``, of these clusters or of subclusters of them."""
+    """(N, 5), rows of ``draw_table``, of these clusters or of their subclusters."""
     batch: I64
     """(N,), batch of each draw."""
     opaque: int
     """Number of draws of the opaque pass, which come first."""
     near: I64
-    """The nearest clusters without holes, about a quarter of all triangles."""
+    """The nearest clusters without alpha-tested holes, about a quarter of all triangles."""
     triangles: int
-    """Number of triangles of all clusters inside the image, hidden or not."""
+    """Number of triangles of all clusters inside the image, including hidden ones."""
     cull_back_faces: bool
-    """Whether closed surfaces are drawn without their back faces, because the picture sees none of them."""
+    """Whether back faces of closed surfaces are culled, because none is visible in the picture."""
 
     def multi_draws(self, *, translucent: bool = True) -> list[MultiDraw]:
-        """Returns the draws grouped by their settings.
+        """Returns the draws grouped by batch and pass.
 
         Args:
-            translucent: also those of the translucent pass.
+            translucent: include the translucent pass.
         """
         end = len(self.batch) if translucent else self.opaque
         if not end:
@@ -126,7 +126,7 @@ class DrawPlan:
         )
 
     def merged(self) -> DrawPlan:
-        """Returns the plan with consecutive draws merged whose indices are consecutive too and that differ in nothing else."""
+        """Returns the plan with consecutive draws merged if their indices are consecutive and they differ only in these."""
         if not len(self.draws):
             return self
         count, first = self.draws[:, 0], self.draws[:, 2]
@@ -135,14 +135,14 @@ class DrawPlan:
         return self._merged(begins)
 
     def sorted_translucent(self, indices: U32, before: int = 0) -> tuple[DrawPlan, U32]:
-        """Returns the plan with few translucent draws, and the indices that these read instead of ``indices``.
+        """Returns the plan with few translucent draws, and the index array that these read instead of ``indices``.
 
-        Translucent triangles are drawn one by one, from far to near, and a draw costs more than its triangle. Indices in that order
-        make them few draws.
+        Translucent triangles are drawn one by one, from far to near, and a draw costs more than its triangle. Sorted indices reduce
+        them to a few draws.
 
         Args:
-            indices: that the draws of this plan read.
-            before: number of other indices that precede the returned ones.
+            indices: index array read by the draws of this plan.
+            before: number of indices that precede the returned ones in the buffer.
         """
         back = self.draws[self.opaque :]
         if not len(back):
@@ -157,14 +157,14 @@ class DrawPlan:
         return replace(self, draws=draws)._merged(begins), indices[rows]
 
     def _changes(self) -> NDArray[np.bool_]:
-        """Returns which draws, (N,), differ from the one before in more than their triangles."""
+        """Returns a mask, (N,), of the draws that differ from the preceding one in more than their triangles."""
         placement, changes = self.draws[:, 4], np.ones(len(self.draws), dtype=bool)
         changes[1:] = (placement[1:] != placement[:-1]) | (self.batch[1:] != self.batch[:-1])
         changes[self.opaque : self.opaque + 1] = True
         return changes
 
     def _merged(self, begins: NDArray[np.bool_]) -> DrawPlan:
-        """Returns the plan with each draw merged into the one before it unless ``begins``, (N,), is set."""
+        """Returns the plan with each draw merged into the preceding one unless ``begins``, (N,), is set."""
         starts = np.flatnonzero(begins)
         draws = self.draws[starts]
         draws[:, 0] = np.add.reduceat(self.draws[:, 0], starts)
@@ -178,14 +178,14 @@ class DrawPlan:
 
 
 class DrawPlanner:
-    """Makes plans for one scene.
+    """Plans the draws of pictures of one scene.
 
     Args:
-        geometry: of the scene.
-        visibility: of the same geometry.
-        detail_px: largest error, pixels, of levels of detail in the image; 0 = always draw all triangles.
-        cull: leave out what is outside the image.
-        loops: by compiled loops instead of NumPy; the plans are the same.
+        geometry: geometry of the scene.
+        visibility: cluster selection for the same geometry.
+        detail_px: largest screen-space error of levels of detail, pixels; 0 = always draw all triangles.
+        cull: view-frustum culling.
+        loops: use compiled loops instead of NumPy; the plans are equal.
     """
 
     def __init__(
@@ -206,21 +206,21 @@ class DrawPlanner:
 
     @property
     def table(self) -> U32:
-        """(C, 5), as ``draw_table`` returns it."""
+        """Draw table of all clusters, (C, 5), see ``draw_table``."""
         return self._table
 
     def plan(self, picture: PinholePicture, T_world_links: F64, view: NDArray[np.void]) -> DrawPlan:
-        """Returns what to draw of one picture, and fills its ``view``."""
+        """Returns the plan of one picture, and fills its ``view``, one element of ``VIEW``."""
         T_camera_links, eyes = link_frames(picture.T_world_camera, T_world_links, loops=self._loops)
-        # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
+        # Flips y: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
         projection, planes, near_corners = _lens(picture.intrinsics.tobytes(), picture.width, picture.height, picture.near)
-        before = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
+        previous = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
         view["clip"] = (projection @ T_camera_links[0]).T
-        still = before is picture.T_world_camera
+        still = previous is picture.T_world_camera
         view["clip_before"] = (
-            view["clip"] if still else (projection @ link_frames(before, T_world_links[:1], loops=self._loops)[0][0]).T
+            view["clip"] if still else (projection @ link_frames(previous, T_world_links[:1], loops=self._loops)[0][0]).T
         )
-        view["optical"][:3, :3] = picture.T_world_camera[:3, :3]  # transposed once as the inverse, and once to be by columns
+        view["optical"][:3, :3] = picture.T_world_camera[:3, :3]  # transposed twice: inverted, and stored column-major
         view["eye"][:3] = eyes[0]
         view["size"][:3] = picture.width, picture.height, picture.near
         focal = float(max(abs(picture.intrinsics[0, 0]), abs(picture.intrinsics[1, 1])))
@@ -231,31 +231,31 @@ class DrawPlanner:
             cull_back_faces = not self._near_plane.touches(eyes, T_camera_links, near_corners)
             return self._ordered(picture, T_camera_links, clusters, cull_back_faces=cull_back_faces)
         v = self._visibility
-        found = lod_selection.plan_picture(
+        columns = lod_selection.plan_picture(
             eyes, T_camera_links, planes, near_corners, detail, v.groups, v.clusters, v.link_box, self._near_plane.table, self._rules, _NEAR_PART
         )  # fmt: skip
-        return DrawPlan(picture, T_camera_links, *found)
+        return DrawPlan(picture, T_camera_links, *columns)
 
     def opaque_plan(self, clusters: I64) -> DrawPlan:
-        """Returns a plan of the opaque pass of these clusters, for a picture of no camera."""
-        nowhere = PinholePicture(np.eye(4), np.eye(3), 0, 0, 0.0)
-        plan = self._ordered(nowhere, np.zeros((0, 4, 4)), clusters, cull_back_faces=False)
+        """Returns a plan of the opaque pass of clusters, without a camera."""
+        no_picture = PinholePicture(np.eye(4), np.eye(3), 0, 0, 0.0)
+        plan = self._ordered(no_picture, np.zeros((0, 4, 4)), clusters, cull_back_faces=False)
         return plan.subset(np.arange(len(plan.clusters)) < plan.opaque)
 
     def _ordered(self, picture: PinholePicture, T_camera_links: F64, clusters: I64, *, cull_back_faces: bool) -> DrawPlan:
-        """Returns the plan for clusters that are given nearest first."""
+        """Returns the plan for clusters sorted nearest first."""
         batch = self._visibility.batch_of
         order, opaque, near, total = self._order(clusters, batch[clusters])
         drawn = clusters[order]
         return DrawPlan(picture, T_camera_links, drawn, self._table[drawn], batch[drawn], opaque, near, total, cull_back_faces)
 
     def _order(self, clusters: I64, batch: I64) -> tuple[I64, int, I64, int]:
-        """As ``lod_selection.draw_order``, for clusters and the batch of each."""
-        # Batches are in the order of their first cluster, but those with holes come after those without.
+        """Computes ``lod_selection.draw_order`` in NumPy, for clusters and the batch of each."""
+        # Batches are sorted by their nearest cluster; batches with alpha-tested holes come after the others.
         rank = np.zeros(len(self._rules.has_holes), dtype=np.int64)
         rank[batch[::-1]] = np.arange(
             len(clusters) - 1, -1, -1
-        )  # of repeated assignments the last one holds: the first cluster's
+        )  # the last of repeated assignments holds: that of the nearest cluster
         rank += len(clusters) * self._rules.has_holes
         order = np.argsort(rank[batch], kind="stable")
         order = order[self._rules.has_opaque[clusters[order]]]
@@ -271,7 +271,7 @@ class DrawPlanner:
 
         Args:
             clusters: (N,).
-            table: (C, 5), as ``draw_table`` returns it; draws without indices are left out.
+            table: (C, 5), see ``draw_table``; draws without indices are omitted.
         """
         if self._loops:
             draws, count = lod_selection.depth_draws(
@@ -283,7 +283,7 @@ class DrawPlanner:
         return table[clusters[np.argsort(kind, kind="stable")]], np.bincount(kind, minlength=len(DEPTH_KINDS)).tolist()
 
     def occlusion_queries(self, plans: Sequence[DrawPlan]) -> list[OcclusionQuery]:
-        """Returns an occlusion query for each plan; it does what can be done before there is a depth image."""
+        """Returns an occlusion query for each plan, prepared as far as possible without a depth image."""
         return [
             CompiledOcclusionQuery(plan, self._visibility.clusters.link, self._subclusters)
             if self._loops
@@ -292,7 +292,7 @@ class DrawPlanner:
         ]
 
     def subcluster_query(self, plan: DrawPlan) -> NumpyOcclusionQuery:
-        """Returns the plan split into draws of subclusters, with their bounds in the picture."""
+        """Returns the plan split into draws of subclusters, with their screen-space bounds."""
         place, box, span = self._subclusters.of(plan.clusters)
         draws = plan.draws[place]
         draws[:, 0], draws[:, 2] = span[:, 0], span[:, 1]
@@ -304,33 +304,33 @@ class DrawPlanner:
 
 
 class OcclusionQuery(Protocol):
-    """Finds out what of a plan is hidden."""
+    """Removes hidden draws from a plan."""
 
     def visible(self, depth: F32) -> DrawPlan:
-        """Returns the plan without what is hidden behind a depth image of the picture, (H, W), ``near / depth``, 0 = nothing."""
+        """Returns the plan without draws hidden behind a depth image of the picture, (H, W), ``near / depth``, 0 = nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class NumpyOcclusionQuery:
-    """A plan split into subclusters, and their bounds in the picture."""
+    """Occlusion query in NumPy: a plan split into subclusters, and their screen-space bounds."""
 
     plan: DrawPlan
     bounds: ScreenBounds
 
     def visible(self, depth: F32) -> DrawPlan:
-        """As in ``OcclusionQuery``."""
+        """See ``OcclusionQuery.visible``."""
         return self.plan.subset(~self.bounds.hidden(DepthPyramid(depth))).merged()
 
 
 class CompiledOcclusionQuery:
-    """The same by compiled loops, which need no preparation but the boxes of the subclusters."""
+    """Occlusion query in compiled loops, prepared only by the boxes of the subclusters."""
 
     def __init__(self, plan: DrawPlan, cluster_link: I64, subclusters: Subclusters) -> None:
         self._plan, self._cluster_link, self._subclusters = plan, cluster_link, subclusters
         subclusters.prepare(plan.clusters)
 
     def visible(self, depth: F32) -> DrawPlan:
-        """As in ``OcclusionQuery``."""
+        """See ``OcclusionQuery.visible``."""
         plan, p = self._plan, self._plan.picture
         clusters, batch, draws, opaque = occlusion_culling.cull_hidden(
             fixed(depth), plan.clusters, plan.batch, plan.draws, plan.opaque, self._subclusters.table, self._cluster_link,
@@ -347,19 +347,19 @@ def draw_table(b: SceneGeometry, first: NDArray[Any], count: NDArray[Any]) -> U3
 
 
 def _passes(b: SceneGeometry) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Returns which clusters are drawn in the opaque pass, and which in the translucent one, (C,) each; some are in both."""
+    """Returns masks, (C,), of the clusters drawn in the opaque pass and in the translucent pass; a cluster may be in both."""
     opaque, translucent = np.ones(len(b.cluster_first), dtype=bool), np.zeros(len(b.cluster_first), dtype=bool)
     for batch in b.batches:
         if batch.alpha_mode == "blend":
             clusters = slice(batch.first_cluster, batch.end_cluster)
             translucent[clusters] = True
-            if batch.texture < 0:  # else each texel decides
+            if batch.texture < 0:  # with a texture, shaders decide by the alpha of each texel
                 opaque[clusters], translucent[clusters] = _passes_of_untextured(b, clusters)
     return opaque, translucent
 
 
 def _passes_of_untextured(b: SceneGeometry, clusters: slice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Returns which clusters have a material that is opaque, and which have one that is not; they have no textures."""
+    """Returns masks of the clusters with an opaque material and with a translucent material; the clusters have no textures."""
     count = b.cluster_count[clusters].astype(np.int64)
     starts = np.cumsum(count) - count
     rows = np.arange(int(count.sum())) + np.repeat(b.cluster_first[clusters] - starts, count)
@@ -374,10 +374,10 @@ def _lens(intrinsics: bytes, width: int, height: int, near: float) -> tuple[F64,
     """Returns the projection, (4, 4), the planes of the frustum, (5, 4), and the corners of the near plane, (4, 3), metres.
 
     Args:
-        intrinsics: the bytes of K, (3, 3) float64.
-        width: pixels.
-        height: pixels.
-        near: metres.
+        intrinsics: bytes of K, (3, 3) float64.
+        width: width, pixels.
+        height: height, pixels.
+        near: depth of the near plane, metres.
     """
     k = np.frombuffer(intrinsics, dtype=np.float64).reshape(3, 3)
     pixels = np.array([[u, v, 1.0] for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])

@@ -1,6 +1,6 @@
-"""Compiled loops of ``subclusters`` and ``occlusion``: which subclusters of a plan are hidden behind a depth image.
+"""Compiled loops of ``subclusters`` and ``occlusion``: cull subclusters of a plan that are hidden behind a depth image.
 
-Rounding may differ from NumPy in what is called hidden, but only where no pixel depends on it.
+By rounding, the culled subclusters may differ from those of the NumPy code, but never so that a pixel changes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ U32 = NDArray[np.uint32]
 TILE_PX = 8
 """Side of the smallest tiles of a depth pyramid, pixels."""
 DEPTH_MARGIN = 1e-5
-"""Relative depth by which a box must lie behind what hides it, since depths are rounded."""
+"""Relative depth by which a box must lie behind its occluder, since depths are rounded."""
 
 
 class SubclusterTable(NamedTuple):
@@ -35,21 +35,21 @@ class ImageSize(NamedTuple):
     """Size and near plane of a picture."""
 
     width: float
-    """Pixels."""
+    """Width, pixels."""
     height: float
     near: float
-    """Metres."""
+    """Depth of the near plane, metres."""
 
 
 class PyramidLevels(NamedTuple):
-    """A pyramid of least values over tiles."""
+    """A pyramid of minima over tiles."""
 
     values: F32
-    """Of all levels, concatenated."""
+    """Values of all levels, concatenated."""
     firsts: I64
-    """Position of the first value of each level."""
+    """Offset of the first value of each level."""
     widths: I64
-    """Columns of each level."""
+    """Number of columns of each level."""
 
 
 @compiled
@@ -64,7 +64,7 @@ def depth_pyramid(depth: F32) -> PyramidLevels:
     values = np.full(total, np.inf, dtype=np.float32)
     firsts, widths = np.zeros(levels, dtype=np.int64), np.empty(levels, dtype=np.int64)
     widths[0] = columns
-    least = np.empty(width, dtype=np.float32)  # over the rows of a tile: whole rows are quick to traverse
+    least = np.empty(width, dtype=np.float32)  # minima over the rows of a tile, since whole rows are fast to traverse
     for row in range(rows):
         top = row * TILE_PX
         for u in range(width):
@@ -73,16 +73,16 @@ def depth_pyramid(depth: F32) -> PyramidLevels:
             for u in range(width):
                 least[u] = min(least[u], depth[v, u])
         for u in range(width):
-            at = row * columns + u // TILE_PX
-            values[at] = min(values[at], least[u])
+            tile = row * columns + u // TILE_PX
+            values[tile] = min(values[tile], least[u])
     for level in range(1, levels):
-        finer, here, width = firsts[level - 1], firsts[level - 1] + rows * columns, (columns + 1) // 2
+        finer, coarser, width = firsts[level - 1], firsts[level - 1] + rows * columns, (columns + 1) // 2
         for v in range(rows):
             for u in range(columns):
-                at, value = here + v // 2 * width + u // 2, values[finer + v * columns + u]
-                if value < values[at]:
-                    values[at] = value
-        firsts[level], widths[level], rows, columns = here, width, (rows + 1) // 2, width
+                tile, value = coarser + v // 2 * width + u // 2, values[finer + v * columns + u]
+                if value < values[tile]:
+                    values[tile] = value
+        firsts[level], widths[level], rows, columns = coarser, width, (rows + 1) // 2, width
     return PyramidLevels(values, firsts, widths)
 
 
@@ -99,22 +99,22 @@ def cull_hidden(
     intrinsics: F64,
     near: float,
 ) -> tuple[I64, I64, U32, int]:
-    """Returns the draws of the subclusters that may be seen; consecutive ones are merged.
+    """Returns the draws of potentially visible subclusters, with consecutive draws merged.
 
     Args:
-        depth: (H, W), depth of the picture so far, ``near / depth``, 0 = nothing.
+        depth: (H, W), depth image of the picture, ``near / depth``, 0 = nothing.
         clusters: (N,), as in ``draw_plan.DrawPlan``.
-        batch: (N,), likewise.
-        draws: (N, 5), likewise.
-        opaque: how many of them are opaque, likewise.
-        subclusters: of these clusters at least.
-        cluster_link: (C,), of all clusters.
+        batch: (N,), as in ``DrawPlan``.
+        draws: (N, 5), as in ``DrawPlan``.
+        opaque: number of opaque draws, as in ``DrawPlan``.
+        subclusters: table with the subclusters of at least these clusters.
+        cluster_link: (C,), link number of all clusters.
         T_camera_links: (L, 4, 4), optical frame from the world and from each link.
         intrinsics: K, (3, 3), pixels.
-        near: metres.
+        near: depth of the near plane, metres.
 
     Returns:
-        Cluster, batch and draw of each, and how many of them are opaque.
+        Cluster, batch and draw command of each draw, and the number of opaque draws.
     """
     size, pyramid = ImageSize(float(depth.shape[1]), float(depth.shape[0]), near), depth_pyramid(depth)
     pixels_from_links = np.empty((len(T_camera_links), 3, 4))
@@ -126,11 +126,11 @@ def cull_hidden(
                     intrinsics[i, 0] * T[0, j] + intrinsics[i, 1] * T[1, j] + intrinsics[i, 2] * T[2, j]
                 )
             pixels_from_links[link, 2, j] = T[2, j]
-    most = 0
+    total = 0
     for cluster in clusters:
-        most += subclusters.number[cluster]
-    found_cluster, found_batch = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    found, n, opaque_draws = np.empty((most, 5), dtype=np.uint32), 0, 0
+        total += subclusters.number[cluster]
+    out_cluster, out_batch = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
+    out, n, opaque_draws = np.empty((total, 5), dtype=np.uint32), 0, 0
     last = -1  # the draw that the next subcluster may extend
     for i in range(len(clusters)):
         if i == opaque:
@@ -141,27 +141,22 @@ def cull_hidden(
             if _is_hidden(subclusters.box[row], matrix, size, pyramid):
                 continue
             count, first = subclusters.span[row, 0], subclusters.span[row, 1]
-            if (
-                last >= 0
-                and first == found[last, 2] + found[last, 0]
-                and draws[i, 4] == found[last, 4]
-                and batch[i] == found_batch[last]
-            ):
-                found[last, 0] += count
+            if last >= 0 and first == out[last, 2] + out[last, 0] and draws[i, 4] == out[last, 4] and batch[i] == out_batch[last]:
+                out[last, 0] += count
                 continue
             for k in range(5):
-                found[n, k] = draws[i, k]
-            found[n, 0], found[n, 2] = count, first
-            found_cluster[n], found_batch[n], last = cluster, batch[i], n
+                out[n, k] = draws[i, k]
+            out[n, 0], out[n, 2] = count, first
+            out_cluster[n], out_batch[n], last = cluster, batch[i], n
             n += 1
         if i < opaque:
             opaque_draws = n
-    return found_cluster[:n], found_batch[:n], found[:n], opaque_draws
+    return out_cluster[:n], out_batch[:n], out[:n], opaque_draws
 
 
 @compiled
 def _is_hidden(box: F64, matrix: F64, size: ImageSize, pyramid: PyramidLevels) -> bool:
-    """Returns whether a box is behind the depths of the pyramid, or outside the picture. A box not wholly beyond the near plane is not hidden."""
+    """Returns whether a box is behind the depths of the pyramid or outside the picture; False if it is not entirely beyond the near plane."""
     x, y, z = _coordinate(matrix[0], box), _coordinate(matrix[1], box), _coordinate(matrix[2], box)
     x0, x1, x2 = matrix[0, 0] * box[3], matrix[0, 1] * box[4], matrix[0, 2] * box[5]
     y0, y1, y2 = matrix[1, 0] * box[3], matrix[1, 1] * box[4], matrix[1, 2] * box[5]
@@ -181,7 +176,7 @@ def _is_hidden(box: F64, matrix: F64, size: ImageSize, pyramid: PyramidLevels) -
         return True
     first_column, last_column = int(max(left, 0.0)) // TILE_PX, int(min(right, size.width - 1.0)) // TILE_PX
     first_row, last_row = int(max(top, 0.0)) // TILE_PX, int(min(bottom, size.height - 1.0)) // TILE_PX
-    # The level at which the rectangle touches at most two tiles a side.
+    # The level at which the rectangle touches at most two tiles per side.
     level, reach = 0, max(last_column - first_column, last_row - first_row) - 1
     while reach > 0 and level < len(pyramid.widths) - 1:
         level += 1
@@ -198,5 +193,5 @@ def _is_hidden(box: F64, matrix: F64, size: ImageSize, pyramid: PyramidLevels) -
 
 @compiled
 def _coordinate(row: F64, box: F64) -> float:
-    """Returns one coordinate of the centre of a box, by a row of a matrix."""
+    """Returns one coordinate of the transformed centre of a box, for one row of the matrix."""
     return float(row[0] * box[0] + row[1] * box[1] + row[2] * box[2] + row[3])

@@ -1,7 +1,7 @@
-"""The splats of a scene in the world frame, in chunks of neighbours, and which of them a picture shows in which order. No OpenGL.
+"""Splats of a scene in the world frame, in chunks of neighbours: culls and sorts them for a picture. No OpenGL.
 
-What is left out would not have changed a pixel; the order is that of depth along the axis, as in the code of Kerbl et al. 2023, and of two
-splats at the same depth always the same one comes first.
+Culling never changes a pixel. Splats are sorted by depth along the optical axis, as in the code of Kerbl et al. 2023; splats at the same
+depth have a fixed order.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
 NEAREST = 0.2
-"""Least depth of the centre of a splat that is drawn, metres, as in the code of the paper: nearer ones would cover the picture."""
+"""Minimum depth of the centre of a drawn splat, metres, as in the code of the paper: nearer splats would cover the picture."""
 LOW_PASS = 0.3
-"""Variance that every splat has in the picture at least, square pixels."""
+"""Minimum variance of a splat in the picture, square pixels."""
 SPREAD = 1.3
-"""Beyond this part of the picture, from its middle, all splats are projected as at its edge: projections get wild beside the camera."""
+"""Multiple of the picture's half size at which the point of linearisation is clamped: the Jacobian diverges beside the camera."""
 LEAST_ALPHA = 1.0 / 255.0
-"""Least opacity at a pixel that counts."""
+"""Minimum opacity of a splat at a pixel; smaller opacities are ignored."""
 
 _CHUNK = 256
 _REACH = float(np.sqrt(-2.0 * np.log(LEAST_ALPHA)))
-"""Standard deviations at which an opaque splat has faded to ``LEAST_ALPHA``."""
+"""Radius, in standard deviations, at which an opaque splat has faded to ``LEAST_ALPHA``."""
 _LINEARISED = 1.5
-"""A linearised projection is at most that much larger than the true one, within ``SPREAD`` of a picture of 90 degrees."""
+"""Largest ratio of a linearised to the exact projected size, within ``SPREAD`` of a picture of 90 degrees."""
 _BITS = 10
-"""Of each axis of the curve that neighbours lie on."""
+"""Bits per axis of the Morton code."""
 
 
 class SplatChunks:
-    """Splats in the world frame, sorted so that neighbours are near each other.
+    """Splats in the world frame, sorted along a Morton curve.
 
     Args:
-        splats: in the frame of their file.
+        splats: splats in the frame of their file.
         T_world_file: (4, 4), a rigid transform times a scale.
     """
 
@@ -52,16 +52,16 @@ class SplatChunks:
         scale = float(np.cbrt(np.linalg.det(T_world_file[:3, :3])))
         R_world_file = T_world_file[:3, :3] / scale
         positions = splats.positions.astype(np.float64) @ T_world_file[:3, :3].T + T_world_file[:3, 3]
-        # What is fainter than LEAST_ALPHA at its centre is never seen.
-        seen = np.flatnonzero(splats.opacities >= LEAST_ALPHA)
-        order = seen[_along_curve(positions[seen])]
+        # Splats fainter than LEAST_ALPHA at their centre are never visible.
+        visible = np.flatnonzero(splats.opacities >= LEAST_ALPHA)
+        order = visible[_morton_order(positions[visible])]
         self.positions: F32 = positions[order].astype(np.float32)
         """(N, 3), world frame, metres."""
         self._columns = np.ascontiguousarray(self.positions.T)
         self.opacities: F32 = splats.opacities[order]
-        """(N,), at the centre."""
+        """(N,), opacity at the centre."""
         self.sh: F32 = splats.sh[order]
-        """(N, K, 3), as in ``Splats``: for directions in the frame of the file."""
+        """(N, K, 3), spherical harmonics as in ``Splats``, for directions in the frame of the file."""
         self.R_world_file: F64 = R_world_file
         """(3, 3)."""
         self.covariances: F32 = _covariances(splats, order, R_world_file, scale)
@@ -75,7 +75,7 @@ class SplatChunks:
         return len(self.positions)
 
     def _bounds(self, factor: float) -> F64:
-        """Returns the boxes of the chunks, (C, 6), centre and half extents, metres, with ``factor`` times what their splats reach."""
+        """Returns the boxes of the chunks, (C, 6), centre and half extents, metres, with ``factor`` times the radii of their splats."""
         if not len(self):
             return np.zeros((0, 6))
         reach = (factor * _REACH * self._widths)[:, None]
@@ -87,20 +87,20 @@ class SplatChunks:
         """Returns the rows of the splats to draw, from far to near.
 
         Args:
-            picture: with a camera in the world frame.
-            depth: (H, W), ``near / depth`` of what hides splats, 0 = nothing; None = nothing hides any.
-            cull: leave out what is outside the picture or hidden; off only to check that nothing else changes.
+            picture: picture whose camera pose is in the world frame.
+            depth: (H, W), ``near / depth`` of occluders, 0 = nothing; None = no occluders.
+            cull: frustum and occlusion culling; False only to verify that culling changes no image.
         """
         T_camera_world: Mat4 = np.linalg.inv(picture.T_world_camera).astype(np.float64)
         pyramid = None if depth is None or not cull else DepthPyramid(depth)
         if cull:
             chunks = self._chunks(picture, T_camera_world, pyramid)
             count = self._count[chunks]
-            before = np.cumsum(count) - count
-            rows = np.arange(int(count.sum())) + np.repeat(self._first[chunks] - before, count)
+            starts = np.cumsum(count) - count
+            rows = np.arange(int(count.sum())) + np.repeat(self._first[chunks] - starts, count)
         else:
             rows = np.arange(len(self))
-        # By coordinates: a product with a small matrix would start the threads of a library.
+        # Written out by coordinates: a matrix product would start the threads of the BLAS library.
         world = self._columns[:, rows]
         T = T_camera_world.astype(np.float32)
         p = np.stack([T[i, 0] * world[0] + T[i, 1] * world[1] + T[i, 2] * world[2] + T[i, 3] for i in range(3)])
@@ -109,28 +109,28 @@ class SplatChunks:
             kept = np.flatnonzero(keep)
             keep[kept] = self._visible(rows[kept], p[:, kept], picture, pyramid)
         rows, z = rows[keep], p[2, keep]
-        return np.ascontiguousarray(rows[_by_key(z)[::-1]], dtype=np.uint32)
+        return np.ascontiguousarray(rows[_depth_order(z)[::-1]], dtype=np.uint32)
 
     def _chunks(self, picture: PinholePicture, T_camera_world: Mat4, pyramid: DepthPyramid | None) -> I64:
-        """Returns the chunks that may be seen, (C,)."""
-        # Two pixels more on each side, which the low-pass may reach.
+        """Returns the potentially visible chunks, (C,)."""
+        # Two more pixels on each side, the reach of the low-pass filter.
         k = picture.intrinsics.astype(np.float64).copy()
         k[:2, 2] += 2.0
         planes = frustum_planes(k, picture.width + 4, picture.height + 4, NEAREST) @ T_camera_world
         ahead = (
             self._wide_boxes[:, :3] @ planes[:, :3].T + planes[:, 3] + self._wide_boxes[:, 3:] @ np.abs(planes[:, :3]).T >= 0.0
         )
-        found = np.flatnonzero(ahead.all(axis=1))
-        if pyramid is None or not len(found):
-            return found
+        inside = np.flatnonzero(ahead.all(axis=1))
+        if pyramid is None or not len(inside):
+            return inside
         matrix = np.vstack([picture.intrinsics[:2], [0.0, 0.0, 1.0]]) @ T_camera_world[:3]
         bounds = ScreenBounds(
-            self._wide_boxes[found], np.repeat(matrix[None], len(found), axis=0), (picture.width, picture.height), picture.near
+            self._wide_boxes[inside], np.repeat(matrix[None], len(inside), axis=0), (picture.width, picture.height), picture.near
         )
-        return found[~bounds.hidden(pyramid)]
+        return inside[~bounds.hidden(pyramid)]
 
     def _visible(self, rows: I64, p: F32, picture: PinholePicture, pyramid: DepthPyramid | None) -> NDArray[np.bool_]:
-        """Returns which splats ``rows`` (N,) with the centres ``p`` (3, N), optical frame, may be seen, (N,)."""
+        """Returns a mask, (N,), of the potentially visible splats of ``rows`` (N,), whose centres are ``p`` (3, N), optical frame."""
         k, size = picture.intrinsics, (picture.width, picture.height)
         inverse = np.float32(1.0) / p[2]
         x, y = p[0] * inverse, p[1] * inverse
@@ -140,13 +140,13 @@ class SplatChunks:
         low, high = projected_limits(k, *size)
         x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
         focal = np.float32(max(abs(k[0, 0]), abs(k[1, 1])))
-        # The largest factor of the linearised projection; the low-pass adds its own width.
+        # The largest scale of the linearised projection; the low-pass filter adds its width.
         radius = reach * focal * inverse * np.sqrt(np.float32(1.0) + x * x + y * y) + np.float32(_REACH * LOW_PASS**0.5)
         inside = (u + radius >= -0.5) & (u - radius <= size[0] - 0.5) & (v + radius >= -0.5) & (v - radius <= size[1] - 0.5)
         if pyramid is None:
             return np.asarray(inside)
-        found = np.flatnonzero(inside)
-        u, v, radius = u[found], v[found], radius[found]
+        candidates = np.flatnonzero(inside)
+        u, v, radius = u[candidates], v[candidates], radius[candidates]
         ends = [
             np.clip(end, 0, most - 1).astype(np.int64)
             for end, most in (
@@ -156,13 +156,13 @@ class SplatChunks:
                 (v + radius + 1.0, size[1]),
             )
         ]
-        nearest = picture.near / np.maximum(p[2, found] - reach[found], picture.near)
-        inside[found] = nearest > pyramid.least(ends[0], ends[1], ends[2], ends[3])
+        nearest = picture.near / np.maximum(p[2, candidates] - reach[candidates], picture.near)
+        inside[candidates] = nearest > pyramid.least(ends[0], ends[1], ends[2], ends[3])
         return np.asarray(inside)
 
 
 def projected_limits(intrinsics: NDArray[Any], width: int, height: int) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Returns the least and the greatest (x / z, y / z) at which the projection of splats is linearised."""
+    """Returns the minimum and the maximum (x / z, y / z) at which the projection of splats is linearised."""
     k = intrinsics
     ends = [((-0.5 - k[a, 2]) / k[a, a], (size - 0.5 - k[a, 2]) / k[a, a]) for a, size in ((0, width), (1, height))]
     (left, right), (top, bottom) = ends
@@ -170,18 +170,18 @@ def projected_limits(intrinsics: NDArray[Any], width: int, height: int) -> tuple
     return (float(left - more_x), float(top - more_y)), (float(right + more_x), float(bottom + more_y))
 
 
-def _by_key(z: F32) -> I64:
-    """Returns the order of positive depths (N,), nearest first; equal ones stay in theirs. NumPy sorts 16 bits by radix: twice as quick."""
-    keys = np.ascontiguousarray(z).view(np.uint32)  # positive floats are ordered as their bits
+def _depth_order(z: F32) -> I64:
+    """Returns the stable sort order of positive depths (N,), nearest first, by two radix sorts of 16 bits: twice as fast as argsort."""
+    keys = np.ascontiguousarray(z).view(np.uint32)  # positive floats sort like their bits
     order = np.argsort((keys & np.uint32(0xFFFF)).astype(np.uint16), kind="stable")
     return np.asarray(order[np.argsort((keys >> np.uint32(16)).astype(np.uint16)[order], kind="stable")])
 
 
-def _along_curve(positions: F64) -> I64:
+def _morton_order(positions: F64) -> I64:
     """Returns the order of points (N, 3) along a Morton curve through their bounding box."""
     if not len(positions):
         return np.zeros(0, dtype=np.int64)
-    # A few stray splats far away must not make all others share one cell.
+    # A few distant outliers must not put all other splats into one cell.
     low, high = np.percentile(positions, 1.0, axis=0), np.percentile(positions, 99.0, axis=0)
     side = max(float((high - low).max()), 1e-9)
     cells = np.clip((positions - low) / side * (1 << _BITS), 0, (1 << _BITS) - 1).astype(np.int64)

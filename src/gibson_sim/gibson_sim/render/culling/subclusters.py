@@ -1,6 +1,6 @@
-"""Clusters split into subclusters with boxes of their own, since more of them are hidden than of whole clusters.
+"""Clusters split into subclusters with their own boxes, for finer occlusion culling.
 
-A box is computed when its cluster is first drawn: most clusters of a large scene never are.
+A box is computed when its cluster is first drawn: most clusters of a large scene are never drawn.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gibson_sim.render.culling.occlusion_culling import SubclusterTable
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 SUBCLUSTER_TRIANGLES = 32
-"""Most triangles in a subcluster; they are neighbours."""
+"""Maximum number of triangles in a subcluster; they are neighbours."""
 
 
 class Subclusters:
@@ -24,35 +24,35 @@ class Subclusters:
         self._geometry = geometry
         counts = geometry.cluster_count.astype(np.int64)
         self._number = -(-counts // (3 * SUBCLUSTER_TRIANGLES))
-        """(C,), subclusters of each cluster."""
+        """(C,), number of subclusters of each cluster."""
         self._row = np.full(len(counts), -1)
-        """(C,), row of the first one; -1 = not computed yet."""
+        """(C,), row of the first subcluster; -1 = not computed yet."""
         self._rows = 0
         self._box = np.zeros((0, 6))
         """(P, 6), centre and half extents, metres, frame of the link."""
         self._span = np.zeros((0, 2), dtype=np.uint32)
-        """(P, 2), number of indices, and the first of them."""
+        """(P, 2), number of indices, and offset of the first one."""
 
     @property
     def table(self) -> SubclusterTable:
-        """All that are computed so far."""
+        """Table of the subclusters computed so far."""
         return SubclusterTable(self._row, self._number, self._box, self._span)
 
     def prepare(self, clusters: I64) -> None:
-        """Computes the subclusters of clusters, (N,), that are missing."""
+        """Computes missing subclusters of clusters, (N,)."""
         new = self._row[clusters] < 0
         if new.any():
             self._compute(np.unique(clusters[new]))
 
     def of(self, clusters: I64) -> tuple[I64, F64, NDArray[np.uint32]]:
-        """Returns the subclusters of clusters, in their order, P in all.
+        """Returns the subclusters of clusters, in order, P in total.
 
         Args:
             clusters: (N,).
 
         Returns:
-            The position in ``clusters`` of each, (P,); its box, (P, 6), centre and half extents, metres, frame of the link; and its number
-            of indices and the first of them, (P, 2).
+            The position in ``clusters`` of each subcluster, (P,); its box, (P, 6), centre and half extents, metres, frame of the link;
+            and its number of indices and the offset of the first one, (P, 2).
         """
         self.prepare(clusters)
         number = self._number[clusters]
