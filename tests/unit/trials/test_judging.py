@@ -75,7 +75,7 @@ def test_goal_missed_by_yaw(tmp_path: Path) -> None:
     result = judged(tmp_path, run, spec=spec, reached=Reached(0.3, 20.0))
     assert (
         verdict(result, "reached").text
-        == "the robot ended 0.00 m from the goal, at most 0.3 m, and turned by 30 deg, at most 20 deg"
+        == "the robot ended 0.00 m from the goal, at most 0.3 m, with a heading error of 30 deg, at most 20 deg"
     )
     assert not verdict(result, "reached").passed
     assert result.measures["yaw_error"] == pytest.approx(math.radians(30.0))
@@ -85,7 +85,7 @@ def test_goal_missed_by_yaw(tmp_path: Path) -> None:
 def test_goal_that_the_stack_did_not_report_is_not_reached(tmp_path: Path, end: str) -> None:
     result = judged(tmp_path, end=end)
     assert not verdict(result, "reached").passed
-    assert verdict(result, "reached").text.endswith(f"; the run ended otherwise: {end}")
+    assert verdict(result, "reached").text.endswith(f"; the run ended differently: {end}")
     assert verdict(result, "run").passed
 
 
@@ -198,7 +198,7 @@ def test_missing_topic_fails_its_verdict(tmp_path: Path, topic: str, name: str, 
 def test_recording_that_ends_early_is_a_failure(tmp_path: Path) -> None:
     run = Run(duration=8.0, commands=commands((0.0, 8.0, 0.5)))
     result = judge(scenario(), planned(), run.outcome(end_ns=ns(12.0)), run.write(tmp_path))
-    assert verdict(result, "run").text == "the bag ends 4.0 s before the run does: what happened then is unknown"
+    assert verdict(result, "run").text == "the bag ends 4.0 s before the run does: the rest of the run is unknown"
     assert result.cause is not None
     assert result.cause.kind == "unknown"
 
@@ -259,7 +259,7 @@ class TestBadBags:
         outcome = Run().outcome("never ready", detail="no message on /pose within 60 s", goal_ns=-1, end_ns=-1)
         result = judge(scenario(clearance=0.1), planned(), outcome, tmp_path)
         assert verdict(result, "run").text == "never ready: no message on /pose within 60 s"
-        assert verdict(result, "clearance").text == "not judged: the goal was not given"
+        assert verdict(result, "clearance").text == "not judged: the goal was not sent"
         assert verdict(result, "alive").passed
         assert result.cause is not None
         assert (result.cause.kind, result.cause.text) == ("never ready", "never ready: no message on /pose within 60 s")

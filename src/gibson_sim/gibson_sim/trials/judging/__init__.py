@@ -1,6 +1,6 @@
-"""Judges a run by its bag: verdicts, measures, a digest, and for a failed run the first thing that went wrong.
+"""Judges a run from its bag: verdicts, measures, digest, and the cause of a failure.
 
-Pure: values and files go in, a ``RunResult`` comes out. Must not import rclpy. ``docs/trial_verdicts.md`` has the rules for users.
+Maps values and files to a ``RunResult``. Must not import rclpy. Rules for users: ``docs/trial_verdicts.md``.
 """
 
 from gibson_sim.trials.judging.judge import judge

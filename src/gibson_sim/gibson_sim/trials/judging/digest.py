@@ -1,4 +1,4 @@
-"""The digest of a run: one value of all that physics published, tick by tick, so that equal digests are equal runs."""
+"""The digest of a run: one hash of all messages that physics published, tick by tick. Equal digests mean equal runs."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from gibson_sim.bags.digest_comparison import Tick, TickDigests
 from gibson_sim.bags.stamps import header_stamp_ns
 
 _SIZE = 16
-"""Bytes of a run's digest."""
+"""Size of a run's digest, bytes."""
 
 
 class RunDigest:
-    """Collects messages of ``tick_digest`` in any order.
+    """Collects ``tick_digest`` messages in any order.
 
-    Those of render nodes are left out: which images are drawn depends on subscribers and on the speed of the machine, and their pixels on
-    the graphics driver.
+    Digests of render nodes are ignored: the set of rendered images depends on subscribers and machine speed, and their pixels depend on the
+    graphics driver.
     """
 
     def __init__(self) -> None:
         self._ticks: dict[Tick, tuple[int, tuple[tuple[str, int], ...]]] = {}
-        """Stamp, and the digest of each topic, by tick of physics."""
+        """Physics tick -> stamp, and the digest of each topic."""
 
     def add(self, msg: Any) -> None:
         """Adds a gibson_msgs/TickDigest."""
-        found = TickDigests(header_stamp_ns(msg.header.stamp), tuple(msg.topics), msg.digests)
-        if found.is_physics:
-            values = tuple(sorted((topic, int(digest)) for topic, digest in found.values().items()))
-            self._ticks[int(msg.epoch), int(msg.step)] = found.stamp_ns, values
+        digests = TickDigests(header_stamp_ns(msg.header.stamp), tuple(msg.topics), msg.digests)
+        if digests.is_physics:
+            values = tuple(sorted((topic, int(digest)) for topic, digest in digests.values().items()))
+            self._ticks[int(msg.epoch), int(msg.step)] = digests.stamp_ns, values
 
     def hexdigest(self, end_ns: int) -> str:
-        """Returns BLAKE2b of all ticks up to a stamp, ns, in their order; empty = there are none.
+        """Returns the BLAKE2b hash of all ticks up to a stamp, ns, in order; empty = no ticks.
 
-        Epochs count from the first one, so that a run after a reset equals one in a fresh simulation.
+        Epochs are counted from the first one, so that a run after a reset equals one in a fresh simulation.
         """
         ticks = sorted(tick for tick, (stamp_ns, _) in self._ticks.items() if stamp_ns <= end_ns)
         if not ticks:

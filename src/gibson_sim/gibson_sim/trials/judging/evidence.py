@@ -1,7 +1,7 @@
-"""Reads from the bag of a run what it is judged by, in one pass that decodes the topics that are needed and no others.
+"""Reads the evidence for judging a run from its bag, in one pass that decodes only the required topics.
 
-All times are seconds of simulation time since the goal was given; what lies outside the time from the goal to the end is left out, except
-where a value from before still holds.
+All times are seconds of simulation time since the goal was sent. Data outside the interval from the goal to the end are ignored, except
+earlier values that still hold.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from gibson_sim.types import NS_PER_S
 F64 = NDArray[np.float64]
 _TWISTS = (roles.TWIST, roles.TWIST_STAMPED)
 _COMMANDS = ("/cmd_vel", "/cmd_vel_applied")
-"""Topics of the robot's commands, the second repeats those that took effect."""
+"""Topics of the robot's velocity commands; the second repeats the applied commands."""
 PATH, DIGEST, INPUT = "nav_msgs/msg/Path", "gibson_msgs/msg/TickDigest", "gibson_msgs/msg/Input"
 _PLAN_NAMES = ("plan", "global_plan", "path", "planned_path", "global_path", "received_global_plan")
-"""Last parts of the names of topics with the plan that a robot follows, in order of preference."""
+"""Last parts of topic names of the plan that a robot follows, in order of preference."""
 _OCCUPIED = 50
 """Least value of an occupied cell of an OccupancyGrid: 0 free to 100 occupied."""
 _SAME_M = 0.005
-"""Greatest distance, m, of an estimate that is the truth itself, published by the simulation as map -> odom."""
+"""Greatest error, m, of an estimate that is the truth itself, published by the simulation as map -> odom."""
 _LARGEST = 1e6
-"""Coordinates, velocities and times above this are damaged, SI units."""
+"""Coordinates, velocities and times above this value are damaged, SI units."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class Poses:
     """(N,), radians, unwrapped."""
 
     def at(self, t: F64 | float) -> F64:
-        """Returns x, y (m) and yaw (rad) at times (...,), interpolated, as (3, ...); the first or the last pose outside of the track."""
+        """Returns x, y (m) and yaw (rad) interpolated at times (...,) as (3, ...); outside the track, the first or last pose."""
         return np.array([np.interp(t, self.t, values) for values in (self.x, self.y, self.yaw)])
 
     @property
@@ -66,16 +66,16 @@ class Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """What the stack's localiser believes."""
+    """The pose estimate of the stack's localiser."""
 
     poses: Poses
-    """Of the robot in the map frame: odometry by the latest correction."""
+    """Poses of the robot in the map frame: odometry transformed by the latest correction."""
     corrections: F64
-    """(K, 4): time, s since the goal, and T_map_odom as x, y, yaw, of each update; the first may be from before the goal. K may be 0."""
+    """(K, 4): time, s since the goal, and T_map_odom as x, y, yaw of each update; the first may precede the goal. K may be 0."""
     odometry: Poses | None
-    """What the corrections are of."""
+    """Odometry that the corrections apply to."""
     source: str
-    """Topic, or ``tf map -> odom``."""
+    """``pose topic`` or ``tf map -> odom``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,14 +86,14 @@ class Commands:
     """(N,), s since the goal."""
     forward: F64
     sideways: F64
-    """(N,), m/s; not finite where the command is not."""
+    """(N,), m/s; not finite if the command is not."""
     turning: F64
     """(N,), rad/s."""
     topic: str
 
     @property
     def is_finite(self) -> NDArray[np.bool_]:
-        """(N,): whether all numbers of a command are finite."""
+        """(N,): whether all values of a command are finite."""
         return np.asarray(np.isfinite(self.forward) & np.isfinite(self.sideways) & np.isfinite(self.turning))
 
 
@@ -109,51 +109,52 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What a bag tells of a run between goal and end; None = the bag does not tell it."""
+    """Evidence from the bag of a run, between goal and end; None = not in the bag."""
 
     duration: float
-    """From the goal to the end, s."""
+    """Time from the goal to the end, s."""
     decided: float
-    """From the goal to when the stack told its end, or the robot began to stand at the goal, s; ``duration`` if neither did."""
+    """Time from the goal until the stack reported its end or the robot came to rest at the goal, s; ``duration`` if neither happened."""
     truth: Poses | None
     odometry: Poses | None
-    """By the wheels, in the odometry's frame."""
+    """Wheel odometry, in the odom frame."""
     estimate: Estimate | None
     commands: Commands | None
     applied: F64 | None
     """(N,), times at which the simulation applied velocity commands, s since the goal."""
     wrong_commands: str
-    """Topic and type of commands where the robot's topic has none that it takes; empty = there are none."""
+    """Topic and type of velocity commands that the robot does not accept, if it has no others; empty = none."""
     touches: tuple[Touch, ...] | None
-    """Begun before the end and ended after the goal; times in s since the goal."""
+    """Contacts that began before the end and ended after the goal; times in s since the goal."""
     plans: tuple[Plan, ...]
-    """In the order of time; no plan is in it twice in a row."""
+    """Plans in order of time, without consecutive duplicates."""
     floor: Floor | None
     """The first map of the bag."""
     counts: Mapping[str, int]
-    """Messages of each topic from the goal until it was decided, of those that were requested."""
+    """Requested topic -> number of messages from the goal until the run was decided."""
     topics: tuple[str, ...]
-    """All that have messages."""
+    """All topics with messages."""
     digest: str
+    """See ``RunDigest``."""
     first: float
     last: float
     """Times of the first and the last message up to the end, s since the goal."""
 
 
 def read_evidence(folder: Path, outcome: Outcome, counted: Collection[str] = ()) -> Evidence:
-    """Returns what the bag of a run tells.
+    """Returns the evidence from the bag of a run.
 
     Args:
-        folder: of the bag.
-        outcome: of the run; without a goal, the times count from the start.
+        folder: folder of the bag.
+        outcome: outcome of the run; without a goal, times are relative to the start.
         counted: topics whose messages are counted.
 
     Raises:
         RecordError: the bag is missing, empty or damaged.
     """
     with BagReader(folder) as bag:
-        every = bag.topics()
-        infos = {name: info for name, info in every.items() if info.count}
+        all_infos = bag.topics()
+        infos = {name: info for name, info in all_infos.items() if info.count}
         if not infos:
             raise RecordError(f"bag {folder} holds no messages")
         begin_ns = max(outcome.goal_ns, 0)
@@ -161,12 +162,12 @@ def read_evidence(folder: Path, outcome: Outcome, counted: Collection[str] = ())
         decided_ns = outcome.decided_ns if begin_ns <= outcome.decided_ns < end_ns else end_ns
         reading = _Reading(bag, infos, (begin_ns, decided_ns, end_ns), counted)
         reading.read()
-        return reading.evidence(has_journal=any(info.type_name == INPUT for info in every.values()))
+        return reading.evidence(has_journal=any(info.type_name == INPUT for info in all_infos.values()))
 
 
 @dataclass(slots=True)
 class _Rows:
-    """Poses or velocities as they are read."""
+    """Rows of poses and velocities, in the order of the bag."""
 
     truth: list[tuple[float, ...]] = field(default_factory=list)
     odometry: list[tuple[float, ...]] = field(default_factory=list)
@@ -174,7 +175,7 @@ class _Rows:
     commands: list[tuple[float, ...]] = field(default_factory=list)
     map_from_odom: list[tuple[float, ...]] = field(default_factory=list)
     odom_from_base: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
-    """Child frame -> poses by tf in the frame odom."""
+    """Child frame -> poses from tf in the odom frame."""
     applied: list[float] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
 
@@ -185,22 +186,22 @@ class _Reading:
     def __init__(
         self, bag: BagReader, infos: Mapping[str, TopicInfo], times_ns: tuple[int, int, int], counted: Collection[str]
     ) -> None:  # fmt: skip
-        """``times_ns``: when the goal was given, when it was decided, and when the run ended."""
+        """``times_ns``: stamps of the goal, of the decision and of the end."""
         self._bag, self._infos = bag, infos
         self._begin_ns, self._decided_ns, self._end_ns = times_ns
         names = robot_namespaces(infos)
-        # A trial has one robot: others of the bag, if any, have namespaces.
+        # A trial has one robot; further robots in the bag, if any, have namespaces.
         name = names[0]
         self._prefix = f"/{name}" if name else ""
-        own = {t.removeprefix(self._prefix): info for t, info in infos.items() if t.startswith(f"{self._prefix}/")}
-        truths = [t for t, info in own.items() if t.endswith("/ground_truth/odom") and info.type_name == roles.ODOMETRY]
-        found = roles.find_topics({t: info for t, info in own.items() if "ground_truth" not in t}, {}, "")
-        self._role: dict[str, str] = {self._prefix + found["odom"]: "odom"} if "odom" in found else {}
+        robot_infos = {t.removeprefix(self._prefix): info for t, info in infos.items() if t.startswith(f"{self._prefix}/")}
+        truths = [t for t, info in robot_infos.items() if t.endswith("/ground_truth/odom") and info.type_name == roles.ODOMETRY]
+        topics = roles.find_topics({t: info for t, info in robot_infos.items() if "ground_truth" not in t}, {}, "")
+        self._role: dict[str, str] = {self._prefix + topics["odom"]: "odom"} if "odom" in topics else {}
         commands = [t for name in _COMMANDS if (t := self._prefix + name) in infos and infos[t].type_name in _TWISTS]
         self._role.update({topic: "cmd_vel" for topic in commands[:1]})
         self._role.update({self._prefix + t: "truth" for t in truths[:1]})
-        if "truth" in found:
-            self._role[self._prefix + found["truth"]] = "pose"
+        if "truth" in topics:
+            self._role[self._prefix + topics["truth"]] = "pose"
         self._touches = TouchFinder(infos, (name,), robot_bodies(bag, (name,)))
         self._maps = [t for t in infos if t.endswith("/map") and infos[t].type_name == roles.MAP]
         self._plan_topic = _plan_topic(infos)
@@ -215,37 +216,37 @@ class _Reading:
     def _seconds(self, ns: int) -> float:
         return (ns - self._begin_ns) / NS_PER_S
 
-    def _wanted(self) -> list[str]:
-        wanted = {*self._role, *self._touches.topics, *self._maps[:1], *self._counted}
-        wanted |= {self._plan_topic} & set(self._infos)
+    def _required_topics(self) -> list[str]:
+        required = {*self._role, *self._touches.topics, *self._maps[:1], *self._counted}
+        required |= {self._plan_topic} & set(self._infos)
         for topic, info in self._infos.items():
             last = topic.rpartition("/")[2]
             named = {INPUT: ("inputs",), roles.TF: ("tf", "tf_static")}.get(info.type_name, ())
             if info.type_name == DIGEST or last in named:
-                wanted.add(topic)
-        return sorted(wanted)
+                required.add(topic)
+        return sorted(required)
 
     def read(self) -> None:
         """Reads the messages up to the end."""
-        for topic, log_ns, data in self._bag.raw_messages(self._wanted(), stop_ns=self._end_ns + 1):
+        for topic, log_ns, data in self._bag.raw_messages(self._required_topics(), stop_ns=self._end_ns + 1):
             info, t = self._infos[topic], self._seconds(log_ns)
-            running = log_ns >= self._begin_ns
-            if running and log_ns <= self._decided_ns and topic in self._counted:
+            has_goal = log_ns >= self._begin_ns
+            if has_goal and log_ns <= self._decided_ns and topic in self._counted:
                 self._counts[topic] += 1
             if topic in self._role:
-                if running:
+                if has_goal:
                     self._add(self._role[topic], t, self._bag.decode(info.type_name, data))
             elif topic in self._maps[:1]:
                 if self._map is None:
                     self._map = self._bag.decode(info.type_name, data)
                     self._map_frame = self._map.header.frame_id.lstrip("/") or "map"
             elif topic == self._plan_topic:
-                if running:
+                if has_goal:
                     self._add_plan(t, self._bag.decode(info.type_name, data))
             elif info.type_name == DIGEST:
                 self._digest.add(self._bag.decode(info.type_name, data))
             elif info.type_name == INPUT:
-                if running:
+                if has_goal:
                     self._add_input(t, self._bag.decode(info.type_name, data))
             elif info.type_name == roles.TF:
                 self._add_transforms(t, self._bag.decode(info.type_name, data))
@@ -278,29 +279,31 @@ class _Reading:
             self._rows.applied.append(t)
 
     def _add_transforms(self, t: float, msg: Any) -> None:
-        """Keeps map -> odom at the time at which it was known, and odom -> base at its stamp."""
-        for one in msg.transforms:
-            parent, child = (frame.lstrip("/").rpartition("/")[2] for frame in (one.header.frame_id, one.child_frame_id))
+        """Stores map -> odom with its time of arrival, and odom -> base with its stamp."""
+        for transform in msg.transforms:
+            parent, child = (
+                frame.lstrip("/").rpartition("/")[2] for frame in (transform.header.frame_id, transform.child_frame_id)
+            )
             if (parent, child) != ("map", "odom") and parent != "odom":
                 continue
-            move, q = one.transform.translation, one.transform.rotation
-            pose = move.x, move.y, yaw_from_quat((q.x, q.y, q.z, q.w))
+            translation, q = transform.transform.translation, transform.transform.rotation
+            pose = translation.x, translation.y, yaw_from_quat((q.x, q.y, q.z, q.w))
             if parent == "map":
                 self._rows.map_from_odom.append((t, *pose))
             elif t >= 0.0:
-                stamp = self._seconds(header_stamp_ns(one.header.stamp))
+                stamp = self._seconds(header_stamp_ns(transform.header.stamp))
                 self._rows.odom_from_base.setdefault(child, []).append((stamp, *pose))
 
     def evidence(self, *, has_journal: bool) -> Evidence:
-        """Returns what the messages read tell; ``has_journal``: whether the inputs of the simulation were recorded, if there were any."""
+        """Returns the evidence from the messages read; ``has_journal``: whether the bag records the inputs of the simulation."""
         rows, duration = self._rows, max(0.0, self._seconds(self._end_ns))
         truth, odometry = _poses(rows.truth, duration), _poses(rows.odometry, duration)
-        by_tf = max(rows.odom_from_base.values(), key=len, default=[])
-        estimate = _estimate(rows, _poses(by_tf, duration) or odometry, duration)
+        tf_rows = max(rows.odom_from_base.values(), key=len, default=[])
+        estimate = _estimate(rows, _poses(tf_rows, duration) or odometry, duration)
         if truth is not None and estimate is not None and float(errors(estimate.poses, truth)[0].max()) < _SAME_M:
             estimate = None
-        commands = next((topic for topic, role in self._role.items() if role == "cmd_vel"), "")
-        others = [
+        command_topic = next((topic for topic, role in self._role.items() if role == "cmd_vel"), "")
+        unsupported = [
             f"{topic} of type {info.type_name}"
             for topic, info in self._infos.items()
             if topic.rpartition("/")[2].startswith("cmd_vel") or info.type_name in _TWISTS
@@ -312,9 +315,9 @@ class _Reading:
             truth=truth,
             odometry=odometry,
             estimate=estimate,
-            commands=_commands(rows.commands, commands),
+            commands=_commands(rows.commands, command_topic),
             applied=np.array(rows.applied, dtype=np.float64) if has_journal else None,
-            wrong_commands=others[0] if others and not commands else "",
+            wrong_commands=unsupported[0] if unsupported and not command_topic else "",
             touches=touches if self._touches.topics else None,
             plans=tuple(rows.plans),
             floor=_floor(self._map, self._maps[0] if self._maps else ""),
@@ -327,7 +330,7 @@ class _Reading:
 
 
 def errors(estimate: Poses, truth: Poses) -> tuple[F64, F64]:
-    """Returns how far an estimate is from the truth at its own times: metres (N,), and radians (N,), 0 to pi."""
+    """Returns the errors of an estimate against the truth at the times of the estimate: (N,), metres, and (N,), radians, 0 to pi."""
     x, y, yaw = truth.at(estimate.t)
     turn = np.abs(np.remainder(estimate.yaw - yaw + math.pi, 2.0 * math.pi) - math.pi)
     return np.hypot(estimate.x - x, estimate.y - y), turn
@@ -341,7 +344,7 @@ def composed(correction: F64, pose: F64) -> F64:
 
 
 def _table(rows: list[tuple[float, ...]]) -> F64:
-    """Returns rows (N, 4) that are finite and of sane size, by strictly increasing time; of equal times, the last."""
+    """Returns the rows (N, 4) with finite and plausible values, by strictly increasing time; of equal times, the last row."""
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 4)
     table = table[(np.abs(table) < _LARGEST).all(axis=1)][::-1]
     _, first = np.unique(table[:, 0], return_index=True)
@@ -355,7 +358,7 @@ def _poses(rows: list[tuple[float, ...]], duration: float) -> Poses | None:
 
 
 def _estimate(rows: _Rows, odometry: Poses | None, duration: float) -> Estimate | None:
-    """Returns the estimate by transforms map -> odom, else by a pose topic; None = there is none."""
+    """Returns the estimate from transforms map -> odom, else from a pose topic; None = neither exists."""
     corrections, source = _table(rows.map_from_odom), "tf map -> odom"
     if not len(corrections):
         source = "pose topic"
@@ -372,14 +375,14 @@ def _estimate(rows: _Rows, odometry: Poses | None, duration: float) -> Estimate 
     if odometry is None:
         return None
     corrections[:, 3] = np.unwrap(corrections[:, 3])
-    before = max(0, int(np.searchsorted(corrections[:, 0], 0.0, side="right")) - 1)
-    corrections = corrections[before:]
+    first = max(0, int(np.searchsorted(corrections[:, 0], 0.0, side="right")) - 1)
+    corrections = corrections[first:]
     known = odometry.t >= corrections[0, 0]
     if not known.any():
         return None
     t = odometry.t[known]
-    at = np.searchsorted(corrections[:, 0], t, side="right") - 1
-    x, y, yaw = composed(corrections[at, 1:].T, odometry.at(t))
+    index = np.searchsorted(corrections[:, 0], t, side="right") - 1
+    x, y, yaw = composed(corrections[index, 1:].T, odometry.at(t))
     return Estimate(Poses(t, x, y, yaw), corrections, odometry, source)
 
 
@@ -391,7 +394,7 @@ def _commands(rows: list[tuple[float, ...]], topic: str) -> Commands | None:
 
 
 def _plan_topic(infos: Mapping[str, TopicInfo]) -> str:
-    """Returns the topic of the plan that the robot follows: by its name, else the only one; empty = none can be told."""
+    """Returns the topic of the plan that the robot follows: by name, else the only path topic; empty = unknown."""
     paths = [topic for topic, info in infos.items() if info.type_name == PATH]
     for name in _PLAN_NAMES:
         for topic in paths:
@@ -401,7 +404,7 @@ def _plan_topic(infos: Mapping[str, TopicInfo]) -> str:
 
 
 def _floor(msg: Any, topic: str) -> Floor | None:
-    """Returns the occupied cells of a map; None = it is none, or damaged."""
+    """Returns a map with its occupied cells; None = missing or damaged."""
     if msg is None:
         return None
     info, cells = msg.info, np.asarray(msg.data, dtype=np.int8)

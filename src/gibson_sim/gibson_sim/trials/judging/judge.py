@@ -14,17 +14,17 @@ from gibson_sim.trials.records import Outcome, RunResult, RunSpec
 from gibson_sim.trials.scenario_spec import Scenario
 
 _LONGEST = 400
-"""Longest reason why a bag cannot be read, characters."""
+"""Largest length of the reason why a bag cannot be read, characters."""
 
 
 def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> RunResult:
-    """Returns the result of a run: verdicts, measures, digest, and the cause if it failed. Nothing that is wrong with a bag raises.
+    """Returns the result of a run: verdicts, measures, digest, and the cause if it failed. A faulty bag never raises.
 
     Args:
-        scenario: what is judged.
-        run: the run as it was planned.
-        outcome: how it ended.
-        folder: of the run, with its bag in ``bag``.
+        scenario: criteria of the verdicts.
+        run: the planned run.
+        outcome: outcome of the run.
+        folder: folder of the run, with its bag in ``bag``.
     """
     bag = folder / "bag"
     try:
@@ -32,7 +32,7 @@ def judge(scenario: Scenario, run: RunSpec, outcome: Outcome, folder: Path) -> R
         problem = ""
     except GibsonSimError as error:
         evidence, problem = None, clipped(str(error), _LONGEST)
-    # What a damaged bag decodes to can be anything.
+    # A damaged bag can decode to arbitrary values.
     except (ValueError, IndexError, KeyError, AttributeError, OverflowError, MemoryError) as error:
         evidence, problem = (
             None,

@@ -1,4 +1,4 @@
-"""What is measured of a run: numbers in SI units."""
+"""Measures of a run: numbers in SI units."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from gibson_sim.trials.judging.evidence import Commands, Evidence, Poses, errors
-from gibson_sim.trials.judging.obstacles import Obstacles, of_floor, scene_floor
+from gibson_sim.trials.judging.obstacles import Obstacles, floor_obstacles, scene_floor
 from gibson_sim.trials.records import Outcome, RunSpec
 
 _STEP_M = 0.01
-"""Least distance between two points of a track whose length is measured, m: a robot that stands trembles by less."""
+"""Least distance between two counted points of a track, m: more than the jitter of a standing robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What verdicts and causes are made from beside the evidence; None = it is unknown."""
+    """Measures that verdicts and causes are derived from, in addition to the evidence; None = unknown."""
 
     walls: Obstacles | None
     """Occupied cells of the map."""
     length: float | None
-    """Driven, metres."""
+    """Driven length, metres."""
     clearance: float | None
     """Least distance between the robot's circle and the map, metres; negative = they overlap."""
     clearance_time: float
-    """When that was, s since the goal."""
+    """Time of the least clearance, s since the goal."""
     goal_distance: float | None
-    """Of the true position at the end, metres."""
+    """Distance of the final true position from the goal, metres."""
     yaw_error: float | None
-    """Of the true yaw at the end, radians, 0 to pi."""
+    """Error of the final true yaw, radians, 0 to pi."""
     rms_acceleration: float | None
-    """Of the commanded linear velocity, m/s^2."""
+    """Root mean square of the acceleration of the commanded linear velocity, m/s^2."""
     values: dict[str, float]
-    """All measures by their names."""
+    """All measures by name."""
 
 
 def measure(run: RunSpec, outcome: Outcome, evidence: Evidence) -> Measured:
-    """Returns what is measured of a run with a goal."""
+    """Returns the measures of a run with a goal."""
     truth, values = evidence.truth, dict[str, float]()
     floor = evidence.floor or scene_floor(run.scene)
-    walls = None if floor is None else of_floor(floor)
+    walls = None if floor is None else floor_obstacles(floor)
     length = clearance = distance = yaw_error = None
     clearance_time = 0.0
     values["time"] = evidence.decided
@@ -60,10 +60,10 @@ def measure(run: RunSpec, outcome: Outcome, evidence: Evidence) -> Measured:
             least, index = walls.least_distance(np.column_stack([truth.x, truth.y]))
             clearance, clearance_time = least - run.radius, float(truth.t[index])
             values["clearance"] = clearance
-    begun = None if evidence.touches is None else [touch for touch in evidence.touches if touch.begin >= 0.0]
-    if begun is not None:
-        values["collisions"] = float(len(begun))
-        forces = [touch.force for touch in begun if touch.force > 0.0]
+    touches = None if evidence.touches is None else [touch for touch in evidence.touches if touch.begin >= 0.0]
+    if touches is not None:
+        values["collisions"] = float(len(touches))
+        forces = [touch.force for touch in touches if touch.force > 0.0]
         if forces:
             values["greatest_force"] = max(forces)
     acceleration = None if evidence.commands is None else rms_acceleration(evidence.commands)
@@ -82,7 +82,7 @@ def measure(run: RunSpec, outcome: Outcome, evidence: Evidence) -> Measured:
 
 
 def track_length(track: Poses) -> float:
-    """Returns the length of a track, metres, over points at least a centimetre apart."""
+    """Returns the length of a track over points at least a centimetre apart, metres."""
     length, last = 0.0, (float(track.x[0]), float(track.y[0]))
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         step = math.hypot(x - last[0], y - last[1])
@@ -92,13 +92,13 @@ def track_length(track: Poses) -> float:
 
 
 def rms_acceleration(commands: Commands) -> float | None:
-    """Returns the root mean square over time of the change of the commanded linear velocity, m/s^2; None = fewer than two commands.
+    """Returns the root mean square over time of the commanded linear acceleration, m/s^2; None = fewer than two commands.
 
-    Each change counts as spread over the time between its two commands. Commands that are not finite do not count, and of several at one
-    time the last one does.
+    Each change of velocity is spread over the time between its two commands. Commands that are not finite are ignored, and of several at
+    one time the last one counts.
     """
-    good = commands.is_finite
-    t, v = commands.t[good], np.column_stack([commands.forward[good], commands.sideways[good]])
+    finite = commands.is_finite
+    t, v = commands.t[finite], np.column_stack([commands.forward[finite], commands.sideways[finite]])
     last = np.append(np.diff(t) > 0.0, True)[: len(t)]
     t, v = t[last], v[last]
     if len(t) < 2:

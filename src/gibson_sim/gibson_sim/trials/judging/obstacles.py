@@ -1,4 +1,4 @@
-"""What a robot can run into, as cells on the floor with names: the map, and things of the run. Also the names of places."""
+"""Obstacles of a run as named cells on the floor: the map, spawned objects and bodies of the scene. Also descriptions of positions."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from gibson_sim.trials.records import RunSpec
 
 F64 = NDArray[np.float64]
 MAP_HEIGHT = 0.5
-"""Height above the floor up to which things count, m, as in a map for a robot whose height is not known."""
+"""Height above the floor up to which objects count as obstacles, m, as in a map for a robot of unknown height."""
 _FINE = 0.02
-"""Edge of the cells of things, metres."""
+"""Cell size for bodies, metres."""
 _SCENES = 16
-"""Scenes that are kept in memory."""
+"""Number of scenes kept in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,32 +34,32 @@ class Obstacles:
     """Occupied squares on the floor."""
 
     name: str
-    """``the map``, or that of the thing."""
+    """``the map``, or the name of the body."""
     centers: F64
     """(N, 2), map frame, metres; N is 1 or more."""
     edge: float
-    """Of a square, metres."""
+    """Edge length of a square, metres."""
     tree: cKDTree
 
     @classmethod
     def of(cls, name: str, centers: F64, edge: float) -> Obstacles:
-        """Returns the squares with these centres (N, 2)."""
+        """Returns squares with the given centres (N, 2)."""
         return cls(name, centers, edge, cKDTree(centers))
 
     def distance(self, points: F64) -> F64:
-        """Returns (M,): metres from points (M, 2) to the nearest square, exact; 0 inside of one."""
+        """Returns the exact distances (M,), metres, from points (M, 2) to the nearest square; 0 inside a square."""
         half = self.edge / 2.0
         nearest, _ = self.tree.query(points)
-        # The nearest square is no farther than the nearest centre, so its own centre is within half a diagonal of that distance.
-        out = np.empty(len(points))
+        # The nearest square is no farther than the nearest centre, so its centre is within half a diagonal of that distance.
+        distances = np.empty(len(points))
         near = self.tree.query_ball_point(points, nearest + half * np.sqrt(2.0) + 1e-9)
         for i, (point, indices) in enumerate(zip(points, near, strict=True)):
             outside = np.maximum(np.abs(self.centers[indices] - point) - half, 0.0)
-            out[i] = np.sqrt((outside**2).sum(axis=1).min())
-        return out
+            distances[i] = np.sqrt((outside**2).sum(axis=1).min())
+        return distances
 
     def least_distance(self, points: F64) -> tuple[float, int]:
-        """Returns the least ``distance`` of points (M, 2), metres, and the index of the point."""
+        """Returns the least ``distance`` of points (M, 2), metres, and the index of that point."""
         rough, _ = self.tree.query(points)
         # A square's nearest point is at most half a diagonal nearer than its centre.
         candidates = np.flatnonzero(rough <= rough.min() + self.edge * np.sqrt(0.5))
@@ -68,8 +68,8 @@ class Obstacles:
         return float(exact[best]), int(candidates[best])
 
 
-def of_floor(floor: Floor) -> Obstacles | None:
-    """Returns the occupied cells of a map; None = it has none."""
+def floor_obstacles(floor: Floor) -> Obstacles | None:
+    """Returns the occupied cells of a map; None = none."""
     rows, columns = np.nonzero(floor.cells >= 100)
     if not len(rows):
         return None
@@ -78,8 +78,8 @@ def of_floor(floor: Floor) -> Obstacles | None:
 
 
 @lru_cache(maxsize=_SCENES)
-def scene_of(name: str) -> SceneSpec | None:
-    """Returns a scene by its name or file; None = it cannot be loaded here."""
+def load_scene_or_none(name: str) -> SceneSpec | None:
+    """Returns a scene by name or file; None = it cannot be loaded on this machine."""
     try:
         return load_scene(name)
     except GibsonSimError:
@@ -88,8 +88,8 @@ def scene_of(name: str) -> SceneSpec | None:
 
 @lru_cache(maxsize=_SCENES)
 def scene_floor(name: str) -> Floor | None:
-    """Returns the map of a scene's floor, as its simulation publishes it for a low robot; None = it cannot be made."""
-    scene = scene_of(name)
+    """Returns the floor map of a scene, as its simulation publishes it for a low robot; None = it cannot be created."""
+    scene = load_scene_or_none(name)
     if scene is None:
         return None
     try:
@@ -100,34 +100,34 @@ def scene_floor(name: str) -> Floor | None:
     return Floor(cells, floor.resolution, floor.origin, f"scene {name}")
 
 
-def things_of(run: RunSpec) -> tuple[Obstacles, ...]:
-    """Returns what stands in the way in a run beside the map: spawned things where they were put, and bodies of the scene, closed doors closed."""
-    scene = scene_of(run.scene)
+def body_obstacles(run: RunSpec) -> tuple[Obstacles, ...]:
+    """Returns the obstacles of a run besides the map: spawned objects at their poses, and bodies of the scene with the closed doors."""
+    scene = load_scene_or_none(run.scene)
     if scene is None:
         return ()
     spawned = []
-    for thing in run.things:
-        pose = pose_from_xyz_rpy((thing.pose[0], thing.pose[1], thing.z), (0.0, 0.0, thing.pose[2]))
+    for placed in run.things:
+        pose = pose_from_xyz_rpy((placed.pose[0], placed.pose[1], placed.z), (0.0, 0.0, placed.pose[2]))
         try:
-            body = load_spawnable(thing.object, "", name=thing.name, pose=pose)
+            body = load_spawnable(placed.object, "", name=placed.name, pose=pose)
         except GibsonSimError:
             continue
-        if isinstance(body, BodySpec) and (found := _cells_of(scene, body)) is not None:
-            spawned.append(found)
-    return (*spawned, *_bodies_of(run.scene, run.closed_doors))
+        if isinstance(body, BodySpec) and (obstacle := _body_cells(scene, body)) is not None:
+            spawned.append(obstacle)
+    return (*spawned, *_scene_bodies(run.scene, run.closed_doors))
 
 
 @lru_cache(maxsize=_SCENES)
-def _bodies_of(name: str, closed_doors: tuple[str, ...]) -> tuple[Obstacles, ...]:
-    """Returns the bodies of a scene as they stand at load, with these doors closed."""
-    scene = scene_of(name)
+def _scene_bodies(name: str, closed_doors: tuple[str, ...]) -> tuple[Obstacles, ...]:
+    """Returns the bodies of a scene at their poses after loading, with the given doors closed."""
+    scene = load_scene_or_none(name)
     assert scene is not None
     bodies = (replace(body, joints=()) if body.name in closed_doors and body.model.joints else body for body in scene.bodies)
-    return tuple(found for body in bodies if (found := _cells_of(scene, body)) is not None)
+    return tuple(obstacle for body in bodies if (obstacle := _body_cells(scene, body)) is not None)
 
 
-def _cells_of(scene: SceneSpec, body: BodySpec) -> Obstacles | None:
-    """Returns the cells that a body covers at the height of a robot; None = none."""
+def _body_cells(scene: SceneSpec, body: BodySpec) -> Obstacles | None:
+    """Returns the cells that a body covers below ``MAP_HEIGHT``; None = none."""
     vertices, triangles = body_triangles(replace(scene, bodies=(body,)))
     if not len(triangles):
         return None
@@ -139,8 +139,8 @@ def _cells_of(scene: SceneSpec, body: BodySpec) -> Obstacles | None:
     return Obstacles.of(body.name, floor.centers(cells), _FINE) if len(cells) else None
 
 
-def place(run: RunSpec, x: float, y: float) -> str:
-    """Returns where a point is: ``at (3.10, 4.20) in kitchen``; without the room if the scene names none there."""
-    scene = scene_of(run.scene)
+def place_text(run: RunSpec, x: float, y: float) -> str:
+    """Returns a description of a point: ``at (3.10, 4.20) in kitchen``; without the room if the scene has no named room there."""
+    scene = load_scene_or_none(run.scene)
     room = None if scene is None else scene.room_at(x, y, scene.floors.index(scene.floor_z))
     return f"at ({x:.2f}, {y:.2f})" + (f" in {room.name}" if room is not None else "")

@@ -1,4 +1,4 @@
-"""Calls predicates: functions of the user that judge a bag. Whatever they raise is a failed verdict, never a traceback."""
+"""Calls predicates: user functions that judge a bag. An exception of a predicate becomes a failed verdict, never a traceback."""
 
 from __future__ import annotations
 
@@ -19,40 +19,42 @@ from gibson_sim.quoting import clipped, quoted
 from gibson_sim.trials.records import RunSpec, Verdict
 
 _LONGEST = 300
-"""Longest text of a predicate, characters."""
+"""Largest length of a predicate's text, characters."""
 Predicate = Callable[[Path, RunSpec], object]
 
 
-def judged_by(predicate: str, folder: Path, bag: Path, run: RunSpec) -> Verdict:
+def predicate_verdict(predicate: str, folder: Path, bag: Path, run: RunSpec) -> Verdict:
     """Returns the verdict of a predicate.
 
     Args:
         predicate: ``module:function``.
-        folder: of the scenario, where modules are looked for before ``sys.path``.
+        folder: folder of the scenario; modules are searched there before ``sys.path``.
         bag: folder of the bag.
-        run: the run.
+        run: the planned run.
     """
     name = f"predicates.{predicate}"
     try:
         with _importing_from(folder):
-            answer = _function(predicate, folder)(bag, run)
+            returned = _function(predicate, folder)(bag, run)
     except ConfigError as error:
         return Verdict(name, False, str(error))
-    # SystemExit is a predicate's own end, not that of the trial; Ctrl-C passes through.
+    # SystemExit of a predicate must not end the trial; Ctrl-C passes through.
     except (Exception, SystemExit) as error:
-        return Verdict(name, False, f"{predicate} raised {_raised(error, folder)}")
-    if isinstance(answer, (bool, np.bool_)):
-        return Verdict(name, bool(answer), f"{predicate} returned {bool(answer)}")
-    if isinstance(answer, str):
-        return Verdict(name, False, clipped(answer, _LONGEST) or f"{predicate} returned an empty text")
-    return Verdict(name, False, f"{predicate} returned {quoted(answer)}, must be True, False, or a text that says why not")
+        return Verdict(name, False, f"{predicate} raised {_error_text(error, folder)}")
+    if isinstance(returned, (bool, np.bool_)):
+        return Verdict(name, bool(returned), f"{predicate} returned {bool(returned)}")
+    if isinstance(returned, str):
+        return Verdict(name, False, clipped(returned, _LONGEST) or f"{predicate} returned an empty text")
+    return Verdict(
+        name, False, f"{predicate} returned {quoted(returned)}, must be True, False, or a text with the reason why not"
+    )
 
 
 def _function(predicate: str, folder: Path) -> Predicate:
     """Returns a predicate's function.
 
     Raises:
-        ConfigError: there is no such module or function.
+        ConfigError: the module or function does not exist.
     """
     module_name, colon, function_name = predicate.partition(":")
     parts = module_name.split(".")
@@ -74,9 +76,9 @@ def _function(predicate: str, folder: Path) -> Predicate:
 
 
 def _loaded(file: Path) -> ModuleType:
-    """Returns the module in a file, once for each file and state of it: scenarios in different folders may use one name."""
-    state = f"{file.resolve()} {file.stat().st_mtime_ns}"
-    name = f"gibson_sim_predicates_{hashlib.blake2b(state.encode(), digest_size=8).hexdigest()}"
+    """Returns the module in a file, loaded once per version of the file: scenarios in different folders may use the same module name."""
+    version = f"{file.resolve()} {file.stat().st_mtime_ns}"
+    name = f"gibson_sim_predicates_{hashlib.blake2b(version.encode(), digest_size=8).hexdigest()}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, file)
@@ -93,7 +95,7 @@ def _loaded(file: Path) -> ModuleType:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[None]:
-    """Lets modules of a folder import each other."""
+    """Puts a folder first in ``sys.path``, so that its modules can import each other."""
     entry = str(folder.resolve())
     sys.path.insert(0, entry)
     try:
@@ -103,11 +105,11 @@ def _importing_from(folder: Path) -> Iterator[None]:
             sys.path.remove(entry)
 
 
-def _raised(error: BaseException, folder: Path) -> str:
-    """Returns an exception with file and line: of the innermost frame in the scenario's folder, else of the innermost one."""
+def _error_text(error: BaseException, folder: Path) -> str:
+    """Returns an exception with file and line of the innermost frame in the scenario's folder, else of the innermost frame."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{type(error).__name__}: {clipped(str(error.msg), _LONGEST)} ({error.filename}, line {error.lineno})"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__ and not f.filename.startswith("<")]
-    own = [frame for frame in frames if Path(frame.filename).resolve().is_relative_to(folder.resolve())]
-    at = next((f" ({frame.filename}, line {frame.lineno})" for frame in reversed(own or frames)), "")
+    scenario_frames = [frame for frame in frames if Path(frame.filename).resolve().is_relative_to(folder.resolve())]
+    at = next((f" ({frame.filename}, line {frame.lineno})" for frame in reversed(scenario_frames or frames)), "")
     return f"{type(error).__name__}: {clipped(str(error), _LONGEST)}{at}"

@@ -1,4 +1,4 @@
-"""The verdicts of a run: each key of ``Verdicts`` that a scenario gives becomes a ``Verdict``, or one for each of its items."""
+"""The verdicts of a run: each key of ``Verdicts`` that a scenario sets yields a ``Verdict``, or one for each of its items."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from gibson_sim.bags.plots.touches import Touch
 from gibson_sim.trials.judging.evidence import Evidence, Poses
 from gibson_sim.trials.judging.measures import Measured
-from gibson_sim.trials.judging.predicates import judged_by
+from gibson_sim.trials.judging.predicates import predicate_verdict
 from gibson_sim.trials.records import Outcome, RunSpec, Verdict
 from gibson_sim.trials.scenario_spec import Reached, Region, Scenario
 
 RUN = "run"
-"""Name of the verdict that a run could be judged at all."""
+"""Name of the verdict on whether a run could be judged at all."""
 NOT_JUDGED = ("simulation failed", "never ready", "stack silent", "interrupted", "wall time limit")
-"""Ends after which no run passes, whatever is judged."""
+"""Ends after which no run passes."""
 _MOST_NAMED = 3
-"""Collisions that a verdict names."""
+"""Number of collisions that a verdict names."""
 _TRUTH = "ground_truth/odom"
 
 
 def failed_verdicts(scenario: Scenario, outcome: Outcome, why: str) -> tuple[Verdict, ...]:
-    """Returns the verdicts of a run without a goal, or without a bag that can be read: all but ``alive`` have failed.
+    """Returns the verdicts of a run without a goal or without a readable bag: all but ``alive`` have failed.
 
     Args:
-        scenario: what is judged.
-        outcome: of the run.
-        why: one line.
+        scenario: criteria of the verdicts.
+        outcome: outcome of the run.
+        why: reason, one line.
     """
     limits = scenario.verdicts
     names = [
@@ -42,7 +42,7 @@ def failed_verdicts(scenario: Scenario, outcome: Outcome, why: str) -> tuple[Ver
     names += [f"stay_out_of.{region.name}" for region in limits.stay_out_of]
     names += [f"rates.{rate.topic.lstrip('/')}" for rate in limits.rates]
     names += [f"predicates.{predicate}" for predicate in limits.predicates]
-    text = "not judged: the goal was not given" if outcome.goal_ns < 0 else "not judged: the bag cannot be read"
+    text = "not judged: the goal was not sent" if outcome.goal_ns < 0 else "not judged: the bag cannot be read"
     alive = (_alive(outcome),) if limits.alive else ()
     return (Verdict(RUN, False, why), *(Verdict(name, False, text) for name in names), *alive)
 
@@ -52,68 +52,68 @@ def verdicts_of(
 ) -> tuple[Verdict, ...]:
     """Returns all verdicts of a run with a goal and a bag."""
     limits, truth = scenario.verdicts, evidence.truth
-    out = [_run(outcome, evidence)]
+    verdicts = [_run(outcome, evidence)]
     if limits.reached is not None:
-        out.append(_reached(limits.reached, outcome, measured))
+        verdicts.append(_reached(limits.reached, outcome, measured))
     if limits.collisions is not None:
-        out.append(_collisions(limits.collisions, evidence))
+        verdicts.append(_collisions(limits.collisions, evidence))
     if limits.clearance is not None:
-        out.append(_clearance(limits.clearance, evidence, measured))
+        verdicts.append(_clearance(limits.clearance, evidence, measured))
     if limits.stay_within:
-        out.append(_stay_within(limits.stay_within, truth))
-    out += [_stay_out_of(region, truth) for region in limits.stay_out_of]
+        verdicts.append(_stay_within(limits.stay_within, truth))
+    verdicts += [_stay_out_of(region, truth) for region in limits.stay_out_of]
     if limits.path_ratio is not None:
-        out.append(_path_ratio(limits.path_ratio, run, measured))
+        verdicts.append(_path_ratio(limits.path_ratio, run, measured))
     if limits.time is not None:
-        out.append(_at_most("time", evidence.decided, limits.time, "s", "the run took"))
+        verdicts.append(_at_most("time", evidence.decided, limits.time, "s", "the run took"))
     if limits.max_acceleration is not None:
-        out.append(_acceleration(limits.max_acceleration, evidence, measured))
-    out += [_rate(rate.topic, rate.least, evidence) for rate in limits.rates]
+        verdicts.append(_acceleration(limits.max_acceleration, evidence, measured))
+    verdicts += [_rate(rate.topic, rate.least, evidence) for rate in limits.rates]
     if limits.alive:
-        out.append(_alive(outcome))
-    out += [judged_by(predicate, scenario.path.parent, bag, run) for predicate in limits.predicates]
-    return tuple(out)
+        verdicts.append(_alive(outcome))
+    verdicts += [predicate_verdict(predicate, scenario.path.parent, bag, run) for predicate in limits.predicates]
+    return tuple(verdicts)
 
 
-def touches_begun(evidence: Evidence) -> list[Touch]:
+def touches_after_goal(evidence: Evidence) -> list[Touch]:
     """Returns the contacts that began after the goal was given."""
     return [touch for touch in evidence.touches or () if touch.begin >= 0.0]
 
 
-def stays_within(regions: tuple[Region, ...], truth: Poses) -> NDArray[np.bool_]:
-    """Returns (N,): which true positions lie in at least one region."""
+def inside_any(regions: tuple[Region, ...], truth: Poses) -> NDArray[np.bool_]:
+    """Returns a mask (N,) of the true positions inside at least one region."""
     return np.asarray(np.any([inside(region, truth) for region in regions], axis=0))
 
 
 def inside(region: Region, truth: Poses) -> NDArray[np.bool_]:
-    """Returns (N,): which true positions lie in a region."""
+    """Returns a mask (N,) of the true positions inside a region."""
     x, y = truth.x, truth.y
-    out = np.zeros(len(x), dtype=bool)
+    is_inside = np.zeros(len(x), dtype=bool)
     for (x0, y0), (x1, y1) in zip(region.corners, (*region.corners[1:], region.corners[0]), strict=True):
         if y0 != y1:
-            out ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return out
+            is_inside ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return is_inside
 
 
 def is_alive(outcome: Outcome) -> bool:
-    """Returns whether the stack's process ran until the end: only one that has done its work may end by itself, and with 0."""
+    """Returns whether the stack's process ran until the end; it may exit by itself only after its end was reported, and with code 0."""
     if outcome.end == "stack died" or outcome.exit_code not in (None, 0):
         return False
     return outcome.exit_code is None or outcome.end in ("reached", "gave up")
 
 
 def _run(outcome: Outcome, evidence: Evidence) -> Verdict:
-    """Judges that the run went to its end and was recorded all the time."""
+    """Judges whether the run was completed and recorded without a gap at its beginning or end."""
     if outcome.end in NOT_JUDGED:
         return Verdict(RUN, False, f"{outcome.end}: {outcome.detail}")
     missing = evidence.duration - evidence.last
     if missing > 1.0:
-        return Verdict(RUN, False, f"the bag ends {missing:.1f} s before the run does: what happened then is unknown")
+        return Verdict(RUN, False, f"the bag ends {missing:.1f} s before the run does: the rest of the run is unknown")
     if evidence.first > 1.0:
         return Verdict(
-            RUN, False, f"the bag begins {evidence.first:.1f} s after the goal was given: what happened then is unknown"
+            RUN, False, f"the bag begins {evidence.first:.1f} s after the goal was sent: the beginning of the run is unknown"
         )
-    return Verdict(RUN, True, "the run went to its end and was recorded")
+    return Verdict(RUN, True, "the run was completed and recorded")
 
 
 def _missing(name: str, what: str) -> Verdict:
@@ -127,29 +127,29 @@ def _at_most(name: str, value: float, limit: float, unit: str, what: str) -> Ver
     )
 
 
-def _reached(wanted: Reached, outcome: Outcome, measured: Measured) -> Verdict:
+def _reached(required: Reached, outcome: Outcome, measured: Measured) -> Verdict:
     name, distance, yaw_error = "reached", measured.goal_distance, measured.yaw_error
     if distance is None or yaw_error is None:
         return _missing(name, _TRUTH)
-    text, passed = f"the robot ended {distance:.2f} m from the goal, at most {wanted.within:g} m", distance <= wanted.within
-    if wanted.yaw_within_deg is not None:
-        text += f", and turned by {math.degrees(yaw_error):.0f} deg, at most {wanted.yaw_within_deg:g} deg"
-        passed = passed and math.degrees(yaw_error) <= wanted.yaw_within_deg
+    text, passed = f"the robot ended {distance:.2f} m from the goal, at most {required.within:g} m", distance <= required.within
+    if required.yaw_within_deg is not None:
+        text += f", with a heading error of {math.degrees(yaw_error):.0f} deg, at most {required.yaw_within_deg:g} deg"
+        passed = passed and math.degrees(yaw_error) <= required.yaw_within_deg
     if outcome.end != "reached":
-        text, passed = f"{text}; the run ended otherwise: {outcome.end}", False
-    return Verdict(name, passed, text, distance, wanted.within)
+        text, passed = f"{text}; the run ended differently: {outcome.end}", False
+    return Verdict(name, passed, text, distance, required.within)
 
 
 def _collisions(limit: int, evidence: Evidence) -> Verdict:
     if evidence.touches is None:
         return _missing("collisions", "a topic of collisions, contacts or a bumper")
-    begun = touches_begun(evidence)
-    if not begun:
+    touches = touches_after_goal(evidence)
+    if not touches:
         return Verdict("collisions", True, "the robot touched nothing but the floor", 0.0, float(limit))
-    named = [f"{touch.other or 'something'} at {touch.begin:.1f} s" for touch in begun[:_MOST_NAMED]]
-    more = f" and {len(begun) - _MOST_NAMED} more" if len(begun) > _MOST_NAMED else ""
-    text = f"{len(begun)} collision{'s' if len(begun) > 1 else ''}, at most {limit}: {', '.join(named)}{more}"
-    return Verdict("collisions", len(begun) <= limit, text, float(len(begun)), float(limit))
+    named = [f"{touch.other or 'something'} at {touch.begin:.1f} s" for touch in touches[:_MOST_NAMED]]
+    more = f" and {len(touches) - _MOST_NAMED} more" if len(touches) > _MOST_NAMED else ""
+    text = f"{len(touches)} collision{'s' if len(touches) > 1 else ''}, at most {limit}: {', '.join(named)}{more}"
+    return Verdict("collisions", len(touches) <= limit, text, float(len(touches)), float(limit))
 
 
 def _clearance(limit: float, evidence: Evidence, measured: Measured) -> Verdict:
@@ -170,7 +170,7 @@ def _stay_within(regions: tuple[Region, ...], truth: Poses | None) -> Verdict:
     names = " or ".join(region.name for region in regions)
     if truth is None:
         return _missing("stay_within", _TRUTH)
-    return _region("stay_within", ~stays_within(regions, truth), truth, f"the robot left {names}", f"the robot stayed in {names}")
+    return _region("stay_within", ~inside_any(regions, truth), truth, f"the robot left {names}", f"the robot stayed in {names}")
 
 
 def _stay_out_of(region: Region, truth: Poses | None) -> Verdict:
@@ -182,11 +182,11 @@ def _stay_out_of(region: Region, truth: Poses | None) -> Verdict:
     )
 
 
-def _region(name: str, wrong: NDArray[np.bool_], truth: Poses, bad: str, good: str) -> Verdict:
-    """Judges that no true position is wrong (N,)."""
-    if not wrong.any():
+def _region(name: str, violations: NDArray[np.bool_], truth: Poses, bad: str, good: str) -> Verdict:
+    """Returns the verdict for a mask (N,) of the true positions that violate a region."""
+    if not violations.any():
         return Verdict(name, True, good)
-    first = int(wrong.argmax())
+    first = int(violations.argmax())
     where = f"at ({truth.x[first]:.2f}, {truth.y[first]:.2f}) after {truth.t[first]:.1f} s"
     return Verdict(name, False, f"{bad} {where}", float(truth.t[first]))
 
