@@ -71,7 +71,7 @@ def test_runs_are_planned_by_number_as_among_all() -> None:
     assert [(run.number, run.robot) for run in runs] == [(1, "gibson_bot"), (3, "skid_bot")]
     assert told == [(0, 2), (1, 2), (2, 2)]
     for number in (-1, 8):
-        with pytest.raises(ConfigError, match=f"--run {number}: there is no such run; the plan has runs 0 to 7"):
+        with pytest.raises(ConfigError, match=f"--run {number} does not exist; the plan has runs 0 to 7"):
             plan_runs(given, [number])
 
 
@@ -188,13 +188,13 @@ def test_looks_become_settings_of_physics_with_a_seed_of_the_run() -> None:
         ({"starts": ("frist",)}, "starts is 'frist', must be sampled, x,y,yaw_deg in quotes, or a named pose of scene 'arena'; did you mean"),
         ({"starts": ("1,2",)}, "starts is '1,2', must be x,y,yaw_deg: three finite numbers"),
         ({"goals": ("nan,1,1",)}, "goals is 'nan,1,1', must be x,y,yaw_deg: three finite numbers"),
-        ({"starts": (FIRST,), "goals": (FIRST,)}, "goals is where the run starts"),
-        ({"sampling": Sampling((50.0, 60.0))}, "sampling.path_length is 50 to 60 m, but scene 'arena' has no such way for robot 'gibson_bot'"),
+        ({"starts": (FIRST,), "goals": (FIRST,)}, "goals is at the start of the run"),
+        ({"sampling": Sampling((50.0, 60.0))}, "sampling.path_length is 50 to 60 m, but scene 'arena' has no such path for robot 'gibson_bot'"),
         ({"sampling": Sampling(clearance=3.0)}, "sampling.clearance is such that scene 'arena' has no place with 3.00 m around"),
         ({"scenes": ("/nowhere",)}, "scenes is '/nowhere': "),
         ({"obstacles": Obstacles(closed_doors=("gate",))}, "obstacles.closed_doors is 'gate', which is not in scene 'arena'; known: none"),
-        ({"obstacles": Obstacles((SpawnRule("mug", 2, "1,1,0"),))}, "obstacles.spawn[0].at is '1,1,0', one place for 2 things"),
-        ({"obstacles": Obstacles((SpawnRule("mug", at="0,0,0"),))}, "obstacles.spawn[0].at is '0,0,0', where 'mug' would stand in"),
+        ({"obstacles": Obstacles((SpawnRule("mug", 2, "1,1,0"),))}, "obstacles.spawn[0].at is '1,1,0', one place for 2 objects"),
+        ({"obstacles": Obstacles((SpawnRule("mug", at="0,0,0"),))}, "obstacles.spawn[0].at is '0,0,0', where 'mug' would overlap an obstacle"),
         ({"obstacles": Obstacles((SpawnRule("husky"),))}, "obstacles.spawn[0].object is 'husky', a robot; must be an object"),
         ({"obstacles": Obstacles(people=(PersonRule(((0.0, 0.0), (90.0, 0.0))),))}, "obstacles.people[0].path has (90, 0), outside the map"),
         ({"obstacles": Obstacles(people=(PersonRule(((1.0, 1.0), (1.0, 1.0))),))}, "obstacles.people[0].path is 0.00 m long"),
@@ -257,7 +257,7 @@ def test_no_run_begins_where_a_door_that_closes_stands_or_swings(tmp_path: Path)
     assert run.goal[:2] == (4.6, 2.2)
     box = Obstacles((SpawnRule("box_cardboard", at="4.9,2.3,0"),), closed_doors=("way",))
     told = refusal(**{**given, "obstacles": box}, starts=(SECOND,), goals=("6.5,1.0,0",))
-    assert "'box_cardboard' would stand in the way of a door that closes" in told
+    assert "'box_cardboard' would block a door that closes" in told
 
 
 def test_things_stand_beside_the_path_and_leave_a_way_round() -> None:
@@ -279,7 +279,7 @@ def test_things_stand_beside_the_path_and_leave_a_way_round() -> None:
 
 def test_a_thing_that_would_close_the_way_is_refused() -> None:
     told = refusal(obstacles=Obstacles((SpawnRule("chair_wooden", at="4.26,2.2,0"),)), starts=(FIRST,), goals=(SECOND,))
-    assert told.startswith("obstacles.spawn[0].at is '4.26,2.2,0', where 'chair_wooden' would leave no way from (1.50, 2.20)")
+    assert told.startswith("obstacles.spawn[0].at is '4.26,2.2,0', where 'chair_wooden' would leave no path from (1.50, 2.20)")
 
 
 def test_a_thing_stands_on_the_floor_whatever_its_origin() -> None:

@@ -1,1 +1,1 @@
-"""Planning: what is drawn for each run of a scenario, and checks that it can be met. Nothing is started, and nothing is written."""
+"""Planning: samples the values of each run of a scenario and checks that the scenario can be satisfied. Starts no process, writes no file."""

@@ -1,4 +1,4 @@
-"""What stands and walks in the way of a run: things beside its path that leave a way round, and people who cross it."""
+"""Obstacles of a run: objects beside its path that leave a detour free, and people who cross the path."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from gibson_sim.types import Pose
 F64 = NDArray[np.float64]
 ON_PATH = "path"
 _TRIES = 60
-"""Places that are tried for a thing or a person."""
+"""Number of places tried for an object or a person."""
 _APART = 0.3
-"""Least distance of things and people from the robot's circle at start and goal, metres."""
+"""Least distance of objects and people from the robot's circle at start and goal, metres."""
 _BESIDE = 0.3
-"""Largest distance of a thing's origin from the edge of the robot on the path, metres."""
+"""Largest distance of an object's origin from the edge of the robot on the path, metres."""
 _ALONG = (0.15, 0.85)
-"""Part of the path on which things stand and people cross."""
+"""Part of the path, as fractions of its length, where objects stand and people cross."""
 _WALK = (0.7, 2.5)
 """Least and largest distance of a person's turning points from the robot's path, metres."""
 _STEP = 0.05
@@ -46,7 +46,7 @@ _STEP = 0.05
 
 
 class NoRoomError(NoPlaceError):
-    """There is no room for an obstacle in this run; with another start and goal there may be."""
+    """No room for an obstacle in this run; there may be room with another start and goal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class _Shape:
     def corners(self, x: float, y: float, yaw: float) -> F64:
         """Returns the corners (4, 2) of its footprint, world frame, metres, counter-clockwise."""
         (x0, y0, _), (x1, y1, _) = self.low, self.high
-        own = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
         c, s = math.cos(yaw), math.sin(yaw)
-        return np.asarray(own @ np.array([[c, s], [-s, c]]) + (x, y))
+        return np.asarray(corners @ np.array([[c, s], [-s, c]]) + (x, y))
 
     @property
     def radius(self) -> float:
@@ -71,10 +71,10 @@ class _Shape:
 
 @lru_cache(maxsize=256)
 def _shape(object_name: str) -> _Shape:
-    """Returns the size of an object.
+    """Returns the bounding box of an object.
 
     Raises:
-        ConfigError: it cannot be spawned, or is no object; without the key.
+        ConfigError: the object cannot be spawned or is not an object; the message lacks the key.
     """
     try:
         body = load_spawnable(object_name, "", name="thing", pose=Pose())
@@ -92,56 +92,56 @@ def _shape(object_name: str) -> _Shape:
 def obstructed(
     site: Site, places: Places, obstacles: Obstacles, seed: int, attempt: int
 ) -> tuple[Places, tuple[PlacedObject, ...], tuple[Person, ...]]:
-    """Returns start and goal with the shortest path around the things, the things, and the people.
+    """Returns start and goal with the shortest path around the objects, the objects, and the people.
 
     Args:
         site: scene and robot.
         places: start, goal, and the path between them.
-        obstacles: what is to stand in the way.
-        seed: of the run.
-        attempt: number of the attempt for this run; another one draws other places.
+        obstacles: obstacle rules of the scenario.
+        seed: seed of the run.
+        attempt: number of the attempt for this run; each attempt samples other places.
 
     Raises:
         NoRoomError: there is no room with this start and goal.
-        NoPlaceError: a given place is impossible, or an object cannot be spawned.
+        NoPlaceError: a given place is not possible, or an object cannot be spawned.
     """
     if not (obstacles.spawn or obstacles.people):
         return places, (), ()
     placer = _Placer(site, places)
-    things = [
+    objects = [
         placer.place(f"obstacles.spawn[{i}]", rule, k, stream(seed, "spawn", i, k, attempt))
         for i, rule in enumerate(obstacles.spawn)
         for k in range(rule.count)
     ]
-    if things:
+    if objects:
         shortest, path = placer.path()
         places = replace(places, shortest=round(shortest, 4), path=path)
     people = tuple(
         _person(site, places, rule, placer.floor, f"obstacles.people[{i}]", i, stream(seed, "person", i, attempt))
         for i, rule in enumerate(obstacles.people)
     )
-    return places, tuple(things), people
+    return places, tuple(objects), people
 
 
 class _Placer:
-    """Puts one thing after the other on the floor."""
+    """Places one object after the other on the floor."""
 
     def __init__(self, site: Site, places: Places) -> None:
         self._site, self._places = site, places
         self._names = {body.name for body in site.scene.bodies}
         self._next = site.floor
-        """The map with the thing whose place was tried last."""
+        """Map with the object at the place that was tried last."""
         self.floor: FloorMap = site.floor
 
     def path(self) -> tuple[float, F64]:
-        """Returns the shortest path around all things, as ``Site.shortest``."""
-        # Things only make ways longer: a path that they leave alone stays the shortest, and needs no search.
+        """Returns the shortest path around all objects, see ``Site.shortest``."""
+        # Objects only make paths longer: a path that stays clear of them remains the shortest and needs no search.
         if self._site.is_clear(self._places.path, self.floor):
             return self._places.shortest, self._places.path
         return self._site.shortest_on(self.floor, self._places.start[:2], self._places.goal[:2])
 
     def place(self, key: str, rule: SpawnRule, number: int, rng: np.random.Generator) -> PlacedObject:
-        """Returns a thing at a place that leaves a way round, and adds it to the map."""
+        """Returns an object at a place that leaves a detour free, and adds it to the map."""
         try:
             shape = _shape(rule.object)
         except ConfigError as error:
@@ -149,35 +149,37 @@ class _Placer:
         if rule.at not in (ON_PATH, SAMPLED):
             x, y, yaw = self._given(f"{key}.at", rule, shape)
         else:
-            x, y, yaw = self._drawn(key, rule, shape, rng)
+            x, y, yaw = self._sample(key, rule, shape, rng)
         self.floor = self._next
         return PlacedObject(
             self._name(rule.object, number), rule.object, (x, y, yaw), round(self._site.floor.floor_z - shape.low[2], 4)
         )
 
-    def _drawn(self, key: str, rule: SpawnRule, shape: _Shape, rng: np.random.Generator) -> tuple[float, float, float]:
+    def _sample(self, key: str, rule: SpawnRule, shape: _Shape, rng: np.random.Generator) -> tuple[float, float, float]:
         for _ in range(_TRIES):
             yaw = round(float(rng.uniform(-math.pi, math.pi)), 5)
             place = self._beside_path(rng) if rule.at == ON_PATH else self._anywhere(rng, shape)
-            if place is not None and not self._wrong(shape, *place, yaw):
+            if place is not None and not self._problem(shape, *place, yaw):
                 return (*place, yaw)
         raise NoRoomError(
             key,
-            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene_name)} that leaves robot "
-            f"{quoted(self._site.robot_name)} of radius {self._site.robot.radius:.2f} m a way from {_text(self._places.start)} to "
-            f"{_text(self._places.goal)}; fewer or smaller things may fit",
+            f"({quoted(rule.object)}) finds no place in scene {quoted(self._site.scene_name)} that leaves for robot "
+            f"{quoted(self._site.robot_name)} of radius {self._site.robot.radius:.2f} m a path from {_text(self._places.start)} to "
+            f"{_text(self._places.goal)}; fewer or smaller objects may fit",
         )
 
     def _given(self, key: str, rule: SpawnRule, shape: _Shape) -> tuple[float, float, float]:
         if rule.count > 1:
-            raise NoPlaceError(key, f"is {quoted(rule.at)}, one place for {rule.count} things; make a list with a place for each")
+            raise NoPlaceError(
+                key, f"is {quoted(rule.at)}, one place for {rule.count} objects; give a list with a place for each"
+            )
         try:
             x, y, yaw = self._site.given_pose(rule.at)
         except ConfigError as error:
             raise NoPlaceError(key, str(error).replace("must be sampled,", "must be path, sampled,", 1)) from error
-        wrong = self._wrong(shape, x, y, yaw)
-        if wrong:
-            raise NoRoomError(key, f"is {quoted(rule.at)}, where {quoted(rule.object)} {wrong}")
+        problem = self._problem(shape, x, y, yaw)
+        if problem:
+            raise NoRoomError(key, f"is {quoted(rule.at)}, where {quoted(rule.object)} {problem}")
         return round(x, 6), round(y, 6), round(yaw, 6)
 
     def _beside_path(self, rng: np.random.Generator) -> XY:
@@ -194,20 +196,20 @@ class _Placer:
             return None
         return round(pose.position[0], 4), round(pose.position[1], 4)
 
-    def _wrong(self, shape: _Shape, x: float, y: float, yaw: float) -> str:
-        """Returns why a thing cannot stand at a place; empty = it can."""
+    def _problem(self, shape: _Shape, x: float, y: float, yaw: float) -> str:
+        """Returns why an object cannot stand at a place; empty = it can."""
         corners = shape.corners(x, y, yaw)
         cells = self._site.grid.cover(corners[None])
         if not cells.any() or (cells & ~self.floor.free).any():
-            return f"would stand in something else or outside the map of scene {quoted(self._site.scene_name)}"
+            return f"would overlap an obstacle or the outside of the map of scene {quoted(self._site.scene_name)}"
         if self._site.swept is not None and (cells & self._site.swept).any():
-            return f"would stand in the way of a door that closes in scene {quoted(self._site.scene_name)}"
-        for what, pose in (("start", self._places.start), ("goal", self._places.goal)):
+            return f"would block a door that closes in scene {quoted(self._site.scene_name)}"
+        for end, pose in (("start", self._places.start), ("goal", self._places.goal)):
             if _distance_to_polygon(pose[:2], corners) < self._site.robot.radius + _APART:
-                return f"would stand within {_APART:g} m of the robot at the {what} ({pose[0]:.2f}, {pose[1]:.2f})"
+                return f"would stand within {_APART:g} m of the robot at the {end} ({pose[0]:.2f}, {pose[1]:.2f})"
         self._next = replace(self.floor, occupied=self.floor.occupied | cells)
         if not self._site.connected(self._places.start[:2], self._places.goal[:2], self._next):
-            return f"would leave no way from {_text(self._places.start)} to {_text(self._places.goal)}"
+            return f"would leave no path from {_text(self._places.start)} to {_text(self._places.goal)}"
         return ""
 
     def _name(self, object_name: str, number: int) -> str:
@@ -224,7 +226,7 @@ class _Placer:
 def _person(
     site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, number: int, rng: np.random.Generator
 ) -> Person:
-    """Returns a person on the path of the rule, or across the robot's path."""
+    """Returns a person on the path of the rule, or on a path across the robot's path."""
     path = rule.path or _across(site, places, rule, floor, key, rng)
     room = rule.radius + site.robot.radius + _APART
     for point in rule.path:
@@ -244,14 +246,14 @@ def _person(
 
 
 def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: str, rng: np.random.Generator) -> tuple[XY, ...]:
-    """Returns two free points on both sides of the robot's path, with a free line between them."""
+    """Returns two free points on opposite sides of the robot's path, with a free line between them."""
     room = rule.radius + site.robot.radius + _APART
     for _ in range(_TRIES):
         (x, y), (dx, dy) = _along(places.path, float(rng.uniform(*_ALONG)))
         if min(math.dist((x, y), end[:2]) for end in (places.start, places.goal)) < room:
             continue
-        turn = rng.uniform(-0.6, 0.6)
-        c, s = math.cos(turn), math.sin(turn)
+        angle = rng.uniform(-0.6, 0.6)
+        c, s = math.cos(angle), math.sin(angle)
         nx, ny = -dy * c - dx * s, dx * c - dy * s
         ends = []
         for side in (1.0, -1.0):
@@ -272,18 +274,18 @@ def _across(site: Site, places: Places, rule: PersonRule, floor: FloorMap, key: 
             return a, b
     raise NoRoomError(
         key,
-        f"finds no place in scene {quoted(site.scene_name)} to walk across the way from {_text(places.start)} to {_text(places.goal)}; "
-        "give its path, or a longer way (sampling.path_length)",
+        f"finds no place in scene {quoted(site.scene_name)} to walk across the path from {_text(places.start)} to {_text(places.goal)}; "
+        "give the person's path, or a longer way for the robot (sampling.path_length)",
     )
 
 
 def _along(path: F64, part: float) -> tuple[XY, XY]:
-    """Returns a point of a path (K, 2), metres, at a part of its length, 0 to 1, and the unit vector along the path there."""
+    """Returns the point at a fraction of the length (0 to 1) of a path (K, 2), metres, and the unit vector along the path at this point."""
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(lengths)])
     at = part * arc[-1]
-    leg = min(int(np.searchsorted(arc, at, side="right")) - 1, len(lengths) - 1)
-    dx, dy = ((path[leg + 1] - path[leg]) / max(float(lengths[leg]), 1e-9)).tolist()
+    segment = min(int(np.searchsorted(arc, at, side="right")) - 1, len(lengths) - 1)
+    dx, dy = ((path[segment + 1] - path[segment]) / max(float(lengths[segment]), 1e-9)).tolist()
     return (float(np.interp(at, arc, path[:, 0])), float(np.interp(at, arc, path[:, 1]))), (dx, dy)
 
 

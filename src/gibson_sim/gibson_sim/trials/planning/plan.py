@@ -1,7 +1,7 @@
-"""Makes the list of runs of a scenario: for each scene, each robot and each number what is drawn for it.
+"""Plans the runs of a scenario: samples the values of each run for each scene, robot and number.
 
-Equal scenarios give equal plans, to the bit. The seed of a run depends on the scenario's seed, the scene, the robot and its number among the runs of
-both, so that another scene or robot, or more runs, change none of the others.
+Equal scenarios give plans that are equal bit for bit. The seed of a run depends on the scenario's seed, the scene, the robot and the run's number
+among the runs of both, so that further scenes, robots or runs do not change the other runs.
 """
 
 from __future__ import annotations
@@ -32,61 +32,61 @@ from gibson_sim.trials.scenario.load import ScenarioError
 from gibson_sim.trials.scenario_spec import SAMPLED, InitialPose, Scenario
 
 _ATTEMPTS = 20
-"""Starts and goals that are drawn for a run until there is room for its obstacles."""
+"""Number of starts and goals sampled for a run until there is room for its obstacles."""
 _MOST_SIGMAS = 2.0
-"""Largest error of the initial pose, standard deviations."""
+"""Largest error of the initial pose estimate, standard deviations."""
 
 
 def plan_runs(
     scenario: Scenario, numbers: Collection[int] = (), on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> tuple[RunSpec, ...]:
-    """Returns the runs, numbered from 0: those of the first scene and robot first.
+    """Returns the runs, numbered from 0, starting with those of the first scene and robot.
 
     Args:
-        scenario: of the trial.
-        numbers: of the runs that are wanted; none = all. The others are not planned, and scenes without one are not loaded.
-        on_progress: called with the number of runs that are planned, and of those that are wanted.
+        scenario: scenario of the trial.
+        numbers: numbers of the requested runs; empty = all. Other runs are not planned, and scenes without a requested run are not loaded.
+        on_progress: called with the number of planned runs and of requested runs.
 
     Raises:
-        ScenarioError: the scenario cannot be met, such as by a goal in a wall; the message names the key.
-        ConfigError: there is no run with one of the numbers.
+        ScenarioError: the scenario cannot be satisfied, such as a goal inside a wall; the message names the key.
+        ConfigError: a number is not that of a run.
     """
-    each = len(scenario.robots) * scenario.runs
-    wanted = _wanted(numbers, len(scenario.scenes) * each)
+    runs_per_scene = len(scenario.robots) * scenario.runs
+    requested = _requested(numbers, len(scenario.scenes) * runs_per_scene)
     robots = [_robot(scenario, k) for k in range(len(scenario.robots))]
     varied = {name: variants for name, (_, variants) in zip(scenario.robots, robots, strict=True)}
     runs: list[RunSpec] = []
-    on_progress(0, len(wanted))
+    on_progress(0, len(requested))
     for number, name in enumerate(scenario.scenes):
-        own = [k for k in wanted if k // each == number]
-        if not own:
+        in_scene = [k for k in requested if k // runs_per_scene == number]
+        if not in_scene:
             continue
         sites = _sites(scenario, number, [spec for spec, _ in robots])
         _check_given(scenario, sites)
-        for k in own:
-            site = sites[k % each // scenario.runs]
+        for k in in_scene:
+            site = sites[k % runs_per_scene // scenario.runs]
             runs.append(replace(_run(scenario, site, varied[site.robot_name], k % scenario.runs, name), number=k))
-            on_progress(len(runs), len(wanted))
+            on_progress(len(runs), len(requested))
     return tuple(runs)
 
 
-def _wanted(numbers: Collection[int], total: int) -> list[int]:
+def _requested(numbers: Collection[int], total: int) -> list[int]:
     """Returns the numbers of the runs to plan, in order.
 
     Raises:
-        ConfigError: there is no such run.
+        ConfigError: a run does not exist.
     """
     for number in numbers:
         if not 0 <= number < total:
-            raise ConfigError(f"--run {number}: there is no such run; the plan has runs 0 to {total - 1}")
+            raise ConfigError(f"--run {number} does not exist; the plan has runs 0 to {total - 1}")
     return sorted(set(numbers)) if numbers else list(range(total))
 
 
 def _check_given(scenario: Scenario, sites: Sequence[Site]) -> None:
-    """Checks all starts and goals that are given and that a run takes, before any other is drawn.
+    """Checks all given starts and goals that a run uses, before any other is sampled.
 
     Raises:
-        ScenarioError: the robot cannot stand at some of them; with all of these.
+        ScenarioError: the robot cannot stand at some of them; the error lists all of these.
     """
     mistakes = []
     for site in sites:
@@ -101,7 +101,7 @@ def _check_given(scenario: Scenario, sites: Sequence[Site]) -> None:
 
 
 def _robot(scenario: Scenario, number: int) -> tuple[RobotSpec, VariedRobot | None]:
-    """Returns a robot, and its variants; None = it is the same in all runs."""
+    """Returns a robot and its variants; None = the robot is the same in all runs."""
     name, key = scenario.robots[number], _key("robots", number, scenario.robots)
     try:
         robot = load_robot(name)
@@ -123,7 +123,7 @@ def _robot(scenario: Scenario, number: int) -> tuple[RobotSpec, VariedRobot | No
 
 
 def _sites(scenario: Scenario, number: int, robots: Sequence[RobotSpec]) -> list[Site]:
-    """Returns a scene with each of the robots; those of equal height share a map."""
+    """Returns one site for each robot in a scene; robots of equal height share a map."""
     name, key = scenario.scenes[number], _key("scenes", number, scenario.scenes)
     try:
         scene = load_scene(name)
@@ -148,7 +148,7 @@ def _sites(scenario: Scenario, number: int, robots: Sequence[RobotSpec]) -> list
 
 
 def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int, scene: str) -> RunSpec:
-    """Returns a run; ``number`` counts those of this scene and robot."""
+    """Returns a run; ``number`` counts the runs of this scene and robot."""
     seed = seed_of(scenario.seed, _identity(scenario, scene), _identity(scenario, site.robot_name), number)
     s, g = number % len(scenario.starts), number % len(scenario.goals)
     start, goal = scenario.starts[s], scenario.goals[g]
@@ -192,7 +192,7 @@ def _run(scenario: Scenario, site: Site, varied: VariedRobot | None, number: int
 
 def _initial_error(given: InitialPose, seed: int) -> PlanarPose:
     x, y, yaw = np.clip(stream(seed, "initial_pose").standard_normal(3), -_MOST_SIGMAS, _MOST_SIGMAS).tolist()
-    # Without a negative zero, which JSON would show.
+    # Adding 0.0 removes negative zeros, which JSON would show.
     x, y, yaw = (
         round(float(v), 6) + 0.0 for v in (x * given.error_xy, y * given.error_xy, yaw * math.radians(given.error_yaw_deg))
     )
@@ -200,7 +200,7 @@ def _initial_error(given: InitialPose, seed: int) -> PlanarPose:
 
 
 def _identity(scenario: Scenario, name: str) -> str:
-    """Returns what the seed of a run knows of a scene or robot: its name, or its path from the scenario's file, the same in every folder."""
+    """Returns the name of a scene or robot for seeds: its name, or its path relative to the scenario's file, so that folders can move."""
     return os.path.relpath(name, scenario.path.parent) if Path(name).is_absolute() else name
 
 

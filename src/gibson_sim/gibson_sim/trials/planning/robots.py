@@ -1,7 +1,7 @@
-"""Robots that differ from run to run: a ``robot.yaml`` and a URDF as text, with other slip, noise, latency, friction and payload.
+"""Robots that vary from run to run: a ``robot.yaml`` and a URDF as text, with varied slip, noise, latency, friction and payload.
 
-Both are files of the run, so that it can be made on a machine that does not have the original. Only meshes that are in no installed package become
-absolute paths of this machine.
+Both are files of the run, so that it can be executed on a machine without the original. Only paths of meshes that are not in an installed package
+become absolute paths of this machine.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from gibson_sim.trials.scenario_spec import Randomisation, Range
 from gibson_sim.writing import write_file
 
 FOLDER = "robot"
-"""Folder in that of a run."""
+"""Subfolder of a run's folder."""
 DRAWN = ("slip", "noise", "latency", "friction", "payload")
-"""What is drawn for a robot."""
+"""Names of the values sampled for a robot."""
 _RANGING = {"range_noise": np.inf, "range_noise_ratio": 0.2, "range_scale": 0.2, "dropout": 1.0}
 _NOISES: Mapping[str, Mapping[str, float]] = {
     "lidar": _RANGING,
@@ -43,40 +43,40 @@ _NOISES: Mapping[str, Mapping[str, float]] = {
     "effects": {"shot_noise": 1.0, "read_noise": 1.0},
     "depth_noise": {"constant": np.inf, "linear": np.inf, "quadratic": np.inf, "hole_fraction": 1.0},
 }
-"""Section of a robot.yaml -> its keys that are proportional to the noise, and the largest value of each."""
+"""Section of a robot.yaml -> keys that scale with the noise, and the largest value of each."""
 _VARIANCES = ("alpha1", "alpha2", "alpha3", "alpha4")
 _RATIOS = ("left_radius_factor", "right_radius_factor", "separation_factor")
-"""Of wheel_odometry: ratios whose difference from 1 is the error."""
+"""Keys of wheel_odometry whose difference from 1 is the error."""
 _RATIO_LIMITS = (0.5, 2.0)
 _TRACTION = {"skid_steer": 0.8, "omni": 0.5}
-"""Default of drive.traction."""
+"""Drive type -> default of drive.traction."""
 _LEAST_TRACTION = 1e-3
 _LEAST_PAYLOAD = 1e-3
-"""Mass below which there is no payload, kg."""
+"""Mass below which no payload is added, kg."""
 _ANYWHERE = Path("/robot.urdf")
-"""A place with no packages beside it."""
+"""A path without packages beside it."""
 _MOST_PARENTS = 6
-"""Folders above a mesh that may be its package."""
+"""Number of parent folders of a mesh that may be its package."""
 _PAYLOAD_SIZE = 0.1
-"""Edge of the cube that a payload is, metres."""
+"""Edge length of the payload, a cube, metres."""
 
 
 class VariedRobot:
-    """A robot, of which variants are made."""
+    """A robot with variants."""
 
     def __init__(self, name: str) -> None:
         """Reads the robot.
 
         Args:
-            name: as in the scenario.
+            name: name or file, as in the scenario.
 
         Raises:
-            RobotError: it cannot be read.
+            RobotError: the robot cannot be read.
         """
         path = find_robot_file(name)
-        own = path.parent.name if path.stem == "robot" else path.name.split(".")[0]
-        self.file = f"{FOLDER}/{re.sub(r'[^A-Za-z0-9_-]', '_', own) or 'robot'}.yaml"
-        """The robot of a run, in its folder."""
+        stem = path.parent.name if path.stem == "robot" else path.name.split(".")[0]
+        self.file = f"{FOLDER}/{re.sub(r'[^A-Za-z0-9_-]', '_', stem) or 'robot'}.yaml"
+        """Path of the robot's file in the folder of a run."""
         if path.suffix.lower() in DESCRIPTION_SUFFIXES:
             self._values: dict[str, Any] = derive_file(path, mesh_points()).values
             file, arguments = path, {}
@@ -84,29 +84,29 @@ class VariedRobot:
             document = read_yaml_map(path, error=RobotError)
             self._values = dict(document.values)
             urdf = document.text("urdf")
-            found = resolve_mesh(urdf, path) if urdf.startswith(PACKAGE_SCHEME) else path.parent / urdf
-            file = path.parent / urdf if found is None else found
+            resolved = resolve_mesh(urdf, path) if urdf.startswith(PACKAGE_SCHEME) else path.parent / urdf
+            file = path.parent / urdf if resolved is None else resolved
             arguments = {
                 str(key): str(value).lower() if isinstance(value, bool) else str(value)
                 for key, value in (self._values.pop("xacro_args", None) or {}).items()
             }
         self._source = plain_description(file, arguments)
-        self._top = _with_lasting_meshes(parse_xml(read_file(self._source)), self._source)
-        self._model = parse_urdf(ET.tostring(self._top), self._source)
-        self._payload_at = _place_of_payload(self._model)
+        self._urdf = _with_portable_meshes(parse_xml(read_file(self._source)), self._source)
+        self._model = parse_urdf(ET.tostring(self._urdf), self._source)
+        self._payload_link, self._payload_centre = _payload_position(self._model)
 
     @property
     def has_noise(self) -> bool:
-        """Whether any of its sensors or its odometry has noise, which a factor can change."""
+        """Whether any sensor or the odometry has noise that a factor can scale."""
         return _scaled(self._values, 2.0) != self._values
 
     def files(self, drawn: Mapping[str, float]) -> dict[str, str]:
-        """Returns a variant: the text of its files by their path in the folder of a run.
+        """Returns a variant: the texts of its files by path in the folder of a run.
 
         Args:
-            drawn: values by name, see ``DRAWN``; what is missing stays as it is.
+            drawn: sampled values by name, see ``DRAWN``; missing values are left unchanged.
         """
-        values, top = copy.deepcopy(self._values), copy.deepcopy(self._top)
+        values, urdf = copy.deepcopy(self._values), copy.deepcopy(self._urdf)
         values["urdf"] = Path(self.file).with_suffix(".urdf").name
         if "noise" in drawn:
             values = _scaled(values, drawn["noise"])
@@ -118,17 +118,17 @@ class VariedRobot:
         if "latency" in drawn:
             drive["command_delay"] = drawn["latency"]
         if "friction" in drawn:
-            self._set_friction(values, top, drawn["friction"])
+            self._set_friction(values, urdf, drawn["friction"])
         if drawn.get("payload", 0.0) >= _LEAST_PAYLOAD:
-            _add_payload(top, self._model, drawn["payload"], *self._payload_at)
-        ET.indent(top, " ")
+            _add_payload(urdf, self._model, drawn["payload"], self._payload_link, self._payload_centre)
+        ET.indent(urdf, " ")
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=200)
-        return {self.file: text, str(Path(self.file).with_suffix(".urdf")): ET.tostring(top, encoding="unicode") + "\n"}
+        return {self.file: text, str(Path(self.file).with_suffix(".urdf")): ET.tostring(urdf, encoding="unicode") + "\n"}
 
-    def _set_friction(self, values: dict[str, Any], top: ET.Element, factor: float) -> None:
-        """Multiplies the friction of all links that touch something, and that of wheels which slide by design."""
+    def _set_friction(self, values: dict[str, Any], urdf: ET.Element, factor: float) -> None:
+        """Multiplies the friction of all links with collision shapes, and the traction of wheels that slide by design."""
         given = values.get("friction") or {}
-        elements = {element.get("name"): element for element in top.findall("link")}
+        elements = {element.get("name"): element for element in urdf.findall("link")}
         for link in self._model.links:
             if link.collisions and link.name not in given:
                 friction = DEFAULT_FRICTION if link.friction is None else link.friction
@@ -143,20 +143,18 @@ class VariedRobot:
 
 
 def ranges_of(rules: Randomisation) -> dict[str, Range]:
-    """Returns the ranges of what is drawn for a robot, by name; empty = it stays as it is."""
+    """Returns the ranges of the values sampled for a robot, by name; empty = the robot does not vary."""
     return {name: limits for name in DRAWN if (limits := getattr(rules, name)) is not None}
 
 
 def check_variants(robot: VariedRobot, ranges: Mapping[str, Range]) -> None:
-    """Checks that a robot can be loaded with the smallest and with the largest of all values.
+    """Checks that a robot can be loaded with the smallest and with the largest of all sampled values.
 
     Raises:
-        ConfigError: it cannot, or has no noise to change; the message begins with the key.
+        ConfigError: it cannot be loaded, or has no noise to scale; the message begins with the key.
     """
     if "noise" in ranges and not robot.has_noise:
-        raise ConfigError(
-            "randomise.noise is a factor, and the robot has no noise that it could change; take one as gibson_bot_real"
-        )
+        raise ConfigError("randomise.noise is a factor, and the robot has no noise to scale; use one such as gibson_bot_real")
     for end in (0, 1):
         drawn = {name: limits[end] for name, limits in ranges.items()}
         try:
@@ -168,20 +166,20 @@ def check_variants(robot: VariedRobot, ranges: Mapping[str, Range]) -> None:
                 load_robot(Path(folder, robot.file))
         except GibsonSimError as error:
             values = ", ".join(f"{name} {value:g}" for name, value in drawn.items())
-            raise ConfigError(f"randomise makes an impossible robot with {values}: {error}") from error
+            raise ConfigError(f"randomise yields an invalid robot with {values}: {error}") from error
 
 
 def _scaled(values: dict[str, Any], factor: float) -> dict[str, Any]:
-    """Returns the content of a robot.yaml with the noise of all sensors and of the odometry multiplied."""
-    out = dict(values)
+    """Returns the content of a robot.yaml with the noise of all sensors and of the odometry multiplied by a factor."""
+    scaled = dict(values)
     for section in ("lidar", "lidar_3d", "imu"):
-        content = out.get(section)
+        content = scaled.get(section)
         if isinstance(content, list):
-            out[section] = [_multiplied(item, section, factor) for item in content]
+            scaled[section] = [_multiplied(item, section, factor) for item in content]
         elif content is not None:
-            out[section] = _multiplied(content, section, factor)
-    if out.get("cameras"):
-        out["cameras"] = [
+            scaled[section] = _multiplied(content, section, factor)
+    if scaled.get("cameras"):
+        scaled["cameras"] = [
             {
                 **camera,
                 **{
@@ -190,51 +188,55 @@ def _scaled(values: dict[str, Any], factor: float) -> dict[str, Any]:
                     if camera.get(key) is not None
                 },
             }
-            for camera in out["cameras"]
+            for camera in scaled["cameras"]
         ]
-    wheels = out.get("wheel_odometry")
+    wheels = scaled.get("wheel_odometry")
     if wheels is not None:
-        scaled = dict(wheels)
-        scaled.update({key: _plain(wheels[key] * factor**2) for key in _VARIANCES if key in wheels})
-        scaled.update(
-            {key: _plain(float(np.clip(1.0 + (wheels[key] - 1.0) * factor, *_RATIO_LIMITS))) for key in _RATIOS if key in wheels}
+        odometry = dict(wheels)
+        odometry.update({key: _rounded(wheels[key] * factor**2) for key in _VARIANCES if key in wheels})
+        odometry.update(
+            {
+                key: _rounded(float(np.clip(1.0 + (wheels[key] - 1.0) * factor, *_RATIO_LIMITS)))
+                for key in _RATIOS
+                if key in wheels
+            }
         )
-        out["wheel_odometry"] = scaled
-    return out
+        scaled["wheel_odometry"] = odometry
+    return scaled
 
 
 def _multiplied(content: Mapping[str, Any], section: str, factor: float) -> dict[str, Any]:
     limits = _NOISES[section]
-    return {**content, **{key: _plain(min(content[key] * factor, most)) for key, most in limits.items() if key in content}}
+    return {**content, **{key: _rounded(min(content[key] * factor, most)) for key, most in limits.items() if key in content}}
 
 
-def _plain(value: float) -> float:
-    """Returns a number with nine digits, which is the same on every machine."""
+def _rounded(value: float) -> float:
+    """Returns a number rounded to nine significant digits, the same on every machine."""
     return float(f"{value:.9g}")
 
 
-def _with_lasting_meshes(top: ET.Element, source: Path) -> ET.Element:
-    """Changes names of meshes and textures that are found only from the place of their file to ones that are found from any."""
-    for element in (*top.iter("mesh"), *top.iter("texture")):
+def _with_portable_meshes(urdf: ET.Element, source: Path) -> ET.Element:
+    """Replaces mesh and texture file names that are relative to their file by names that can be resolved from any folder."""
+    for element in (*urdf.iter("mesh"), *urdf.iter("texture")):
         name = element.get("filename", "")
-        found = resolve_mesh(name, source.absolute()) if name else None
-        if found is not None:
-            element.set("filename", _lasting_name(name, found))
-    return top
+        file = resolve_mesh(name, source.absolute()) if name else None
+        if file is not None:
+            element.set("filename", _portable_name(name, file))
+    return urdf
 
 
-def _lasting_name(name: str, found: Path) -> str:
-    """Returns a name of a file: in a package that is found from anywhere, which another machine may have elsewhere; else its path."""
-    packages = (folder for folder in list(found.parents)[:_MOST_PARENTS] if folder.name.isidentifier())
-    in_packages = (f"{PACKAGE_SCHEME}{folder.name}/{found.relative_to(folder).as_posix()}" for folder in packages)
-    known = (name, *in_packages) if name.startswith(PACKAGE_SCHEME) else in_packages
-    return next((text for text in known if resolve_mesh(text, _ANYWHERE) == found), found.as_uri())
+def _portable_name(name: str, file: Path) -> str:
+    """Returns a portable name of a file: its ``package://`` name if the package is installed, else its absolute path as a URI."""
+    packages = (folder for folder in list(file.parents)[:_MOST_PARENTS] if folder.name.isidentifier())
+    in_packages = (f"{PACKAGE_SCHEME}{folder.name}/{file.relative_to(folder).as_posix()}" for folder in packages)
+    candidates = (name, *in_packages) if name.startswith(PACKAGE_SCHEME) else in_packages
+    return next((text for text in candidates if resolve_mesh(text, _ANYWHERE) == file), file.as_uri())
 
 
-def _place_of_payload(model: UrdfModel) -> tuple[str, tuple[float, float, float]]:
-    """Returns the link that a payload lies on, and the place of its centre in the frame of that link, metres.
+def _payload_position(model: UrdfModel) -> tuple[str, tuple[float, float, float]]:
+    """Returns the link that carries a payload, and the payload's centre in the frame of that link, metres.
 
-    It is the heaviest link that does not move against the root; the payload is above its centre of mass.
+    It is the heaviest link that is fixed to the root; the payload is above the link's centre of mass.
     """
     links = [model.link(name) for name in model.fixed_to_root()]
     base = max(links, key=lambda link: 0.0 if link.inertial is None else link.inertial.mass)
@@ -244,20 +246,20 @@ def _place_of_payload(model: UrdfModel) -> tuple[str, tuple[float, float, float]
     return base.name, (x, y, top + _PAYLOAD_SIZE / 2)
 
 
-def _add_payload(top: ET.Element, model: UrdfModel, mass: float, base: str, centre: tuple[float, float, float]) -> None:
-    """Adds a cube with mass, and without a shape, to a link."""
-    taken = {link.name for link in model.links}
-    name = next(text for k in range(len(taken) + 1) if (text := f"payload_{k}" if k else "payload") not in taken)
+def _add_payload(urdf: ET.Element, model: UrdfModel, mass: float, base: str, centre: tuple[float, float, float]) -> None:
+    """Adds a cube with mass but without shapes to a link; ``centre`` in the frame of the link, metres."""
+    names = {link.name for link in model.links}
+    name = next(text for k in range(len(names) + 1) if (text := f"payload_{k}" if k else "payload") not in names)
     moment = mass * _PAYLOAD_SIZE**2 / 6.0
-    inertial = ET.SubElement(ET.SubElement(top, "link", name=name), "inertial")
+    inertial = ET.SubElement(ET.SubElement(urdf, "link", name=name), "inertial")
     ET.SubElement(inertial, "mass", value=f"{mass:.9g}")
     ET.SubElement(inertial, "inertia", ixx=f"{moment:.9g}", ixy="0", ixz="0", iyy=f"{moment:.9g}", iyz="0", izz=f"{moment:.9g}")
-    joint = ET.SubElement(top, "joint", name=f"{name}_joint", type="fixed")
+    joint = ET.SubElement(urdf, "joint", name=f"{name}_joint", type="fixed")
     ET.SubElement(joint, "parent", link=base)
     ET.SubElement(joint, "child", link=name)
     ET.SubElement(joint, "origin", xyz=" ".join(f"{c:.6g}" for c in centre))
 
 
 def _child(element: ET.Element, tag: str) -> ET.Element:
-    found = element.find(tag)
-    return ET.SubElement(element, tag) if found is None else found
+    child = element.find(tag)
+    return ET.SubElement(element, tag) if child is None else child

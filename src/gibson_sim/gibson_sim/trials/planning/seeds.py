@@ -1,4 +1,4 @@
-"""Random streams of a trial. Each depends on the seed and its names alone, so that adding a scene or a rule changes no other run."""
+"""Random streams of a trial. Each depends only on the seed and its names, so that adding a scene or a rule changes no other run."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import hashlib
 import numpy as np
 
 _SEED_BYTES = 6
-"""Bytes of the seed of a run: 2^48 also is exact as a number of JSON."""
+"""Size of the seed of a run, bytes: 2^48 is exact as a JSON number."""
 
 
 def seed_of(seed: int, *names: str | int) -> int:
-    """Returns a seed, 0 to 2^48 - 1, that depends on the arguments alone."""
+    """Returns a seed, 0 to 2^48 - 1, that depends only on the arguments."""
     return int.from_bytes(_digest(seed, *names)[:_SEED_BYTES], "little")
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
-    """Returns a random stream that depends on the arguments alone."""
+    """Returns a random stream that depends only on the arguments."""
     return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(seed, *names)[:16], "little")))
 
 

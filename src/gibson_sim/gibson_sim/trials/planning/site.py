@@ -1,4 +1,4 @@
-"""A scene with its doors as a scenario has them, a robot, and the map of the floor: where runs can take place."""
+"""The site of runs: a scene with its doors as the scenario sets them, a robot, and the map of the floor."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ F64 = NDArray[np.float64]
 XY = tuple[float, float]
 
 MARGIN = 0.04
-"""Clearance of paths beyond the robot's radius, metres: stacks need some, and a path without any cannot be driven."""
+"""Clearance of paths in addition to the robot's radius, metres: a path without any cannot be driven."""
 WIDE = 0.15
-"""The same of a way that things leave open, where there is such a one without them: enough for the noise and the inflation of a stack."""
+"""Clearance of the path that objects leave free, if such a path exists without them, m: enough for a stack's noise and inflation."""
 _HANDLES = ("handle", "lever", "knob")
-"""Ends of the names of joints that open nothing."""
+"""Suffixes of the names of joints that do not open anything."""
 _SAME_FLOOR = 0.5
-"""Largest difference of a pose's height from that of the floor, metres."""
+"""Largest difference between the height of a pose and that of the floor, metres."""
 _SWING_STEPS = 12
-"""Positions of a door on its way at which its place is looked up: its edge moves by less than 0.15 m between them."""
+"""Number of sampled positions of a closing door: its edge moves by less than 0.15 m between two of them."""
 _SAMPLES_PER_CELL = 4
-"""Points of a path that are looked up, for each cell of its length."""
+"""Number of points of a path looked up per cell of its length."""
 _MOST_NAMED = 8
-"""Poses whose names a message lists."""
+"""Number of poses that a message names."""
 
 
 def with_closed_doors(scene: SceneSpec, names: Sequence[str]) -> tuple[SceneSpec, tuple[str, ...]]:
@@ -51,10 +51,10 @@ def with_closed_doors(scene: SceneSpec, names: Sequence[str]) -> tuple[SceneSpec
 
     Args:
         scene: the scene.
-        names: of bodies with a door; ``all`` = all whose root is fixed, as that of a door in a doorway.
+        names: names of bodies with a door; ``all`` = all bodies with a fixed root, such as a door in a doorway.
 
     Raises:
-        ConfigError: there is no such body, or it has no door; without the key.
+        ConfigError: a body does not exist or has no door; the message lacks the key.
     """
     doors = [body.name for body in scene.bodies if _openings(body)]
     for name in names:
@@ -71,7 +71,7 @@ def with_closed_doors(scene: SceneSpec, names: Sequence[str]) -> tuple[SceneSpec
 
 
 def _openings(body: BodySpec) -> dict[str, float]:
-    """Returns the joints of a body's doors and drawers, and the positions at which they are closed."""
+    """Returns the joints of a body's doors and drawers with their closed positions, rad or m."""
     return {
         joint.name: min(max(0.0, joint.lower), joint.upper)
         for joint in body.model.joints
@@ -83,19 +83,19 @@ def _openings(body: BodySpec) -> dict[str, float]:
 
 
 def _closed(body: BodySpec, part: float = 1.0) -> BodySpec:
-    """Returns a body with its doors closed by a part of their way, 0 to 1."""
-    before = dict(body.joints)
-    moved = {name: (1.0 - part) * before.get(name, closed) + part * closed for name, closed in _openings(body).items()}
-    return replace(body, joints=tuple({**before, **moved}.items()))
+    """Returns a body with its doors closed by a fraction of their travel, 0 to 1."""
+    positions = dict(body.joints)
+    moved = {name: (1.0 - part) * positions.get(name, closed) + part * closed for name, closed in _openings(body).items()}
+    return replace(body, joints=tuple({**positions, **moved}.items()))
 
 
 def cells_of_closing_doors(scene: SceneSpec, doors: Sequence[str], robot: RobotSpec) -> Bools:
-    """Returns (H, W): the cells of the map in which doors stand until they are closed, since a run begins with them as they are at load.
+    """Returns a mask (H, W) of the map cells that closing doors sweep: a run starts with the doors at their positions after loading.
 
     Args:
-        scene: with the doors as they are at load.
+        scene: scene with the doors at their positions after loading.
         doors: names of the bodies whose doors are closed.
-        robot: whose height counts.
+        robot: robot whose height limits the obstacles.
     """
     closed = furnished_floor_map(_with_doors_moved(scene, doors, 1.0), robot).occupied
     swept = np.zeros_like(closed)
@@ -113,23 +113,23 @@ class Site:
     """A scene and a robot of a trial."""
 
     scene_name: str
-    """As in the scenario."""
+    """Name as in the scenario."""
     robot_name: str
     scene: SceneSpec
-    """Without robots; doors are closed as the scenario says."""
+    """Scene without robots, with the doors closed that the scenario closes."""
     robot: RobotSpec
     floor: FloorMap
-    """With the bodies where they stand at load."""
+    """Map with the bodies at their poses after loading."""
     open_scene: SceneSpec
-    """With the doors as they are at load."""
+    """Scene with the doors at their positions after loading."""
     closed_doors: tuple[str, ...] = ()
     swept: Bools | None = None
-    """(H, W): the cells in which doors stand until they are closed; None = none are."""
+    """(H, W): mask of the cells that closing doors sweep; None = no door closes."""
     _planners: dict[float, PathPlanner] = field(default_factory=dict)
     _regions: dict[float, Bools] = field(default_factory=dict)
     _paths: dict[tuple[XY, XY], tuple[float, F64]] = field(default_factory=dict)
     _wide: dict[tuple[XY, XY], bool] = field(default_factory=dict)
-    """Whether a wide way leads from one place to another."""
+    """(start, goal) -> whether a path with a clearance of ``WIDE`` connects them."""
 
     @property
     def clearance(self) -> float:
@@ -138,7 +138,7 @@ class Site:
 
     @property
     def planner(self) -> PathPlanner:
-        """Plans paths that keep ``clearance``."""
+        """Planner of paths that keep ``clearance``."""
         return self.planner_of(self.clearance)
 
     def planner_of(self, radius: float) -> PathPlanner:
@@ -148,21 +148,21 @@ class Site:
         return self._planners[radius]
 
     def free_region(self, clearance: float) -> Bools:
-        """Returns (H, W): the largest region whose cells have a clearance, metres."""
+        """Returns a mask (H, W) of the largest region whose cells have a clearance, metres."""
         if clearance not in self._regions:
             self._regions[clearance] = self.floor.largest_free_region(clearance)
         return self._regions[clearance]
 
     @cached_property
     def swept_distance(self) -> F64:
-        """(H, W): distance from the centre of a cell to one in which doors stand until they are closed, metres."""
+        """(H, W): distance from the centre of a cell to the nearest cell that closing doors sweep, metres."""
         if self.swept is None or not self.swept.any():
             return np.full(self.floor.shape, np.inf)
         return np.asarray(ndimage.distance_transform_edt(~self.swept) * self.floor.resolution)
 
     @cached_property
     def named_poses(self) -> tuple[NamedPose, ...]:
-        """Named poses of the scene as it is at load, with the robot in it, as the simulation lists them."""
+        """Named poses of the scene after loading with the robot, as the simulation lists them."""
         return named_poses(replace(self.open_scene, robots=(self.robot,)))
 
     @property
@@ -174,34 +174,34 @@ class Site:
         """Returns the length of the shortest path, metres, and its corners (K, 2).
 
         Raises:
-            SceneError: there is none.
+            SceneError: no path exists.
         """
         if (start, goal) not in self._paths:
             self._paths[start, goal] = _shortest(start, goal, self.planner_of, (self.clearance, self.robot.radius))
         return self._paths[start, goal]
 
     def shortest_on(self, floor: FloorMap, start: XY, goal: XY) -> tuple[float, F64]:
-        """Returns the same on another map."""
+        """Returns the length of the shortest path on another map, metres, and its corners (K, 2); raises SceneError if none exists."""
         return _shortest(start, goal, partial(PathPlanner, floor), (self.clearance, self.robot.radius))
 
     def is_clear(self, path: F64, floor: FloorMap) -> bool:
-        """Returns whether a path (K, 2), world metres, keeps ``clearance`` from the obstacles of a map."""
-        places = floor.free & (floor.distance_to_obstacle >= self.clearance)
+        """Returns whether a path (K, 2), map frame, metres, keeps ``clearance`` from the obstacles of a map."""
+        allowed = floor.free & (floor.distance_to_obstacle >= self.clearance)
         for a, b in pairwise(path):
             count = int(np.linalg.norm(b - a) * _SAMPLES_PER_CELL / floor.resolution) + 2
-            if not floor.look_up(places, a + (b - a) * np.linspace(0.0, 1.0, count)[:, None], outside=False).all():
+            if not floor.look_up(allowed, a + (b - a) * np.linspace(0.0, 1.0, count)[:, None], outside=False).all():
                 return False
         return True
 
     def connected(self, start: XY, goal: XY, floor: FloorMap) -> bool:
-        """Returns whether a way leads from one place to another on a map: one of ``WIDE`` if the site has such a one, else one of ``clearance``."""
+        """Returns whether a map has a path between two points: with a clearance of ``WIDE`` if the site has such a path, else ``clearance``."""
         wide = self.robot.radius + WIDE
         if (start, goal) not in self._wide:
             self._wide[start, goal] = _connected(start, goal, self.floor, wide)
         return _connected(start, goal, floor, wide if self._wide[start, goal] else self.clearance)
 
-    def wrong_place(self, xy: XY) -> str:
-        """Returns why the robot cannot stand at a place, world metres; empty = it can."""
+    def place_problem(self, xy: XY) -> str:
+        """Returns why the robot cannot stand at a point, map frame, metres; empty = it can."""
         scene = quoted(self.scene_name)
         row, column = (int(i) for i in self.floor.cells(xy))
         rows, columns = self.floor.shape
@@ -210,29 +210,29 @@ class Site:
             high = (low[0] + columns * self.floor.resolution, low[1] + rows * self.floor.resolution)
             return f"outside the map of scene {scene}, must be from x {low[0]:.1f} to {high[0]:.1f} and y {low[1]:.1f} to {high[1]:.1f} m"
         if self.floor.occupied[row, column]:
-            what = "in a wall, furniture or another obstacle"
+            problem = "in a wall, furniture or another obstacle"
         elif not self.floor.floor[row, column]:
-            what = "where there is no floor"
-        # Cells that an obstacle only touches are occupied as a whole, so that the map is stricter than the simulation.
+            problem = "at a place without floor"
+        # A cell that an obstacle merely touches is occupied as a whole, so that the map is stricter than the simulation.
         elif self.floor.distance_to_obstacle[row, column] + self.floor.resolution * math.sqrt(0.5) < self.robot.radius:
             room = float(self.floor.distance_to_obstacle[row, column])
-            what = f"{room:.2f} m from an obstacle, nearer than the radius of the robot, {self.robot.radius:.2f} m,"
+            problem = f"{room:.2f} m from an obstacle, nearer than the radius of the robot, {self.robot.radius:.2f} m,"
         else:
             return ""
         free = self.floor.nearest_free(xy, self.robot.radius)
-        return f"{what} in scene {scene}{f'; the nearest free place is {free[0]:.2f},{free[1]:.2f}' if free else ''}"
+        return f"{problem} in scene {scene}{f'; the nearest free place is {free[0]:.2f},{free[1]:.2f}' if free else ''}"
 
-    def wrong_start(self, xy: XY) -> str:
-        """Returns why a run cannot begin at a place, world metres, where the robot can stand; empty = it can."""
+    def start_problem(self, xy: XY) -> str:
+        """Returns why a run cannot start at a point, map frame, metres, where the robot can stand; empty = it can."""
         if float(self.floor.look_up(self.swept_distance, xy, outside=0.0)) >= self.robot.radius:
             return ""
         return f"where a door of obstacles.closed_doors stands or swings until it is closed, in scene {quoted(self.scene_name)}"
 
     def given_pose(self, text: str) -> PlanarPose:
-        """Returns the pose that a text stands for: ``x,y,yaw_deg``, or a name.
+        """Returns the pose that a text gives: ``x,y,yaw_deg``, or a name.
 
         Raises:
-            ConfigError: it is none, or on another floor; without the key.
+            ConfigError: the text is not a pose, or the pose is on another floor; the message lacks the key.
         """
         parts = text.split(",")
         try:
@@ -256,20 +256,20 @@ class Site:
         (x, y, z), (_, _, qz, qw) = poses[text].position, poses[text].quat_xyzw
         if abs(z - self.floor.floor_z) > _SAME_FLOOR:
             raise ConfigError(
-                f"is {quoted(text)}, which is {z:.1f} m high in scene {quoted(self.scene_name)}; trials are on the floor at {self.floor.floor_z:g} m"
+                f"is {quoted(text)}, which is {z:.1f} m high in scene {quoted(self.scene_name)}; trials use the floor at {self.floor.floor_z:g} m"
             )
         return x, y, math.remainder(2.0 * math.atan2(qz, qw), 2.0 * math.pi)
 
     def doors_cut(self, start: XY, goal: XY) -> bool:
-        """Returns whether it is the closed doors that leave no path."""
+        """Returns whether a path exists with open doors."""
         return bool(self.closed_doors) and self.connected(start, goal, furnished_floor_map(self.open_scene, self.robot))
 
 
 def _shortest(start: XY, goal: XY, planner_of: Callable[[float], PathPlanner], radii: Sequence[float]) -> tuple[float, F64]:
-    """Returns the shortest path with the first of some clearances, metres, with which there is one.
+    """Returns the shortest path for the first of several clearances, metres, for which one exists.
 
     Raises:
-        SceneError: there is none with any of them.
+        SceneError: no path exists for any of them.
     """
     for radius in radii[:-1]:
         try:
@@ -282,7 +282,7 @@ def _shortest(start: XY, goal: XY, planner_of: Callable[[float], PathPlanner], r
 
 
 def _connected(start: XY, goal: XY, floor: FloorMap, clearance: float) -> bool:
-    """Returns whether a way that keeps a clearance, metres, leads from one place to another; quicker than planning it."""
+    """Returns whether a path with a clearance, metres, connects two points; faster than planning the path."""
     labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= clearance), structure=np.ones((3, 3)))
     cells = np.argwhere(labels > 0)
     if not len(cells):
