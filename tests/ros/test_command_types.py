@@ -74,7 +74,7 @@ def test_each_type_drives_where_it_is_received_and_every_command_is_recorded_und
         if type_name not in RECEIVED[mode]:
             line = run.wait_for_line(f"/cmd_vel: /test_listener publishes {type_name}, which is not received")
             (value,) = RECEIVED[mode]
-            assert f"this topic takes {value}; start the simulation with cmd_vel_type both or" in line
+            assert f"this topic receives {value}; start the simulation with cmd_vel_type both or" in line
             continue
         listener.spin_until(lambda p=publisher: p.get_subscription_count() > 0, "a robot that takes commands")
         for i in range(5):  # one after the other: the queue of a robot holds one

@@ -94,7 +94,7 @@ def test_time_passes_without_a_renderer_that_stands_still_and_waits_for_it_again
     pid = launched.node_pid("render")
     os.kill(pid, signal.SIGSTOP)
     try:
-        launched.wait_for_line("did not come from 'render' within 'image_timeout', 1 s; time goes on without them")
+        launched.wait_for_line("did not arrive from 'render' within 'image_timeout', 1 s; time goes on without them")
         begin = len(clock)
         listener.spin_until(lambda: len(clock) > begin + 200, "time that goes on")
     finally:

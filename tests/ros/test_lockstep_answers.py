@@ -133,7 +133,7 @@ def test_a_topic_that_the_simulation_has_under_another_type_is_named(two: Two, m
     two.sim.create_publisher(PoseStamped, "/pose", 10)
     pretend(two, monkeypatch, "std_msgs/msg/String")
     answers.find(0)
-    assert answers.problem("pose") == "the simulation itself has pose under another type than std_msgs/msg/String"
+    assert answers.problem("pose") == "the simulation itself uses pose with another type than std_msgs/msg/String"
 
 
 def test_commands_are_left_to_the_node_that_receives_them(two: Two) -> None:

@@ -152,7 +152,10 @@ def test_cancel_stops_the_joints(rig: Rig) -> None:
         (request("nose", 0.3), "joint 'nose' is none of this controller's"),
         (request("turn", float("nan")), "must be finite"),
         (SimpleNamespace(trajectory=JointTrajectory(), path_tolerance=[], goal_tolerance=[]), "joint trajectory has no points"),
-        (request("turn", 0.3, stamp_s=1), "joint trajectory ended at 1.5 s, now it is 2 s; stamp it 0 to start at once"),
+        (
+            request("turn", 0.3, stamp_s=1),
+            "joint trajectory ended at 1.5 s, now it is 2 s; set its stamp to 0 to start it immediately",
+        ),
     ],
 )
 def test_impossible_goal_is_refused_with_a_reason(rig: Rig, asked: Any, reason: str) -> None:

@@ -1,1 +1,1 @@
-"""Clients of a running simulation: what they ask of its standard services, and a client that blocks, for tests."""
+"""Clients of a running simulation: requests to its standard services, and a blocking client for tests."""

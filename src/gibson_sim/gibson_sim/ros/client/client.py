@@ -1,8 +1,8 @@
-"""A client of one simulation that blocks while time passes, for tests and scripts. It works in the thread that calls it, in no other.
+"""A client of one simulation for tests and scripts, which blocks while time passes. It spins only in the thread that calls it.
 
-In lockstep it is a participant: time passes only within its calls, tick by tick, and a call sees all that the simulation published up to
-the present tick and nothing later, images of the tick itself excepted: those come with the next one. The same calls in the same order therefore
-give the same values.
+In lockstep it is a participant: time passes only within its calls, tick by tick. A call sees all messages up to the present tick and none
+later, except that images of the present tick are delivered with the next one. The same calls in the same order therefore return the same
+values.
 """
 
 from __future__ import annotations
@@ -43,36 +43,35 @@ from gibson_sim.types import NS_PER_S, WORLD_FRAME
 __tracebackhide__ = True
 """pytest shows the line of the test, not those of this module; ``--full-trace`` shows all."""
 START_S = 120.0
-"""Wall time for a simulation to answer, s: a large scene loads for long."""
+"""Timeout for the services of a starting simulation, s of wall time: a large scene takes long to load."""
 STALL_S = 30.0
-"""Wall time without a tick after which a call gives up, s."""
+"""Timeout for the next tick, s of wall time."""
 ANSWER_S = 60.0
-"""Wall time for the answer of a service, s."""
+"""Timeout for the response of a service, s of wall time."""
 DISCOVERY_S = 10.0
-"""Wall time for a topic to be known, or a subscriber to be matched, s."""
+"""Timeout for the discovery of a topic, a service or a subscriber, s of wall time."""
 _SETTLED_S = 2.0
-"""Wall time to wait for the first message of a new subscription that the simulation has published, s: it may not have been matched."""
+"""Timeout for the first message of a new subscription, s of wall time: it may have been published before the subscription was matched."""
 _PHYSICS = "physics"
-"""Name of the simulation's node."""
+"""Name of the simulation's physics node."""
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo")
 _LARGE = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2")
-MOST_MESSAGES, MOST_LARGE = 100_000, 200
-"""Messages of a topic that are kept, the newest; for images and point clouds fewer."""
+MAX_MESSAGES, MAX_LARGE_MESSAGES = 100_000, 200
+"""Maximum number of messages that are kept of a topic, the newest ones; the second for images and point clouds."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotPose:
-    """A pose in the map frame."""
+    """A pose in the map frame, m and rad."""
 
     x: float
-    """Metres."""
     y: float
     z: float
     yaw: float
-    """Heading about the vertical, radians, -pi to pi."""
+    """Heading about the vertical, -pi to pi."""
 
     def distance_to(self, x: float, y: float) -> float:
-        """Returns the distance on the floor to a point, metres."""
+        """Returns the horizontal distance to a point, m."""
         return math.hypot(self.x - x, self.y - y)
 
     def __str__(self) -> str:
@@ -84,38 +83,38 @@ class _Tick:
     stamp_ns: int
     epoch: int
     topics: frozenset[str]
-    """Published at it by physics; resolved names."""
+    """Topics that the physics node published at it; resolved names."""
 
 
 @dataclass(slots=True)
-class _Subscribed:
-    """A topic that is subscribed to."""
+class _SubscribedTopic:
+    """A topic that the client subscribes to."""
 
     handle: Any
     messages: deque[Any]
     held: deque[Any]
-    """Images that came before the tick at which they are shown."""
+    """Images that arrived before the tick with which they are delivered."""
     is_image: bool
     last_ns: int = -1
     """Stamp of the last message, simulation time, ns."""
     is_matched: bool = False
-    """Whether a message has arrived, or cannot be expected any more to arrive with its tick."""
+    """Whether a message has arrived, or the wait for the first one has timed out."""
 
 
 @dataclass(slots=True)
-class _Followed:
+class _FollowedProgram:
     """A program whose answers the ticks wait for."""
 
     rule: AnswerRule
     topic: str
-    is_over: Callable[[], bool]
+    has_ended: Callable[[], bool]
     is_command: bool
-    """Whether the simulation receives its answers: a tick then ends when they have arrived there, too."""
+    """Whether its answers are commands to the simulation: a tick then ends when the simulation has received them, too."""
     handle: Any = None
 
 
 class Client:
-    """Talks to the simulation of a ROS domain."""
+    """Communicates with the simulation of a ROS domain."""
 
     def __init__(
         self,
@@ -128,16 +127,16 @@ class Client:
         check: Callable[[], None],
         waits_for: Callable[[], str] = str,
     ) -> None:
-        """Joins the domain, and waits for nothing yet: see ``connect``.
+        """Joins the domain without waiting; see ``connect``.
 
         Args:
-            domain_id: of the simulation.
-            robots: name of each robot -> namespace of its topics, with a slash at its end, or empty.
-            name: of this client's node, and of the participant in lockstep.
+            domain_id: domain ID of the simulation.
+            robots: name of each robot -> namespace of its topics, with a trailing slash, or empty.
+            name: name of this client's node, and of the participant in lockstep.
             lockstep: whether the simulation is in lockstep and waits for this client.
             stamped: whether robots are commanded by TwistStamped.
-            check: raises if the simulation or something that it needs has ended; is called while a call waits.
-            waits_for: returns what the simulation says that it waits for; empty = nothing.
+            check: raises if the simulation or a process that it needs has ended; called while a call waits.
+            waits_for: returns what the simulation reports that it waits for; empty = nothing.
         """
         self._check, self._waits_for, self._lockstep, self._stamped = check, waits_for, lockstep, stamped
         self._context: Any = rclpy.Context()
@@ -150,38 +149,38 @@ class Client:
         self._robots = dict(robots)
         self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
-        self._subscribed: dict[str, _Subscribed] = {}
-        self._followed: list[_Followed] = []
+        self._subscribed: dict[str, _SubscribedTopic] = {}
+        self._followed: list[_FollowedProgram] = []
         self._participant: LockstepParticipant | None = None
         self._ticks: deque[_Tick] = deque()
         self._held: _Tick | None = None
         """The present tick of lockstep, which ends with ``tick_done``."""
         self._sent: list[str] = []
-        """Topics of the commands since the last tick, once for each."""
+        """Topic of each command since the last tick."""
         self._now_ns, self._epoch, self._is_paused = 0, 0, False
         self._held_since = 0.0
-        """Monotonic clock at which the present tick began here, s."""
+        """Monotonic time at which the client received the present tick, s."""
         self._matched_by = 0.0
-        """Monotonic clock until which the first message of a subscription is awaited, s."""
+        """Monotonic deadline for the first message of a subscription, s."""
         self._events = 0
-        """Messages received, for ``_drain``."""
+        """Number of messages received, for ``_drain``."""
         self._truth: dict[str, Any] = {}
         self._moved: set[str] = set()
         """Robots that a request may have moved since their last pose arrived."""
         self._counts: dict[str, CollisionCount] = {}
-        """Robot -> its last count of collisions, which is not in the log yet."""
+        """Robot -> its last collision count that is not in the log yet."""
         self._collisions = {robot: CollisionLog(robot) for robot in robots}
         self._contacts: Any = None
         self._map: Any = None
         self.services = StandardServices(self.call)
 
-    # Begin and end
+    # Start and end
 
     def connect(self) -> None:
-        """Waits until the simulation answers, and, in lockstep, lets its first tick begin.
+        """Waits until the services of the simulation are ready, and, in lockstep, lets its first tick begin.
 
         Raises:
-            GibsonSimError: it has ended, or does not answer.
+            GibsonSimError: the simulation has ended, or does not answer.
         """
         volatile = QoSProfile(depth=1000)
         self.node.create_subscription(TickDigest, names.TICK_DIGEST, self._on_digest, volatile)
@@ -189,11 +188,11 @@ class Client:
         self.node.create_subscription(OccupancyGrid, names.MAP, self._on_map, qos.LATCHED)
         for robot, namespace in self._robots.items():
             truth, collisions = f"{namespace}{names.GROUND_TRUTH}", f"{namespace}{names.COLLISIONS}"
-            self._watch(truth, Odometry, partial(self._on_truth, robot))
-            self._watch(collisions, CollisionCount, partial(self._on_collisions, robot))
+            self._subscribe_internally(truth, Odometry, partial(self._on_truth, robot))
+            self._subscribe_internally(collisions, CollisionCount, partial(self._on_collisions, robot))
         for service in ("get_simulation_state", "spawn_entity", "reset_simulation"):
             self._client(service, SERVICES[service])
-        self._work(
+        self._spin_until(
             START_S, lambda: all(client.service_is_ready() for client in self._clients.values()), "the simulation to answer"
         )
         if self._lockstep:
@@ -204,19 +203,19 @@ class Client:
     def _initial_state(self) -> int:
         state = int(self.services.ask("get_simulation_state").state.state)
         if state == SimulationState.STATE_STOPPED:
-            self.set_playing(False)  # a stopped simulation makes no steps
+            self.set_playing(False)  # a stopped simulation executes no steps
         self._is_paused = state != SimulationState.STATE_PLAYING
         return state
 
-    def _watch(self, topic: str, kind: Any, then: Callable[[Any], None]) -> None:
-        """Subscribes to a topic of every tick; ``then`` gets each message."""
+    def _subscribe_internally(self, topic: str, kind: Any, callback: Callable[[Any], None]) -> None:
+        """Subscribes to a topic that is published at every tick, for the client's own use."""
         name = self.node.resolve_topic_name(topic)
-        subscribed = self._subscribed[f"{name} (own)"] = _Subscribed(None, deque(maxlen=1), deque(), False)
+        subscribed = self._subscribed[f"{name} (internal)"] = _SubscribedTopic(None, deque(maxlen=1), deque(), False)
 
         def on_message(msg: Any) -> None:
             subscribed.last_ns, subscribed.is_matched = _stamp_ns(msg), True
             self._events += 1
-            then(msg)
+            callback(msg)
 
         subscribed.handle = self.node.create_subscription(kind, name, on_message, QoSProfile(depth=1000))
 
@@ -233,42 +232,42 @@ class Client:
         self._context = None
 
     def raise_if_ended(self) -> None:
-        """Raises if the simulation, or something that it needs, has ended."""
+        """Raises if the simulation or a process that it needs has ended."""
         self._check()
 
     # Time
 
     @property
     def now(self) -> float:
-        """Simulation time since it began or was reset, s."""
+        """Simulation time since the start or the last reset, s."""
         return self._now_ns / NS_PER_S
 
     @property
     def is_paused(self) -> bool:
-        """Whether time was paused by this client."""
+        """Whether time is paused."""
         return self._is_paused
 
-    def next_tick(self, patience_s: float = STALL_S) -> None:
-        """Lets time pass until the next tick has been published, and all of it that is subscribed to has arrived.
+    def next_tick(self, timeout_s: float = STALL_S) -> None:
+        """Lets time pass until the next tick was published, and its messages on all subscribed topics have arrived.
 
         Raises:
-            GibsonSimError: time is paused, it stands still for ``patience_s`` of wall time, or something has ended.
+            GibsonSimError: time is paused or stands still for ``timeout_s`` of wall time, or a process has ended.
         """
         if self._is_paused:
-            raise GibsonSimError("the simulation is paused, so that nothing happens in it: call play(), or step(seconds)")
-        self._work(patience_s, self._end_tick, "the answers of programs")
-        self._work(patience_s, self._begin_tick, "")
+            raise GibsonSimError("the simulation is paused, so time does not pass: call play(), or step(seconds)")
+        self._spin_until(timeout_s, self._end_tick, "the answers of programs")
+        self._spin_until(timeout_s, self._begin_tick, "")
 
     def _end_tick(self) -> bool:
-        """Lets the simulation go on; returns False if a program has not answered the present tick yet."""
+        """Ends the present tick; returns False if a program has not answered it yet."""
         if self._held is None:
             return True
-        for followed in [one for one in self._followed if one.is_over()]:
+        for followed in [program for program in self._followed if program.has_ended()]:
             self._followed.remove(followed)
             self.node.destroy_subscription(followed.handle)
         for followed in self._followed:
             rule = followed.rule
-            # The very first answer may be lost: the program may have discovered the simulation, but not yet been discovered itself.
+            # The very first answer may be lost: discovery may be complete in one direction only.
             if not rule.is_answered and (rule.has_answered or time.monotonic() < self._held_since + _SETTLED_S):
                 return False
         for followed in self._followed:
@@ -280,33 +279,33 @@ class Client:
         return True
 
     def publishers(self, topic: str) -> frozenset[tuple[int, ...]]:
-        """Returns what identifies each publisher of a topic that is known now."""
+        """Returns the GIDs of the publishers of a topic that are discovered now."""
         return frozenset(tuple(info.endpoint_gid) for info in self.node.get_publishers_info_by_topic(self.resolve(topic)))
 
-    def follow(self, text: str, earlier: frozenset[tuple[int, ...]], is_over: Callable[[], bool], patience_s: float) -> None:
-        """Waits until a program publishes on the topic of a rule, and from now on in every tick for its answer, in lockstep.
+    def follow(self, text: str, earlier: frozenset[tuple[int, ...]], has_ended: Callable[[], bool], timeout_s: float) -> None:
+        """Waits until a program publishes on the topic of a rule; from then on, each tick waits for its answer, in lockstep.
 
         Args:
             text: rule, such as ``cmd_vel after scan``.
-            earlier: publishers of its topic before the program was started: those of killed programs are known for a while.
-            is_over: whether the program has ended, and the rule with it.
-            patience_s: wall time for the program to be there.
+            earlier: GIDs of the publishers of its topic before the program was started: those of killed programs stay visible for a while.
+            has_ended: returns whether the program has ended, which also ends the rule.
+            timeout_s: timeout for the discovery of the program, s of wall time.
 
         Raises:
-            GibsonSimError: the rule is none, or the program does not publish in time.
+            GibsonSimError: the rule is invalid, or the program does not publish in time.
         """
         rule = AnswerRule(parsed := parse_rule(text))
         topic = self.resolve(parsed.answer)
 
-        def is_there() -> bool:
-            found = [one for one in self.node.get_publishers_info_by_topic(topic) if tuple(one.endpoint_gid) not in earlier]
-            return bool(found) and (not parsed.after or all(self._subscribes(info, parsed.after) for info in found))
+        def is_discovered() -> bool:
+            infos = [info for info in self.node.get_publishers_info_by_topic(topic) if tuple(info.endpoint_gid) not in earlier]
+            return bool(infos) and (not parsed.after or all(self._subscribes(info, parsed.after) for info in infos))
 
         answers_to = f", in a node that subscribes to {parsed.after}" if parsed.after else ""
-        self._work(patience_s, is_there, f"a publisher of {parsed.answer}{answers_to}")
+        self._spin_until(timeout_s, is_discovered, f"a publisher of {parsed.answer}{answers_to}")
         kind = _message_class(self.node.get_publishers_info_by_topic(topic)[0].topic_type)
         is_command = any(info.node_name == _PHYSICS for info in self.node.get_subscriptions_info_by_topic(topic))
-        followed = _Followed(rule, topic, is_over, is_command)
+        followed = _FollowedProgram(rule, topic, has_ended, is_command)
         followed.handle = self.node.create_subscription(
             kind, topic, lambda data: rule.receive(), self._profile(topic, 1000), raw=True
         )
@@ -316,21 +315,21 @@ class Client:
 
     def _subscribes(self, info: Any, topic: str) -> bool:
         if not info.node_namespace.startswith("/"):
-            return False  # its name is not known yet
+            return False  # the node's name is not known yet
         try:
-            found = self.node.get_subscriber_names_and_types_by_node(info.node_name, info.node_namespace)
+            subscriptions = self.node.get_subscriber_names_and_types_by_node(info.node_name, info.node_namespace)
         except NodeNameNonExistentError:
             return False
-        return self.resolve(topic) in {name for name, _ in found}
+        return self.resolve(topic) in {name for name, _ in subscriptions}
 
     def _begin_tick(self) -> bool:
-        """Returns whether a tick is here as a whole; it is the present one from now on."""
+        """Makes the next tick the present one if it has arrived completely; returns whether it has."""
         while self._ticks and self._ticks[0].epoch < self._epoch:
             late = self._ticks.popleft()
             if self._participant is not None:  # the simulation publishes the reset once this tick is done
                 self._participant.tick_done(conversions.time_to_msg(late.stamp_ns))
-        if not self._ticks or (len(self._ticks) == 1 and not self._is_whole(self._ticks[0])):
-            return False  # with a later tick behind it, it is whole: messages arrive in the order in which they were published
+        if not self._ticks or (len(self._ticks) == 1 and not self._is_complete(self._ticks[0])):
+            return False  # if a later tick has arrived, it is complete: messages arrive in the order of publication
         tick = self._held = self._ticks.popleft()
         self._now_ns, self._epoch, self._held_since = tick.stamp_ns, tick.epoch, time.monotonic()
         topics = {name.lstrip("/") for name in tick.topics} if self._followed else set()
@@ -339,10 +338,10 @@ class Client:
         for subscribed in self._subscribed.values():
             while subscribed.held and _stamp_ns(subscribed.held[0]) < tick.stamp_ns:
                 subscribed.messages.append(subscribed.held.popleft())
-        self._note_collisions()
+        self._log_collisions()
         return True
 
-    def _is_whole(self, tick: _Tick) -> bool:
+    def _is_complete(self, tick: _Tick) -> bool:
         for name, subscribed in self._subscribed.items():
             if not subscribed.is_image and name.partition(" ")[0] in tick.topics and subscribed.last_ns < tick.stamp_ns:
                 if subscribed.is_matched or time.monotonic() < self._matched_by:
@@ -350,52 +349,54 @@ class Client:
                 subscribed.is_matched = True
         return True
 
-    def _work(self, patience_s: float, until: Callable[[], bool], what: str) -> None:
-        """Works until a condition holds.
+    def _spin_until(self, timeout_s: float, condition: Callable[[], bool], awaited: str) -> None:
+        """Spins until a condition holds.
 
         Args:
-            patience_s: wall time after which it gives up.
-            until: the condition.
-            what: that is awaited; empty = the next tick.
+            timeout_s: timeout, s of wall time.
+            condition: returns whether it holds.
+            awaited: description of the condition, for the error message; empty = the next tick.
 
         Raises:
-            GibsonSimError: it does not hold in time, or something has ended.
+            GibsonSimError: it does not hold in time, or a process has ended.
         """
-        began = time.monotonic()
-        self._matched_by = began + _SETTLED_S
-        while not until():
+        start = time.monotonic()
+        self._matched_by = start + _SETTLED_S
+        while not condition():
             self._executor.spin_once(timeout_sec=0.05)
             self._check()
-            if time.monotonic() - began > patience_s:
-                said = self._waits_for()
-                where = f"waited {patience_s:g} s for {what}" if what else f"simulation time stands still for {patience_s:g} s"
-                raise GibsonSimError(f"{where}, at {self.now:.3f} s of simulation time{f': {said}' if said else ''}")
+            if time.monotonic() - start > timeout_s:
+                reported = self._waits_for()
+                problem = (
+                    f"waited {timeout_s:g} s for {awaited}" if awaited else f"simulation time stands still for {timeout_s:g} s"
+                )
+                raise GibsonSimError(f"{problem}, at {self.now:.3f} s of simulation time{f': {reported}' if reported else ''}")
 
-    def work_in_time(self, until: Callable[[], bool], patience_s: float, what: str) -> None:
-        """Works until a condition holds; time passes meanwhile, unless it is paused.
+    def run_until(self, condition: Callable[[], bool], timeout_s: float, awaited: str) -> None:
+        """Spins until a condition holds; time passes meanwhile, unless it is paused.
 
         Args:
-            until: the condition.
-            patience_s: wall time after which it gives up.
-            what: that is awaited.
+            condition: returns whether it holds.
+            timeout_s: timeout, s of wall time.
+            awaited: description of the condition, for the error message.
         """
 
         def holds() -> bool:
             if self._held is None:
                 self._begin_tick()
-            if until():
+            if condition():
                 return True
             self._end_tick()
             return False
 
-        if not until():
+        if not condition():
             self._end_tick()
-            self._work(patience_s, holds, what)
+            self._spin_until(timeout_s, holds, awaited)
             if self._held is None and not self._is_paused:
                 self.next_tick()
 
     def step(self, steps: int, step_hz: int) -> None:
-        """Makes physics steps, of which ``step_hz`` are a second, of a paused simulation."""
+        """Executes physics steps of ``1 / step_hz`` s in a paused simulation."""
         target_ns = (round(self._now_ns * step_hz / NS_PER_S) + steps) * NS_PER_S // step_hz
         future = self._send("step_simulation", SERVICES["step_simulation"], SERVICES["step_simulation"].Request(steps=steps))
 
@@ -407,7 +408,7 @@ class Client:
             return bool(future.done())
 
         self._end_tick()
-        self._work(max(ANSWER_S, 0.1 * steps), done, "the steps to be made")
+        self._spin_until(max(ANSWER_S, 0.1 * steps), done, "the steps to be executed")
         self._drain()
         result = future.result().result
         if result.result != 1:
@@ -417,12 +418,12 @@ class Client:
         self._now_ns = target_ns  # it may lie between two ticks
 
     def set_playing(self, playing: bool) -> None:
-        """Lets time pass, or holds it."""
+        """Plays or pauses the simulation."""
         self.services.set_state(SimulationState.STATE_PLAYING if playing else SimulationState.STATE_PAUSED)
         self._is_paused = not playing
 
     def set_rate(self, rate: float) -> None:
-        """Sets the speed of time against wall time; 0 = as fast as possible."""
+        """Sets the rate of simulation time relative to wall time; 0 = as fast as possible."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
         request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
         result = self.call(f"{_PHYSICS}/set_parameters", SetParameters, request).results[0]
@@ -430,7 +431,7 @@ class Client:
             raise GibsonSimError(result.reason)
 
     def reset(self) -> None:
-        """Resets everything, and forgets what was received."""
+        """Resets the simulation, and discards the messages received so far."""
         self.services.ask("reset_simulation")
         self._drain()
         self._epoch += 1
@@ -446,35 +447,35 @@ class Client:
             subscribed.last_ns = -1
         for followed in self._followed:
             followed.rule.reset()
-        # The reset is published once the present tick is done, and then the first tick of the new time.
+        # The simulation publishes the reset once the present tick is done, and then the first tick of the new epoch.
         self._end_tick()
         if not self._is_paused:
             self.next_tick()
 
     def _drain(self) -> None:
-        """Receives all that has arrived."""
+        """Handles all messages that have arrived."""
         idle = 0
         while idle < 3:
-            before = self._events
+            previous = self._events
             self._executor.spin_once(timeout_sec=0.0)
-            idle = idle + 1 if self._events == before else 0
+            idle = idle + 1 if self._events == previous else 0
 
     # Services
 
     def call(self, name: str, kind: Any, request: Any) -> Any:
-        """Returns the response of a service; time stands still in lockstep meanwhile.
+        """Returns the response of a service; in lockstep, time stands still meanwhile.
 
         Raises:
-            GibsonSimError: nothing offers it, or it does not answer.
+            GibsonSimError: no node offers the service, or it does not respond.
         """
         self._moved.update(self._truth)
         future = self._send(name, kind, request)
-        self._work(ANSWER_S, future.done, f"the answer of {name}")
+        self._spin_until(ANSWER_S, future.done, f"the response of {name}")
         return future.result()
 
     def _send(self, name: str, kind: Any, request: Any) -> Any:
         client = self._client(name, kind)
-        self._work(DISCOVERY_S, client.service_is_ready, f"the service {name}")
+        self._spin_until(DISCOVERY_S, client.service_is_ready, f"the service {name}")
         return client.call_async(request)
 
     def _client(self, name: str, kind: Any) -> Any:
@@ -485,22 +486,22 @@ class Client:
     # Topics
 
     def topics(self) -> dict[str, str]:
-        """Returns topic -> type of the topics that have publishers now."""
-        found = {}
+        """Returns topic -> type of all topics that have publishers now."""
+        types = {}
         for name, kinds in self.node.get_topic_names_and_types():
             if self.node.count_publishers(name):
-                found[name] = str(kinds[0])
-        return found
+                types[name] = str(kinds[0])
+        return types
 
     def subscribe(self, topic: str, kind: Any = None) -> None:
         """Subscribes to a topic; does nothing if it is subscribed to already.
 
         Args:
-            topic: its name; without a leading slash it is completed.
-            kind: message class; None = that of its publishers, which must be there.
+            topic: name of the topic, relative or absolute.
+            kind: message class; None = that of its publishers, which must exist.
 
         Raises:
-            GibsonSimError: it has no publisher, or its type is not installed.
+            GibsonSimError: the topic has no publisher, or its type is not installed.
         """
         name = self.node.resolve_topic_name(topic)
         if name in self._subscribed:
@@ -516,8 +517,8 @@ class Client:
                 )
             kind = _message_class(known[name])
         is_image = type_name_of(kind) in _IMAGES and self._lockstep
-        depth = MOST_LARGE if type_name_of(kind) in _LARGE else MOST_MESSAGES
-        subscribed = self._subscribed[name] = _Subscribed(None, deque(maxlen=depth), deque(maxlen=depth), is_image)
+        depth = MAX_LARGE_MESSAGES if type_name_of(kind) in _LARGE else MAX_MESSAGES
+        subscribed = self._subscribed[name] = _SubscribedTopic(None, deque(maxlen=depth), deque(maxlen=depth), is_image)
 
         def on_message(msg: Any) -> None:
             subscribed.is_matched = True
@@ -533,15 +534,15 @@ class Client:
         # A round trip: the simulation has discovered the subscription before it answers.
         self.services.ask("get_simulation_state")
 
-    def _settle(self, until: Callable[[], bool]) -> None:
-        """Works for a moment, in which others may be discovered."""
+    def _settle(self, condition: Callable[[], bool]) -> None:
+        """Spins until a condition holds, or discovery has had ``_SETTLED_S``."""
         deadline = time.monotonic() + _SETTLED_S
-        while not until() and time.monotonic() < deadline:
+        while not condition() and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.02)
             self._check()
 
     def _profile(self, name: str, depth: int) -> QoSProfile:
-        """Returns a quality of service that matches all publishers of a topic, as reliable and as latched as they are."""
+        """Returns the strictest QoS profile that is compatible with all publishers of a topic."""
         offered = [info.qos_profile for info in self.node.get_publishers_info_by_topic(name)]
         reliable = bool(offered) and all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
         latched = bool(offered) and all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
@@ -560,21 +561,21 @@ class Client:
         return self.resolve(topic) in self._subscribed
 
     def messages(self, topic: str) -> Sequence[Any]:
-        """Returns the messages of a topic since it was subscribed to, or since a reset, the oldest first."""
+        """Returns the messages of a topic since the subscription or the last reset, oldest first."""
         self.subscribe(topic)
         self.catch_up()
         return list(self._subscribed[self.node.resolve_topic_name(topic)].messages)
 
     def catch_up(self) -> None:
-        """Receives what has arrived, where time passes by itself."""
+        """Handles the messages that have arrived, if the simulation is not in lockstep."""
         if not self._lockstep:
             self._drain()
             while self._begin_tick():
                 pass
 
     def unsubscribe_all(self) -> None:
-        """Ends all subscriptions that ``subscribe`` made."""
-        for name in [name for name in self._subscribed if not name.endswith(" (own)")]:
+        """Ends all subscriptions that ``subscribe`` created."""
+        for name in [name for name in self._subscribed if not name.endswith(" (internal)")]:
             self.node.destroy_subscription(self._subscribed.pop(name).handle)
 
     # The robot
@@ -591,16 +592,17 @@ class Client:
         return robot_pose(self._truth[robot])
 
     def last_pose(self, robot: str) -> RobotPose | None:
-        """Returns the last pose of a robot that is known without asking; None = none is."""
-        found = self._truth.get(robot)
-        return None if found is None else robot_pose(found)
+        """Returns the last pose of a robot that was received, without a request; None = none was."""
+        pose = self._truth.get(robot)
+        return None if pose is None else robot_pose(pose)
 
     def collisions(self) -> list[Collision]:
-        """Returns the collisions of all robots since the beginning or a reset, in their order."""
-        return sorted((one for log in self._collisions.values() for one in log.collisions), key=lambda one: one.time)
+        """Returns the collisions of all robots since the start or the last reset, in order of time."""
+        collisions = (collision for log in self._collisions.values() for collision in log.collisions)
+        return sorted(collisions, key=lambda collision: collision.time)
 
     def command(self, robot: str, linear: float, angular: float) -> None:
-        """Sends a velocity, m/s and rad/s, which takes effect with the next step."""
+        """Publishes a velocity command, m/s and rad/s, which takes effect with the next step."""
         topic = f"{self._robots[robot]}{names.CMD_VEL}"
         publisher = self._publisher(topic, TwistStamped if self._stamped else Twist)
         message = TwistStamped() if self._stamped else Twist()
@@ -611,12 +613,12 @@ class Client:
         publisher.publish(message)
         self._sent.append(publisher.topic_name)
 
-    def send_goal(self, topic: str, x: float, y: float, yaw: float, patience_s: float) -> None:
-        """Publishes a goal pose in the map frame, metres and radians, once a node subscribes to it; time passes meanwhile."""
+    def send_goal(self, topic: str, x: float, y: float, yaw: float, timeout_s: float) -> None:
+        """Publishes a goal pose in the map frame, m and rad, once the topic has a subscriber; time passes meanwhile."""
         if topic not in self._publishers:
             self._publishers[topic] = self.node.create_publisher(PoseStamped, topic, 10)
         publisher = self._publishers[topic]
-        self.work_in_time(lambda: publisher.get_subscription_count() > 0, patience_s, f"a subscriber of {topic}")
+        self.run_until(lambda: publisher.get_subscription_count() > 0, timeout_s, f"a subscriber of {topic}")
         message = PoseStamped(pose=flat_pose(x, y, 0.0, yaw))
         message.header.frame_id, message.header.stamp = WORLD_FRAME, conversions.time_to_msg(self._now_ns)
         publisher.publish(message)
@@ -625,7 +627,9 @@ class Client:
         if topic not in self._publishers:
             publisher = self.node.create_publisher(kind, topic, qos.COMMAND)
             try:
-                self._work(DISCOVERY_S, lambda: publisher.get_subscription_count() > 0, f"a robot that subscribes to {topic}")
+                self._spin_until(
+                    DISCOVERY_S, lambda: publisher.get_subscription_count() > 0, f"a robot that subscribes to {topic}"
+                )
             except GibsonSimError:
                 self.node.destroy_publisher(publisher)
                 raise
@@ -636,15 +640,15 @@ class Client:
         """Returns the nav_msgs/OccupancyGrid of the simulation.
 
         Raises:
-            GibsonSimError: there is none.
+            GibsonSimError: the simulation publishes none.
         """
-        self._work(DISCOVERY_S, lambda: self._map is not None, "the floor map on the topic map")
+        self._spin_until(DISCOVERY_S, lambda: self._map is not None, "the floor map on the topic map")
         return self._map
 
     # Messages
 
     def _on_digest(self, msg: TickDigest) -> None:
-        if f"/{names.SCENE_STATE}" in msg.topics:  # that of physics, not of a renderer
+        if f"/{names.SCENE_STATE}" in msg.topics:  # the digest of the physics node, not of a renderer
             self._events += 1
             self._ticks.append(_Tick(_stamp_ns(msg), int(msg.epoch), frozenset(msg.topics)))
 
@@ -658,8 +662,8 @@ class Client:
     def _on_collisions(self, robot: str, msg: CollisionCount) -> None:
         self._counts[robot] = msg
 
-    def _note_collisions(self) -> None:
-        """Adds the counts of a tick to the logs, now that its contact points are here as well."""
+    def _log_collisions(self) -> None:
+        """Adds the collision counts of a tick to the logs, once its contact points have arrived as well."""
         points = self._contacts.contacts if self._contacts is not None else ()
         for robot, msg in self._counts.items():
             touching = [(p.link_a, p.body_b) for p in points if p.body_a == robot]
@@ -668,7 +672,7 @@ class Client:
         self._counts.clear()
 
     def _on_map(self, msg: OccupancyGrid) -> None:
-        if self._map is None:  # the first is the simulation's; a map server or SLAM may publish others
+        if self._map is None:  # the first map is the simulation's; a map server or SLAM may publish others
             self._map = msg
 
 
@@ -686,7 +690,7 @@ def _stamp_ns(msg: Any) -> int:
 def _message_class(name: str) -> Any:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of the parser that generated messages load
+            warnings.simplefilter("ignore", DeprecationWarning)  # from the parser that generated messages import
             return message_class(name)
     except UNKNOWN as error:
         raise GibsonSimError(f"the message type {name} is not installed in this environment") from error

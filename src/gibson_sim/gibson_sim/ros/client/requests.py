@@ -1,4 +1,4 @@
-"""Requests of ``simulation_interfaces``, 1.x or 2.x, as clients make them. Nothing is sent here."""
+"""Builds client requests of ``simulation_interfaces``, 1.x or 2.x; does not send them."""
 
 from __future__ import annotations
 
@@ -39,15 +39,22 @@ SERVICES: dict[str, Any] = {
     "get_spawnables": GetSpawnables, "load_world": LoadWorld, "reset_simulation": ResetSimulation, "set_entity_state": SetEntityState,
     "set_simulation_state": SetSimulationState, "spawn_entity": SpawnEntity, "step_simulation": StepSimulation,
 }  # fmt: skip
-"""Service -> its type."""
+"""Service name -> type."""
 OK = 1
 """``Result.RESULT_OK``."""
 DROP_M = 0.02
-"""Height above the floor at which a spawned or moved entity begins, m."""
+"""Height above the floor at which a spawned or moved entity is placed, m."""
 
 
 def spawn_request(uri: str, at: tuple[float, float, float], floor_z: float, name: str = "") -> Any:
-    """Returns the request of SpawnEntity, 1.x or 2.x, that puts a thing at x, y (m) and yaw (rad) of the map, on a floor at height ``floor_z``, m."""
+    """Returns the request of SpawnEntity, 1.x or 2.x, that places an entity on a floor.
+
+    Args:
+        uri: resource of the entity.
+        at: x, y (m) and yaw (rad), map frame.
+        floor_z: height of the floor, m.
+        name: name of the entity; empty = the name in the resource.
+    """
     request = SpawnEntity.Request(name=name, allow_renaming=True)
     if hasattr(request, "entity_resource"):  # 2.x
         request.entity_resource.uri = uri
@@ -59,7 +66,7 @@ def spawn_request(uri: str, at: tuple[float, float, float], floor_z: float, name
 
 
 def move_request(name: str, at: tuple[float, float, float], floor_z: float) -> Any:
-    """Returns the request of SetEntityState, 1.x or 2.x, that puts an entity there, as for ``spawn_request``, at rest."""
+    """Returns the request of SetEntityState, 1.x or 2.x, that places an entity at rest; arguments as for ``spawn_request``."""
     request = SetEntityState.Request(entity=name)
     request.state.header.frame_id = WORLD_FRAME
     request.state.pose = flat_pose(at[0], at[1], floor_z + DROP_M, at[2])
@@ -75,7 +82,7 @@ def state_request(state: int) -> Any:
 
 
 def flat_pose(x: float, y: float, z: float, yaw: float) -> Pose:
-    """Returns a level pose."""
+    """Returns a pose with roll and pitch 0; m and rad."""
     pose = Pose()
     pose.position.x, pose.position.y, pose.position.z = x, y, z
     pose.orientation.z, pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)

@@ -1,7 +1,7 @@
 """Converts values to messages and back; other packages do not access the fields of messages.
 
-``x_to_msg`` makes a message, ``x_from_msg`` reads one. Stamps are copied from the data that a message describes, never read
-from a clock. Large arrays are copied once, as bytes: a list or an ndarray in a message field costs tens of milliseconds.
+``x_to_msg`` creates a message, ``x_from_msg`` reads one. Stamps are copied from the data that a message describes, never read from a clock.
+Large arrays are copied once, as bytes: assigning a list or an ndarray to a message field takes tens of milliseconds.
 """
 
 from gibson_sim.ros.conversions.arms import collision_count_to_msg, contacts_to_msg, grasp_state_to_msg, tool_twist_from_msg

@@ -15,11 +15,11 @@ from gibson_sim.types import WORLD_FRAME, Contact
 
 
 def tool_twist_from_msg(msg: TwistStamped, frame_prefix: str = "") -> ToolTwist:
-    """Returns the velocity of a tool.
+    """Returns the commanded velocity of a tool.
 
     Args:
-        msg: its frame is a link of the robot; empty = its base.
-        frame_prefix: of the robot's links in frame names.
+        msg: message whose frame is a link of the robot; empty = the base.
+        frame_prefix: prefix of the robot's frame names.
 
     Raises:
         CommandError: a number is NaN or infinite.

@@ -12,27 +12,27 @@ from gibson_sim.types import NS_PER_S, Pose, Vec3
 
 
 def time_to_msg(stamp_ns: int) -> Time:
-    """Returns the stamp of a time in nanoseconds."""
+    """Returns a time in ns as a message."""
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
 def time_from_msg(msg: Time) -> int:
-    """Returns a stamp in nanoseconds."""
+    """Returns the time in a message, ns."""
     return int(msg.sec) * NS_PER_S + int(msg.nanosec)
 
 
 def header_to_msg(stamp_ns: int, frame_id: str) -> Header:
-    """Returns a header with the stamp of the data and its frame."""
+    """Returns a header with the stamp and the frame of the data."""
     return Header(stamp=time_to_msg(stamp_ns), frame_id=frame_id)
 
 
 def vector_to_msg(v: Any) -> Vector3:
-    """Returns three numbers as a message."""
+    """Returns a vector of three numbers as a message."""
     return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
 def vector_from_msg(msg: Vector3) -> Vec3:
-    """Returns the three numbers of a message."""
+    """Returns the components of a message."""
     return (msg.x, msg.y, msg.z)
 
 
@@ -45,7 +45,7 @@ def pose_to_msg(pose: Pose) -> RosPose:
 
 
 def pose_from_msg(msg: RosPose) -> Pose:
-    """Returns the pose of a message, whose quaternion must have length 1."""
+    """Returns the pose in a message, whose quaternion must have norm 1."""
     p, q = msg.position, msg.orientation
     return Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 

@@ -41,10 +41,10 @@ _PIXELS: dict[str, tuple[type[np.generic], int]] = {
 
 
 def camera_info_to_msg(camera: CameraSpec, stamp_ns: int) -> CameraInfo:
-    """Returns the calibration of a camera, whose image is not rectified: R is the identity and P begins with K.
+    """Returns the calibration of a camera with an unrectified image: R is the identity and the left 3x3 block of P is K.
 
-    For the right camera of a stereo pair, P has Tx = -fx baseline. ROS has no model of an equirectangular camera: ``distortion_model`` is
-    its name and all matrices are zero, which means "not calibrated" to nodes that expect a pinhole camera.
+    For the right camera of a stereo pair, P has Tx = -fx * baseline. ROS has no equirectangular camera model: ``distortion_model`` is
+    ``equirectangular`` and all matrices are zero, which means "not calibrated" to nodes that expect a pinhole camera.
     """
     info = CameraInfo(header=header_to_msg(stamp_ns, camera.optical_frame), height=camera.height, width=camera.width)
     if camera.projection == "equirectangular":
@@ -62,7 +62,7 @@ def camera_info_to_msg(camera: CameraSpec, stamp_ns: int) -> CameraInfo:
 
 
 def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
-    """Returns an image of C-contiguous ``pixels``, shape (H, W) or (H, W, C), row 0 at the top."""
+    """Returns an image message with a copy of C-contiguous ``pixels``, (H, W) or (H, W, C), row 0 at the top."""
     height, width = pixels.shape[:2]
     data = array("B")
     data.frombytes(pixels.data.cast("B"))
@@ -77,14 +77,14 @@ def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: s
 def frame_to_image_msgs(
     frame: Frame, kinds: Collection[str] | None = None, make_image: Callable[..., Any] = image_to_msg
 ) -> Iterator[tuple[str, Any]]:
-    """Yields kind (see ``names.camera_topics``) and message of the images and camera_info of a frame, all with the frame's stamp.
+    """Yields the kind (see ``names.camera_topics``) and the message of each image and camera_info of a frame, with the frame's stamp.
 
-    Each message is made when the iterator reaches it: one that was sent and dropped leaves its memory, still in the cache, to the next one.
+    Messages are created lazily, so that a message reuses the memory of the previous one, which is still in the CPU cache.
 
     Args:
-        frame: with the images.
-        kinds: make only these; None = all.
-        make_image: makes a sensor_msgs/Image: ``image_to_msg``, or ``fast_publish.image_to_bytes``.
+        frame: frame with the images.
+        kinds: kinds of messages to create; None = all.
+        make_image: creates a sensor_msgs/Image: ``image_to_msg``, or ``fast_publish.image_to_bytes``.
     """
     camera, stamp = frame.camera, frame.stamp_ns
     for output, encoding in ENCODINGS.items():
@@ -98,20 +98,20 @@ def frame_to_image_msgs(
 
 
 def compressed_to_msg(data: bytes, image_format: str, stamp_ns: int, frame_id: str) -> CompressedImage:
-    """Returns a compressed image; ``data`` and ``image_format`` come from ``sensors.image_codecs``."""
+    """Returns a compressed image message; ``data`` and ``image_format`` are results of ``sensors.image_codecs``."""
     return CompressedImage(header=header_to_msg(stamp_ns, frame_id), format=image_format, data=array("B", data))
 
 
 def label_info_type() -> Any:
-    """Returns the type of LabelInfo messages: that of vision_msgs if it is installed, otherwise ours with the same fields."""
+    """Returns the type of LabelInfo messages: vision_msgs if it is installed, otherwise gibson_msgs, which has the same fields."""
     return _label_module().LabelInfo
 
 
 def label_info_to_msg(labels: Sequence[str], stamp_ns: int, frame_id: str) -> Any:
-    """Returns the message with the names of label numbers; the index into ``labels`` is the number."""
+    """Returns the message with the names of labels; the index into ``labels`` is the number of the label."""
     module = _label_module()
-    make = getattr(module, "VisionClass", None) or module.LabelClass
-    classes = [make(class_id=number, class_name=name) for number, name in enumerate(labels)]
+    label_class = getattr(module, "VisionClass", None) or module.LabelClass
+    classes = [label_class(class_id=number, class_name=name) for number, name in enumerate(labels)]
     return module.LabelInfo(header=header_to_msg(stamp_ns, frame_id), class_map=classes, threshold=1.0)
 
 
@@ -120,9 +120,13 @@ def _label_module() -> Any:
 
 
 def array_from_image(msg: Image) -> NDArray[Any]:
-    """Returns the pixels of an image in one of ``ENCODINGS``, (H, W), (H, W, 2) or (H, W, 3), a view of the message's memory."""
+    """Returns the pixels of an image in one of ``ENCODINGS``, (H, W), (H, W, 2) or (H, W, 3), a view of the message's memory.
+
+    Raises:
+        SceneError: the encoding is unknown.
+    """
     if msg.encoding not in _PIXELS:
         raise SceneError(f"image has encoding {quoted(msg.encoding)}, known: {', '.join(_PIXELS)}")
-    kind, channels = _PIXELS[msg.encoding]
-    rows = np.frombuffer(msg.data, kind).reshape(msg.height, -1)[:, : msg.width * channels]
+    dtype, channels = _PIXELS[msg.encoding]
+    rows = np.frombuffer(msg.data, dtype).reshape(msg.height, -1)[:, : msg.width * channels]
     return rows if channels == 1 else rows.reshape(msg.height, msg.width, channels)

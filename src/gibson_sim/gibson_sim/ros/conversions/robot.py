@@ -1,4 +1,4 @@
-"""Converts the commands of a robot, odometry and planar scans."""
+"""Converts commands of a robot, odometry and planar scans."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gibson_sim.sensors.lidar import Scan
 from gibson_sim.types import NS_PER_S, Odometry, Pose, VelocityCommand
 
 _UNKNOWN = 1e6
-"""Variance of quantities that are not measured, m^2, rad^2 and their rates."""
+"""Variance of quantities that are not measured: m^2, rad^2, (m/s)^2, (rad/s)^2."""
 
 
 def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
@@ -32,12 +32,12 @@ def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
 
 
 def odometry_pose(odometry: Odometry) -> Pose:
-    """Returns T_odom_base."""
+    """Returns T_odom_base of planar odometry."""
     return Pose((odometry.x, odometry.y, 0.0), quat_from_rpy(0.0, 0.0, odometry.yaw))
 
 
 def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
-    """Returns a scan whose rays were all cast at its stamp (``time_increment`` 0)."""
+    """Returns a scan whose rays were all cast at its stamp (``time_increment`` 0); ``scan_time`` is the period, s."""
     msg = LaserScan(header=header_to_msg(scan.stamp_ns, frame_id))
     msg.angle_min = scan.angle_min
     msg.angle_increment = scan.angle_increment
@@ -51,34 +51,34 @@ def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
 
 
 def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:
-    """Returns x, y (m), yaw (rad) and stamp (ns) of an odometry message."""
+    """Returns x, y (m), yaw (rad) and the stamp (ns) of an odometry message."""
     q = msg.pose.pose.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return msg.pose.pose.position.x, msg.pose.pose.position.y, yaw, time_from_msg(msg.header.stamp)
 
 
 def planar_covariance(matrix: Sequence[float]) -> tuple[float, ...]:
-    """Returns the (6, 6) covariance of a message for the (3, 3) covariance of (x, y, yaw), both row by row.
+    """Returns the (6, 6) covariance of a message from the (3, 3) covariance of (x, y, yaw), both row-major.
 
     A planar base measures no z, roll and pitch: their variances are large, so that a filter neither trusts them nor divides by zero.
     """
     xx, xy, xt, yx, yy, yt, tx, ty, tt = matrix
-    no, far = 0.0, _UNKNOWN
+    o, u = 0.0, _UNKNOWN
     return (
-        xx, xy, no, no, no, xt,
-        yx, yy, no, no, no, yt,
-        no, no, far, no, no, no,
-        no, no, no, far, no, no,
-        no, no, no, no, far, no,
-        tx, ty, no, no, no, tt,
+        xx, xy, o, o, o, xt,
+        yx, yy, o, o, o, yt,
+        o, o, u, o, o, o,
+        o, o, o, u, o, o,
+        o, o, o, o, u, o,
+        tx, ty, o, o, o, tt,
     )  # fmt: skip
 
 
 def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand:
     """Returns the joint command in a JointTrajectory or a JointState.
 
-    A JointState with positions sets the targets of its joints, and its efforts, if any, are the limits of their motors (0 = the joint's own
-    limit); one with velocities alone sets the velocities.
+    A JointState with positions sets the position targets of its joints; its efforts, if any, are the effort limits of their motors (0 = the
+    limit of the joint). A JointState with velocities alone sets velocity targets.
 
     Raises:
         CommandError: the command is invalid.

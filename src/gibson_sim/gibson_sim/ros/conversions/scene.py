@@ -38,7 +38,7 @@ from gibson_sim.ros.conversions.basics import (
 from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec, PointLight, SplatsSpec
 from gibson_sim.types import OUTPUTS, WORLD_FRAME, CameraSpec, DepthNoise, ImageEffects, SceneState, Vec3
 
-if TYPE_CHECKING:  # it imports SciPy: 0.4 s at each start of a render node, which has no map
+if TYPE_CHECKING:  # maps import SciPy: 0.4 s at each start of a render node, which needs no map
     from gibson_sim.maps.floor_map import FloorMap
 
 _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1
@@ -49,7 +49,7 @@ _SHAPES: dict[ShapeKind, int] = {
     "cylinder": RosVisual.SHAPE_CYLINDER,
 }
 _FILL, _FILL_DEPTH = "fill:", "fill_depth"
-"""Words among the outputs of a camera: before what fills its holes; that depth is filled, too."""
+"""Entries among the outputs of a camera in a message: prefix of the hole filling method, and flag that depth is filled, too."""
 _SHAPE_KINDS = {number: kind for kind, number in _SHAPES.items()}
 
 
@@ -96,13 +96,13 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
     """
     links = tuple(msg.links)
 
-    def pick(names: tuple[str, ...], index: int, what: str) -> str:
+    def name_at(names: tuple[str, ...], index: int, kind: str) -> str:
         if not 0 <= index < len(names):
-            raise SceneError(f"scene {quoted(msg.name)}: {what} {index} is out of range, there are {len(names)}")
+            raise SceneError(f"scene {quoted(msg.name)}: {kind} {index} is out of range, there are {len(names)}")
         return names[index]
 
     def link_name(index: int) -> str:
-        return "" if index == -1 else pick(links, index, "link")
+        return "" if index == -1 else name_at(links, index, "link")
 
     classes = tuple(msg.semantic_classes)
     visuals, splats = [], None
@@ -115,7 +115,7 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
                 f"scene {quoted(msg.name)}: visual {quoted(v.name)} has shape {v.shape}, known: {sorted(_SHAPE_KINDS)}"
             )
         color = (v.color.r, v.color.g, v.color.b, v.color.a) if v.color.a > 0 else None
-        semantic_class = pick(classes, v.semantic_class, "semantic class")
+        semantic_class = name_at(classes, v.semantic_class, "semantic class")
         visuals.append(
             VisualSpec(
                 name=v.name,
@@ -143,10 +143,10 @@ def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...], epoch: i
 
 
 def scene_state_from_msg(msg: RosSceneState, links: tuple[str, ...]) -> SceneState:
-    """Returns the state in a message; ``links`` are those of its scene.
+    """Returns the state in a message; ``links`` are the link names of its scene.
 
     Raises:
-        ConfigError: the number of rows of the arrays is not that of the links.
+        ConfigError: the number of poses or twists is not the number of links.
     """
     poses = np.array(msg.poses, dtype=np.float64).reshape(-1, 7)
     twists = np.array(msg.twists, dtype=np.float64).reshape(-1, 6) if len(msg.twists) else np.zeros((len(poses), 6))
@@ -162,7 +162,7 @@ def scene_state_from_msg(msg: RosSceneState, links: tuple[str, ...]) -> SceneSta
 
 
 def floor_map_to_msg(floor: FloorMap, floor_z: float, stamp_ns: int, frame_id: str) -> OccupancyGrid:
-    """Returns the map of a floor: 0 = free, 100 = occupied, -1 = neither floor nor obstacle. Rows run along y, from the lowest."""
+    """Returns the occupancy grid of a floor: 0 = free, 100 = occupied, -1 = neither floor nor obstacle. Rows are ordered by increasing y."""
     cells = np.full(floor.shape, _UNKNOWN, dtype=np.int8)
     cells[floor.free] = _FREE
     cells[floor.occupied] = _OCCUPIED

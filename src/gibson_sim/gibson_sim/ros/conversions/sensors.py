@@ -18,12 +18,12 @@ from gibson_sim.sensors.imu import LEAST_VARIANCE, ImuReading
 from gibson_sim.sensors.lidar import LidarCloud
 
 LIDAR_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")])
-"""A point of a lidar's cloud: 18 bytes without gaps."""
+"""Layout of a point of a lidar cloud: 18 bytes without padding."""
 _FIELD_TYPES = {np.dtype("<f4"): PointField.FLOAT32, np.dtype("<u2"): PointField.UINT16}
 
 
 def imu_to_msg(reading: ImuReading, frame_id: str) -> Imu:
-    """Returns a sample by REP 145: gravity is included, and the first covariance of a quantity that is not reported is -1."""
+    """Returns an IMU message by REP 145: the acceleration includes gravity, and the first covariance of an unreported quantity is -1."""
     msg = Imu(header=header_to_msg(reading.stamp_ns, frame_id))
     msg.angular_velocity = vector_to_msg(reading.angular_velocity)
     msg.linear_acceleration = vector_to_msg(reading.linear_acceleration)
@@ -60,8 +60,8 @@ def cloud_to_msg(cloud: NDArray[np.void], stamp_ns: int, frame_id: str) -> Point
     """Returns an organised cloud.
 
     Args:
-        cloud: (H, W), C-contiguous, with four-byte fields; all are declared as float32, ``rgb`` too, as PCL and rviz expect.
-        stamp_ns: of the depth image.
+        cloud: structured array (H, W), C-contiguous, with four-byte fields; all are declared as float32, also ``rgb``, as PCL and RViz expect.
+        stamp_ns: stamp of the depth image, ns.
         frame_id: frame of the points.
     """
     height, width = cloud.shape
@@ -80,7 +80,7 @@ def cloud_to_msg(cloud: NDArray[np.void], stamp_ns: int, frame_id: str) -> Point
 
 
 def bumper_to_msgs(reading: BumperReading, frame_id: str) -> tuple[Bool, WrenchStamped]:
-    """Returns whether the bumper is pressed, and total force and torque, about the origin of ``frame_id`` and along its axes."""
+    """Returns whether the bumper is pressed, and the total force (N) and torque (N m) in ``frame_id``, about its origin."""
     wrench = WrenchStamped(header=header_to_msg(reading.stamp_ns, frame_id))
     wrench.wrench.force = vector_to_msg(reading.force)
     wrench.wrench.torque = vector_to_msg(reading.torque)
@@ -88,7 +88,7 @@ def bumper_to_msgs(reading: BumperReading, frame_id: str) -> tuple[Bool, WrenchS
 
 
 def battery_to_msg(reading: BatteryReading, frame_id: str = "") -> BatteryState:
-    """Returns the state of a battery: discharging, or not charging if it is empty. Quantities that are not measured are NaN."""
+    """Returns the state of a battery: discharging, or not charging if it is empty. Unmeasured quantities are NaN."""
     msg = BatteryState(header=header_to_msg(reading.stamp_ns, frame_id))
     msg.voltage, msg.current, msg.charge = reading.voltage, reading.current, reading.charge_ah
     msg.capacity = msg.design_capacity = reading.capacity_ah

@@ -1,1 +1,1 @@
-"""Time and repeatability: the pace, the gates that hold time for participants and images, the journal, the digests."""
+"""Time and repeatability: pacing, the gates that hold time for participants and images, the journal, the digests."""

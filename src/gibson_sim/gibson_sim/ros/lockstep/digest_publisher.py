@@ -1,4 +1,4 @@
-"""Digests of all that a node publishes at a tick, by which two runs are compared."""
+"""Publishes digests of all data that a node publishes at a tick, by which two runs are compared."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gibson_sim.ros.topics import names, qos
 
 
 class DigestPublisher:
-    """Collects digests of what is published and publishes them once a tick.
+    """Collects digests of published data and publishes them once per tick.
 
     Publishes:
         tick_digest (gibson_msgs/TickDigest).
@@ -26,13 +26,13 @@ class DigestPublisher:
         self._digests: dict[str, int] = {}
 
     def add(self, topic: str, *values: Any) -> None:
-        """Adds the digest of what is published on a topic; a second one before the next tick is combined with the first."""
+        """Adds the digest of values published on a topic; a second digest within a tick is combined with the first."""
         topic, digest = self._node.resolve_topic_name(topic), digest_of(values)
-        before = self._digests.get(topic)
-        self._digests[topic] = digest if before is None else digest_of((before, digest))
+        previous = self._digests.get(topic)
+        self._digests[topic] = digest if previous is None else digest_of((previous, digest))
 
     def publish(self, stamp_ns: int, epoch: int, step: int) -> None:
-        """Publishes the digests that were collected, if there are any."""
+        """Publishes the collected digests, if there are any."""
         if not self._digests:
             return
         message = TickDigest(header=conversions.header_to_msg(stamp_ns, ""), epoch=epoch, step=step)
@@ -40,6 +40,6 @@ class DigestPublisher:
         self._digests = {}
         self._publisher.publish(message)
 
-    def forget(self) -> None:
-        """Drops what was collected since the last tick: the simulation was reset."""
+    def clear(self) -> None:
+        """Discards the digests collected since the last tick: the simulation was reset."""
         self._digests = {}

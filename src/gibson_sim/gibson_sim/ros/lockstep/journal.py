@@ -1,6 +1,6 @@
 """The journal of a run: all commands and requests that changed the simulation, each with the step at which it took effect.
 
-A replay sends them back with these steps, and each takes effect at its step again.
+A replay sends them with these steps, so that each takes effect at the same step again.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ logger = logging.getLogger(__name__)
 
 @dataclass(order=True, slots=True)
 class _ScheduledInput:
-    """An input that waits for its step."""
+    """An input of a replay that waits for its step."""
 
     epoch: int
     step: int
     number: int
-    """Order of arrival."""
+    """Number in order of arrival."""
     name: str = field(compare=False)
     message: Any = field(compare=False)
 
@@ -43,22 +43,22 @@ class Journal:
         inputs (gibson_msgs/Input): every command and request that changed the simulation, with the first step at which it is in effect.
 
     Subscribes:
-        inputs_at (gibson_msgs/Input): inputs to apply at their step; one that is late is applied at once, with a warning.
+        inputs_at (gibson_msgs/Input): inputs to apply at their step; a late one is applied immediately, with a warning.
     """
 
     def __init__(self, node: Node, simulator: Simulator, on_received: Callable[[str], None]) -> None:
-        """Subscribes; ``on_received`` is called with the topic of each input that arrives."""
+        """Creates the topics; ``on_received`` is called with the topic of each input that arrives."""
         self._simulator, self._on_received = simulator, on_received
         self._publisher = node.create_publisher(Input, names.INPUTS, **qos.overridable(qos.INPUTS))
         self._topic = node.resolve_topic_name(names.INPUTS_AT)
         node.create_subscription(Input, names.INPUTS_AT, self._on_input, qos.INPUTS_AT)
         self._scheduled: list[_ScheduledInput] = []
-        """A heap."""
+        """Heap, by epoch, step and number."""
         self._count = 0
         self.late = 0
-        """Inputs that arrived after their step."""
+        """Number of inputs that arrived after their step."""
 
-    def note(self, name: str, message: Any) -> None:
+    def record(self, name: str, message: Any) -> None:
         """Publishes an input that takes effect at the next step, if ``inputs`` has subscribers."""
         if not self._publisher.get_subscription_count():
             return
@@ -73,7 +73,7 @@ class Journal:
         try:
             message = deserialize_message(bytes(msg.data), message_class(msg.type))
         except (*UNKNOWN, RuntimeError) as error:
-            logger.warning("an input for %s is ignored, its type %r or its data cannot be read: %s", msg.name, msg.type, error)
+            logger.warning("an input for %s is ignored: its type %r or its data cannot be read: %s", msg.name, msg.type, error)
         else:
             self._count += 1
             heapq.heappush(self._scheduled, _ScheduledInput(msg.epoch, msg.step, self._count, msg.name, message))
@@ -84,13 +84,13 @@ class Journal:
         if not self._scheduled:
             return []
         now = self._simulator.epoch, self._simulator.epoch_step
-        found = []
+        due = []
         while self._scheduled and (self._scheduled[0].epoch, self._scheduled[0].step) <= now:
             item = heapq.heappop(self._scheduled)
             if (item.epoch, item.step) < now:
                 self.late += 1
                 logger.warning("an input for %s arrived after its step %d of epoch %d", item.name, item.step, item.epoch)
-            found.append((item.name, item.message))
+            due.append((item.name, item.message))
             if item.name.endswith(EPOCH_REQUESTS):
                 break  # the inputs after it may belong to the next epoch
-        return found
+        return due

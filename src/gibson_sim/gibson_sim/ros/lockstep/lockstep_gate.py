@@ -1,4 +1,4 @@
-"""The simulation's side of lockstep: participants join and report ticks as done on ``tick_done``; late ones are named, then skipped or fatal."""
+"""The simulation's side of lockstep: participants join and report finished ticks on ``tick_done``; late ones are logged, then skipped or fatal."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ from gibson_sim.standard.lockstep import CAMERAS, Lockstep, Participant, parse_p
 from gibson_sim.types import NS_PER_S
 
 LATE_NS = 2 * NS_PER_S
-"""Wall time after which a waiting tick is logged as late, and then again, ns."""
+"""Time after which a waiting tick is logged as late, and period of that log line, ns of wall time."""
 JOIN_TIMEOUT_S = 120.0
-"""Least wall time that declared participants have to join, and those known by a rule to be discovered, s."""
+"""Minimum timeout for participants to join, or to be discovered if a rule declares their output, s of wall time."""
 IDLE_NS = 5 * NS_PER_S
-"""Wall time of silence after which a participant whose rule has a ``from`` counts as idle, ns."""
+"""Time without an answer after which a participant whose rule has a ``from`` counts as idle, ns of wall time."""
 _DISCOVERY_TIMEOUT_NS = 3 * NS_PER_S
-"""Wall time after which a new participant counts as matched, ns."""
+"""Time after which a new participant counts as matched, ns of wall time."""
 _REPUBLISH_PERIOD_NS = NS_PER_S // 2
-"""Wall time between two copies of the present tick for a participant that rejoined, ns."""
+"""Period at which the present tick is republished for a participant that rejoined, ns of wall time."""
 _SETTLED_NS = NS_PER_S // 2
-"""Wall time for which a participant known by a rule must be matched before time starts, ns: then its own messages arrive, too."""
+"""Time for which a participant with a rule must be matched before time starts, ns of wall time: then matching is complete in both directions."""
 _FIRST_ANSWER_TIMEOUT_NS = 5 * NS_PER_S
-"""Wall time without the very first answer of a participant after which the whole tick is published again, ns: it may have been lost."""
+"""Time without the very first answer of a participant after which the whole tick is republished, ns of wall time: it may have been lost."""
 _CACHE_SIZE = 256
-"""Messages in the cache of ``_read``."""
+"""Maximum number of messages in the cache of ``_read``."""
 
 
 class LockstepGate:
-    """Holds time until every participant has done the present tick.
+    """Holds time until every participant has finished the present tick.
 
     Subscribes:
-        tick_done (gibson_msgs/TickDone): participants join, report ticks as done, and leave.
-        The topics that rules name, of any type, but for those of commands, which the node receives.
+        tick_done (gibson_msgs/TickDone): participants join, report finished ticks, and leave.
+        The topics in rules, of any type, except command topics, to which the node itself subscribes.
     """
 
     def __init__(
@@ -59,18 +59,18 @@ class LockstepGate:
         publish_again: Callable[[bool], None],
         is_command: Callable[[str], bool] = lambda topic: False,
     ) -> None:
-        """Receives nothing before ``subscribe``.
+        """Creates the gate, which receives nothing before ``subscribe``.
 
         Args:
             node: the physics node.
-            config: its settings.
-            on_open: is called when a tick is done.
-            publish_again: publishes the state of the present tick once more, for a participant that rejoined; with True
-                all of the tick, for one that knows nothing of lockstep.
-            is_command: whether a topic, by its full name, is one of commands: the node then calls ``receive_command``.
+            config: settings of the node.
+            on_open: called when a tick is done.
+            publish_again: called with False to republish the state of the present tick, for a participant that rejoined, or with True to
+                republish the whole tick, for one without lockstep support.
+            is_command: returns whether a topic, given its full name, is a command topic: the node then calls ``receive_command``.
 
         Raises:
-            ConfigError: setting ``participants`` is not of the form that the message shows.
+            ConfigError: setting ``participants`` does not match the syntax.
         """
         self.core = Lockstep([rule.resolved(partial(_short_name, node)) for rule in parse_participants(config.participants)])
         self._answers = AnswerSubscriptions(node, self.core.received_topics, self._receive, is_command)
@@ -80,60 +80,62 @@ class LockstepGate:
         self._reported_ns = self._republished_ns = 0
         self._rejoined: set[str] = set()
         self._unmatched: dict[str, int] = {}
-        """Participants that joined and may not be matched yet -> when they joined."""
-        self._watchers: set[str] = set()
+        """Participant that joined and may not be matched yet -> monotonic time at which it joined, ns."""
+        self._passive: set[str] = set()
+        """Participants that only observe."""
         self._unmatched_rules = {p.name: 0 for p in self.core.participants}
-        """Participants known by a rule that may not be matched yet -> since when they seem to be; 0 = they are not."""
+        """Participant with a rule that may not be matched yet -> monotonic time since which it seems to be, ns; 0 = it does not."""
         self.timeouts = 0
+        """Number of ticks that ended without an answer, and of idle participants that turned out to be slow."""
         self.failure: LockstepError | None = None
-        """Why the run has to end."""
+        """The error that ends the run; None = there is none."""
         self._stamped: StampedCommands | None = None
         self._second_subscription: Any = None
-        """To ``tick_done``, in the context of commands of a second type; None once time has started."""
-        self._joined_there: set[str] = set()
+        """Subscription to ``tick_done`` in the context of commands of a second type; None once time has started."""
+        self._joined_second: set[str] = set()
         """Participants whose JOIN has arrived in that context."""
         self._cache: dict[bytes, Any] = {}
-        """Messages by all their bytes but for the stamp: those of a participant differ in nothing else, tick after tick."""
+        """Serialized message without its stamp -> message: the messages of a participant usually differ only in the stamp."""
 
     def subscribe(self, stamped: StampedCommands | None) -> None:
-        """Lets participants join. The node must have subscribed to all commands before, under a second type in ``stamped``.
+        """Subscribes to ``tick_done``. The node must already subscribe to all commands; ``stamped`` subscribes to those of a second type.
 
-        A context announces its subscriptions in the order in which they were made. A participant whose JOIN arrives has therefore discovered all
-        the others, and none of the commands that it sends from then on is lost. For commands of a second type this holds once its JOIN has
-        arrived in their context, too.
+        A context announces its subscriptions in the order of their creation. A participant whose JOIN arrives has therefore discovered all
+        others, and none of its later commands is lost. For commands of a second type this holds once its JOIN has arrived in the context
+        of ``stamped``, too.
         """
         self._stamped = stamped
         if stamped is not None:
             self._second_subscription = stamped.create_subscription(
-                TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_there.add(msg.participant)
+                TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_second.add(msg.participant)
             )
         self._node.create_subscription(TickDone, names.TICK_DONE, self._on_tick_done, qos.TICK_DONE, raw=True)
 
     def begin_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
-        """Closes the gate for a tick that was published; ``topics`` returns what was published at it, and is called only if that matters."""
-        core, found = self.core, set[str]()
+        """Closes the gate for a published tick; ``topics`` returns the topics published at it, and is called only if a participant needs them."""
+        core, published = self.core, set[str]()
         if core.topics:
-            found.update(topics())
+            published.update(topics())
             if self._in_namespace:
-                found.update([_short_name(self._node, topic) for topic in found])
-        core.begin_tick(stamp_ns, found, time.monotonic_ns())
+                published.update([_short_name(self._node, topic) for topic in published])
+        core.begin_tick(stamp_ns, published, time.monotonic_ns())
 
     def receive_command(self, topic: str) -> None:
-        """Handles the arrival of a command; opens the gate if the tick waited for nothing else."""
+        """Handles the arrival of a command, and calls ``on_open`` if the tick waited only for it."""
         self._receive(topic.lstrip("/"))
 
-    def note_command(self, topic: str) -> None:
-        """Handles the arrival of a command, as ``receive_command`` does, but for a caller that looks itself whether the gate is open now."""
-        self._note(topic.lstrip("/"))
+    def count_command(self, topic: str) -> None:
+        """Handles the arrival of a command without a call of ``on_open``: the caller checks itself whether the gate is open."""
+        self._count(topic.lstrip("/"))
 
     def _receive(self, topic: str) -> None:
-        """Handles the arrival of a message that may be an answer, given the topic without its leading slash."""
+        """Handles the arrival of a possible answer, given the topic without its leading slash."""
         was_open = self.core.is_open
-        self._note(topic)
+        self._count(topic)
         if self.core.is_open and not was_open:
             self._on_open()
 
-    def _note(self, topic: str) -> None:
+    def _count(self, topic: str) -> None:
         for name in self.core.receive(topic, time.monotonic_ns()):
             self.timeouts += 1
             self._node.get_logger().warning(
@@ -142,17 +144,17 @@ class LockstepGate:
             )
 
     def reset(self) -> None:
-        """Forgets the present tick: the simulation was reset."""
+        """Discards the present tick: the simulation was reset."""
         self.core.reset()
 
     def discover(self) -> None:
-        """Looks for the participants known by a rule, which settle while the node waits for something else before time starts."""
+        """Continues the discovery of participants with a rule; called while the node waits for other peers before time starts."""
         now_ns = time.monotonic_ns()
         self._answers.find(now_ns)
-        self._look_at_rules(now_ns)
+        self._update_unmatched_rules(now_ns)
 
     def may_step(self) -> bool:
-        """Returns whether the next tick may begin; logs which participants are late, and sets ``failure`` when one has timed out."""
+        """Returns whether the next tick may begin; logs late participants, and sets ``failure`` when one has timed out."""
         core, now_ns = self.core, time.monotonic_ns()
         timeout_s, opened_ns = max(JOIN_TIMEOUT_S, self._config.participant_timeout), self._started_ns
         self._answers.find(now_ns, again=core.any_idle)
@@ -160,7 +162,7 @@ class LockstepGate:
             if not core.is_open:
                 timeout_s, opened_ns = self._config.participant_timeout, now_ns - core.waited_ns(now_ns)
                 self._republish_tick(now_ns)
-                self._let_rest(now_ns)
+                self._idle_silent(now_ns)
                 self._lose_first_commands(now_ns)
             if core.is_open:
                 if self._all_matched(now_ns):
@@ -173,16 +175,16 @@ class LockstepGate:
         if waited_ns > LATE_NS and now_ns - self._reported_ns > LATE_NS:
             self._reported_ns = now_ns
             self._answers.find(now_ns, again=True)
-            if self._remove_gone_watchers(now_ns):
+            if self._remove_gone_passive(now_ns):
                 return core.is_open
-            if not core.missing or any(_loading(name) is None for name in core.missing):  # what loads tells so itself
+            if not core.missing or any(_loading(name) is None for name in core.missing):  # a loading participant logs that itself
                 self._node.get_logger().warning(
                     f"lockstep: waiting for {self._describe_late()}; {waited_ns / NS_PER_S:.1f} s so far"
                 )
         return False
 
     def summary(self) -> dict[str, Any]:
-        """Returns how long the ticks waited for each participant."""
+        """Returns the wall times that ticks waited for each participant, for the summary of the run."""
         return {
             "timeouts": self.timeouts,
             "participants": {
@@ -205,7 +207,7 @@ class LockstepGate:
         if msg.event in (TickDone.JOIN, TickDone.WATCH):
             self._node.get_logger().info(f"lockstep: {quoted(name)} joined; time waits for it at {_ticks(msg.after)}")
             self._unmatched[name] = now_ns
-            (self._watchers.add if msg.event == TickDone.WATCH else self._watchers.discard)(name)
+            (self._passive.add if msg.event == TickDone.WATCH else self._passive.discard)(name)
             if core.join(name, msg.after.lstrip("/")):
                 self._rejoined.add(name)
         elif msg.event == TickDone.LEAVE:
@@ -224,7 +226,7 @@ class LockstepGate:
             self._on_open()
 
     def _read(self, data: bytes) -> tuple[Any, int]:
-        """Returns a TickDone and its stamp, in a tenth of the time that rclpy takes. The stamp in the TickDone itself may be another tick's."""
+        """Returns a TickDone and its stamp, ns, in a tenth of rclpy's time. The TickDone is cached: its own stamp may be another tick's."""
         if data[1] != 1:  # not little-endian
             msg = deserialize_message(data, TickDone)
             return msg, conversions.time_from_msg(msg.stamp)
@@ -239,7 +241,7 @@ class LockstepGate:
         return msg, stamp_ns(data, start)
 
     def _republish_tick(self, now_ns: int) -> None:
-        """Publishes the present tick again for a participant that rejoined, and for one whose first answer does not come."""
+        """Republishes the present tick for a participant that rejoined, or whose first answer is missing."""
         silent = [p for p in self.core.participants if p.answer and p.pending and not p.ticks and not p.missed]
         lost = bool(silent) and self.core.waited_ns(now_ns) > _FIRST_ANSWER_TIMEOUT_NS
         elapsed_ns = now_ns - self._republished_ns
@@ -250,20 +252,20 @@ class LockstepGate:
     # Late participants
 
     def _time_out(self, waited_ns: int, now_ns: int) -> bool:
-        what = f"lockstep: timed out after {waited_ns / NS_PER_S:.1f} s, waiting for {self._describe_late()}"
+        problem = f"lockstep: timed out after {waited_ns / NS_PER_S:.1f} s, waiting for {self._describe_late()}"
         if self.core.missing or self._config.on_timeout == "stop":
             self.failure = LockstepError(
-                f"{what}: the run ends. Fix it, raise 'participant_timeout', or set 'on_timeout' to go_on to continue without its answer"
+                f"{problem}: the run ends. Fix it, raise 'participant_timeout', or set 'on_timeout' to go_on to continue without its answer"
             )
             return False
         self.core.skip_late(now_ns)
         self._unmatched_rules = {}
         self.timeouts += 1
-        self._node.get_logger().warning(f"{what}: this tick goes on without it; the run cannot be repeated to the bit")
+        self._node.get_logger().warning(f"{problem}: this tick goes on without it; the run cannot be repeated to the bit")
         return True
 
-    def _let_rest(self, now_ns: int) -> None:
-        """Stops waiting for participants that are silent and may be idle."""
+    def _idle_silent(self, now_ns: int) -> None:
+        """Stops waiting for silent participants that may be idle."""
         stamp_ns = self.core.stamp_ns or 0
         for name in self.core.idle_silent(now_ns, IDLE_NS):
             rule = next(p for p in self.core.participants if p.name == name)
@@ -280,10 +282,10 @@ class LockstepGate:
                 f"{_FIRST_ANSWER_TIMEOUT_NS / NS_PER_S:g} s: its publisher was not discovered yet; time goes on without it"
             )
 
-    def _remove_gone_watchers(self, now_ns: int) -> list[str]:
-        """Removes pending participants that only watched and whose nodes have gone; returns their names."""
-        there = self._participating_nodes()
-        gone = [name for name in self.core.waits_for if name in self._watchers and name not in there]
+    def _remove_gone_passive(self, now_ns: int) -> list[str]:
+        """Removes pending passive participants whose nodes are gone; returns their names."""
+        present = self._participating_nodes()
+        gone = [name for name in self.core.waits_for if name in self._passive and name not in present]
         for name in gone:
             self._node.get_logger().warning(f"lockstep: {quoted(name)} has gone without leaving; time goes on without it")
             self.core.leave(name, now_ns)
@@ -294,23 +296,23 @@ class LockstepGate:
         return {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
 
     def _describe_late(self) -> str:
-        """Returns which participants are late, with what, and what is known of their nodes."""
+        """Returns a description of the late participants: what each must do, and the state of its node."""
         core = self.core
         if core.missing:
-            return ", ".join(f"{quoted(name)} to join ({self._known_of(name)})" for name in core.missing)
-        what = "to be discovered" if core.stamp_ns is None else f"to finish the tick at {core.stamp_ns / NS_PER_S:.3f} s"
-        there, answers = self._participating_nodes(), {p.name: p.answer for p in core.participants}
+            return ", ".join(f"{quoted(name)} to join ({self._describe_absent(name)})" for name in core.missing)
+        overdue = "to be discovered" if core.stamp_ns is None else f"to finish the tick at {core.stamp_ns / NS_PER_S:.3f} s"
+        present, answers = self._participating_nodes(), {p.name: p.answer for p in core.participants}
         parts = []
         for name in core.waits_for or self._unmatched_rules:
             if answer := answers.get(name):
-                known_of_it = self._answers.problem(answer) or f"no message on {answer}"
+                cause = self._answers.problem(answer) or f"no message on {answer}"
             else:
-                known_of_it = "the node hangs or is slow" if name in there else self._known_of(name)
-            parts.append(f"{quoted(name)} {what} ({known_of_it})")
+                cause = "the node hangs or is slow" if name in present else self._describe_absent(name)
+            parts.append(f"{quoted(name)} {overdue} ({cause})")
         return ", ".join(parts)
 
-    def _known_of(self, name: str) -> str:
-        """Returns what is known of a participant that does not take part: what it loads, if the same job started it, or whether its node exists."""
+    def _describe_absent(self, name: str) -> str:
+        """Returns the state of a node that has not joined: what it is loading, if the same job started it, or whether it exists."""
         if (loading := _loading(name)) is not None:
             return f"it is loading: {loading}"
         nodes = {f"{namespace.strip('/')}/{node}".lstrip("/") for node, namespace in self._node.get_node_names_and_namespaces()}
@@ -319,35 +321,35 @@ class LockstepGate:
     # Discovery
 
     def _all_matched(self, now_ns: int) -> bool:
-        """Returns whether all participants get what is published from now on."""
+        """Returns whether all participants receive the messages that are published from now on."""
         if not self._unmatched and not self._unmatched_rules:
-            self._end_second_subscription()
+            self._destroy_second_subscription()
             return True
         self._unmatched = {
             name: since
             for name, since in self._unmatched.items()
             if now_ns - since < _DISCOVERY_TIMEOUT_NS and not self._is_matched_both_ways(name)
         }
-        self._look_at_rules(now_ns)
+        self._update_unmatched_rules(now_ns)
         return not self._unmatched and not self._unmatched_rules
 
-    def _look_at_rules(self, now_ns: int) -> None:
-        """Finds out since when the participants known by a rule are matched; costs nothing once they are settled."""
+    def _update_unmatched_rules(self, now_ns: int) -> None:
+        """Removes participants with a rule that have been matched for ``_SETTLED_NS``; costs nothing once none is left."""
         rules = {p.name: p for p in self.core.participants}
         matched = {n: since or now_ns if self._rule_is_matched(rules[n]) else 0 for n, since in self._unmatched_rules.items()}
         self._unmatched_rules = {n: since for n, since in matched.items() if not since or now_ns - since < _SETTLED_NS}
 
     def _is_matched_both_ways(self, name: str) -> bool:
-        """Returns whether a participant's messages arrive here, and ours there."""
-        return (self._second_subscription is None or name in self._joined_there) and self._is_matched(name)
+        """Returns whether messages arrive in both directions between a participant and the simulation."""
+        return (self._second_subscription is None or name in self._joined_second) and self._is_matched(name)
 
-    def _end_second_subscription(self) -> None:
+    def _destroy_second_subscription(self) -> None:
         if self._second_subscription is not None and self._stamped is not None:
             self._stamped.unsubscribe(self._second_subscription)
             self._second_subscription = None
 
     def _is_matched(self, name: str) -> bool:
-        """Returns whether all that a participant subscribes to reaches it. Its JOIN may arrive before its subscriptions are known."""
+        """Returns whether all subscriptions of a participant are matched. Its JOIN may arrive before its subscriptions are discovered."""
         after = next((p.after for p in self.core.participants if p.name == name), "")
         topic = names.SCENE_STATE if after == CAMERAS else after
         return any(
@@ -356,25 +358,25 @@ class LockstepGate:
         )
 
     def _rule_is_matched(self, rule: Participant) -> bool:
-        """Returns whether the topic of a rule has publishers, all that their nodes subscribe to reaches them, and their messages arrive here."""
-        found = [p for p in self._node.get_publishers_info_by_topic(f"/{rule.answer}") if p.node_name]
-        received = [topic for topic in (rule.answer, rule.activation) if topic]
-        return bool(found) and all(map(self._node_is_matched, found)) and all(map(self._answers.is_matched, received))
+        """Returns whether the answer topic of a rule has publishers, the subscriptions of their nodes are matched, and so are ours to them."""
+        publishers = [p for p in self._node.get_publishers_info_by_topic(f"/{rule.answer}") if p.node_name]
+        topics = [topic for topic in (rule.answer, rule.activation) if topic]
+        return bool(publishers) and all(map(self._node_is_matched, publishers)) and all(map(self._answers.is_matched, topics))
 
     def _node_is_matched(self, endpoint: Any, topic: str = "") -> bool:
-        """Returns whether all that the node of an endpoint subscribes to reaches it, a certain topic among it.
+        """Returns whether all subscriptions of an endpoint's node to our topics are matched, including one to ``topic`` if it is not empty.
 
-        It does not while the node's name or its subscription to that topic is unknown: publishers and subscriptions are discovered
-        independently of each other.
+        False while the node's name or its subscription to ``topic`` is not discovered: publishers and subscriptions are discovered
+        independently.
         """
         node = self._node
         if not endpoint.node_namespace.startswith("/"):
             return False
         try:
-            found = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
+            subscriptions = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
         except NodeNameNonExistentError:
             return False
-        topics = {name for name, _ in found}
+        topics = {name for name, _ in subscriptions}
         if topic and node.resolve_topic_name(topic) not in topics:
             return False
         ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
@@ -392,11 +394,11 @@ def _full_name(info: Any) -> str:
 
 
 def _ticks(after: str) -> str:
-    """Returns which ticks a participant waits for, in words."""
+    """Returns a description of the ticks at which time waits for a participant."""
     return "ticks with camera images" if after == CAMERAS else f"ticks with {after}" if after else "every tick"
 
 
 def _loading(name: str) -> str | None:
-    """Returns what a participant that the same job started loads; None = nothing, or another job started it."""
+    """Returns a description of what a participant started by the same job is loading; None = nothing, or started by another job."""
     note = note_of_job(STATUS.format(name.rpartition("/")[2]))
     return None if note is None else json.loads(note).get("loading")

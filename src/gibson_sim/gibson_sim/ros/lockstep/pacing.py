@@ -1,4 +1,4 @@
-"""The pace of simulation time: pure arithmetic on whole nanoseconds of a steady clock."""
+"""Pacing of simulation time: pure arithmetic on whole nanoseconds of a monotonic clock."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from gibson_sim.types import NS_PER_S
 
 
 class Pacer:
-    """Computes how many ticks are due, so that simulation time passes at ``rate`` times wall time.
+    """Computes the number of ticks that are due, so that simulation time passes at ``rate`` times wall time.
 
-    A simulation that cannot keep up does not race to catch up later: lag beyond ``max_lag_ns`` is dropped and counted in ``lost_ns``.
+    A simulation that cannot keep up does not catch up later: lag beyond ``max_lag_ns`` is dropped and counted in ``lost_ns``.
     """
 
     def __init__(self, tick_hz: int, rate: float, *, max_lag_ns: int = NS_PER_S // 4, burst: int = 1) -> None:
-        """``rate`` 0 = as fast as possible: ``burst`` ticks are always due."""
+        """Creates a stopped pacer; with ``rate`` 0, as fast as possible, ``burst`` ticks are always due."""
         self._tick_hz, self._rate, self._max_lag_ns, self._burst = tick_hz, rate, max_lag_ns, burst
         self._start_ns: int | None = None
         self._ticks = 0
@@ -20,7 +20,7 @@ class Pacer:
         """Wall time dropped so far, ns."""
 
     def restart(self) -> None:
-        """Restarts the clock at the next call of ``due``: time stood still, or jumped."""
+        """Restarts the clock at the next call of ``due``, after time stood still or jumped."""
         self._start_ns, self._ticks = None, 0
 
     def set_rate(self, rate: float) -> None:
@@ -29,11 +29,11 @@ class Pacer:
         self.restart()
 
     def return_unused(self, ticks: int) -> None:
-        """Makes ticks that were due and not made due again."""
+        """Returns ticks that were due and not executed, so that they are due again."""
         self._ticks -= ticks
 
     def due(self, now_ns: int) -> int:
-        """Returns how many ticks to make now; the first call starts the clock. The caller makes them all, or returns the rest."""
+        """Returns the number of ticks to execute now; the first call starts the clock. The caller executes all, or returns the rest."""
         if self._rate == 0.0:
             return self._burst
         if self._start_ns is None:

@@ -111,7 +111,7 @@ class PhysicsNode(Node):
         self._published_epoch = -1
         self._timer: Timer | None = None
         self._done = self._announced = False
-        self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note, config.lockstep)
+        self._sim_services = SimulationServices(self, self.simulator, config.service_prefix, self._journal.record, config.lockstep)
         self._publish_changes()
         if self._gate is not None:
             self._gate.subscribe(self._stamped)
@@ -157,7 +157,7 @@ class PhysicsNode(Node):
     def _publish_scene(self, world: PhysicsWorld | None, *, new: bool) -> None:
         """Makes the topics of new robots, removes those of robots that are gone, and publishes the scene."""
         if new:
-            self._ticks.forget()
+            self._ticks.discard_held()
         kept = set() if world is None or new else {robot.name for robot in world.scene.robots}
         for name in [name for name in self._robots if name not in kept]:
             self._robots.pop(name).close()
@@ -181,13 +181,13 @@ class PhysicsNode(Node):
         simulator = self.simulator
         world = simulator.world
         self._pacer.restart()
-        self._ticks.forget()
+        self._ticks.discard_held()
         if self._gate is not None:
             self._gate.reset()
         if self._images is not None:
             self._images.reset()
         if self._digests is not None:
-            self._digests.forget()
+            self._digests.clear()
         steps, stamp_ns = (world.step_count, world.stamp_ns) if world is not None else (0, 0)
         for robot in self._robots.values():
             robot.reset(steps)
@@ -266,7 +266,7 @@ class PhysicsNode(Node):
             note_in_job(READY, "")
         if gate is not None and self._stamped is not None:
             for topic in self._stamped.pop_arrived():
-                gate.note_command(topic)
+                gate.count_command(topic)
         if (gate is None or gate.may_step()) and (images is None or images.may_step()):
             # Not while a tick waits: a renderer that has the next scene already could not draw it.
             self._publish_changes()

@@ -135,5 +135,5 @@ def loaded_note(scene: SceneSpec, cameras: Iterable[CameraSpec]) -> str:
 
 def _commands(robots: Iterable[RobotInterface]) -> dict[str, int]:
     """Returns how many commands the robots received, and how many of them were refused."""
-    counts = [(robot.commands_seen, robot.refused_commands) for robot in robots]
+    counts = [(robot.command_count, robot.refused_commands) for robot in robots]
     return {"commands": sum(seen for seen, _ in counts), "refused_commands": sum(refused for _, refused in counts)}

@@ -185,7 +185,7 @@ class RecordNode(Node):
 
     def _join(self) -> None:
         self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
-        self._lockstep = LockstepParticipant(self, after=CAMERAS, watches=True)
+        self._lockstep = LockstepParticipant(self, after=CAMERAS, passive=True)
 
     def _on_state(self, msg: SceneState) -> None:
         """Writes the messages before this tick; those of the tick are recorded while its images are drawn."""

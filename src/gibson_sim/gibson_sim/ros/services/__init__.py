@@ -1,1 +1,1 @@
-"""The services and actions of ``simulation_interfaces``, and services with deferred responses."""
+"""Services and actions of ``simulation_interfaces``, and services with deferred responses."""

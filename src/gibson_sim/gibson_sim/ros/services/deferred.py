@@ -1,7 +1,7 @@
-"""Deferred responses: services that answer later without blocking the executor, and requests that take effect in order.
+"""Deferred responses: services that respond later without blocking the executor, and requests that take effect in order.
 
-With rclpy's standard executor a coroutine would do, at the price of being polled; the EventsExecutor does not support services that are
-coroutines. Here the handler returns a ``DeferredResponse``, and the service keeps the request header until the response is sent.
+rclpy's standard executor supports coroutines as service callbacks, but polls them; the EventsExecutor does not support them. Here the handler
+returns a ``DeferredResponse``, and the service keeps the request header until the response is sent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 
 class DeferredService:
-    """A service whose handler returns the response or a ``DeferredResponse``. A response whose client has gone is dropped."""
+    """A service whose handler returns the response or a ``DeferredResponse``. A response to a client that is gone is dropped."""
 
     def __init__(
         self, node: Node, kind: Any, name: str, handle: Callable[[Any, Any], Any], *, callback_group: CallbackGroup | None = None
@@ -28,7 +28,7 @@ class DeferredService:
         self._node = node
         self._service = node.create_service(kind, name, handle, callback_group=callback_group)
         self._send_now = self._service.send_response
-        # Both executors look this up on the service, and call it with what the handler returned.
+        # Both executors look up this attribute of the service, and call it with the return value of the handler.
         self._service.send_response = self._send
 
     def destroy(self) -> None:
@@ -53,39 +53,39 @@ class DeferredResponse:
         self._sender: Callable[[Any], None] | None = None
 
     def send(self, response: Any) -> None:
-        """Sends the response, at once if ``bind`` was called, otherwise then."""
+        """Sends the response, immediately if ``bind`` was called, otherwise when it is."""
         self._response = response
         if self._sender is not None:
             self._sender(response)
 
     def bind(self, sender: Callable[[Any], None]) -> None:
-        """Sets the function that sends the response; it is called at once if the response is there already."""
+        """Sets the function that sends the response; calls it immediately if ``send`` was called already."""
         self._sender = sender
         if self._response is not None:
             sender(self._response)
 
 
 class RequestQueue:
-    """Makes requests take effect in the order of their arrival, even if some of them need files.
+    """Executes requests in the order of their arrival, even if some of them read files first.
 
-    Files are read in a thread; everything else runs in the thread of the executor.
+    Files are read in a thread; all other work runs in the thread of the executor.
     """
 
     def __init__(self, run_soon: Callable[..., Any]) -> None:
-        """``run_soon(function, *arguments)`` calls a function in the thread of the executor; it may drop it once that has ended."""
+        """Creates an empty queue; ``run_soon(function, *arguments)`` schedules a call in the executor's thread, or drops it after its end."""
         self._run_soon = run_soon
         self._waiting: deque[tuple[Callable[[], Any] | None, Callable[[Any], Any], DeferredResponse]] = deque()
         self._reading = False
 
     def submit(self, act: Callable[[Any], Any], read: Callable[[], Any] | None = None) -> Any:
-        """Runs ``act``, at once if no request waits and there is nothing to read, otherwise in its turn.
+        """Executes ``act``, immediately if no request is queued and there is nothing to read, otherwise in order.
 
         Args:
-            act: fulfils the request and returns the response, or a ``DeferredResponse``; its argument is the result of ``read``, or None.
-            read: reads files in a thread, and touches nothing else; None = there is nothing to read.
+            act: executes the request and returns the response, or a ``DeferredResponse``; its argument is the result of ``read``, or None.
+            read: reads files; runs in a thread and must not access shared state; None = there is nothing to read.
 
         Returns:
-            What ``act`` returned, or a ``DeferredResponse`` for it.
+            The result of ``act``, or a ``DeferredResponse`` for it.
         """
         if read is None and not self._waiting:
             return act(None)
@@ -105,19 +105,19 @@ class RequestQueue:
 
     def _read(self, read: Callable[[], Any]) -> None:
         try:
-            found = read()
-        except Exception:  # ``act`` reads again, and reports it
-            found = None
-        self._run_soon(self._on_read, found)
+            contents = read()
+        except Exception:  # ``act`` reads again, and reports the error
+            contents = None
+        self._run_soon(self._on_read, contents)
 
-    def _on_read(self, found: Any) -> None:
+    def _on_read(self, contents: Any) -> None:
         self._reading = False
-        self._act(found)
+        self._act(contents)
         self._continue()
 
-    def _act(self, found: Any) -> None:
+    def _act(self, contents: Any) -> None:
         _, act, deferred = self._waiting.popleft()
-        outcome = act(found)
+        outcome = act(contents)
         if isinstance(outcome, DeferredResponse):
             outcome.bind(deferred.send)
         else:

@@ -1,4 +1,4 @@
-"""Converts the messages of ``simulation_interfaces``, 1.x and 2.x; the fields of a message tell its version."""
+"""Converts the messages of ``simulation_interfaces``, 1.x and 2.x, which differ in their fields."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gibson_sim.types import WORLD_FRAME, Quat
 
 
 def spawn_request_from_msg(msg: Any) -> SpawnRequest:
-    """Returns a request of SpawnEntity (1.x and 2.x) or an item of SpawnEntities."""
+    """Returns the request in a SpawnEntity (1.x and 2.x) or an item of SpawnEntities."""
     uri, text = _resource(msg, "entity_resource")
     pose = msg.initial_pose.pose
     return SpawnRequest(
@@ -43,13 +43,13 @@ def spawn_request_from_msg(msg: Any) -> SpawnRequest:
 
 
 def load_request_from_msg(msg: Any) -> LoadRequest:
-    """Returns a request of LoadWorld (1.x and 2.x)."""
+    """Returns the request in a LoadWorld (1.x and 2.x)."""
     uri, text = _resource(msg, "world_resource")
     return LoadRequest(uri, text, msg.fail_on_unsupported_element, msg.ignore_missing_or_unsupported_assets)
 
 
 def state_change_from_msg(msg: Any) -> StateChange:
-    """Returns a request of SetEntityState; in 1.x it always sets everything."""
+    """Returns the request in a SetEntityState; in 1.x it always sets pose, twist and acceleration."""
     state = msg.state
     return StateChange(
         frame_id=state.header.frame_id,
@@ -65,7 +65,7 @@ def state_change_from_msg(msg: Any) -> StateChange:
 
 
 def tags_filter_from_msg(msg: Any) -> TagsFilter:
-    """Returns the filter on tags."""
+    """Returns the tags filter in a message."""
     return TagsFilter(tuple(msg.tags), msg.filter_mode)
 
 
@@ -80,7 +80,7 @@ def filters_from_msg(msg: Any) -> EntityFilters:
 
 
 def bounds_from_msg(msg: Any) -> Bounds:
-    """Returns the volume; if it has too many points, only as many as it takes to be refused."""
+    """Returns the volume in a message; excess points are dropped, except one, by which the volume is refused."""
     return Bounds(msg.type, tuple(vector_from_msg(point) for point in msg.points[: MAX_POINTS + 1]))
 
 
@@ -90,17 +90,17 @@ def bounds_to_msg(bounds: Bounds) -> RosBounds:
 
 
 def entity_info_from_msg(msg: Any) -> EntityInfo:
-    """Returns category, description and tags."""
+    """Returns the category, description and tags in a message."""
     return EntityInfo(msg.category.category, msg.description, tuple(msg.tags))
 
 
 def entity_info_to_msg(info: EntityInfo) -> RosEntityInfo:
-    """Returns category, description and tags as a message."""
+    """Returns the category, description and tags of an entity as a message."""
     return RosEntityInfo(category=EntityCategory(category=int(info.category)), description=info.description, tags=list(info.tags))
 
 
 def entity_state_to_msg(state: EntityState, stamp_ns: int) -> RosEntityState:
-    """Returns pose and velocity of an entity, in the world frame; the acceleration is 0."""
+    """Returns the pose and velocity of an entity in the world frame as a message; the acceleration is 0."""
     msg = RosEntityState(header=header_to_msg(stamp_ns, WORLD_FRAME), pose=pose_to_msg(state.pose))
     msg.twist.linear, msg.twist.angular = vector_to_msg(state.linear), vector_to_msg(state.angular)
     return msg
@@ -131,8 +131,8 @@ def world_to_msg(world: WorldInfo) -> WorldResource:
 
 def _resource(msg: Any, field: str) -> tuple[str, str]:
     """Returns uri and text, which are fields of the message itself in 1.x, and of its ``Resource`` in 2.x."""
-    holder = getattr(msg, field, msg)
-    return holder.uri, holder.resource_string
+    resource = getattr(msg, field, msg)
+    return resource.uri, resource.resource_string
 
 
 def _quat(msg: Any) -> Quat:

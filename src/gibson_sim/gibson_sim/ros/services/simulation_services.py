@@ -1,8 +1,8 @@
 """The services and the action of ``simulation_interfaces`` for a ``Simulator``.
 
 The node's loop is in the docstring of ``gibson_sim.standard.simulator``. Every request gets a result: an error of this package becomes its
-code, any other one RESULT_OPERATION_FAILED and a traceback in the log. Long requests do not block the loop: steps are made in its turns,
-worlds are read in a thread, many entities are spawned a few at a time.
+result code, any other exception becomes RESULT_OPERATION_FAILED and a traceback in the log. Long requests do not block the loop: the loop
+executes steps, a thread reads worlds, and many entities are spawned a few at a time.
 """
 
 from __future__ import annotations
@@ -54,21 +54,21 @@ _CHANGING = frozenset(
         "unload_world",
     }
 )
-"""Services that change the state of the simulation, not only its timing; the journal has their requests."""
+"""Services that change the state of the simulation, not only its timing; the journal records their requests."""
 _CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
 """States whose request changes the simulation: stopping resets it, and playing starts a loaded world; pausing changes nothing."""
 _SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
-"""Services whose requests name files; their handlers get what was read ahead."""
+"""Services whose requests name files; their handlers get the preloaded resources."""
 _Handler = Callable[..., DeferredResponse | str | None]
-_Found = list[PreloadedResource | None] | None
+_Preloaded = list[PreloadedResource | None] | None
 SPAWNS_AT_ONCE = 50
-"""Entities of one request that are spawned before the loop goes on."""
+"""Maximum number of entities of one request that are spawned before the loop continues."""
 QUIT_GRACE_S = 0.3
-"""Wall time between the response to STATE_QUITTING and the end, s: a writer that is gone cannot resend a lost response."""
+"""Time between the response to STATE_QUITTING and the end of the process, s of wall time: an ended process cannot resend a lost response."""
 
 
 class SimulationServices:
-    """Offers the services and the action of the standard.
+    """Provides the services and the action of the standard.
 
     Services (simulation_interfaces/srv, named in snake_case after ``prefix``): GetSimulatorFeatures, Get/SetSimulationState,
     ResetSimulation, StepSimulation, GetEntities, GetEntitiesStates, Get/SetEntityState, Get/SetEntityInfo, GetEntityBounds,
@@ -83,25 +83,25 @@ class SimulationServices:
         node: Node,
         simulator: Simulator,
         prefix: str = "",
-        note: Callable[[str, Any], None] = lambda name, request: None,
+        record: Callable[[str, Any], None] = lambda name, request: None,
         lockstep: bool = False,
     ) -> None:
         """Creates the services. The node must be added to an executor.
 
         Args:
-            node: of the services.
-            simulator: that they control.
-            prefix: of the names of the services; it may contain a namespace, such as ``sim/``.
-            note: is called with name and request before a request changes the simulation.
-            lockstep: time waits while the files of spawned entities are read, so that the step at which they appear does not depend on the
-                reading time. Otherwise time goes on meanwhile, and later requests wait for their turn.
+            node: node of the services.
+            simulator: simulator that they control.
+            prefix: prefix of the service names; it may contain a namespace, such as ``sim/``.
+            record: called with the service name and the request before a request changes the simulation.
+            lockstep: whether time waits while the files of spawned entities are read, so that the step at which they appear does not depend
+                on the reading time. Otherwise time passes meanwhile, and later requests are queued.
         """
-        self._node, self._simulator, self._prefix, self._note = node, simulator, prefix, note
-        self._closed, self._quit_s, self._read_ahead = False, -math.inf, not lockstep
+        self._node, self._simulator, self._prefix, self._record = node, simulator, prefix, record
+        self._closed, self._quit_s, self._preloads = False, -math.inf, not lockstep
         self._requests = RequestQueue(self._run_soon)
         self._goals: dict[bytes, StepRequest] = {}
         self._searches: deque[Callable[[], None]] = deque()
-        """File searches that wait for the one under way."""
+        """File searches that wait for the running one."""
         self._searching = False
         group = ReentrantCallbackGroup()
         self._services = [
@@ -157,25 +157,29 @@ class SimulationServices:
         ]
 
     def replay(self, name: str, request: Any) -> None:
-        """Fulfils a request of a recorded run, without a response.
+        """Executes a request of a recorded run, without sending a response.
+
+        Args:
+            name: full name of the service.
+            request: request of the service.
 
         Raises:
-            ConfigError: there is no such service.
+            ConfigError: the service does not exist.
         """
-        for kind, known, handler in self._table():
-            if self._node.resolve_service_name(f"{self._prefix}{known}") == name:
-                response = self._handle(known, handler, request, kind.Response())
+        for kind, service, handler in self._table():
+            if self._node.resolve_service_name(f"{self._prefix}{service}") == name:
+                response = self._handle(service, handler, request, kind.Response())
                 if not isinstance(response, DeferredResponse) and response.result.result != Result.OK:
-                    logger.warning("%s, replayed from a record: %s", name, response.result.error_message)
+                    logger.warning("%s, replayed from a recording: %s", name, response.result.error_message)
                 return
-        raise ConfigError(f"there is no service {quoted(name)} to replay; was the run recorded with another 'service_prefix'?")
+        raise ConfigError(f"service {quoted(name)} does not exist; was the run recorded with another 'service_prefix'?")
 
     def _on_request(self, name: str, handler: _Handler, request: Any, response: Any) -> Any:
-        """Handles a request in its turn, after its files were read."""
+        """Handles a request in order of arrival, after its files were read."""
         if not _changes(name, request):
             return self._handle(name, handler, request, response)
-        read = self._file_reader(name, request) if self._read_ahead and name in _SPAWNING else None
-        return self._requests.submit(lambda found: self._handle(name, handler, request, response, found), read)
+        read = self._file_reader(name, request) if self._preloads and name in _SPAWNING else None
+        return self._requests.submit(lambda preloaded: self._handle(name, handler, request, response, preloaded), read)
 
     def _file_reader(self, name: str, request: Any) -> Callable[[], Any] | None:
         """Returns a function that reads the files of a request; None if the request fails anyway."""
@@ -185,12 +189,12 @@ class SimulationServices:
         except SimulationError:
             return None
 
-    def _handle(self, name: str, handler: _Handler, request: Any, response: Any, found: Any = None) -> Any:
-        """Returns the response to a request, or a DeferredResponse. A handler returns None or a remark if it succeeds at once."""
+    def _handle(self, name: str, handler: _Handler, request: Any, response: Any, preloaded: Any = None) -> Any:
+        """Returns the response to a request, or a DeferredResponse. A handler returns None or a remark if it succeeds immediately."""
         if _changes(name, request):
-            self._note(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
+            self._record(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
         try:
-            outcome = handler(request, response, found) if name in _SPAWNING else handler(request, response)
+            outcome = handler(request, response, preloaded) if name in _SPAWNING else handler(request, response)
         except Exception as error:
             return failed(response, error)
         return outcome if isinstance(outcome, DeferredResponse) else succeeded(response, outcome or "")
@@ -226,8 +230,8 @@ class SimulationServices:
         return deferred
 
     def _get_entities(self, request: Any, response: Any) -> None:
-        found = self._simulator.population.select(convert.filters_from_msg(request.filters))
-        response.entities = [entity.name for entity in found]
+        entities = self._simulator.population.select(convert.filters_from_msg(request.filters))
+        response.entities = [entity.name for entity in entities]
 
     def _get_entities_states(self, request: Any, response: Any) -> None:
         self._get_entities(request, response)
@@ -252,25 +256,25 @@ class SimulationServices:
     def _get_entity_bounds(self, request: Any, response: Any) -> None:
         response.bounds = convert.bounds_to_msg(self._simulator.population.bounds(request.entity))
 
-    def _spawn_entity(self, request: Any, response: Any, found: _Found) -> None:
+    def _spawn_entity(self, request: Any, response: Any, preloaded: _Preloaded) -> None:
         response.entity_name = self._simulator.population.spawn(
-            convert.spawn_request_from_msg(request), found[0] if found else None
+            convert.spawn_request_from_msg(request), preloaded[0] if preloaded else None
         )
 
-    def _spawn_entities(self, request: Any, response: Any, found: _Found) -> DeferredResponse:
+    def _spawn_entities(self, request: Any, response: Any, preloaded: _Preloaded) -> DeferredResponse:
         deferred = DeferredResponse()
-        waiting = list(zip(request.spawn_requests, found or [None] * len(request.spawn_requests), strict=True))
+        waiting = list(zip(request.spawn_requests, preloaded or [None] * len(request.spawn_requests), strict=True))
         _ = self._simulator.population  # without a world the request fails as a whole
 
         def spawn_some() -> None:
-            now, waiting[:] = waiting[:SPAWNS_AT_ONCE], waiting[SPAWNS_AT_ONCE:]
-            for item in now:
+            batch, waiting[:] = waiting[:SPAWNS_AT_ONCE], waiting[SPAWNS_AT_ONCE:]
+            for item in batch:
                 response.results.append(self._spawn_result(*item))
             if waiting:
                 self._node.executor.create_task(spawn_some)
             else:
                 failures = sum(result.result.result != Result.OK for result in response.results)
-                text = f"{failures} of {len(response.results)} entities could not be spawned; results says why"
+                text = f"{failures} of {len(response.results)} entities could not be spawned; see the results"
                 error = SimulationError(SpawnEntitiesCode.ENTITIES_SPAWN_FAILED, text)
                 deferred.send(failed(response, error) if failures else succeeded(response))
 
@@ -278,11 +282,11 @@ class SimulationServices:
         spawn_some()
         return deferred
 
-    def _spawn_result(self, item: Any, ahead: PreloadedResource | None) -> SpawnResult:
+    def _spawn_result(self, item: Any, preloaded: PreloadedResource | None) -> SpawnResult:
         """Spawns one of several entities and returns its result."""
         result = SpawnResult()
         try:
-            result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item), ahead)
+            result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item), preloaded)
         except Exception as error:
             return failed(result, error)
         return succeeded(result)
@@ -291,7 +295,7 @@ class SimulationServices:
         self._simulator.population.delete(request.entity)
 
     def _run_in_thread(self, work: Callable[[], str], response: Any) -> DeferredResponse:
-        """Runs a search of files in a thread, while time goes on; ``work`` touches only files and the response, and returns a remark."""
+        """Runs a file search in a thread while time passes; ``work`` accesses only files and the response, and returns a remark."""
         deferred = DeferredResponse()
 
         def on_end(outcome: str | Exception) -> None:
@@ -312,17 +316,17 @@ class SimulationServices:
         return deferred
 
     def _start_next_search(self) -> None:
-        """Starts the next search unless one is under way: a hundred at once would leave the simulation no processor."""
+        """Starts the next search unless one is running: many at once would starve the simulation of CPU time."""
         if self._searches and not self._searching:
             self._searching = True
-            Thread(target=self._searches.popleft(), name="look-for-files", daemon=True).start()
+            Thread(target=self._searches.popleft(), name="file-search", daemon=True).start()
 
     def _get_spawnables(self, request: Any, response: Any) -> DeferredResponse:
         sources = tuple(request.sources)
 
         def work() -> str:
-            found, remark = catalogue.spawnables(sources)
-            response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in found]
+            spawnables, remark = catalogue.spawnables(sources)
+            response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in spawnables]
             return remark
 
         return self._run_in_thread(work, response)
@@ -350,7 +354,7 @@ class SimulationServices:
         return deferred
 
     def _finish_load(self, load: LoadRequest, outcome: SceneSpec | Exception, response: Any, deferred: DeferredResponse) -> None:
-        """Makes the world that was read, in the thread that owns physics."""
+        """Creates the world of the scene that was read, in the thread that owns physics."""
         try:
             if isinstance(outcome, Exception):
                 raise outcome
@@ -369,8 +373,8 @@ class SimulationServices:
 
         def work() -> str:
             worlds = catalogue.available_worlds(sources, tags, continue_on_error=request.continue_on_error)
-            found = [WorldInfo(w.name, w.uri, description=w.description, tags=w.tags) for w in worlds]
-            response.worlds = [convert.world_to_msg(world) for world in found]
+            infos = [WorldInfo(w.name, w.uri, description=w.description, tags=w.tags) for w in worlds]
+            response.worlds = [convert.world_to_msg(info) for info in infos]
             return ""
 
         return self._run_in_thread(work, response)
@@ -379,7 +383,7 @@ class SimulationServices:
         response.world = convert.world_to_msg(self._simulator.current_world())
 
     def _on_goal(self, goal: Any) -> None:
-        """Requests the steps of an accepted goal; for rclpy, the goal executes once they are made."""
+        """Requests the steps of an accepted goal; for rclpy, the goal executes once they are done."""
         key = bytes(goal.goal_id.uuid)
 
         def on_progress(work: StepRequest) -> None:
@@ -406,14 +410,14 @@ class SimulationServices:
 
 
 def succeeded(response: Any, remark: str = "") -> Any:
-    """Returns the response with RESULT_OK; GetSimulatorFeatures alone has no result."""
+    """Returns the response with RESULT_OK; only GetSimulatorFeatures has no result."""
     if hasattr(response, "result"):
         response.result.result, response.result.error_message = int(Result.OK), remark
     return response
 
 
 def failed(response: Any, error: Exception) -> Any:
-    """Returns the response with the code and the text of an error; an internal error is logged with its traceback."""
+    """Returns the response with the code and the message of an error; an internal error is logged with its traceback."""
     code: IntEnum = error.code if isinstance(error, SimulationError) else Result.OPERATION_FAILED
     text = str(error)
     if not isinstance(error, GibsonSimError):
@@ -425,7 +429,7 @@ def failed(response: Any, error: Exception) -> Any:
 
 
 def end_goal(goal: Any, error: SimulationError | None) -> None:
-    """Ends a goal: as cancelled if the client requested that, as aborted if there is an error, otherwise as succeeded."""
+    """Ends a goal as cancelled if the client requested that, as aborted if there is an error, otherwise as succeeded."""
 
     def finish(handle: Any) -> Any:
         if handle.is_cancel_requested:
@@ -446,4 +450,4 @@ def _changes(name: str, request: Any) -> bool:
 
 
 def _unused(_: Any) -> Any:
-    raise AssertionError("goals bring their own callback")
+    raise AssertionError("goals have their own callbacks")

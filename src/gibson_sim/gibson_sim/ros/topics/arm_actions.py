@@ -1,6 +1,6 @@
-"""The actions of control_msgs for an arm and a gripper. They need the package control_msgs; the topics exist without it.
+"""Actions of control_msgs for an arm and a gripper. They need the package control_msgs; the topics exist without it.
 
-A goal becomes a message on a topic, so that a recorded run holds it like any other command. Nothing here blocks: every tick updates the
+A goal becomes a message on a topic, so that a recorded run contains it like any other command. No function blocks: every tick updates the
 goals.
 """
 
@@ -26,14 +26,14 @@ FEEDBACK_NS = NS_PER_S // 20
 _PREEMPTED = "another command for these joints came"
 
 OnApplied = Callable[[PhysicsWorld | None, str], None]
-"""Is called with the world once a command was applied, or with the reason why it was not."""
+"""Called with the world and an empty text once a command was applied, or with the reason why it was not."""
 SendCommand = Callable[[str, Any, OnApplied], None]
 """Sends a message on a topic, to be applied at the next step."""
 ServerFactory = Callable[..., Any]
 
 
 def control_actions() -> Any | None:
-    """Returns the module ``control_msgs.action``, or None where it is not installed."""
+    """Returns the module ``control_msgs.action``, or None if it is not installed."""
     try:
         return import_module("control_msgs.action")
     except ImportError:
@@ -49,7 +49,7 @@ def control_msgs_missing(actions: Sequence[str]) -> str:
 
 
 class _SingleGoalServer:
-    """An action server that pursues one goal at a time; a new goal preempts the old one."""
+    """An action server that executes one goal at a time; a new goal preempts the old one."""
 
     def __init__(self, node: Node, kind: Any, name: str, joints: tuple[str, ...], make_server: ServerFactory) -> None:
         self.joints = joints
@@ -97,23 +97,23 @@ class _SingleGoalServer:
         if self._goal is not None:
             self._end_goal(self._failed_result(reason), "abort")
 
-    def _end_goal(self, result: Any, how: str) -> None:
-        """Ends the goal; for rclpy, it executes only now."""
+    def _end_goal(self, result: Any, transition: str) -> None:
+        """Ends the goal by a method of its handle, ``canceled``, ``abort`` or ``succeed``; for rclpy, it executes only now."""
         goal, self._goal = self._goal, None
 
         def finish(handle: Any) -> Any:
-            getattr(handle, "canceled" if handle.is_cancel_requested else how)()
+            getattr(handle, "canceled" if handle.is_cancel_requested else transition)()
             return result
 
         goal.execute(finish)
 
-    def _publish_feedback(self, now_ns: int, make: Callable[[], Any]) -> None:
+    def _publish_feedback(self, now_ns: int, make_feedback: Callable[[], Any]) -> None:
         if now_ns - self._feedback_ns >= FEEDBACK_NS:
             self._feedback_ns = now_ns
-            self._goal.publish_feedback(make())
+            self._goal.publish_feedback(make_feedback())
 
     def update(self, robot: str, world: PhysicsWorld) -> None:
-        """Ends the goal if it has succeeded or failed, or publishes feedback; is called at every tick."""
+        """Ends the goal if it has succeeded or failed, otherwise publishes feedback; called at every tick."""
         raise NotImplementedError
 
     def _check(self, request: Any) -> None:
@@ -147,35 +147,35 @@ class TrajectoryAction(_SingleGoalServer):
         *,
         make_server: ServerFactory = ActionServer,
     ) -> None:
-        """Offers the action.
+        """Creates the action server.
 
         Args:
-            node: of the action server.
-            kind: the action's type.
-            name: the action's name.
-            topic: of the trajectories of these joints.
-            joints: that a goal may move.
+            node: node of the action server.
+            kind: type of the action.
+            name: name of the action.
+            topic: topic of the trajectories of these joints.
+            joints: joints that a goal may move.
             send: sends a message, to be applied at the next step.
-            now_ns: returns simulation time.
-            make_server: makes the server.
+            now_ns: returns simulation time, ns.
+            make_server: creates the action server.
         """
         super().__init__(node, kind, name, joints, make_server)
         self._topic, self._send, self._now_ns = topic, send, now_ns
-        self._rules: TrajectoryGoal | None = None
+        self._tracker: TrajectoryGoal | None = None
 
     def _check(self, request: Any) -> None:
-        rules = self._read(request, self._now_ns())
-        rules.check(self.joints)
-        if conversions.time_from_msg(request.trajectory.header.stamp) and rules.end_ns < self._now_ns():
+        tracker = self._read(request, self._now_ns())
+        tracker.check(self.joints)
+        if conversions.time_from_msg(request.trajectory.header.stamp) and tracker.end_ns < self._now_ns():
             raise CommandError(
-                f"joint trajectory ended at {rules.end_ns / NS_PER_S:g} s, now it is {self._now_ns() / NS_PER_S:g} s; "
-                "stamp it 0 to start at once"
+                f"joint trajectory ended at {tracker.end_ns / NS_PER_S:g} s, now it is {self._now_ns() / NS_PER_S:g} s; "
+                "set its stamp to 0 to start it immediately"
             )
 
     @staticmethod
     def _read(request: Any, now_ns: int) -> TrajectoryGoal:
-        """Returns the rules of a goal that begins at ``now_ns``, or at its stamp if that is not 0."""
-        conversions.joint_command_from_msg(request.trajectory)  # refuses what cannot be applied
+        """Returns the end conditions of a goal that starts at ``now_ns``, or at its stamp if that is not 0."""
+        conversions.joint_command_from_msg(request.trajectory)  # raises if it cannot be applied
         if not request.trajectory.points:
             raise CommandError("joint trajectory has no points; give at least one, or cancel the goal to stop")
         last = request.trajectory.points[-1]
@@ -191,7 +191,7 @@ class TrajectoryAction(_SingleGoalServer):
         )
 
     def _start(self, goal: Any) -> None:
-        self._rules = None
+        self._tracker = None
 
         def on_applied(world: PhysicsWorld | None, error: str) -> None:
             if goal is not self._goal:
@@ -199,7 +199,7 @@ class TrajectoryAction(_SingleGoalServer):
             if error or world is None:
                 self._end_goal(self._result(Ended(TrajectoryCode.INVALID_GOAL, error)), "abort")
             else:
-                self._rules = self._read(goal.request, world.stamp_ns)
+                self._tracker = self._read(goal.request, world.stamp_ns)
 
         self._send(self._topic, goal.request.trajectory, on_applied)
 
@@ -208,17 +208,19 @@ class TrajectoryAction(_SingleGoalServer):
         self._send(self._topic, JointTrajectory(joint_names=names), _ignore_outcome)
 
     def update(self, robot: str, world: PhysicsWorld) -> None:
-        """Ends the goal if it has succeeded or failed, or publishes feedback; is called at every tick."""
-        rules = self._rules
-        if self._goal is None or rules is None:
+        """Ends the goal if it has succeeded or failed, otherwise publishes feedback; called at every tick."""
+        tracker = self._tracker
+        if self._goal is None or tracker is None:
             return
         states = world.joint_states(robot)
         positions = dict(zip(states.names, states.positions.tolist(), strict=True))
         velocities = dict(zip(states.names, states.velocities.tolist(), strict=True))
-        desired = dict(zip(rules.names, rules.end, strict=True)) | world.joint_setpoints(robot)
-        ended = rules.outcome(world.stamp_ns, desired, positions, velocities)
+        desired = dict(zip(tracker.names, tracker.end, strict=True)) | world.joint_setpoints(robot)
+        ended = tracker.outcome(world.stamp_ns, desired, positions, velocities)
         if ended is None:
-            self._publish_feedback(world.stamp_ns, lambda: self._feedback(rules, world.stamp_ns, desired, positions, velocities))
+            self._publish_feedback(
+                world.stamp_ns, lambda: self._feedback(tracker, world.stamp_ns, desired, positions, velocities)
+            )
             return
         if ended.code is TrajectoryCode.PATH_TOLERANCE_VIOLATED:
             self._stop_joints()
@@ -226,18 +228,18 @@ class TrajectoryAction(_SingleGoalServer):
 
     def _feedback(
         self,
-        rules: TrajectoryGoal,
+        tracker: TrajectoryGoal,
         now_ns: int,
         desired: dict[str, float],
         positions: dict[str, float],
         velocities: dict[str, float],
     ) -> Any:
-        msg = self._kind.Feedback(header=conversions.header_to_msg(now_ns, ""), joint_names=list(rules.names))
-        msg.desired = JointTrajectoryPoint(positions=[desired[name] for name in rules.names])
+        msg = self._kind.Feedback(header=conversions.header_to_msg(now_ns, ""), joint_names=list(tracker.names))
+        msg.desired = JointTrajectoryPoint(positions=[desired[name] for name in tracker.names])
         msg.actual = JointTrajectoryPoint(
-            positions=[positions[name] for name in rules.names], velocities=[velocities[name] for name in rules.names]
+            positions=[positions[name] for name in tracker.names], velocities=[velocities[name] for name in tracker.names]
         )
-        msg.error = JointTrajectoryPoint(positions=[desired[name] - positions[name] for name in rules.names])
+        msg.error = JointTrajectoryPoint(positions=[desired[name] - positions[name] for name in tracker.names])
         return msg
 
     def _result(self, ended: Ended) -> Any:
@@ -251,7 +253,7 @@ class TrajectoryAction(_SingleGoalServer):
 
 
 class GripperAction(_SingleGoalServer):
-    """``control_msgs/GripperCommand`` of one gripper: ``position`` is that of every finger."""
+    """``control_msgs/GripperCommand`` of one gripper: ``position`` is the position of every finger joint."""
 
     def __init__(
         self,
@@ -264,22 +266,22 @@ class GripperAction(_SingleGoalServer):
         *,
         make_server: ServerFactory = ActionServer,
     ) -> None:
-        """Offers the action; the arguments are those of ``TrajectoryAction``, with joint commands on ``topic``."""
+        """Creates the action server; the arguments are those of ``TrajectoryAction``, with joint commands on ``topic``."""
         super().__init__(node, kind, name, joints, make_server)
         self._topic, self._send = topic, send
-        self._rules: GripperGoal | None = None
+        self._tracker: GripperGoal | None = None
         self._last: dict[str, Any] = {}
 
     def _check(self, request: Any) -> None:
         conversions.joint_command_from_msg(self._message(request))
 
     def _message(self, request: Any) -> JointState:
-        """Returns the joint command of a goal; without an effort, the limits of the robot's file apply."""
+        """Returns the joint command of a goal; if ``max_effort`` is 0, the effort limits of the robot description apply."""
         command, count = request.command, len(self.joints)
         return JointState(name=list(self.joints), position=[command.position] * count, effort=[command.max_effort] * count)
 
     def _start(self, goal: Any) -> None:
-        self._rules, self._last = None, {}
+        self._tracker, self._last = None, {}
 
         def on_applied(world: PhysicsWorld | None, error: str) -> None:
             if goal is not self._goal:
@@ -288,26 +290,28 @@ class GripperAction(_SingleGoalServer):
                 self._log.warning(f"goal of the gripper refused: {error}")
                 self.preempt(error)
             else:
-                self._rules = GripperGoal(self.joints, goal.request.command.position, world.stamp_ns)
+                self._tracker = GripperGoal(self.joints, goal.request.command.position, world.stamp_ns)
 
         self._send(self._topic, self._message(goal.request), on_applied)
 
     def _stop_joints(self) -> None:
         if self._last:
-            stay = JointState(name=list(self.joints), velocity=[0.0] * len(self.joints))
-            self._send(self._topic, stay, _ignore_outcome)
+            stop = JointState(name=list(self.joints), velocity=[0.0] * len(self.joints))
+            self._send(self._topic, stop, _ignore_outcome)
 
     def update(self, robot: str, world: PhysicsWorld) -> None:
-        """Ends the goal if it has succeeded or failed, or publishes feedback; is called at every tick."""
-        if self._goal is None or self._rules is None:
+        """Ends the goal if it has succeeded or failed, otherwise publishes feedback; called at every tick."""
+        if self._goal is None or self._tracker is None:
             return
         states = world.joint_states(robot)
         rows = (
             dict(zip(states.names, row.tolist(), strict=True)) for row in (states.positions, states.velocities, states.efforts)
         )
-        now = self._rules.outcome(world.stamp_ns, *rows)
-        self._last = {"position": now.position, "effort": now.effort, "stalled": now.stalled, "reached_goal": now.reached_goal}
-        if now.is_over:
+        state = self._tracker.outcome(world.stamp_ns, *rows)
+        self._last = {
+            "position": state.position, "effort": state.effort, "stalled": state.stalled, "reached_goal": state.reached_goal,
+        }  # fmt: skip
+        if state.is_over:
             self._end_goal(self._kind.Result(**self._last), "succeed")
         else:
             self._publish_feedback(world.stamp_ns, lambda: self._kind.Feedback(**self._last))
@@ -320,8 +324,8 @@ class GripperAction(_SingleGoalServer):
 
 
 def _ignore_outcome(world: PhysicsWorld | None, error: str) -> None:
-    """Is the ``OnApplied`` of commands whose outcome does not matter."""
+    """Does nothing: the ``OnApplied`` of commands whose outcome is not needed."""
 
 
 def _unused(_: Any) -> Any:
-    raise AssertionError("goals bring their own callback")
+    raise AssertionError("goals have their own callbacks")

@@ -27,8 +27,8 @@ from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService
 from gibson_sim.ros.topics import names, qos
 from gibson_sim.ros.topics.arm_actions import GripperAction, OnApplied, TrajectoryAction, control_actions, control_msgs_missing
 
-_MOST_COMMANDS = 64
-"""Length of the queue of received commands; beyond it the oldest is dropped."""
+_MAX_COMMANDS = 64
+"""Maximum length of the queue of received commands; beyond it the oldest is dropped."""
 
 _RESET = "the simulation was reset"
 
@@ -42,26 +42,26 @@ class _Command(NamedTuple):
 class _Route(NamedTuple):
     apply: Callable[[PhysicsWorld, Any], None]
     joints: tuple[str, ...]
-    """That its commands move."""
+    """Joints that its commands move."""
 
 
 class ArmInterface:
-    """Applies the commands of a robot's arms, and publishes what the arms hold. All names are relative to the robot's namespace.
+    """Applies the commands of a robot's arms, and publishes their grasp states. All names are relative to the robot's namespace.
 
     If a robot has several arms, ``grasp`` and ``grasp_state`` are ``<arm>/grasp`` and ``<arm>/grasp_state``, and ``gripper_controller`` is
     ``<arm>_gripper_controller``.
 
     Subscribes:
         <arm>_controller/joint_trajectory and gripper_controller/joint_trajectory (trajectory_msgs/JointTrajectory): as the robot's
-            ``joint_trajectory``, for its joints alone; an empty one stops them.
-        gripper_controller/joint_command (sensor_msgs/JointState): positions of its joints, and, as efforts, its greatest forces.
+            ``joint_trajectory``, for the joints of the controller only; an empty one stops them.
+        gripper_controller/joint_command (sensor_msgs/JointState): positions of its joints, and their effort limits as efforts.
         <arm>_servo/delta_twist_cmds (geometry_msgs/TwistStamped): velocity of the tool, in the axes of a link of the robot.
         grasp (std_msgs/Bool): grasp or release.
 
     Services:
-        grasp (std_srvs/SetBool): the same, with the outcome.
+        grasp (std_srvs/SetBool): grasp or release, with the outcome.
 
-    Actions, where control_msgs is installed:
+    Actions, if control_msgs is installed:
         <arm>_controller/follow_joint_trajectory (control_msgs/FollowJointTrajectory).
         gripper_controller/gripper_cmd (control_msgs/GripperCommand).
 
@@ -70,7 +70,7 @@ class ArmInterface:
     """
 
     def __init__(self, node: Node, robot: RobotSpec, on_received: Callable[[str], None], now_ns: int) -> None:
-        """Makes the topics; ``on_received`` is called with the topic of each command, ``now_ns`` is simulation time."""
+        """Creates the topics; ``on_received`` is called with the topic of each command, ``now_ns`` is simulation time, ns."""
         self._node, self._robot, self._on_received, self._now_ns = node, robot, on_received, now_ns
         self._received_commands: deque[_Command] = deque()
         self._due_commands: deque[_Command] = deque()
@@ -87,13 +87,13 @@ class ArmInterface:
         if missing:
             node.get_logger().warning(control_msgs_missing(missing))
         self.command_topics = frozenset(self._routes)
-        """Resolved names of all topics of commands."""
+        """Resolved names of all command topics."""
 
     def _topic(self, name: str) -> str:
         return f"{self._robot.namespace}/{name}" if self._robot.namespace else name
 
     def _add_arm(self, arm: ManipulatorSpec, prefix: str, actions: Any | None) -> list[str]:
-        """Makes the topics and actions of one arm; returns the names of the actions that need the missing control_msgs."""
+        """Creates the topics and actions of one arm; returns the names of the actions that are missing without control_msgs."""
         follow = self._topic(names.controller(arm.name, "follow_joint_trajectory"))
         trajectory = names.controller(arm.name, names.JOINT_TRAJECTORY)
         self._subscribe(JointTrajectory, trajectory, partial(self._apply_trajectory, arm.joints), arm.joints)
@@ -148,35 +148,35 @@ class ArmInterface:
         self._on_received(topic)
 
     def receive_command(self, topic: str, msg: Any) -> None:
-        """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
+        """Appends a command to the queue of received commands, as if it had arrived on ``topic``."""
         self._enqueue(_Command(topic, msg, None))
 
     def _send(self, topic: str, msg: Any, on_applied: OnApplied) -> None:
         self._enqueue(_Command(topic, msg, on_applied))
 
     def _enqueue(self, command: _Command) -> None:
-        while len(self._received_commands) >= _MOST_COMMANDS:
+        while len(self._received_commands) >= _MAX_COMMANDS:
             dropped = self._received_commands.popleft()
             if dropped.on_applied is not None:
-                dropped.on_applied(None, "too many commands came before the next step; send fewer, or let time go on")
+                dropped.on_applied(None, "too many commands arrived before the next step; send fewer, or let time pass")
         self._received_commands.append(command)
 
     def latch_commands(self) -> None:
-        """Makes all commands received so far due at the next step; later ones are for the steps after it."""
+        """Makes all commands received so far due at the next step; later commands are due at later steps."""
         self._due_commands.extend(self._received_commands)
         self._received_commands.clear()
 
     def apply_commands(self, world: PhysicsWorld, journal: Journal) -> tuple[int, int]:
-        """Applies the due commands in the order of their arrival, and notes them in the journal.
+        """Applies the due commands in the order of their arrival, and records them in the journal.
 
         Returns:
-            Number of commands, and how many of them were refused.
+            Number of commands, and number of refused commands.
         """
-        seen = refused = 0
+        count = refused = 0
         while self._due_commands:
-            seen += 1
+            count += 1
             topic, message, on_applied = self._due_commands.popleft()
-            journal.note(topic, message)
+            journal.record(topic, message)
             problem = ""
             try:
                 route = self._routes[topic]
@@ -189,10 +189,10 @@ class ArmInterface:
                 self._node.get_logger().warning(problem, throttle_duration_sec=1.0)
             if on_applied is not None:
                 on_applied(world, problem)
-        return seen, refused
+        return count, refused
 
     def _preempt_goals(self, joints: tuple[str, ...]) -> None:
-        """Aborts the action goals whose joints another command moves."""
+        """Aborts the action goals that move any of these joints."""
         for action in (*self._trajectories, *self._grippers):
             if set(joints) & set(action.joints):
                 action.preempt()
@@ -215,7 +215,7 @@ class ArmInterface:
         (world.arms.grasp if msg.data else world.arms.release)(self._robot.name, arm)
 
     def _on_grasp(self, arm: str, topic: str, request: Any, response: Any) -> DeferredResponse:
-        """Sends the grasp as a command; the service responds once it was applied."""
+        """Queues the grasp as a command; the service responds once it was applied."""
         deferred = DeferredResponse()
 
         def on_applied(world: PhysicsWorld | None, error: str) -> None:
@@ -232,7 +232,7 @@ class ArmInterface:
     # States
 
     def publish(self, world: PhysicsWorld, digests: DigestPublisher | None = None) -> None:
-        """Publishes grasp states and collision counts, and updates the goals of actions; is called at every tick."""
+        """Publishes grasp states and collision counts, and updates the action goals; called at every tick."""
         self._now_ns, name = world.stamp_ns, self._robot.name
         for arm, publisher in self._grasp_pubs.items():
             if digests is not None or publisher.get_subscription_count():
@@ -246,7 +246,7 @@ class ArmInterface:
             action.update(name, world)
 
     def reset(self) -> None:
-        """Forgets commands and goals: the simulation was reset."""
+        """Drops commands and aborts goals: the simulation was reset."""
         dropped = (*self._due_commands, *self._received_commands)
         self._received_commands.clear()
         self._due_commands.clear()
@@ -275,5 +275,5 @@ def _check_joints(requested: Sequence[str], known: tuple[str, ...]) -> None:
     for name in requested:
         if name not in known:
             raise CommandError(
-                f"joint {quoted(name)} is none of this controller's: {', '.join(known)}; use the topic of another one"
+                f"joint {quoted(name)} does not belong to this controller, which has: {', '.join(known)}; use another controller"
             )

@@ -1,6 +1,6 @@
-"""All messages of one camera: their topics, the outputs that must be drawn for them, and their contents.
+"""All messages of one camera: their topics, the outputs that must be rendered for them, and their contents.
 
-Nothing here publishes: the render node does, and ``render_bag`` writes to a bag.
+The render node publishes them, and ``render_bag`` writes them to a bag.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _LABELS: tuple[Output, ...] = ("semantic", "instance")
 
 
 class CameraMessages:
-    """Makes the messages of a camera.
+    """Creates the messages of a camera.
 
     Args:
-        camera: as the scene has it.
-        config: how images are compressed.
-        target: the camera that its depth is registered to; None = none.
+        camera: specification of the camera in the scene.
+        config: settings, including the compression of images.
+        target: camera that its depth is registered to; None = none.
 
     Raises:
         ConfigError: its depth cannot be registered to ``target``.
@@ -51,7 +51,7 @@ class CameraMessages:
         self._drawn: dict[frozenset[str], CameraSpec | None] = {}
         self._registration: tuple[bytes, DepthRegistration] | None = None
         if target is not None:
-            split_for(camera, target)  # now, not at each image
+            split_for(camera, target)  # raises now, not at the first image
 
     def topics(self) -> Iterator[tuple[str, Any, str]]:
         """Yields kind, type and topic of all messages at the camera's rate."""
@@ -78,30 +78,30 @@ class CameraMessages:
     def to_draw(self, kinds: frozenset[str]) -> CameraSpec | None:
         """Returns the camera with the outputs that these kinds of messages need; None if none of them needs an image.
 
-        It is the same object for the same kinds: renderers prepare each camera once.
+        The result is the same object for the same kinds, since renderers prepare each camera object once.
         """
         if kinds not in self._drawn:
-            self._drawn[kinds] = self._with_outputs_of(kinds)
+            self._drawn[kinds] = self._with_outputs_for(kinds)
         return self._drawn[kinds]
 
-    def _with_outputs_of(self, kinds: frozenset[str]) -> CameraSpec | None:
+    def _with_outputs_for(self, kinds: frozenset[str]) -> CameraSpec | None:
         needed: set[str] = {kind for kind in kinds if kind in self.camera.outputs}
         if COMPRESSED in kinds or POINTS in kinds:
             needed.add("rgb")
         if kinds & {COMPRESSED_DEPTH, POINTS, REGISTERED}:
             needed.add("depth")
         if "depth" in needed and self.camera.depth_noise.hole_angle_deg < 90.0:
-            needed.add("normal")  # holes follow the normals where the camera has them: depth must not depend on subscribers
+            needed.add("normal")  # holes depend on the normals if the camera has them: depth must not depend on the subscribers
         outputs = tuple(output for output in self.camera.outputs if output in needed)
         return replace(self.camera, outputs=outputs) if outputs else None
 
     def infos(
         self, stamp_ns: int, kinds: frozenset[str], serialize: Callable[[Any], bytes] = serialize_message
     ) -> Iterator[tuple[str, bytes]]:
-        """Yields kind and bytes of the requested camera_info messages; only the first of each kind is serialised, then restamped.
+        """Yields the kind and the bytes of each requested camera_info; only the first of each kind is serialised, later ones are restamped.
 
         Args:
-            stamp_ns: of the image.
+            stamp_ns: stamp of the image, ns.
             kinds: requested kinds of messages; those that are not camera_info are ignored.
             serialize: ``serialize_message`` of rclpy, or ``exact_bytes``.
         """
@@ -118,47 +118,47 @@ class CameraMessages:
         frame: Frame,
         kinds: frozenset[str],
         T_target_camera: Mat4 | None,
-        image: Callable[..., Any] = conversions.image_to_msg,
+        make_image: Callable[..., Any] = conversions.image_to_msg,
     ) -> Iterator[tuple[str, Any]]:
-        """Yields kind and message of the requested images.
+        """Yields the kind and the message of each requested image.
 
         Args:
-            frame: with the outputs of ``to_draw``, without depth noise.
+            frame: frame with the outputs of ``to_draw``, without depth noise.
             kinds: requested kinds of messages.
-            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not requested.
-            image: makes a sensor_msgs/Image: ``conversions.image_to_msg``, or ``fast_publish.image_to_bytes``.
+            T_target_camera: transform to the optical frame of ``target``, at the frame's stamp; None = registration is not requested.
+            make_image: creates a sensor_msgs/Image: ``conversions.image_to_msg``, or ``fast_publish.image_to_bytes``.
         """
         frame = apply_depth_noise(frame, self.camera.depth_noise)
         config, stamp, frame_id = self._config, frame.stamp_ns, self.camera.optical_frame
-        yield from conversions.frame_to_image_msgs(frame, kinds & set(self.camera.outputs), image)
+        yield from conversions.frame_to_image_msgs(frame, kinds & set(self.camera.outputs), make_image)
         if COMPRESSED in kinds and frame.rgb is not None:
             codec: ColorCodec = "png" if config.compressed_format == "png" else "jpeg"
-            data = encode_color(frame.rgb, codec, jpeg_quality=config.jpeg_quality, png_level=config.png_level)
-            yield COMPRESSED, conversions.compressed_to_msg(data.tobytes(), color_format(codec), stamp, frame_id)
+            encoded = encode_color(frame.rgb, codec, jpeg_quality=config.jpeg_quality, png_level=config.png_level)
+            yield COMPRESSED, conversions.compressed_to_msg(encoded.tobytes(), color_format(codec), stamp, frame_id)
         if frame.depth is None:
             return
         if COMPRESSED_DEPTH in kinds:
-            packed = encode_depth(
+            data = encode_depth(
                 frame.depth, depth_max=config.compressed_depth_max, quantization=config.compressed_depth_quantization,
                 png_level=config.png_level,
             )  # fmt: skip
-            yield COMPRESSED_DEPTH, conversions.compressed_to_msg(packed, COMPRESSED_DEPTH_FORMAT, stamp, frame_id)
+            yield COMPRESSED_DEPTH, conversions.compressed_to_msg(data, COMPRESSED_DEPTH_FORMAT, stamp, frame_id)
         if POINTS in kinds:
             yield POINTS, conversions.cloud_to_msg(cloud_of_frame(frame), stamp, frame_id)
         if REGISTERED in kinds and self.target is not None and T_target_camera is not None:
-            pixels = self._registered(T_target_camera).image(frame.depth)
-            yield REGISTERED, image(pixels, "32FC1", stamp, self.target.optical_frame)
+            pixels = self._registration_for(T_target_camera).image(frame.depth)
+            yield REGISTERED, make_image(pixels, "32FC1", stamp, self.target.optical_frame)
 
-    def _registered(self, T_target_camera: Mat4) -> DepthRegistration:
-        """Returns the registration to the other camera; it is reused while the two do not move relative to each other."""
+    def _registration_for(self, T_target_camera: Mat4) -> DepthRegistration:
+        """Returns the registration to ``target``; it is reused while the two cameras do not move relative to each other."""
         assert self.target is not None
-        key = (T_target_camera.round(9) + 0.0).tobytes()  # no -0.0, which is 0.0 in other bytes
+        key = (T_target_camera.round(9) + 0.0).tobytes()  # + 0.0 turns -0.0 into 0.0, which has other bytes
         if self._registration is None or self._registration[0] != key:
             self._registration = key, DepthRegistration(self.camera, self.target, T_target_camera)
         return self._registration[1]
 
     def labels(self, scene: DrawnScene, stamp_ns: int) -> Iterator[tuple[Output, Any]]:
-        """Yields output and message of the label names that have changed since the last call."""
+        """Yields the output and the message of the label names that have changed since the last call."""
         for output in _LABELS:
             if output not in self.camera.outputs:
                 continue

@@ -20,13 +20,13 @@ class CameraPublisher:
     """Publishes the images, camera_info and label names of a camera.
 
     Args:
-        node: of the publishers.
-        camera: as the scene has it.
-        config: how images are compressed.
-        target: the camera that its depth is registered to; None = none.
+        node: node of the publishers.
+        camera: specification of the camera in the scene.
+        config: settings, including the compression of images.
+        target: camera that its depth is registered to; None = none.
 
     Raises:
-        ConfigError: its depth cannot be registered to ``target``, or an override of quality of service is not allowed.
+        ConfigError: its depth cannot be registered to ``target``, or a QoS override is not allowed.
     """
 
     def __init__(self, node: Node, camera: CameraSpec, config: RenderConfig, target: CameraSpec | None = None) -> None:
@@ -46,7 +46,7 @@ class CameraPublisher:
         return (*self._publishers.values(), *self._label_publishers.values())
 
     def subscribed_kinds(self) -> frozenset[str]:
-        """Returns the kinds of messages that have subscribers now. It takes some microseconds for each topic."""
+        """Returns the kinds of messages that have subscribers now; takes a few microseconds per topic."""
         return frozenset(kind for kind, publisher in self._publishers.items() if publisher.get_subscription_count())
 
     def to_draw(self, kinds: frozenset[str]) -> CameraSpec | None:
@@ -55,25 +55,25 @@ class CameraPublisher:
 
     def publish_info(self, stamp_ns: int, kinds: frozenset[str]) -> set[str]:
         """Publishes camera_info of the requested kinds; returns the kinds that were published."""
-        done = set()
+        published = set()
         for kind, message in self._messages.infos(stamp_ns, kinds):
             self._publishers[kind].publish(message)
-            done.add(kind)
-        return done
+            published.add(kind)
+        return published
 
     def publish(self, frame: Frame, kinds: frozenset[str], T_target_camera: Mat4 | None) -> set[str]:
         """Publishes the requested images; returns the kinds that were published.
 
         Args:
-            frame: with the outputs of ``to_draw``, without depth noise.
+            frame: frame with the outputs of ``to_draw``, without depth noise.
             kinds: requested kinds of messages.
-            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not requested.
+            T_target_camera: transform to the optical frame of ``target``, at the frame's stamp; None = registration is not requested.
         """
-        done = set()
+        published = set()
         for kind, message in self._messages.images(frame, kinds, T_target_camera, image_to_bytes):
             self._publishers[kind].publish(message)
-            done.add(kind)
-        return done
+            published.add(kind)
+        return published
 
     def publish_labels(self, scene: DrawnScene, stamp_ns: int) -> None:
         """Publishes the names of classes and instances that have changed."""

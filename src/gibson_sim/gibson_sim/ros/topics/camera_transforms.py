@@ -1,4 +1,4 @@
-"""Transforms to the optical frames of cameras that a recorded run did not have: static ones, and those of views, which move."""
+"""Transforms to the optical frames of cameras that are added to a recorded run: static ones, and those of views, which move."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from gibson_sim.types import WORLD_FRAME, CameraSpec, Pose
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 _MESSAGES_READ = 100
-"""Messages of a topic that are read to find its frames."""
+"""Number of messages of a topic that are read to find its frames."""
 
 
 class CameraTransforms:
-    """Adds the transform of each camera to the first message of the ``tf_static`` whose tree has the camera's link.
+    """Adds the transform of each camera to the first message on the ``tf_static`` topic whose tree has the camera's link.
 
     Args:
-        bag: the recorded one.
-        cameras: the new ones.
+        bag: bag of the recorded run.
+        cameras: added cameras.
         copied: topics that are copied to the new bag.
     """
 
@@ -39,16 +39,16 @@ class CameraTransforms:
         frames = {topic: _frames(bag, topic) for topic in topics}
         for camera in cameras:
             for static in statics:
-                here = frames[static] | frames.get(static.removesuffix("_static"), set())
-                parent = _parent(camera, static, here)
-                if parent and camera.optical_frame not in here:
+                tree = frames[static] | frames.get(static.removesuffix("_static"), set())
+                parent = _parent(camera, static, tree)
+                if parent and camera.optical_frame not in tree:
                     transform = conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose)
                     self._added.setdefault(static, []).append(transform)
                 if parent:
                     break
 
     def completed(self, topic: str, data: bytes) -> bytes:
-        """Returns the message with the transforms to add, the first time for each topic; else the same bytes."""
+        """Returns the serialized message with the added transforms, for the first message of a topic; otherwise the same bytes."""
         added = self._added.pop(topic, None)
         if added is None:
             return data
@@ -58,14 +58,14 @@ class CameraTransforms:
 
 
 class ViewTransforms:
-    """Makes the messages on ``/tf`` for views."""
+    """Creates the messages on ``/tf`` for views."""
 
     def __init__(self) -> None:
         self._frames: tuple[str, ...] = ()
         self._tf = FastTf(())
 
     def message(self, cameras: Sequence[CameraSpec], poses: Sequence[Pose], stamp_ns: int) -> bytes:
-        """Returns the message with T_world_optical of each camera."""
+        """Returns the serialized message with T_world_optical of each camera, from ``poses``."""
         frames = tuple(camera.optical_frame for camera in cameras)
         if frames != self._frames:
             self._frames, self._tf = frames, FastTf([(WORLD_FRAME, frame) for frame in frames])
@@ -73,7 +73,7 @@ class ViewTransforms:
 
 
 def _parent(camera: CameraSpec, topic: str, frames: set[str]) -> str:
-    """Returns the parent frame of a camera on the topic of its robot; empty = not there."""
+    """Returns the parent frame of a camera in the tree of a topic; empty = the topic is not that of its robot, or lacks its link."""
     if not camera.link:
         return WORLD_FRAME
     namespace = topic.strip("/").rpartition("/")[0]
@@ -84,8 +84,8 @@ def _parent(camera: CameraSpec, topic: str, frames: set[str]) -> str:
 
 def _frames(bag: BagReader, topic: str) -> set[str]:
     """Returns the frames in the first messages of a topic."""
-    found: set[str] = set()
+    frames: set[str] = set()
     for _, _, msg in islice(bag.messages([topic]), _MESSAGES_READ):
         for transform in msg.transforms:
-            found |= {transform.header.frame_id, transform.child_frame_id}
-    return found
+            frames |= {transform.header.frame_id, transform.child_frame_id}
+    return frames

@@ -13,15 +13,15 @@ from rclpy.publisher import Publisher
 from gibson_sim.ros.nodes.node_main import is_running
 
 _START_TIMEOUT_S = 120.0
-"""Wall time after which a run starts without the peers that are missing, s."""
+"""Timeout after which a run starts without the missing peers, s of wall time."""
 _LOG_AFTER_S = 10.0
-"""Wall time after which it logs what it waits for, s."""
+"""Time after which the missing peers are logged, s of wall time."""
 _ACKNOWLEDGE_TIMEOUT_S = 1.0
-"""Wall time that the last messages may take to their subscribers, s: one that was killed never acknowledges."""
+"""Timeout for the acknowledgement of the last messages, s of wall time: a subscriber that was killed never acknowledges."""
 
 
 def is_fully_matched(node: Node, publisher: Publisher) -> bool:
-    """Returns whether a publisher is matched with all known subscribers of its topic, so that they get what it publishes from now on."""
+    """Returns whether a publisher is matched with all discovered subscribers of its topic, so that they receive its later messages."""
     return bool(publisher.get_subscription_count() >= node.count_subscribers(publisher.topic_name))
 
 
@@ -29,19 +29,19 @@ def wait_for_peers(
     node: Node,
     executor: Executor,
     subscribers: Mapping[str, int],
-    others: Mapping[str, Callable[[], bool]],
+    conditions: Mapping[str, Callable[[], bool]],
     meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
-    """Spins until all peers of a run are there; logs after ten seconds which are missing, and goes on without them after two minutes.
+    """Spins until all peers of a run are discovered; logs the missing ones after ten seconds, and continues without them after two minutes.
 
     Args:
-        node: that waits.
-        executor: of the node.
-        subscribers: topic -> number of subscribers that it must have; where the node publishes the topic, they must be matched.
-        others: name of another condition -> whether it holds.
-        meanwhile: called again and again.
+        node: node that waits.
+        executor: executor of the node.
+        subscribers: topic -> number of subscribers that it must have; if the node publishes the topic, they must be matched.
+        conditions: name of another condition -> function that returns whether it holds.
+        meanwhile: called in every iteration.
     """
-    began = time.monotonic()
+    start = time.monotonic()
     logged = False
     own = {publisher.topic_name: publisher for publisher in node.publishers}
     while is_running():
@@ -49,10 +49,10 @@ def wait_for_peers(
         missing = [
             f"subscribers of {topic} ({count})" for topic, count in subscribers.items() if not _has(node, own, topic, count)
         ]
-        missing += [what for what, is_there in others.items() if not is_there()]
+        missing += [name for name, holds in conditions.items() if not holds()]
         if not missing:
             return
-        waited = time.monotonic() - began
+        waited = time.monotonic() - start
         if waited > _LOG_AFTER_S and not logged:
             logged = True
             node.get_logger().info(f"before time starts, waiting for {', '.join(missing)}")
@@ -68,8 +68,8 @@ def _has(node: Node, own: Mapping[str, Publisher], topic: str, count: int) -> bo
 
 
 def wait_until_acknowledged(*publishers: Publisher) -> None:
-    """Blocks until all subscribers have acknowledged what was published, at most a second, so that a process that ends loses nothing."""
+    """Blocks until all subscribers have acknowledged the published messages, at most a second, so that the end of the process loses none."""
     deadline = time.monotonic() + _ACKNOWLEDGE_TIMEOUT_S
     for publisher in publishers:
-        left = max(0.0, deadline - time.monotonic())
-        publisher.wait_for_all_acked(Duration(nanoseconds=int(left * 1e9)))
+        remaining = max(0.0, deadline - time.monotonic())
+        publisher.wait_for_all_acked(Duration(nanoseconds=int(remaining * 1e9)))

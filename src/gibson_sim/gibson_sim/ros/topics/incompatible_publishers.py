@@ -1,4 +1,4 @@
-"""Warns of incompatible publishers: those of another message type than the node subscribes to. DDS never matches them, and reports nothing."""
+"""Warns of publishers with another message type than the node's subscription: DDS never matches them, and does not report it."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from gibson_sim.ros.topics.stamped_commands import StampedCommands
 from gibson_sim.ros.wire.message_types import type_name_of
 
 _TWISTS = {type_name_of(Twist): "twist", type_name_of(TwistStamped): "stamped"}
-"""Types of velocity commands -> the value of ``cmd_vel_type`` that receives them."""
+"""Type of velocity commands -> value of ``cmd_vel_type`` that receives it."""
 
 
 class IncompatiblePublishers:
-    """Logs a warning for each publisher whose type a node does not receive."""
+    """Logs a warning for each publisher whose message type a node does not receive."""
 
     def __init__(self, node: Node, stamped: StampedCommands | None) -> None:
-        """Watches the topics that ``node`` subscribes to at the time of each check, and those under a second type in ``stamped``."""
+        """Checks the topics that ``node`` subscribes to at the time of each check, and those with a second type in ``stamped``."""
         self._node, self._stamped = node, stamped
         self._known: set[tuple[str, str, str]] = set()
 
     def check(self) -> None:
         """Warns once of each incompatible publisher that has appeared since the last check."""
-        types, found = self._subscribed_types(), set()
+        types, incompatible = self._subscribed_types(), set()
         for topic, received in types.items():
             for publisher in self._node.get_publishers_info_by_topic(topic):
                 if publisher.topic_type not in received:
                     name = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
-                    found.add((topic, name, publisher.topic_type))
-        for topic, name, type_name in sorted(found - self._known):
+                    incompatible.add((topic, name, publisher.topic_type))
+        for topic, name, type_name in sorted(incompatible - self._known):
             received_types = sorted(types[topic])
             self._node.get_logger().warning(
-                f"{topic}: {name} publishes {type_name}, which is not received: this topic takes {' and '.join(received_types)}; "
+                f"{topic}: {name} publishes {type_name}, which is not received: this topic receives {' and '.join(received_types)}; "
                 f"{_remedy(topic, type_name, received_types)}"
             )
-        self._known = found
+        self._known = incompatible
 
     def _subscribed_types(self) -> dict[str, set[str]]:
         """Returns topic -> names of the types that are received on it."""

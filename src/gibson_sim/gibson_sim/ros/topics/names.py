@@ -40,17 +40,17 @@ ODOM_FRAME = "odom"
 
 
 def link_name(name: str) -> str:
-    """Returns the tf frame of ``<body>/<link>``, without a prefix."""
+    """Returns the link name, which is the tf frame without prefix, of ``<body>/<link>``."""
     return name.rpartition("/")[2]
 
 
-def controller(name: str, what: str) -> str:
-    """Returns a topic or an action of the controller of an arm or a gripper."""
-    return f"{name}_controller/{what}"
+def controller(name: str, interface: str) -> str:
+    """Returns the name of a topic or an action of the controller of an arm or a gripper."""
+    return f"{name}_controller/{interface}"
 
 
 def servo(arm: str) -> str:
-    """Returns the topic of the velocities of an arm's tool."""
+    """Returns the topic of velocity commands for an arm's tool."""
     return f"{arm}_servo/delta_twist_cmds"
 
 
@@ -65,7 +65,7 @@ def bumper_wrench(bumper: str) -> str:
 
 
 def camera_topics(camera: str) -> dict[str, str]:
-    """Returns the topics of a camera by what they carry: each output, and under ``<output>_info`` its camera_info."""
+    """Returns kind -> topic of a camera; the kinds are the outputs, and ``<output>_info`` for the camera_info of each."""
     topics: dict[str, str] = {}
     for output in OUTPUTS:
         folder = camera if output == "rgb" else f"{camera}/{output}"
@@ -75,49 +75,49 @@ def camera_topics(camera: str) -> dict[str, str]:
 
 
 def image_topics(camera: str, outputs: Iterable[Output]) -> tuple[str, ...]:
-    """Returns all topics on which a camera with these outputs may publish images, compressed ones and point clouds."""
-    topics, outputs = camera_topics(camera), tuple(outputs)
-    found = [topics[output] for output in outputs]
+    """Returns all topics on which a camera with these outputs may publish raw and compressed images and point clouds."""
+    raw_topics, outputs = camera_topics(camera), tuple(outputs)
+    topics = [raw_topics[output] for output in outputs]
     if "rgb" in outputs:
-        found.append(compressed_topic(topics["rgb"]))
+        topics.append(compressed_topic(raw_topics["rgb"]))
     if "depth" in outputs:
-        found += [compressed_depth_topic(topics["depth"]), points_topic(camera), registered_depth_topics(camera)[0]]
-    return tuple(found)
+        topics += [compressed_depth_topic(raw_topics["depth"]), points_topic(camera), registered_depth_topics(camera)[0]]
+    return tuple(topics)
 
 
 def compressed_topic(topic: str) -> str:
-    """Returns the image_transport topic for the JPEG or PNG of an image topic."""
+    """Returns the image_transport topic for the JPEG or PNG images of an image topic."""
     return f"{topic}/compressed"
 
 
 def compressed_depth_topic(topic: str) -> str:
-    """Returns the image_transport topic for the compressed form of a depth image topic."""
+    """Returns the image_transport topic for the compressed images of a depth image topic."""
     return f"{topic}/compressedDepth"
 
 
 def points_topic(camera: str) -> str:
-    """Returns the topic of the point cloud of a camera's depth."""
+    """Returns the topic of the point cloud of a depth camera."""
     return f"{camera}/depth/points"
 
 
 def is_hidden(topic: str) -> bool:
-    """Returns whether ROS tools hide a topic by default, such as those of actions: a part of its name begins with ``_``."""
+    """Returns whether ROS tools hide a topic by default, such as those of actions: a token of its name begins with ``_``."""
     return "/_" in topic
 
 
 def is_derived(topic: str) -> bool:
-    """Returns whether a topic has the same data as another topic of the same camera, in another form."""
+    """Returns whether a topic has the data of another topic of the same camera in another format."""
     return topic.endswith(
         ("/compressed", "/compressedDepth", "/depth/points", "/depth_registered/image_raw", "/depth_registered/camera_info")
     )
 
 
 def label_info_topic(camera: str, output: str) -> str:
-    """Returns the latched topic that names the numbers of a label output."""
+    """Returns the latched topic with the label names of a label output."""
     return f"{camera}/{output}/label_info"
 
 
 def registered_depth_topics(camera: str) -> tuple[str, str]:
-    """Returns the topics of a camera's depth registered to another camera, and of that camera's camera_info."""
+    """Returns the topics of a camera's registered depth image, and of its camera_info, which is that of the target camera."""
     folder = f"{camera}/depth_registered"
     return f"{folder}/image_raw", f"{folder}/camera_info"

@@ -1,4 +1,4 @@
-"""The joints of bodies: doors, drawers, fridges. Their positions and limits are published; they are opened and closed by commands."""
+"""Joints of bodies, such as doors and drawers: publishes their positions and limits, and applies commands."""
 
 from __future__ import annotations
 
@@ -29,20 +29,21 @@ class ObjectJoints:
     """Publishes the joints of all bodies, and applies commands to them. A joint is named ``<body>/<joint>``.
 
     Subscribes:
-        object_joint_command (sensor_msgs/JointState): joints go to the positions and are held there, with at most the efforts if it has any
-            (0 = the joint's limit); or they turn at the velocities; with efforts alone these are applied, 0 = the joint swings freely.
+        object_joint_command (sensor_msgs/JointState): with positions, joints move to them and are held there; efforts, if any, are then
+            effort limits (0 = the joint's limit). With velocities alone, joints move at them. With efforts alone, these are applied; 0 = the
+            joint swings freely.
 
     Publishes, latched:
-        object_joint_states (control_msgs/DynamicJointState) at 10 Hz while it has subscribers, and at every change of the scene: of each
-            joint ``position``, ``velocity`` and, where it has limits, ``lower`` and ``upper``, radians or metres.
+        object_joint_states (control_msgs/DynamicJointState) at 10 Hz while it has subscribers, and at every change of the scene:
+            ``position``, ``velocity`` and, if the joint has limits, ``lower`` and ``upper`` of each joint, rad or m.
     """
 
     def __init__(self, node: Node, config: PhysicsConfig, on_received: Callable[[str], None]) -> None:
-        """``on_received`` is called with the topic of each command."""
+        """Creates the topics; ``on_received`` is called with the topic of each command."""
         self._node, self._config, self._on_received = node, config, on_received
         self._topic = node.resolve_topic_name(names.OBJECT_JOINT_COMMAND)
-        self._received: deque[Any] = deque(maxlen=qos.MOST_COMMANDS)
-        self._due: deque[Any] = deque(maxlen=qos.MOST_COMMANDS)
+        self._received: deque[Any] = deque(maxlen=qos.MAX_COMMANDS)
+        self._due: deque[Any] = deque(maxlen=qos.MAX_COMMANDS)
         node.create_subscription(JointState, names.OBJECT_JOINT_COMMAND, self._on_command, qos.COMMAND)
         self._messages: Any = None
         self._publisher: Any = None
@@ -59,7 +60,7 @@ class ObjectJoints:
 
     @property
     def command_topics(self) -> frozenset[str]:
-        """Full names of the topics of commands."""
+        """Full names of the command topics."""
         return frozenset((self._topic,))
 
     def _on_command(self, msg: JointState) -> None:
@@ -67,7 +68,7 @@ class ObjectJoints:
         self._on_received(self._topic)
 
     def receive_command(self, topic: str, msg: Any) -> None:
-        """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
+        """Appends a command to the queue of received commands, as if it had arrived on ``topic``."""
         del topic
         self._received.append(msg)
 
@@ -77,25 +78,27 @@ class ObjectJoints:
         self._received.clear()
 
     def apply_commands(self, world: PhysicsWorld, journal: Journal) -> None:
-        """Applies the due commands in the order of their arrival, and notes them in the journal."""
+        """Applies the due commands in the order of their arrival, and records them in the journal."""
         while self._due:
             msg = self._due.popleft()
-            journal.note(self._topic, msg)
+            journal.record(self._topic, msg)
             try:
                 for body, command in commands_by_body(msg).items():
                     if body in {robot.name for robot in world.scene.robots}:
-                        raise CommandError(f"{quoted(body)} is a robot: its joints obey its own {names.JOINT_COMMAND}")
+                        raise CommandError(
+                            f"{quoted(body)} is a robot: command its joints on its own topic {names.JOINT_COMMAND}"
+                        )
                     world.command_joints(body, command)
             except CommandError as error:
                 self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
 
     def reset(self) -> None:
-        """Forgets commands."""
+        """Drops all commands: the simulation was reset."""
         self._received.clear()
         self._due.clear()
 
     def publish(self, world: PhysicsWorld, tick: int | None = None) -> None:
-        """Publishes the joints if they are due; ``tick`` counts at ``publish_hz``, None = the scene has changed."""
+        """Publishes the joint states if they are due at ``tick``, which counts at ``publish_hz``; None = the scene has changed."""
         if self._publisher is None:
             return
         rate = min(RATE_HZ, self._config.publish_hz)
@@ -124,31 +127,31 @@ class ObjectJoints:
 
 
 def commands_by_body(msg: JointState) -> dict[str, JointCommand]:
-    """Returns body -> the command for its joints.
+    """Returns body -> command for its joints.
 
     Raises:
         CommandError: a name is not ``<body>/<joint>``, or the command is invalid.
     """
-    found: dict[str, list[int]] = {}
+    rows_by_body: dict[str, list[int]] = {}
     for row, name in enumerate(msg.name):
         body, slash, joint = name.rpartition("/")
         if not (body and slash and joint):
             raise CommandError(
                 f"joint {quoted(name)} of {names.OBJECT_JOINT_COMMAND} must be <body>/<joint>, such as front_door/hinge"
             )
-        found.setdefault(body, []).append(row)
-    return {body: _command(msg, rows) for body, rows in found.items()}
+        rows_by_body.setdefault(body, []).append(row)
+    return {body: _command(msg, rows) for body, rows in rows_by_body.items()}
 
 
 def _command(msg: JointState, rows: list[int]) -> JointCommand:
-    names_ = tuple(msg.name[row].rpartition("/")[2] for row in rows)
+    joints = tuple(msg.name[row].rpartition("/")[2] for row in rows)
     columns = {key: list(getattr(msg, key)) for key in ("position", "velocity", "effort")}
     for key, values in columns.items():
         if values and len(values) != len(msg.name):
             raise CommandError(
                 f"{names.OBJECT_JOINT_COMMAND} has {len(values)} values of {key} for {len(msg.name)} joints; send one for each, or none"
             )
-    chosen = {key: [values[row] for row in rows] if values else [] for key, values in columns.items()}
-    if chosen["effort"] and not chosen["position"] and not chosen["velocity"]:
-        return JointEfforts(tuple(chosen["effort"]), names_)
-    return conversions.joint_command_from_msg(JointState(name=names_, **chosen))
+    selected = {key: [values[row] for row in rows] if values else [] for key, values in columns.items()}
+    if selected["effort"] and not selected["position"] and not selected["velocity"]:
+        return JointEfforts(tuple(selected["effort"]), joints)
+    return conversions.joint_command_from_msg(JointState(name=joints, **selected))

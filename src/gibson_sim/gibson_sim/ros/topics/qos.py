@@ -1,8 +1,8 @@
 """Quality of service of every topic.
 
-Sensor data is published reliable (REP 2003): a reliable reader never matches a best-effort writer, while a best-effort
-reader matches both. History, depth and reliability of a publisher made with ``overridable`` can be changed when its node is started, by the
-parameters ``qos_overrides.<topic>.publisher.history``, ``.depth`` and ``.reliability``; the topic is the full name, ``/camera/image_raw``.
+Sensor data is published reliable (REP 2003): a reliable reader never matches a best-effort writer, while a best-effort reader matches both.
+History, depth and reliability of a publisher with ``overridable`` can be changed at the start of its node, by the parameters
+``qos_overrides.<topic>.publisher.history``, ``.depth`` and ``.reliability``; the topic is the full name, such as ``/camera/image_raw``.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ def _profile(depth: int, *, latched: bool = False) -> QoSProfile:
 
 
 SENSOR = _profile(5)
-"""Images, scans: a short queue, since each is large and a late one is worth little."""
+"""Profile of images and scans: a short queue, since each message is large and a late one is of little use."""
 STATE = _profile(10)
-"""Odometry, joint states, diagnostics, scene state."""
+"""Profile of odometry, joint states, diagnostics and scene states."""
 TF = _profile(100)
 CLOCK = _profile(10)
-MOST_COMMANDS = 100
-"""Length of the queue of commands on one topic; beyond it the oldest is dropped."""
-COMMAND = _profile(MOST_COMMANDS)
-"""Commands: all are applied, those of a step in the order of arrival, however late the step is."""
+MAX_COMMANDS = 100
+"""Maximum length of the queue of commands on one topic; beyond it the oldest is dropped."""
+COMMAND = _profile(MAX_COMMANDS)
+"""Profile of commands: all are applied, those of a step in the order of arrival, however late the step is."""
 TICK_DONE = _profile(100, latched=True)
-"""Reports of lockstep. Latched: a participant may start before the simulation."""
+"""Profile of lockstep reports. Latched: a participant may start before the simulation."""
 INPUTS = _profile(100, latched=True)
-"""Inputs and digests of a run. Latched, so that a recorder that starts late gets the first ones, too."""
+"""Profile of inputs and digests of a run. Latched, so that a recorder that starts late receives the first ones, too."""
 INPUTS_AT = _profile(1000)
-"""Inputs with the steps at which they are to be applied: many may arrive at once."""
+"""Profile of inputs with the steps at which they are applied: many may arrive at once."""
 RUN_INFO = _profile(16, latched=True)
-"""One message per node."""
+"""Profile of run information: one message per node."""
 LATCHED = _profile(1, latched=True)
-"""Late joiners get the last message: scene, static transforms, robot description."""
+"""Profile of scene, static transforms, robot description: late subscribers receive the last message."""
 
 
 def make_publisher(node: Node, message_type: Any, topic: str, profile: QoSProfile) -> Publisher:
-    """Returns a publisher whose quality of service the user can change; see ``overridable``.
+    """Returns a publisher whose QoS the user can override; see ``overridable``.
 
     Raises:
-        ConfigError: a parameter has a value that is no quality of service.
+        ConfigError: a QoS parameter has an invalid value.
     """
     try:
         return node.create_publisher(message_type, topic, **overridable(profile))
@@ -69,17 +69,17 @@ def make_publisher(node: Node, message_type: Any, topic: str, profile: QoSProfil
 
 
 def overridable(profile: QoSProfile) -> dict[str, Any]:
-    """Returns arguments of ``create_publisher``: ``node.create_publisher(Image, topic, **overridable(SENSOR))``.
+    """Returns keyword arguments of ``create_publisher``: ``node.create_publisher(Image, topic, **overridable(SENSOR))``.
 
-    rclpy writes the overrides of one topic into the profile that it is given, so each publisher gets its own. Event callbacks for incompatible
-    QoS are off: subscribers report that themselves, and the two callbacks of a publisher cost 0.04 ms of each turn of the executor
-    (70 publishers: 2.9 instead of 0.4 ms).
+    rclpy writes the overrides of a topic into the given profile, so each publisher gets a copy. Event callbacks for incompatible QoS are off:
+    subscribers report it themselves, and the two callbacks of a publisher cost 0.04 ms in each iteration of the executor (70 publishers: 2.9
+    instead of 0.4 ms).
     """
-    own = QoSProfile(
+    copy = QoSProfile(
         history=profile.history, depth=profile.depth, reliability=profile.reliability, durability=profile.durability
     )  # fmt: skip
     return {
-        "qos_profile": own,
+        "qos_profile": copy,
         "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
         "event_callbacks": PublisherEventCallbacks(use_default_callbacks=False),
     }

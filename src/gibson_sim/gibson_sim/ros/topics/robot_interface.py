@@ -1,4 +1,4 @@
-"""The topics of one robot."""
+"""Topics of one robot."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ from gibson_sim.types import WORLD_FRAME, SceneState
 
 
 class RobotInterface:
-    """Applies the commands of a robot, and publishes its state and its measurements. All names are relative to its namespace.
+    """Applies the commands of a robot, and publishes its state and measurements. All names are relative to its namespace.
 
     Subscribes:
         cmd_vel (geometry_msgs/Twist, geometry_msgs/TwistStamped, or both, see ``cmd_vel_type``): velocity, base frame, m/s
             and rad/s. The robot stops when it is older than ``cmd_vel_timeout``. A NaN or an infinity is ignored with a warning.
         joint_trajectory (trajectory_msgs/JointTrajectory): joints pass through its points; an empty one stops them.
-        joint_command (sensor_msgs/JointState): joints go to the positions, or turn at the velocities if it has no positions.
+        joint_command (sensor_msgs/JointState): joints move to the positions, or at the velocities if it has no positions.
 
     Publishes:
-        tf and tf_static: odom -> base, moving links; sensors, latched. One robot alone uses /tf and /tf_static.
-        odom (nav_msgs/Odometry): from the wheels. ground_truth/odom (nav_msgs/Odometry): the truth, in the map frame.
+        tf: odom -> base, moving links; tf_static, latched: fixed links, sensors. A single robot uses /tf and /tf_static.
+        odom (nav_msgs/Odometry): wheel odometry. ground_truth/odom (nav_msgs/Odometry): true pose and velocity, map frame.
         joint_states (sensor_msgs/JointState), robot_description (std_msgs/String, latched).
         cmd_vel_applied (geometry_msgs/TwistStamped): each applied velocity command, unchanged, of either type, with the stamp from
             which it is in effect.
-        The sensors of its file: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
+        The sensors of the robot: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
         (std_msgs/Bool) and bumper/wrench (geometry_msgs/WrenchStamped), battery_state (sensor_msgs/BatteryState).
 
-    For its arms see ``ArmInterface``.
+    See ``ArmInterface`` for its arms.
     """
 
     def __init__(
@@ -64,26 +64,26 @@ class RobotInterface:
         config: PhysicsConfig,
         on_received: Callable[[str], None],
     ) -> None:
-        """Makes publishers and subscriptions, and publishes the latched messages.
+        """Creates publishers and subscriptions, and publishes the latched messages.
 
         Args:
-            node: of the topics.
+            node: node of the topics.
             stamped: receives cmd_vel as TwistStamped while the node receives it as Twist; None = only one type is received.
-            robot: that the topics are for.
-            world: that has the robot.
+            robot: robot of the topics.
+            world: world of the robot.
             config: settings of the node.
-            on_received: is called with the topic of each command.
+            on_received: called with the topic of each command.
         """
         self.robot = robot
-        self.refused_commands = self.commands_seen = 0
+        self.refused_commands = self.command_count = 0
         self._node, self._config = node, config
         self._base_frame = f"{robot.frame_prefix}{robot.base_link}"
         self._odom_frame = f"{robot.frame_prefix}{names.ODOM_FRAME}"
         self._publishers: list[Publisher] = []
         self._make_publishers()
         self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
-        self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
-        self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
+        self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MAX_COMMANDS)
         self._applied: list[TwistStamped] = []
         self._last_state: list[tuple[Publisher, bytes]] = []
         self._on_received = on_received
@@ -99,16 +99,16 @@ class RobotInterface:
         self._short_names = {name: self._resolved(name).lstrip("/") for name in (*every_tick, *self._sensor_pubs)}
         self._every_tick = {self._short_names[name] for name in every_tick}
         self.truth_topic = self._resolved(names.GROUND_TRUTH)
-        own_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
+        base_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
         self._arms = ArmInterface(node, robot, on_received, world.stamp_ns)
-        self.command_topics = own_topics | self._arms.command_topics
+        self.command_topics = base_topics | self._arms.command_topics
         self._stamped = stamped
         if stamped is not None:
             self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._received_commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
         self._imus: dict[str, FastImu] = {}
         self._rows_revision = -1
-        """Revision of the scene that ``_relative`` is for."""
+        """Scene revision for which ``_relative`` is valid."""
         self._lay_out_messages()
         self._publish_latched()
 
@@ -123,14 +123,14 @@ class RobotInterface:
         self._on_received(topic)
 
     def receive_command(self, topic: str, msg: Any) -> None:
-        """Puts a command into the queue of received commands, as if it had arrived on ``topic``."""
+        """Appends a command to the queue of received commands, as if it had arrived on ``topic``."""
         if topic in self._arms.command_topics:
             self._arms.receive_command(topic, msg)
         else:
             self._received_commands.append((topic, msg))
 
     def topics_of_tick(self, measured: Measurements) -> set[str]:
-        """Returns the topics that are published at a tick with these measurements; without a leading slash."""
+        """Returns the topics that are published at a tick with these measurements, without leading slashes."""
         kinds = (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries)
         return self._every_tick | {self._short_names[reading.name] for readings in kinds for reading in readings}
 
@@ -162,11 +162,11 @@ class RobotInterface:
         for bumper in sensors.bumpers:
             name = names.bumper_wrench(bumper.name)
             self._sensor_pubs[name] = self._publisher(WrenchStamped, topic(name), qos.SENSOR)
-        # The last one: a node that has discovered it has discovered all others of this robot, see ``PhysicsConfig.wait_for``.
+        # Created last: a node that has discovered it has discovered all other topics of this robot, see ``PhysicsConfig.wait_for``.
         self._truth_pub = self._publisher(RosOdometry, topic(names.GROUND_TRUTH), qos.STATE)
 
     def _publish_latched(self) -> None:
-        """Publishes the description and the fixed transforms."""
+        """Publishes the robot description and the static transforms."""
         robot, prefix = self.robot, self.robot.frame_prefix
         self._description_pub.publish(String(data=published_description(robot.urdf)))
         transforms = [
@@ -182,28 +182,30 @@ class RobotInterface:
 
     def has_commanders(self, count: int) -> bool:
         """Returns whether at least ``count`` publishers of cmd_vel, of either type, are matched."""
-        received = [self._subscriptions[0]] if self._stamped is None else [self._subscriptions[0], self._stamped_subscription]
-        return bool(sum(subscription.handle.get_publisher_count() for subscription in received) >= count)
+        subscriptions = (
+            [self._subscriptions[0]] if self._stamped is None else [self._subscriptions[0], self._stamped_subscription]
+        )
+        return bool(sum(subscription.handle.get_publisher_count() for subscription in subscriptions) >= count)
 
     def latch_commands(self) -> None:
-        """Makes all commands received so far due at the next step; later ones are for the steps after it."""
+        """Makes all commands received so far due at the next step; later commands are due at later steps."""
         for _ in range(len(self._received_commands)):
             self._due_commands.append(self._received_commands.popleft())
         self._arms.latch_commands()
 
     def apply_commands(self, world: PhysicsWorld, journal: Journal) -> None:
-        """Applies the due commands in the order of their arrival, and notes them in the journal."""
+        """Applies the due commands in the order of their arrival, and records them in the journal."""
         while self._due_commands:
-            self.commands_seen += 1
+            self.command_count += 1
             topic, msg = self._due_commands.popleft()
-            journal.note(topic, msg)
+            journal.record(topic, msg)
             try:
                 self._apply(world, msg)
             except CommandError as error:
                 self.refused_commands += 1
                 self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
-        seen, refused = self._arms.apply_commands(world, journal)
-        self.commands_seen, self.refused_commands = self.commands_seen + seen, self.refused_commands + refused
+        count, refused = self._arms.apply_commands(world, journal)
+        self.command_count, self.refused_commands = self.command_count + count, self.refused_commands + refused
 
     def _apply(self, world: PhysicsWorld, msg: Any) -> None:
         name, now = self.robot.name, world.stamp_ns
@@ -221,12 +223,12 @@ class RobotInterface:
         return applied
 
     def publish_applied(self, commands: Sequence[TwistStamped]) -> None:
-        """Publishes applied velocity commands, each with the stamp of the state that it was applied in."""
+        """Publishes applied velocity commands, each with the stamp from which it is in effect."""
         for command in commands:
             self._applied_pub.publish(command)
 
     def publish_odometry(self, world: PhysicsWorld) -> None:
-        """Publishes the odometry of the wheels, which needs no state of the world."""
+        """Publishes the wheel odometry, which does not need the scene state."""
         self._last_state = []
         if not self._odom_pub.get_subscription_count():
             return
@@ -238,12 +240,12 @@ class RobotInterface:
         self._publish_state(self._odom_pub, message)
 
     def publish_transforms(self, world: PhysicsWorld, state: SceneState) -> None:
-        """Publishes the transforms, with the stamp of the state; the odometry of the same step is published before."""
+        """Publishes the transforms with the stamp of the state; called after ``publish_odometry`` of the same step."""
         if self._tf_pub.get_subscription_count():
             self._publish_state(self._tf_pub, self._tf.serialize(state.stamp_ns, self._transforms(world, state)))
 
     def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
-        """Publishes true pose, joints and arms, with the stamp of the state; all of it is added to ``digests``."""
+        """Publishes ground truth, joint states and arm states with the stamp of the state, and adds them to ``digests``."""
         name, stamp = self.robot.name, state.stamp_ns
         if digests is not None or self._truth_pub.get_subscription_count():
             base, (linear, angular) = world.base_pose(name), world.base_twist(name)
@@ -259,7 +261,7 @@ class RobotInterface:
         self._arms.publish(world, digests)
 
     def _transforms(self, world: PhysicsWorld, state: SceneState) -> list[Sequence[float]]:
-        """Returns the poses for ``tf``: odom to base, the moving joints, map to odom."""
+        """Returns the poses for ``tf``, (x, y, z, qx, qy, qz, qw) each: T_odom_base, moving joints, and T_map_odom if it is enabled."""
         if state.revision != self._rows_revision:
             self._find_rows(state)
         odom_pose = conversions.odometry_pose(world.odometry(self.robot.name))
@@ -269,8 +271,8 @@ class RobotInterface:
         ]
         if self._config.publish_map_tf:
             base = matrix_from_pose(world.base_pose(self.robot.name))
-            map_from_odom = pose_from_matrix(base @ invert(matrix_from_pose(odom_pose)))
-            poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
+            T_map_odom = pose_from_matrix(base @ invert(matrix_from_pose(odom_pose)))
+            poses.append((*T_map_odom.position, *T_map_odom.quat_xyzw))
         return poses
 
     def _publish_state(self, publisher: Publisher, message: bytes) -> None:
@@ -278,12 +280,12 @@ class RobotInterface:
         self._last_state.append((publisher, message))
 
     def publish_state_again(self) -> None:
-        """Publishes odometry and state of the last tick once more."""
+        """Republishes the odometry and state of the last tick."""
         for publisher, message in self._last_state:
             publisher.publish(message)
 
     def _lay_out_messages(self) -> None:
-        """Lays out the messages of a fixed shape."""
+        """Prepares the serializers of messages with a fixed layout."""
         robot, prefix = self.robot, self.robot.frame_prefix
         frames = [(self._odom_frame, self._base_frame), *((prefix + p, prefix + c) for _, p, c in robot.moving_joints)]
         if self._config.publish_map_tf:
@@ -294,21 +296,21 @@ class RobotInterface:
         self._joints = FastJointStates([joint for joint, _, _ in robot.moving_joints])
 
     def _find_rows(self, state: SceneState) -> None:
-        """Finds the rows of this robot's links in states of this revision of the scene."""
+        """Finds the rows of this robot's links in states of this scene revision."""
         row, name = {link: i for i, link in enumerate(state.links)}, self.robot.name
         pairs = [(row[f"{name}/{parent}"], row[f"{name}/{child}"]) for _, parent, child in self.robot.moving_joints]
         self._relative = RelativePoses(pairs)
         self._rows_revision = state.revision
 
     def measure(self, world: PhysicsWorld, *, all_sensors: bool) -> Measurements:
-        """Returns the measurements due at the step that was just made; without ``all_sensors``, lidars and IMUs need subscribers."""
+        """Returns the measurements due at the present step; without ``all_sensors``, lidars and IMUs without subscribers are skipped."""
         return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_sensors else self._has_subscribers)
 
     def _has_subscribers(self, sensor: str) -> bool:
         return bool(self._sensor_pubs[sensor].get_subscription_count())
 
     def publish_sensors(self, measured: Measurements, digests: DigestPublisher | None = None) -> None:
-        """Publishes the measurements of a step, with its stamp."""
+        """Publishes the measurements of a step with its stamp, and adds them to ``digests``."""
         if digests is not None:
             for readings in (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries):
                 for reading in readings:
@@ -329,7 +331,7 @@ class RobotInterface:
             self._sensor_pubs[battery.name].publish(conversions.battery_to_msg(battery))
 
     def _imu_message(self, reading: ImuReading) -> bytes:
-        """Returns a sample as bytes; the covariance of the orientation is always that of the first one."""
+        """Returns a serialized IMU message; the orientation covariance is always that of the first message."""
         message = self._imus.get(reading.name)
         if message is None:
             orientation_covariance = conversions.imu_to_msg(reading, "").orientation_covariance
@@ -344,7 +346,7 @@ class RobotInterface:
         return self.robot.frame_prefix + names.link_name(link)
 
     def reset(self, step: int) -> None:
-        """Forgets commands and resets the sensors, after ``step`` steps of the world."""
+        """Drops commands and resets the sensors; ``step`` is the step count of the world."""
         self._received_commands.clear()
         self._due_commands.clear()
         self._applied.clear()

@@ -1,4 +1,4 @@
-"""Publishes a node's settings and environment on a latched topic, so that a bag has all that is needed to start the run again."""
+"""Publishes a node's settings and environment on a latched topic, so that a bag contains all data needed to repeat the run."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from gibson_sim.ros.topics import names, qos
 
 _PACKAGES = ("numpy", "pybullet", "moderngl", "rclpy")
 _PATHS = ("scene", "robot")
-"""Settings that may be relative paths; they are published as absolute ones."""
+"""Settings that may be relative paths, which are published as absolute paths."""
 
 
 def publish_run_info(node: Node, kind: str, config: Any, stamp_ns: int, **facts: Any) -> Any:
-    """Publishes settings and environment of a node.
+    """Publishes the settings and the environment of a node.
 
     Args:
-        node: of the settings.
+        node: node that publishes.
         kind: physics or render.
         config: settings of the node, a dataclass.
-        stamp_ns: simulation time.
-        facts: other facts that results may depend on.
+        stamp_ns: simulation time, ns.
+        facts: other properties of the environment that results may depend on.
 
     Returns:
-        The publisher, which the caller must keep.
+        The publisher, which the caller must keep alive.
     """
     publisher = node.create_publisher(RunInfo, names.RUN_INFO, qos.RUN_INFO)
     settings = {f.name: _absolute(f.name, getattr(config, f.name)) for f in fields(config)}

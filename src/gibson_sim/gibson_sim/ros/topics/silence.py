@@ -1,4 +1,4 @@
-"""Tells once why nothing comes to a node that waits for messages of a simulation: most often its time is paused."""
+"""Reports once why a node receives no messages from a simulation; the usual cause is that time is paused."""
 
 from __future__ import annotations
 
@@ -10,36 +10,37 @@ from simulation_interfaces.msg import SimulationState
 from simulation_interfaces.srv import GetSimulationState
 
 SILENT_S = 3.0
-"""Wall time without a message after which a node says what it waits for, s."""
+"""Time without a message after which the cause is reported, s of wall time."""
 _ANSWER_S = 5.0
-"""Wall time for the simulation to tell its state, s."""
+"""Timeout for the state of the simulation, s of wall time."""
 _TYPE = "simulation_interfaces/srv/GetSimulationState"
-_STANDS = {SimulationState.STATE_PAUSED: "paused", SimulationState.STATE_STOPPED: "stopped"}
+_HALTED = {SimulationState.STATE_PAUSED: "paused", SimulationState.STATE_STOPPED: "stopped"}
+"""States in which time does not pass -> text."""
 
 
 class SilenceNotice:
-    """Asks the simulation for its state when nothing has come for a while, and tells what follows from it.
+    """Requests the state of the simulation after ``SILENT_S`` without a message, and reports the cause of the silence.
 
     Args:
-        node: waits, and is spun by its owner.
-        tell: is called at most once, with one line.
-        otherwise: returns what to tell if time is not paused; None = nothing.
-        now_s: wall time at which the waiting begins, s.
+        node: node that waits; its owner spins it.
+        report: called at most once, with one line of text.
+        otherwise: returns the text to report if time is not paused; None = no report then.
+        now_s: wall time at which the wait starts, s.
     """
 
-    def __init__(self, node: Node, tell: Callable[[str], None], otherwise: Callable[[], str] | None, now_s: float) -> None:
-        self._node, self._tell, self._otherwise, self._began_s = node, tell, otherwise, now_s
+    def __init__(self, node: Node, report: Callable[[str], None], otherwise: Callable[[], str] | None, now_s: float) -> None:
+        self._node, self._report, self._otherwise, self._start_s = node, report, otherwise, now_s
         self._answer: Any = None
         self._ended = False
         self._client: Any = None
 
     def end(self) -> None:
-        """Ends the waiting: a message has come."""
+        """Ends the wait: a message has arrived."""
         self._ended = True
 
     def check(self, now_s: float) -> None:
-        """Tells what there is to tell at a wall time, s; to be called again and again while nothing comes."""
-        waited_s = now_s - self._began_s
+        """Continues the wait at a wall time, s; must be called repeatedly until a message arrives."""
+        waited_s = now_s - self._start_s
         if self._ended or waited_s < SILENT_S:
             return
         if self._client is None and (name := self._service()):
@@ -47,20 +48,20 @@ class SilenceNotice:
         if self._answer is None and self._client is not None and self._client.service_is_ready():
             self._answer = self._client.call_async(GetSimulationState.Request())
         if self._answer is not None and self._answer.done():
-            self._conclude(_STANDS.get(self._answer.result().state.state, ""))
+            self._conclude(_HALTED.get(self._answer.result().state.state, ""))
         elif waited_s > SILENT_S + _ANSWER_S:
             self._conclude("")
 
     def _service(self) -> str:
-        """Returns the service that tells the state; "" = there is none."""
-        offered = self._node.get_service_names_and_types()
-        return next((name for name, types in offered if _TYPE in types and self._node.count_services(name)), "")
+        """Returns the name of the service that returns the state; empty = there is none."""
+        services = self._node.get_service_names_and_types()
+        return next((name for name, types in services if _TYPE in types and self._node.count_services(name)), "")
 
-    def _conclude(self, stands: str) -> None:
+    def _conclude(self, halted: str) -> None:
         self._ended = True
-        if stands:
-            self._tell(
-                f"the simulation is {stands}, so nothing moves and nothing is published; `gibson-sim play` starts its time"
+        if halted:
+            self._report(
+                f"the simulation is {halted}, so nothing moves and nothing is published; `gibson-sim play` starts its time"
             )
         elif self._otherwise is not None:
-            self._tell(self._otherwise())
+            self._report(self._otherwise())

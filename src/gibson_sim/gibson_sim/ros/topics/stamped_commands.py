@@ -1,4 +1,4 @@
-"""Subscribes to a topic under a second type: cmd_vel as TwistStamped, in addition to cmd_vel as Twist."""
+"""Subscribes to a topic with a second type: cmd_vel as TwistStamped, in addition to cmd_vel as Twist."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from gibson_sim.ros.topics import qos
 
 
 class StampedCommands:
-    """Queues the messages of topics that the owner's context has under another type.
+    """Queues the messages of topics that the owner's context uses with another type.
 
-    A DDS participant cannot have one topic under two types, so this is a second context with a thread of its own. The thread only
-    queues messages; the main thread alone touches the world.
+    A DDS participant cannot have one topic with two types, so this is a second context with its own thread. The thread only queues messages;
+    only the main thread accesses the world.
     """
 
     def __init__(self, node: Node) -> None:
         self._owner = node
         self._arrived: deque[str] = deque()
         self.types: dict[str, type[Any]] = {}
-        """Resolved topic -> type of its messages in this context, of all topics of ``subscribe``."""
+        """Resolved topic -> message type in this context, for all topics of ``subscribe``."""
         self.on_arrival: Callable[[], Any] = lambda: None
-        """Is called in this class's thread after each message."""
+        """Called in this class's thread after each message."""
         self._context = rclpy.Context()
         self._context.init(domain_id=node.context.get_domain_id())
         self._node = Node(
@@ -60,7 +60,7 @@ class StampedCommands:
         return self._node.create_subscription(kind, self._owner.resolve_topic_name(topic), callback, profile)
 
     def pop_arrived(self) -> list[str]:
-        """Returns the topics of the messages that arrived since the last call, once for each. For the main thread."""
+        """Returns the topic of each message that arrived since the last call. Called by the main thread."""
         return [self._arrived.popleft() for _ in range(len(self._arrived))]
 
     def unsubscribe(self, subscription: Any) -> None:

@@ -1,4 +1,4 @@
-"""Publishes what is due at every step and tick: at once, or, in a pipeline, when all participants have done the tick before."""
+"""Publishes the data that is due at a step or tick: immediately, or, pipelined, when all participants have finished the previous tick."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _Measured = Mapping[str, Measurements]
 
 
 class TickPublisher:
-    """Publishes what is due at the steps of a world.
+    """Publishes the data that is due at the steps of a world.
 
     Publishes:
-        /clock (rosgraph_msgs/Clock) at ``clock_hz``, and at every other step at which something is published.
+        /clock (rosgraph_msgs/Clock) at ``clock_hz``, and at every other step at which a message is published.
         The topics of ``WorldInterface``, ``ObjectJoints``, ``ContactsPublisher`` and, for each robot, ``RobotInterface``.
     """
 
@@ -51,17 +51,18 @@ class TickPublisher:
         objects: ObjectJoints,
         digests: DigestPublisher | None,
     ) -> None:
-        """Makes the publisher of /clock; ``robots`` is read at every step."""
+        """Creates the publisher of /clock; ``robots`` may change, and is read at every step."""
         self.gate: LockstepGate | None = None
-        """The gates to close at every tick."""
+        """Gate to close at every tick; None = no lockstep."""
         self.images: ImageGate | None = None
+        """Gate to close at every tick with due cameras; None = no such gate."""
         self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
         self._digests = digests
         self._objects, self._contacts = objects, ContactsPublisher(node, config)
         self._clock_message = FastClock()
         self._clock_pub = node.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
         self._clock_ns = 0
-        """Stamp of the last /clock."""
+        """Stamp of the last /clock, ns."""
         self._held: list[tuple[_Step, _Measured]] = []
         self._last_measured: _Measured = {}
 
@@ -72,38 +73,38 @@ class TickPublisher:
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
 
     def update_clock(self, stamp_ns: int) -> None:
-        """Publishes /clock unless it was published at that step: at the end of a run, or when time was set back. Before time has begun it is not."""
+        """Publishes /clock unless its last message has this stamp, at the end of a run or after time was reset."""
         if stamp_ns != self._clock_ns:
             self.publish_clock(stamp_ns)
 
     def publish(self, world: PhysicsWorld) -> None:
-        """Publishes what is due at the step that was just made."""
+        """Publishes the data that is due at the present step of the world."""
         step = self._step(world)
-        # First what controllers and renderers need, so that they work while the rest is measured and written.
+        # Inputs of controllers and renderers first, so that they work while the rest is measured and serialized.
         state = None if step.tick is None else self._begin_tick(world, step.tick)
         self._publish_rest(step, self._measure(world), state)
 
     def hold(self, world: PhysicsWorld) -> None:
-        """Measures what is due at the step that was just made, and keeps it for ``release``."""
+        """Takes the measurements that are due at the present step, and keeps them for ``release``."""
         self._held.append((self._step(world), self._measure(world)))
 
     @property
     def holds_tick(self) -> bool:
-        """Whether a tick is held that is not published yet."""
+        """Whether a held tick is not published yet."""
         return bool(self._held) and self._held[-1][0].tick is not None
 
     def release(self, world: PhysicsWorld) -> None:
-        """Publishes all held steps in their order; the world must be at the last one."""
+        """Publishes all held steps in order; the world must be at the last one."""
         held, self._held = self._held, []
         for step, measured in held:
             self._publish_rest(step, measured, None if step.tick is None else self._begin_tick(world, step.tick))
 
-    def forget(self) -> None:
-        """Drops all held steps: the simulation was reset, or has another world."""
+    def discard_held(self) -> None:
+        """Drops all held steps: the simulation was reset, or its world replaced."""
         self._held.clear()
 
     def publish_again(self, whole_tick: bool) -> None:
-        """Publishes the scene state once more, or the whole present tick."""
+        """Republishes the scene state, or the whole present tick."""
         if whole_tick:
             for name, measured in self._last_measured.items():
                 if name in self._robots:
@@ -113,21 +114,21 @@ class TickPublisher:
 
     def _step(self, world: PhysicsWorld) -> _Step:
         step, config = world.step_count, self._config
-        tick, beside = divmod(step, config.step_hz // config.publish_hz)
+        tick, remainder = divmod(step, config.step_hz // config.publish_hz)
         requested = self._simulator.state is not SimulationState.PLAYING
         has_clock = requested or is_due(step, config.clock_hz, config.step_hz)
         applied = {name: commands for name, robot in self._robots.items() if (commands := robot.pop_applied())}
-        return _Step(world.stamp_ns, None if beside else tick, has_clock, applied)
+        return _Step(world.stamp_ns, None if remainder else tick, has_clock, applied)
 
     def _measure(self, world: PhysicsWorld) -> _Measured:
         return {name: robot.measure(world, all_sensors=self._digests is not None) for name, robot in self._robots.items()}
 
     def _begin_tick(self, world: PhysicsWorld, tick: int) -> tuple[SceneState, tuple[CameraSpec, ...]]:
-        """Publishes the clock, the state and the odometry of a tick; returns the state, and the cameras that are due."""
+        """Publishes the clock, the states and the odometry of a tick; returns the scene state and the cameras that are due."""
         simulator = self._simulator
         self.publish_clock(world.stamp_ns)
         due = self._world_topics.due(tick)
-        # First what controllers answer, and where the robot was: a small image is drawn and sent within a millisecond of the scene state.
+        # Odometry and transforms first, since controllers need them: a small image follows within a millisecond of the scene state.
         for robot in self._robots.values():
             robot.publish_odometry(world)
         # All links are read once, here; the sensors that are due at this step use the same state.
@@ -165,24 +166,24 @@ class TickPublisher:
             self.gate.begin_tick(state.stamp_ns, partial(self._topics_of_tick, due, measured))
 
     def _topics_of_tick(self, due: tuple[CameraSpec, ...], measured: _Measured) -> set[str]:
-        """Returns the topics of all that is published at a tick, images included; without leading slashes."""
+        """Returns all topics that are published at a tick, including images, without leading slashes."""
         topics = {names.SCENE_STATE, CAMERAS} if due else {names.SCENE_STATE}
         for camera in due:
-            found = names.camera_topics(camera.name)
-            topics.update(found[output] for output in camera.outputs)
+            camera_topics = names.camera_topics(camera.name)
+            topics.update(camera_topics[output] for output in camera.outputs)
         for name, measurements in measured.items():
             topics |= self._robots[name].topics_of_tick(measurements) if name in self._robots else set()
         return topics
 
 
 class _Step(NamedTuple):
-    """A step that was made."""
+    """An executed step."""
 
     stamp_ns: int
     tick: int | None
-    """Number of the tick at this step; None = no tick."""
+    """Number of the tick at this step; None = the step is not a tick."""
     has_clock: bool
-    """Whether /clock is published at it even if nothing else is."""
+    """Whether /clock is published at it even if no other message is."""
     applied: Mapping[str, Sequence[TwistStamped]]
     """Robot -> velocity commands applied at this step; only robots that have any."""
 
@@ -199,7 +200,7 @@ class ContactsPublisher:
         self._publisher = node.create_publisher(Contacts, names.CONTACTS, **qos.overridable(qos.STATE))
 
     def publish(self, world: PhysicsWorld, tick: int) -> None:
-        """Publishes the contacts in the last step of a tick, if they are due; ``tick`` counts at ``publish_hz``."""
+        """Publishes the contacts of the last step if they are due at ``tick``, which counts at ``publish_hz``."""
         rate = min(self._config.contacts_rate, self._config.publish_hz)
         if self._publisher.get_subscription_count() and is_due(tick, rate, self._config.publish_hz):
             self._publisher.publish(conversions.contacts_to_msg(world.contacts(), world.stamp_ns))

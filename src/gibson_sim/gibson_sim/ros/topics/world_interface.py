@@ -1,4 +1,4 @@
-"""The topics of the world as a whole: the scene, its states, the map, the epochs."""
+"""Topics of the whole world: the scene, its states, the map, the epochs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from gibson_sim.types import WORLD_FRAME, CameraSpec, SceneState as State
 
 logger = logging.getLogger(__name__)
 _MAP_HEIGHT = 0.5
-"""Height above the floor up to which things count as obstacles in a world without robots, m."""
+"""Height above the floor up to which objects count as obstacles in a world without robots, m."""
 
 
 class WorldInterface:
@@ -39,10 +39,10 @@ class WorldInterface:
 
     Publishes:
         scene (gibson_msgs/Scene, latched), scene_state (gibson_msgs/SceneState).
-        map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, made from collision shapes; in a scene with several floors
+        map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, computed from collision shapes; in a scene with several floors
             also floor_0/map, floor_1/map and so on, from the lowest.
-        simulation_epoch (gibson_msgs/Epoch, latched): how often the simulation was reset.
-        /tf (tf2_msgs/TFMessage): the poses of the views, if there are any, in the map frame, with the stamp of the state.
+        simulation_epoch (gibson_msgs/Epoch, latched): number of resets of the simulation.
+        /tf (tf2_msgs/TFMessage): poses of the views, if there are any, in the map frame, with the stamp of the state.
     """
 
     def __init__(self, node: Node, config: PhysicsConfig, rules: Rules | None) -> None:
@@ -58,14 +58,14 @@ class WorldInterface:
         self._requested_views = read_views(config.views, config.wanted_view_size(), config.view_rate)
         self._views: Views | None = None
         self._floor: tuple[str, FloorExtent] | None = None
-        """Digest of a scene, and the extent of its floor, which is measured once."""
+        """Hash of a scene, and the extent of its floor, which is computed once."""
         self._tf_pub: Publisher | None = None
         self._transforms = ViewTransforms()
         self.cameras: tuple[CameraSpec, ...] = ()
-        """All cameras; ``due_cameras`` has indices into them."""
+        """All cameras of the scene; ``due_cameras`` of a state has indices into them."""
 
     def publish_scene(self, world: PhysicsWorld) -> None:
-        """Publishes the scene; is called after every change."""
+        """Publishes the scene; called after every change."""
         drawn = drawn_scene(world.scene, world.links)
         drawn = replace(drawn, cameras=with_camera_settings(drawn.cameras, self._config))
         if self._requested_views:
@@ -81,7 +81,7 @@ class WorldInterface:
         return tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
 
     def publish_state(self, state: State, due: tuple[int, ...], epoch: int, epoch_step: int) -> None:
-        """Publishes all poses, and which of ``cameras`` are due."""
+        """Publishes a state with the indices of the ``cameras`` that are due."""
         if self._views is not None:
             state = self._with_views(self._views, state)
         if self._state_layout is None or self._layout_revision != state.revision:
@@ -90,11 +90,15 @@ class WorldInterface:
         self._state_pub.publish(self._last_state)
 
     def _set_views(self, views: Views) -> DrawnScene:
-        """Sets the views of the scene; returns the scene with them."""
+        """Sets the views of the scene; returns the scene with the views.
+
+        Raises:
+            ConfigError: a requested view does not exist in the first scene.
+        """
         if views.absent and self._views is None:
             raise ConfigError(next(iter(views.absent.values())))
-        known = {} if self._views is None else self._views.absent
-        for name in views.absent.keys() - known.keys():
+        reported = {} if self._views is None else self._views.absent
+        for name in views.absent.keys() - reported.keys():
             logger.warning("%s", views.absent[name])
         if self._tf_pub is None:
             self._tf_pub = self._node.create_publisher(TFMessage, names.TF, **qos.overridable(qos.TF))
@@ -103,7 +107,7 @@ class WorldInterface:
         return views.scene
 
     def _with_views(self, views: Views, state: State) -> State:
-        """Returns the state with the views in it, and publishes their transforms."""
+        """Publishes the transforms of the views; returns the state with the views."""
         poses = views.poses(state)
         assert self._tf_pub is not None
         self._tf_pub.publish(self._transforms.message(views.cameras, poses, state.stamp_ns))
@@ -115,7 +119,7 @@ class WorldInterface:
         return self._floor[1]
 
     def publish_state_again(self) -> None:
-        """Publishes the last state once more, for a renderer that joined too late to receive it."""
+        """Republishes the last state, for a renderer that joined too late to receive it."""
         if self._last_state:
             self._state_pub.publish(self._last_state)
 
@@ -125,7 +129,7 @@ class WorldInterface:
         self._epoch_pub.publish(Epoch(header=header, epoch=epoch, scope=scope, time_rewound=rewound))
 
     def publish_map(self, world: PhysicsWorld) -> None:
-        """Publishes the maps of the world's floors; the topic ``map`` only while it has no other publisher."""
+        """Publishes the maps of the world's floors; publishes the topic ``map`` only while it has no other publisher."""
         self._destroy_maps()
         if self._config.map == "off":
             return
@@ -145,7 +149,7 @@ class WorldInterface:
             self._maps[topic].publish(conversions.floor_map_to_msg(floor, floor_z, world.stamp_ns, WORLD_FRAME))
 
     def withdraw_map(self) -> None:
-        """Withdraws ``map`` once another node publishes it: subscribers would get both, in any order."""
+        """Withdraws ``map`` once another node publishes it: subscribers would receive both, in any order."""
         if names.MAP in self._maps and self._has_other_publisher(own=1):
             self._node.destroy_publisher(self._maps.pop(names.MAP))
 
@@ -154,7 +158,7 @@ class WorldInterface:
             self._node.destroy_publisher(self._maps.popitem()[1])
 
     def _has_other_publisher(self, own: int) -> bool:
-        """Returns whether another node publishes ``map``, or did so before; ``own`` = publishers of it here."""
+        """Returns whether another node publishes ``map``, or has done so; ``own`` is the number of publishers of this node."""
         if self._config.map == "auto" and not self._map_withdrawn and self._node.count_publishers(names.MAP) > own:
             self._map_withdrawn = True
             self._node.get_logger().info("another node publishes the map: ours is withdrawn (setting map = on keeps it)")
@@ -162,7 +166,7 @@ class WorldInterface:
 
 
 def with_camera_settings(cameras: Sequence[CameraSpec], config: PhysicsConfig) -> tuple[CameraSpec, ...]:
-    """Returns the cameras with the rate, the outputs and the filling of holes that the settings give for all of them."""
+    """Returns the cameras with the rate, the outputs and the hole filling that the settings override for all cameras."""
     changes: dict[str, Any] = {}
     if config.camera_rate:
         changes["rate_hz"] = config.camera_rate
@@ -174,6 +178,6 @@ def with_camera_settings(cameras: Sequence[CameraSpec], config: PhysicsConfig) -
 
 
 def _with_mask(camera: CameraSpec) -> CameraSpec:
-    """Returns a camera whose depths that are made up are marked."""
-    marked = not camera.fill_depth or "hole" in camera.outputs
-    return camera if marked else replace(camera, outputs=(*camera.outputs, "hole"))
+    """Returns the camera with the output ``hole``, if its depth is filled, to mark the filled pixels."""
+    has_mask = not camera.fill_depth or "hole" in camera.outputs
+    return camera if has_mask else replace(camera, outputs=(*camera.outputs, "hole"))
