@@ -220,7 +220,9 @@ def test_ignored_commands(tmp_path: Path) -> None:
 
 def test_commands_that_never_arrived(tmp_path: Path) -> None:
     cause = sure(blamed(tmp_path, Run(truth=stands, commands=FOREVER, applied=[])))
-    assert cause.text.endswith("and touched nothing: the simulation received none of the commands; their type or QoS does not match")
+    assert cause.text.endswith(
+        "and touched nothing: the simulation received none of the commands; their type or QoS does not match"
+    )
 
 
 def test_commands_of_a_type_that_no_robot_takes(tmp_path: Path) -> None:

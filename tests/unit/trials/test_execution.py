@@ -13,8 +13,8 @@ from gibson_sim.errors import AlreadyRunningError, ConfigError, EnvironmentProbl
 from gibson_sim.processes.domain_lock import DomainLock
 from gibson_sim.reach import PROFILE_VARIABLE
 from gibson_sim.trials.execution import check_stack
-from gibson_sim.trials.execution.domains import lock_free_domain
-from gibson_sim.trials.execution.ending import how_it_ended, last_error, node_died, reported, stack_died
+from gibson_sim.trials.execution.domains import acquire_free_domain
+from gibson_sim.trials.execution.ending import exit_text, last_error, node_died, reported_ending, stack_died
 from gibson_sim.trials.execution.node_settings import node_settings, participants_of, stack_environment
 from gibson_sim.trials.execution.plan import TrialReport
 from gibson_sim.trials.execution.stack_log import StackLog
@@ -60,7 +60,7 @@ def test_recorder_keeps_the_images_that_the_scenario_asks_for(tmp_path: Path) ->
 
 
 def test_unknown_setting_of_physics_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"physics has 'rat', which is no setting"):
+    with pytest.raises(ConfigError, match=r"physics has 'rat', which is not a setting"):
         node_settings(scenario_of(), replace(RUN, physics={"rat": 2.0}), tmp_path, tmp_path)
 
 
@@ -75,8 +75,8 @@ def test_files_of_an_earlier_execution_are_removed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stack", "text"),
     [
-        (StackSpec(("no_such_program_here",)), "there is no program 'no_such_program_here'"),
-        (StackSpec(("./missing.sh",)), "there is no program './missing.sh'"),
+        (StackSpec(("no_such_program_here",)), "program 'no_such_program_here' not found"),
+        (StackSpec(("./missing.sh",)), "program './missing.sh' not found"),
         (replace(STACK, folder=Path("/nonexistent")), "stack.folder is '/nonexistent'"),
         (replace(STACK, goal=GoalInterface("action", "go", "NavigateToPose")), "must be package/action/Name"),
         (replace(STACK, goal=GoalInterface("service", "go", "a_msgs/action/Go")), "must be package/srv/Name"),
@@ -144,7 +144,7 @@ def test_short_output_is_kept_whole(tmp_path: Path) -> None:
 def test_end_of_a_stack_tells_how_and_its_last_line() -> None:
     assert stack_died(-11, "loading").detail == "the stack was killed by SIGSEGV; its last line: loading"
     assert stack_died(3, "").detail == "the stack ended with code 3; it printed nothing"
-    assert how_it_ended(-99) == "was killed by signal 99"
+    assert exit_text(-99) == "was killed by signal 99"
 
 
 def test_end_of_a_node_tells_its_last_error() -> None:
@@ -152,28 +152,28 @@ def test_end_of_a_node_tells_its_last_error() -> None:
     assert last_error(output) == "no such scene"
     assert node_died("physics", 1, output).detail == "the physics node ended with code 1: no such scene"
     clock = "error: another node publishes /clock in this ROS domain: stop that simulation\n"
-    assert node_died("physics", 1, clock).detail.startswith("the stack publishes /clock, which the simulation alone may do")
+    assert node_died("physics", 1, clock).detail.startswith("the stack publishes /clock, which only the simulation may do")
 
 
 def test_stack_is_not_to_blame_if_time_waited_for_a_node_of_ours() -> None:
     report = TrialReport("stack silent", "no message on cmd_vel")
     late = "WARN lockstep: waiting for {} to finish the tick at 3.000 s (the node hangs or is slow); 4.0 s so far\n"
-    assert reported(report, late.format("'record'")).end == "simulation failed"
-    found = reported(report, late.format("'record'") + late.format("'cmd_vel'"))
-    assert found.end == "stack silent"
-    assert "'cmd_vel' to finish the tick at 3.000 s" in found.detail
-    assert reported(report, "").detail == "no message on cmd_vel"
-    assert reported(TrialReport("reached", "there"), late).end == "reached"
+    assert reported_ending(report, late.format("'record'")).end == "simulation failed"
+    ending = reported_ending(report, late.format("'record'") + late.format("'cmd_vel'"))
+    assert ending.end == "stack silent"
+    assert "'cmd_vel' to finish the tick at 3.000 s" in ending.detail
+    assert reported_ending(report, "").detail == "no message on cmd_vel"
+    assert reported_ending(TrialReport("reached", "there"), late).end == "reached"
 
 
 def test_domain_with_a_simulation_is_passed_over() -> None:
-    free, lock = lock_free_domain(range(102, 110), start=0)
+    free, lock = acquire_free_domain(range(102, 110), start=0)
     try:
-        other, second = lock_free_domain(range(102, 110), start=free - 102)
+        other, second = acquire_free_domain(range(102, 110), start=free - 102)
         second.close()
         assert other != free
         with pytest.raises(AlreadyRunningError, match=f"each of the ROS domains {free} to {free}"):
-            lock_free_domain([free])
+            acquire_free_domain([free])
     finally:
         lock.close()
     DomainLock(free).close()

@@ -1,4 +1,4 @@
-"""When a run ends: by what the stack tells, by where the robot stands, by the limits."""
+"""When a run ends: decided by the stack's reports, the robot's pose and the limits."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_stack_that_tells_its_state_decides_and_not_the_pose() -> None:
     assert pass_time(monitor, 0.0, 5.0, AT_GOAL, 0.0)[0] is None
     monitor.receive_status("driving 2,1")
     assert pass_time(monitor, 5.1, 6.0, AT_GOAL, 0.0)[0] is None
-    assert not monitor.was_told
+    assert not monitor.end_was_reported
 
 
 @pytest.mark.parametrize("arrives", [3.1, 3.2])
@@ -73,7 +73,7 @@ def test_run_ends_at_the_same_tick_whether_the_text_comes_at_one_tick_or_the_nex
     monitor.receive_status("reached 2,1")
     pass_time(monitor, arrives + 0.1, 3.6, AWAY, 0.2)
     decision, stamp = pass_time(monitor, 3.7, 9.0, AWAY, 0.0)
-    assert decision == Decision("reached", "the stack tells 'reached 2,1'", round(arrives * S))
+    assert decision == Decision("reached", "the stack reports 'reached 2,1'", round(arrives * S))
     assert stamp == 5 * S, "it stands from 3.7 s on, for a second at 4.7 s; the next half second is at 5 s"
 
 
@@ -119,7 +119,7 @@ def test_time_limit_counts_from_the_goal() -> None:
     pass_time(monitor, 0.0, 1.0, AWAY, 0.2)
     monitor.give_goal(S)
     decision, stamp = pass_time(monitor, 1.1, 9.0, AWAY, 0.2)
-    assert decision == Decision("time limit", "2 s after the goal was given, 2.00 m from it; the limit is 2 s", 3 * S)
+    assert decision == Decision("time limit", "2 s after the goal was sent, 2.00 m from it; the limit is 2 s", 3 * S)
     assert stamp == 3 * S
 
 
@@ -137,7 +137,7 @@ def test_silence_of_a_stack_that_has_told_its_end_is_that_end() -> None:
     monitor.give_goal(0)
     pass_time(monitor, 0.0, 3.0, AT_GOAL, 0.2)
     monitor.receive_status("reached")
-    assert monitor.silence(0.1) == Decision("reached", "the stack tells 'reached'", 3 * S)
+    assert monitor.silence(0.1) == Decision("reached", "the stack reports 'reached'", 3 * S)
 
 
 def test_plan_survives_its_file() -> None:

@@ -162,7 +162,7 @@ class TrialNode(Node):
             self._tell_progress()
             if self._lockstep is not None and self._decision is None:
                 silence_s = time.monotonic() - self._last_tick_s
-                if silence_s > self._plan.limits.silence or (self._monitor.was_told and self._is_idle(silence_s)):
+                if silence_s > self._plan.limits.silence or (self._monitor.end_was_reported and self._is_idle(silence_s)):
                     self._decision = self._monitor.silence(silence_s)
         return 0
 

@@ -1,7 +1,7 @@
-"""One run of a trial: a simulation and the stack under test in a ROS domain of their own, watched, ended, and nothing left behind.
+"""Execution of one run: starts, monitors and ends a simulation and the stack under test in a ROS domain of their own.
 
-``supervisor`` starts and ends the processes; the rules by which a run ends are in ``monitor``, for the trial node
-(``ros/trials/trial_node.py``), which speaks to the stack.
+``supervisor`` starts and ends the processes. ``monitor`` has the rules by which a run ends, for the trial node
+(``ros/trials/trial_node.py``), which communicates with the stack.
 """
 
 from gibson_sim.trials.execution.node_settings import check_stack

@@ -9,18 +9,18 @@ from gibson_sim.errors import AlreadyRunningError
 from gibson_sim.processes.domain_lock import DomainLock
 
 DOMAINS = range(1, 102)
-"""ROS domains whose ports lie below the range from which the kernel takes those of other connections."""
+"""ROS domains whose ports lie below the kernel's range of ephemeral ports."""
 
 
-def lock_free_domain(domains: Sequence[int] = DOMAINS, start: int | None = None) -> tuple[int, DomainLock]:
-    """Returns a domain in which no simulation runs, and its lock.
+def acquire_free_domain(domains: Sequence[int] = DOMAINS, start: int | None = None) -> tuple[int, DomainLock]:
+    """Locks a domain in which no simulation runs; returns the domain and its lock.
 
     Args:
-        domains: that may be taken.
-        start: index of the one that is tried first; None = another one in each process.
+        domains: candidates.
+        start: index of the first candidate tried; None = depends on the process id.
 
     Raises:
-        AlreadyRunningError: a simulation runs in each of them.
+        AlreadyRunningError: a simulation runs in each candidate.
     """
     first = os.getpid() * 7 if start is None else start
     for number in range(len(domains)):

@@ -1,4 +1,4 @@
-"""How a run ended: told from the report of the trial node, the processes that ended, and what they wrote."""
+"""The end of a run, derived from the report of the trial node, the exited processes and their output."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from gibson_sim.trials.records import End
 _ERROR = re.compile(r"(?:error: |\[?(?:ERROR|FATAL)\]?:? )(.+)")
 _WAITS = re.compile(r"lockstep: waiting for (.+?); [\d.]+ s so far")
 _CLOCK = "another node publishes /clock"
-"""Error of physics; no other simulation is in the ROS domain of a run."""
+"""Error of the physics node; a run's ROS domain has no other simulation."""
 _OURS = ("'record'", "'render'")
-"""Our participants of lockstep, beside the trial node, as physics names them."""
+"""Lockstep participants of ours besides the trial node, as the physics node names them."""
 _LONGEST = 300
-"""Characters of a line that is quoted."""
+"""Largest length of a quoted line, characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a run ended."""
+    """The end of a run."""
 
     end: End
     detail: str
 
 
-def how_it_ended(code: int) -> str:
-    """Returns an exit code in words."""
+def exit_text(code: int) -> str:
+    """Returns a description of an exit code; negative = the signal."""
     if code >= 0:
         return f"ended with code {code}"
     try:
@@ -39,7 +39,7 @@ def how_it_ended(code: int) -> str:
 
 
 def last_error(output: str) -> str:
-    """Returns the last error in the output of a node; empty = there is none."""
+    """Returns the last error in the output of a node; empty = none."""
     for line in reversed(output.splitlines()):
         if match := _ERROR.match(line.strip()):
             return clipped(match[1], _LONGEST)
@@ -47,31 +47,31 @@ def last_error(output: str) -> str:
 
 
 def stack_died(code: int, last_line: str) -> Ending:
-    """Returns the end of a run whose stack ended by itself."""
+    """Returns the end of a run whose stack exited by itself."""
     line = clipped(last_line, _LONGEST)
-    return Ending(
-        "stack died", f"the stack {how_it_ended(code)}" + (f"; its last line: {line}" if line else "; it printed nothing")
-    )
+    return Ending("stack died", f"the stack {exit_text(code)}" + (f"; its last line: {line}" if line else "; it printed nothing"))
 
 
 def node_died(name: str, code: int, output: str) -> Ending:
-    """Returns the end of a run one of whose nodes ended too early."""
+    """Returns the end of a run in which a node exited early."""
     error = last_error(output)
     if _CLOCK in error:
         return Ending(
-            "simulation failed", "the stack publishes /clock, which the simulation alone may do: let it run with use_sim_time"
+            "simulation failed", "the stack publishes /clock, which only the simulation may do: run the stack with use_sim_time"
         )
-    return Ending("simulation failed", f"the {name} node {how_it_ended(code)}" + (f": {error}" if error else ""))
+    return Ending("simulation failed", f"the {name} node {exit_text(code)}" + (f": {error}" if error else ""))
 
 
 def server_died() -> Ending:
-    """Returns the end of a run whose node server, the parent of nodes and stack, ended, and all of them with it."""
-    return Ending("simulation failed", "the parent process of nodes and stack ended: killed by the stack, or for lack of memory")
+    """Returns the end of a run whose node server, the parent of nodes and stack, exited together with all of them."""
+    return Ending(
+        "simulation failed", "the parent process of nodes and stack ended: killed by the stack or by the out-of-memory killer"
+    )
 
 
-def reported(report: TrialReport, physics_output: str) -> Ending:
-    """Returns the end that the trial node reports. If time waited for one of our nodes, the stack is not to blame."""
-    end: End = report.end  # type: ignore[assignment] # of JSON
+def reported_ending(report: TrialReport, physics_output: str) -> Ending:
+    """Returns the end that the trial node reports; a failure of the simulation if time waited for one of our nodes."""
+    end: End = report.end  # type: ignore[assignment] # from JSON
     if end != "stack silent":
         return Ending(end, report.detail)
     waits = _WAITS.findall(physics_output)

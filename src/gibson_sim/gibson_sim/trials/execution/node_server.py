@@ -1,4 +1,4 @@
-"""The supervisor's end of the node server (``ros/trials/node_server.py``), which starts the processes of a run, and outlives runs."""
+"""Client of the node server (``ros/trials/node_server.py``), which starts the processes of a run and is reused by later runs."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from gibson_sim.interrupts import held_back
 from gibson_sim.processes.node_process import command_of, node_arguments
 
 SOCKET_VARIABLE = "GIBSON_SIM_NODE_SERVER"
-"""Environment variable of the server with the number of the socket that it inherits."""
+"""Environment variable of the server: descriptor of the socket that it inherits."""
 REST = "rest"
-"""Stands for processes that ended ones left behind."""
+"""Name for the processes that exited processes left behind."""
 _LARGEST = 1 << 16
-"""Largest report, bytes."""
+"""Largest size of a report, bytes."""
 _END_S = 15.0
-"""Wall time that the server has to end what it started, seconds."""
+"""Timeout for the server to end its processes, seconds of wall time."""
 
 
 class NodeServer:
-    """Starts nodes by forking a process that has loaded their modules, and programs.
+    """Starts programs, and nodes by forking a process that has already imported their modules.
 
-    The server ends, and all that it started, when this object is closed or this process ends in any way.
+    The server and all its processes end when this object is closed or when this process ends for any reason.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        """Starts the server; ``environment`` is that of its nodes, but for what each start changes."""
+        """Starts the server; ``environment`` is the base environment of its nodes."""
         self._environment = dict(environment)
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs, held_back():
@@ -50,32 +50,32 @@ class NodeServer:
         """Whether the server has closed its end of the socket."""
         self._running: set[str] = set()
         self.ended: dict[str, int] = {}
-        """Name -> exit code of each process that ended; negative = the signal."""
+        """Name -> exit code of each exited process; negative = the signal."""
         self.cpu_s: dict[str, float] = {}
-        """Name -> processor time of each process that ended, with those of its children that it waited for, seconds."""
+        """Name -> CPU time of each exited process, including children that it waited for, seconds."""
 
     @property
     def running(self) -> frozenset[str]:
-        """Names of the processes that have not ended."""
+        """Names of the running processes."""
         return frozenset(self._running)
 
     @property
     def is_alive(self) -> bool:
-        """Whether the server itself runs."""
+        """Whether the server is running."""
         return not self._hung_up and self._process.poll() is None
 
     def fileno(self) -> int:
-        """Returns the descriptor that becomes readable when a process has ended."""
+        """Returns the file descriptor that becomes readable when a process has exited."""
         return self._socket.fileno()
 
     def start_node(self, name: str, module: str, config: Any, environment: Mapping[str, str], output: int) -> None:
         """Starts a node.
 
         Args:
-            name: by which the other methods know it; any of before that has ended.
-            module: of ``gibson_sim.ros.nodes``.
-            config: its settings.
-            environment: what differs from the server's environment.
+            name: name for the other methods; a previous process of this name must have exited.
+            module: module of ``gibson_sim.ros.nodes``.
+            config: settings of the node.
+            environment: variables that differ from the server's environment.
             output: descriptor for stdout and stderr.
         """
         command = command_of(module, *node_arguments(config))
@@ -88,11 +88,11 @@ class NodeServer:
         """Starts a program in a session of its own.
 
         Args:
-            name: by which the other methods know it.
+            name: name for the other methods; a previous process of this name must have exited.
             command: program and arguments.
-            folder: in which it starts.
-            environment: all of its variables.
-            marker: the one of them that tells its processes from all others.
+            folder: working folder.
+            environment: complete environment.
+            marker: name of the variable that identifies the program's processes.
             output: descriptor for stdout and stderr.
         """
         changes: dict[str, str | None] = {n: v for n, v in environment.items() if self._environment.get(n) != v}
@@ -105,27 +105,27 @@ class NodeServer:
         try:
             socket.send_fds(self._socket, [json.dumps({"name": name, **request}).encode()], [output])
         except OSError as error:
-            raise EnvironmentProblemError(f"{name} cannot be started: the node server does not answer ({error})") from error
+            raise EnvironmentProblemError(f"{name} cannot be started: the node server does not respond ({error})") from error
         self._running.add(name)
 
     def signal(self, name: str, number: int) -> None:
-        """Sends a signal to the process group of a process; does nothing once that has ended."""
+        """Sends a signal to the process group of a process; does nothing after the process has exited."""
         if name in self._running and self.is_alive:
             try:
                 self._socket.send(json.dumps({"do": "signal", "name": name, "number": int(number)}).encode())
-            except OSError:  # the server has ended meanwhile, which ``poll`` tells
+            except OSError:  # the server has exited, which ``poll`` detects
                 return
 
     def end_rest(self) -> None:
-        """Ends what the processes that have ended left behind; ``REST`` is in ``running`` until that is done."""
+        """Ends the processes that exited processes left behind; ``REST`` is in ``running`` until they have ended."""
         try:
             self._socket.send(json.dumps({"do": "end rest", "name": REST}).encode())
-        except OSError:  # the server has ended meanwhile, and all with it
+        except OSError:  # the server has exited with all its processes
             return
         self._running.add(REST)
 
     def poll(self) -> None:
-        """Reads which processes have ended, without waiting; all have if the server has ended."""
+        """Updates ``running`` and ``ended`` without waiting; if the server has exited, all processes have."""
         while self._running:
             try:
                 data = self._socket.recv(_LARGEST, socket.MSG_DONTWAIT)
@@ -144,7 +144,7 @@ class NodeServer:
             self.cpu_s[event["ended"]] = event["cpu_s"]
 
     def close(self) -> None:
-        """Ends the server, and all that it started."""
+        """Ends the server and all its processes."""
         self._socket.close()
         try:
             self._process.wait(_END_S)
@@ -154,24 +154,24 @@ class NodeServer:
 
 
 class ServerPool:
-    """The node servers of this process: each serves one run at a time, and is used again."""
+    """The node servers of this process: each serves one run at a time and is reused."""
 
     def __init__(self) -> None:
         self._idle: list[tuple[dict[str, str], NodeServer]] = []
         self._lock, self._owner = threading.Lock(), os.getpid()
 
     def acquire(self, environment: Mapping[str, str]) -> NodeServer:
-        """Returns a server with this environment."""
+        """Returns an idle or new server with the given environment."""
         with self._lock:
-            self._forget_if_forked()
-            for number, (own, server) in enumerate(self._idle):
-                if own == environment and server.is_alive:
+            self._drop_if_forked()
+            for number, (server_environment, server) in enumerate(self._idle):
+                if server_environment == environment and server.is_alive:
                     del self._idle[number]
                     return server
         return NodeServer(environment)
 
     def release(self, environment: Mapping[str, str], server: NodeServer) -> None:
-        """Gives a server back; one that still has processes, or has ended, is closed."""
+        """Returns a server to the pool; closes it if it still has processes or has exited."""
         if server.running or not server.is_alive:
             server.close()
             return
@@ -182,18 +182,18 @@ class ServerPool:
     def close(self) -> None:
         """Ends the idle servers."""
         with self._lock:
-            self._forget_if_forked()
+            self._drop_if_forked()
             for _, server in self._idle:
                 server.close()
             self._idle.clear()
 
-    def _forget_if_forked(self) -> None:
-        """Leaves the servers of the process that this one was forked from to that process."""
+    def _drop_if_forked(self) -> None:
+        """Drops the servers of the parent process after a fork."""
         if self._owner != os.getpid():
             self._owner = os.getpid()
             self._idle.clear()
 
 
 SERVERS = ServerPool()
-"""Servers of this process; they end with it."""
+"""Servers of this process; they end with the process."""
 atexit.register(SERVERS.close)

@@ -1,4 +1,4 @@
-"""The settings of the nodes of a run, and the checks of a stack that need nothing started."""
+"""Settings of the nodes of a run, and checks of a stack before it is started."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from gibson_sim.trials.records import RunSpec
 from gibson_sim.trials.scenario_spec import GoalInterface, Scenario, StackSpec
 
 LONGEST_TICK_S = 86_400.0
-"""Timeout of physics for a tick of lockstep, seconds: the trial node ends a run before, since only it knows whether the stack has a goal."""
+"""Timeout of the physics node for a lockstep tick, seconds: the trial node, which knows whether the stack has a goal, ends a run earlier."""
 BAG = "bag"
 """Folder of the bag in the folder of the run."""
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(action|srv)/[A-Za-z]\w*")
 _MOST_LISTED = 10
-"""Types of a package that a message names."""
+"""Number of types of a package that a message lists."""
 POSE_TYPE = "geometry_msgs/PoseStamped"
-"""Type of the field of an action's goal, or a service's request, that is filled."""
+"""Type of the field of an action's goal or a service's request that receives the pose."""
 _NOT_A_NAME = re.compile(r"[^\w-]")
 
 
 @dataclass(frozen=True, slots=True)
 class NodeSettings:
-    """Settings of all nodes that a run may need."""
+    """Settings of all nodes of a run."""
 
     physics: PhysicsConfig
     record: RecordConfig
@@ -45,19 +45,19 @@ class NodeSettings:
 
 
 def check_stack(stack: StackSpec) -> None:
-    """Checks what can be known of a stack before it is started.
+    """Checks a stack before it is started.
 
     Raises:
-        ConfigError: its type of the goal or a rule of lockstep is of another form than the message shows, or has no field for a pose.
-        EnvironmentProblemError: its program or a message package is not installed.
+        ConfigError: the type of the goal or a lockstep rule is malformed, or the goal type has no field for a pose.
+        EnvironmentProblemError: the program or a message package is not installed.
     """
     if not stack.command:
         raise ConfigError("stack.command is empty, must be a program and its arguments")
     path = {**os.environ, **stack.environment}.get("PATH")
     program = stack.command[0]
-    there = (stack.folder / program).exists() if "/" in program else shutil.which(program, path=path)
-    if not there:
-        raise EnvironmentProblemError(f"stack.command: there is no program {quoted(program)}; install it, or give its path")
+    exists = (stack.folder / program).exists() if "/" in program else shutil.which(program, path=path)
+    if not exists:
+        raise EnvironmentProblemError(f"stack.command: program {quoted(program)} not found; install it, or give its path")
     if not stack.folder.is_dir():
         raise ConfigError(f"stack.folder is {quoted(str(stack.folder))}, must be a folder that exists")
     packages = ["lifecycle_msgs"] if stack.ready.node else []
@@ -66,13 +66,13 @@ def check_stack(stack: StackSpec) -> None:
         folder = {"action": "action", "service": "srv"}[stack.goal.kind]
         if match is None or match[2] != folder:
             raise ConfigError(
-                f"stack.goal.type is {quoted(stack.goal.type)}, must be package/{folder}/Name, as nav2_msgs/action/NavigateToPose"
+                f"stack.goal.type is {quoted(stack.goal.type)}, must be package/{folder}/Name, such as nav2_msgs/action/NavigateToPose"
             )
         packages.append(match[1])
     for package in packages:
         if find_spec(package) is None:
             raise EnvironmentProblemError(
-                f"the stack is spoken to with messages of package {quoted(package)}, which this Python cannot import: install it, or "
+                f"the interface of the stack uses package {quoted(package)}, which this Python cannot import: install it, or "
                 "source the ROS workspace that has it"
             )
     if stack.goal.kind in ("action", "service"):
@@ -81,45 +81,45 @@ def check_stack(stack: StackSpec) -> None:
 
 
 def _check_goal(goal: GoalInterface) -> None:
-    """Checks that a package has the type of a goal, with a field for the pose; reads its generated source, and imports none of it.
+    """Checks that a package has the type of a goal, with a field for the pose; reads the generated source without importing it.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: the package lacks the type, or the type lacks the field.
     """
     package, folder, name = goal.type.split("/")
     spec = find_spec(package)
-    sources = Path(next(iter(spec.submodule_search_locations or ("",))) if spec else "") / folder
+    folder_path = Path(next(iter(spec.submodule_search_locations or ("",))) if spec else "") / folder
     part = f"{name}_{'Goal' if folder == 'action' else 'Request'}"
-    texts = [source.read_text(errors="replace") for source in sorted(sources.glob("_*.py"))]
+    texts = [file.read_text(errors="replace") for file in sorted(folder_path.glob("_*.py"))]
     if not texts:
-        return  # of another generator; the trial node tells
-    own = next((text for text in texts if re.search(rf"^class {part}\(", text, re.MULTILINE)), None)
-    if own is None:
-        found = sorted(match for text in texts for match in re.findall(r"^class ([A-Za-z0-9]+)\(metaclass", text, re.MULTILINE))
-        hint = nearest(name, found)
+        return  # from another generator; the trial node reports errors
+    source = next((text for text in texts if re.search(rf"^class {part}\(", text, re.MULTILINE)), None)
+    if source is None:
+        names = sorted(match for text in texts for match in re.findall(r"^class ([A-Za-z0-9]+)\(metaclass", text, re.MULTILINE))
+        hint = nearest(name, names)
         raise ConfigError(
             f"stack.goal.type is {quoted(goal.type)}, which package {package} does not have; {f'{hint} ' if hint else ''}"
-            f"known: {', '.join(found[:_MOST_LISTED])}"
+            f"known: {', '.join(names[:_MOST_LISTED])}"
         )
-    table = re.search(rf"^class {part}\(.*?_fields_and_field_types = \{{(.*?)\}}", own, re.MULTILINE | re.DOTALL)
+    table = re.search(rf"^class {part}\(.*?_fields_and_field_types = \{{(.*?)\}}", source, re.MULTILINE | re.DOTALL)
     fields = dict(re.findall(r"'(\w+)': '([^']+)'", table[1])) if table else {}
     if table and fields.get(goal.field) != POSE_TYPE:
-        told = ", ".join(f"{field} ({kind})" for field, kind in fields.items())
+        field_texts = ", ".join(f"{field} ({kind})" for field, kind in fields.items())
         raise ConfigError(
-            f"stack.goal.field is {quoted(goal.field)}, must be a field of type {POSE_TYPE} of {goal.type}, which has {told or 'none'}"
+            f"stack.goal.field is {quoted(goal.field)}, must be a field of type {POSE_TYPE} of {goal.type}, which has {field_texts or 'none'}"
         )
 
 
 def participants_of(stack: StackSpec, ours: tuple[str, ...]) -> str:
-    """Returns the setting ``participants`` of physics: our nodes, and the rules of a stack, each with a name.
+    """Returns the setting ``participants`` of the physics node: our nodes, and the rules of a stack, each with a name.
 
     Raises:
-        ConfigError: a rule is not of the form that the message shows.
+        ConfigError: a rule is malformed.
     """
     rules = []
     for rule in stack.lockstep:
-        named = rule if "=" in rule else f"{_NOT_A_NAME.sub('_', rule.split()[0].strip('/')) if rule.split() else ''}={rule}"
-        rules.append(named)
+        named_rule = rule if "=" in rule else f"{_NOT_A_NAME.sub('_', rule.split()[0].strip('/')) if rule.split() else ''}={rule}"
+        rules.append(named_rule)
     text = "; ".join((*ours, *rules))
     PhysicsConfig(lockstep=True, participants=text)
     from gibson_sim.standard.lockstep import parse_participants
@@ -132,10 +132,10 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
     """Returns the settings of the nodes of a run.
 
     Args:
-        scenario: of the trial.
+        scenario: scenario of the trial.
         run: one of its runs.
-        folder: of the run.
-        job: folder for files between the nodes.
+        folder: folder of the run.
+        job: folder for files exchanged between the nodes.
 
     Raises:
         ConfigError: a setting has a value that is not allowed.
@@ -143,8 +143,10 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
     known = PhysicsConfig.__dataclass_fields__
     unknown = sorted(run.physics.keys() - known.keys())
     if unknown:
-        raise ConfigError(f"physics has {quoted(unknown[0])}, which is no setting of the physics node; see `gibson-sim params`")
-    draws = scenario.record.images != "none"
+        raise ConfigError(
+            f"physics has {quoted(unknown[0])}, which is not a setting of the physics node; see `gibson-sim params`"
+        )
+    renders = scenario.record.images != "none"
     values: dict[str, Any] = {
         **run.physics,
         "scene": run.scene,
@@ -154,11 +156,11 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
         "start_paused": True,
         "digests": True,
         "duration": 0.0,
-        "wait_for": "scene_state:2,robots:2,cameras:1" if draws else "scene_state:1,robots:2",
+        "wait_for": "scene_state:2,robots:2,cameras:1" if renders else "scene_state:1,robots:2",
         "summary_path": str(job / "physics.json"),
     }
     if scenario.stack.lockstep:
-        participants = participants_of(scenario.stack, ("trial", "record", "render") if draws else ("trial", "record"))
+        participants = participants_of(scenario.stack, ("trial", "record", "render") if renders else ("trial", "record"))
         values |= {"lockstep": True, "rate": 0.0, "participants": participants, "participant_timeout": LONGEST_TICK_S}
         values["on_timeout"] = "stop"
     else:
@@ -175,13 +177,13 @@ def node_settings(scenario: Scenario, run: RunSpec, folder: Path, job: Path) -> 
 
 
 def stack_environment(stack: StackSpec, domain: int, marker: str, base: Mapping[str, str]) -> dict[str, str]:
-    """Returns all environment variables of a stack.
+    """Returns the complete environment of a stack.
 
     Args:
-        stack: which may set some of its own.
+        stack: stack, which may set variables.
         domain: ROS domain.
-        marker: tells the processes of this run from all others.
-        base: variables of this process.
+        marker: text that identifies the processes of this run.
+        base: environment of this process.
     """
     values = dict(base)
     for name, value in reach_variables(base, LOCAL).items():
@@ -189,6 +191,6 @@ def stack_environment(stack: StackSpec, domain: int, marker: str, base: Mapping[
             values[name] = value
         else:
             values.pop(name, None)
-    values.setdefault("PYTHONUNBUFFERED", "1")  # the last line of a program that crashes would be missing
+    values.setdefault("PYTHONUNBUFFERED", "1")  # otherwise the last line of a crashing program would be lost
     values |= {**stack.environment, "ROS_DOMAIN_ID": str(domain), MARKER: marker}
     return values

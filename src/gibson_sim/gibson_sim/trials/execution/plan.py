@@ -1,4 +1,4 @@
-"""What the trial node is told: a run, how its stack is spoken to, and when the run ends. JSON in the job's folder, and so is its answer."""
+"""Input and report of the trial node, as JSON in the job's folder: the run, the interface of its stack and its limits; the run's end."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from gibson_sim.trials.scenario_spec import GoalInterface, InitialPose, Limits, 
 from gibson_sim.types import NS_PER_S
 
 PLAN, REPORT, PROGRESS, CLOCK, IMAGES = "plan.json", "trial.json", "progress", "clock", "images"
-"""Files in the folder of the job: for the trial node; its report; how far the run is, as text; its newest stamp, ns; that images have
-subscribers, empty."""
+"""Files in the folder of the job: input of the trial node; its report; progress of the run as text; latest stamp, ns; empty file that exists
+if images have subscribers."""
 MARKER = "GIBSON_SIM_TRIAL"
-"""Environment variable of a stack and of all processes that it starts: a text that no other run has."""
+"""Environment variable that identifies a stack and its child processes: a text unique to the run."""
 KEPT_NS = NS_PER_S // 2
-"""Simulation time in which a stack that was kept over runs notices that time began again, ns."""
+"""Simulation time for a stack kept from an earlier run to detect the jump back in time, ns."""
 TASK_GOAL = "task/goal"
-"""Topic of the goal where it is given as for tasks."""
+"""Topic of the goal for ``task``."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrialPlan:
-    """What the trial node needs of scenario and run."""
+    """Input of the trial node from scenario and run."""
 
     run: RunSpec
     ready: Ready
@@ -34,15 +34,15 @@ class TrialPlan:
     reached: Reached | None
     lockstep: bool
     answers: tuple[str, ...]
-    """Topics of the rules of lockstep, on which the stack answers."""
+    """Topics of the lockstep rules, on which the stack answers."""
     marker: str = ""
-    """Value of the variable ``MARKER`` of the stack's processes; empty = they have none."""
+    """Value of the variable ``MARKER`` of the stack's processes; empty = none."""
     goal_from_ns: int = 0
-    """Stamp before which neither initial pose nor goal are given, ns."""
+    """Stamp before which neither initial pose nor goal is sent, ns."""
 
     @classmethod
     def of(cls, scenario: Scenario, run: RunSpec, marker: str = "", *, kept: bool = False) -> TrialPlan:
-        """Returns the plan of a run whose stack has a marker; one that was kept from an earlier run has been ready already."""
+        """Returns the plan of a run; a stack ``kept`` from an earlier run has no conditions to become ready."""
         stack = scenario.stack
         answers = tuple(rule.partition("=")[2].split()[0] if "=" in rule else rule.split()[0] for rule in stack.lockstep)
         return cls(
@@ -60,12 +60,12 @@ class TrialPlan:
         )
 
     def to_json(self) -> str:
-        """Returns the plan as text."""
+        """Returns the plan as JSON text."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> TrialPlan:
-        """Returns the plan that ``to_json`` returned."""
+        """Restores a plan from the text that ``to_json`` returned."""
         values = json.loads(text)
         return cls(
             RunSpec.from_json(values["run"]),
@@ -83,31 +83,31 @@ class TrialPlan:
 
     @property
     def goal_topic(self) -> str:
-        """Topic of the goal; empty = it is an action or a service."""
+        """Topic of the goal; empty = the goal is sent by an action or a service."""
         return {"topic": self.goal.name, "task": TASK_GOAL}.get(self.goal.kind, "")
 
     @property
-    def stack_tells(self) -> bool:
-        """Whether the stack tells how it fares; else the true pose alone decides."""
+    def stack_reports(self) -> bool:
+        """Whether the stack reports its status; otherwise the true pose alone decides."""
         return bool(self.status.topic) or self.goal.kind == "action"
 
 
 @dataclass(slots=True)
 class TrialReport:
-    """What the trial node saw; times of CLOCK_MONOTONIC, seconds, which all processes share."""
+    """Report of the trial node; ``_s`` times are CLOCK_MONOTONIC, seconds, shared by all processes."""
 
     end: str = ""
-    """How the run ended; empty = the node was ended."""
+    """End of the run, see ``records.End``; empty = the node was ended."""
     detail: str = ""
     goal_ns: int = -1
     decided_ns: int = -1
     end_ns: int = -1
     status: str = ""
     began_s: float = 0.0
-    """When the first tick arrived; 0 = none did."""
+    """Time of arrival of the first tick; 0 = none."""
     ended_s: float = 0.0
-    """When the last tick arrived."""
+    """Time of arrival of the last tick."""
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as values of JSON."""
+        """Returns the report as JSON values."""
         return asdict(self)

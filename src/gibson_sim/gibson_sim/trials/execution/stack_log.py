@@ -1,4 +1,4 @@
-"""The output of a stack, in a file of limited size."""
+"""Log file of limited size for the output of a stack."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 HALF = 2_000_000
-"""Bytes kept of the beginning, and of the end, of an output that is longer than both."""
+"""Size of the kept beginning and of the kept end of a long output, bytes."""
 
 
 class StackLog:
-    """Writes output to a file as it comes; of an output that floods the disk only its beginning and its end."""
+    """Writes output to a file as it arrives; of a long output, only the beginning and the end are kept."""
 
     def __init__(self, path: Path, half: int = HALF) -> None:
-        """Makes the file; ``half``: bytes of the beginning and of the end that are kept."""
+        """Creates the file; ``half``: size of the kept beginning and of the kept end, bytes."""
         self._file: BinaryIO | None = path.open("wb", buffering=0)
         self._room, self._half = half, half
         self._tail: deque[bytes] = deque()
@@ -22,7 +22,7 @@ class StackLog:
         self._line = b""
 
     def write(self, data: bytes) -> None:
-        """Adds output."""
+        """Appends output."""
         if self._file is None or not data:
             return
         self._line = (self._line + data)[-4096:]
@@ -39,12 +39,12 @@ class StackLog:
 
     @property
     def last_line(self) -> str:
-        """The last line that is not empty, without colours."""
+        """The last non-empty line."""
         lines = [line.strip() for line in self._line.decode(errors="replace").splitlines() if line.strip()]
         return lines[-1] if lines else ""
 
     def close(self) -> None:
-        """Writes the end, and closes the file."""
+        """Writes the kept end and closes the file."""
         if self._file is None:
             return
         file, self._file = self._file, None

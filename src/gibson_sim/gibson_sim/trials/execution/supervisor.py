@@ -1,7 +1,7 @@
-"""One run: starts simulation, recorder, trial node and stack in a ROS domain of their own, watches them, and ends them all.
+"""Supervisor of one run: starts, monitors and ends simulation, recorder, trial node and stack in a ROS domain of their own.
 
-A stack that is kept over runs (``restart: never``) stays in its domain while the simulation is started anew for each run: to the stack it looks
-like a reset, time begins at 0 again. Each run so has a bag of its own that repeats it.
+A stack that is kept over runs (``restart: never``) stays in its domain while the simulation is restarted for each run. To the stack this looks
+like a reset: time starts at 0 again. Each run thus has a bag of its own for replay.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from gibson_sim.processes.job_folder import LOADED, VARIABLE, read_note
 from gibson_sim.processes.shared_memory import remove_dead_segments
 from gibson_sim.trials.execution.domains import DOMAINS
-from gibson_sim.trials.execution.ending import Ending, node_died, reported, server_died, stack_died
+from gibson_sim.trials.execution.ending import Ending, node_died, reported_ending, server_died, stack_died
 from gibson_sim.trials.execution.monitor import STILL_NS
 from gibson_sim.trials.execution.node_settings import BAG, NodeSettings, check_stack, node_settings
 from gibson_sim.trials.execution.plan import CLOCK, IMAGES, PLAN, PROGRESS, REPORT, TrialPlan, TrialReport
@@ -31,19 +31,19 @@ from gibson_sim.writing import write_file
 PHYSICS, RENDER, RECORD, TRIAL = "physics", "render", "record", "trial"
 _NODES = (PHYSICS, RENDER, RECORD, TRIAL)
 _PERIOD_S = 0.02
-"""Period in which the supervisor looks at everything, seconds of wall time."""
+"""Polling period of the supervisor, seconds of wall time."""
 _PROGRESS_S = 0.5
-"""Period of reports of progress, seconds of wall time."""
-_LAST_WORD_S = 1.5
-"""Wall time that the trial node has to tell what a stack told before it ended, seconds."""
+"""Period of progress reports, seconds of wall time."""
+_LAST_REPORT_S = 1.5
+"""Timeout for the trial node to report a status that the stack sent before it exited, seconds of wall time."""
 _REST_NS = STILL_NS + 2 * NS_PER_S
-"""Simulation time in which a robot comes to rest, and is seen to stand, after its stack ended with code 0, ns."""
+"""Simulation time for a robot to come to rest, and for this to be detected, after its stack exited with code 0, ns."""
 _STALL_S = 3.0
-"""Wall time without a tick after which time stands still, seconds: it waits for the stack that ended."""
+"""Wall time without a tick after which simulation time counts as stalled, seconds: it waits for the exited stack."""
 _GOOD_ENDS = ("reached", "gave up", "time limit")
-"""Ends after which a stack can be kept; after others it is started anew."""
+"""Ends after which a stack can be kept; after others it is restarted."""
 JOB = "job"
-"""Folder in that of the run with files between the nodes; it goes with the run."""
+"""Subfolder of the run's folder for files exchanged between the nodes; removed after the run."""
 
 
 def execute(
@@ -56,20 +56,20 @@ def execute(
     on_progress: Callable[[str], None] = lambda text: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Outcome:
-    """Executes one run, and leaves nothing behind but its folder: run.json, outcome.json, bag, stack.log, simulation.log.
+    """Executes one run; leaves only its folder behind: run.json, outcome.json, bag, stack.log, simulation.log.
 
     Args:
-        scenario: of the trial.
+        scenario: scenario of the trial.
         run: one of its runs.
-        folder: of the run; it is made, and files of an earlier run in it are removed.
-        domains: ROS domains of which a free one is taken.
-        followed: whether this process is about to execute another run: a stack that starts anew for each run is then started for it at the end
-            of this one, so that it loads while this run is judged.
-        on_progress: is called with a short text now and then.
-        stop: is asked often whether to interrupt the run.
+        folder: folder of the run; it is created, and files of an earlier run in it are removed.
+        domains: candidate ROS domains.
+        followed: whether this process executes another run next: a stack that is restarted for each run is then started at the end of this
+            run, so that it loads while this run is judged.
+        on_progress: called periodically with a short text.
+        stop: called frequently; returns whether to interrupt the run.
 
     Raises:
-        GibsonSimError: the stack or a setting cannot be used, or no domain is free; nothing was started.
+        GibsonSimError: the stack or a setting cannot be used, or no domain is free; no process was started.
     """
     check_stack(scenario.stack)
     settings = node_settings(scenario, run, folder, folder / JOB)
@@ -84,7 +84,7 @@ def execute(
         else:
             session.close()
         shutil.rmtree(folder / JOB, ignore_errors=True)
-    # Not before the old one has ended: two at once could want the same port or file.
+    # Only after the old stack has ended: two at once could need the same port or file.
     if followed and not kept and not stop():
         SESSIONS.prepare(scenario.stack, domains)
     write_file(folder / "outcome.json", json.dumps(outcome.to_json(), indent=1) + "\n", durable=False)
@@ -92,7 +92,7 @@ def execute(
 
 
 def prepare_folder(run: RunSpec, folder: Path) -> None:
-    """Makes the folder of a run with its files, and removes what an earlier execution left in it."""
+    """Creates the folder of a run with its files and removes the files of an earlier execution."""
     for name in (BAG, JOB):
         shutil.rmtree(folder / name, ignore_errors=True)
     for name in ("outcome.json", "result.json", "stack.log", "simulation.log"):
@@ -110,7 +110,7 @@ class _Run:
         self, scenario: Scenario, run: RunSpec, folder: Path, settings: NodeSettings, session: Session,
         on_progress: Callable[[str], None], stop: Callable[[], bool], *, kept: bool,
     ) -> None:  # fmt: skip
-        """``kept``: whether the stack has served a run before."""
+        """``kept``: whether the stack has served an earlier run."""
         self._scenario, self._folder, self._job, self._settings = scenario, folder, folder / JOB, settings
         self._session, self._server, self._on_progress, self._stop = session, session.server, on_progress, stop
         self._plan = TrialPlan.of(scenario, run, session.marker, kept=kept)
@@ -120,10 +120,10 @@ class _Run:
         self._stack_code: int | None = None
 
     def execute(self) -> Outcome:
-        """Returns how the run ended."""
+        """Executes the run; returns its outcome."""
         try:
             self._start()
-            ending = self._watch()
+            ending = self._monitor()
             decided_s = time.monotonic()
             self._keeps_stack = self._scenario.stack.restart == "never" and ending.end in _GOOD_ENDS
         finally:
@@ -153,18 +153,18 @@ class _Run:
     def _log_of(self, name: str) -> Path:
         return self._job / f"{name}.log"
 
-    def _written_by(self, name: str) -> str:
+    def _output_of(self, name: str) -> str:
         try:
             return self._log_of(name).read_text(errors="replace")
         except OSError:  # it was not started
             return ""
 
-    # Watch
+    # Monitoring
 
-    def _watch(self) -> Ending:
+    def _monitor(self) -> Ending:
         limit_s = self._scenario.limits.wall_time
         while True:
-            self._look()
+            self._poll()
             if ending := self._ending():
                 return ending
             now_s = time.monotonic()
@@ -177,23 +177,23 @@ class _Run:
                 self._on_progress(self._progress())
 
     def _ending(self) -> Ending | None:
-        """Returns how the run ended; None = it goes on."""
+        """Returns the end of the run; None = the run continues."""
         ended = self._server.ended
         if (report := self._report()).end:
-            return reported(report, self._written_by(PHYSICS))
+            return reported_ending(report, self._output_of(PHYSICS))
         if ended and not self._server.is_alive:
             return server_died()
         if TRIAL in ended:
-            # It ends without a report where physics is at fault, too.
+            # The trial node also exits without a report after a failure of the physics node.
             self._wait(lambda: PHYSICS in ended, 0.5)
         for name in (PHYSICS, TRIAL, RECORD, RENDER):
             if name in ended:
-                return node_died(name, ended[name], self._written_by(name))
+                return node_died(name, ended[name], self._output_of(name))
         if STACK in ended:
             self._stack_code = ended[STACK]
-            self._wait_for_last_word(self._stack_code)
+            self._wait_for_last_report(self._stack_code)
             if (report := self._report()).end:
-                return reported(report, self._written_by(PHYSICS))
+                return reported_ending(report, self._output_of(PHYSICS))
             return stack_died(self._stack_code, self._log.last_line)
         if RENDER not in self._server.running and read_note(self._job, IMAGES) is not None:
             self._start_node(RENDER, self._settings.render)
@@ -201,11 +201,11 @@ class _Run:
 
     def _progress(self) -> str:
         if read_note(self._job, LOADED) is None:
-            return "the scene is loaded"
-        return read_note(self._job, PROGRESS) or "the stack starts"
+            return "loading the scene"
+        return read_note(self._job, PROGRESS) or "starting the stack"
 
-    def _look(self, wait_s: float = _PERIOD_S) -> None:
-        """Reads what the stack writes, and which processes ended; waits if there is nothing."""
+    def _poll(self, wait_s: float = _PERIOD_S) -> None:
+        """Reads the stack's output and polls for exited processes; waits if there is no output."""
         self._server.poll()
         data = self._session.read()
         self._log.write(data)
@@ -213,21 +213,21 @@ class _Run:
             time.sleep(wait_s)
 
     def _wait(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Returns whether a condition came true in time."""
+        """Waits for a condition; returns whether it became true in time."""
         deadline_s = time.monotonic() + seconds
         while not condition() and time.monotonic() < deadline_s:
-            self._look()
+            self._poll()
         return condition()
 
-    def _wait_for_last_word(self, code: int) -> None:
-        """Waits for the report after the stack ended. A stack that ended with code 0 may have done its work: its robot has time to stand."""
-        self._wait(lambda: bool(self._report().end), _LAST_WORD_S)
+    def _wait_for_last_report(self, code: int) -> None:
+        """Waits for the report after the stack exited. After code 0 the stack may have finished its task: its robot gets time to come to rest."""
+        self._wait(lambda: bool(self._report().end), _LAST_REPORT_S)
         if code != 0:
             return
         ended_ns = now_ns = self._clock_ns()
         ticked_s = time.monotonic()
         while not self._report().end and now_ns - ended_ns < _REST_NS and not self._stop():
-            self._look()
+            self._poll()
             before_ns, now_ns = now_ns, self._clock_ns()
             if now_ns != before_ns:
                 ticked_s = time.monotonic()
@@ -244,16 +244,16 @@ class _Run:
     # End
 
     def _end(self) -> None:
-        """Ends all processes, and writes their output."""
+        """Ends all processes and writes their output."""
         if STACK in self._server.ended and self._stack_code is None:
             self._stack_code = self._server.ended[STACK]
         try:
-            # First the trial node, whose report tells how far the run came; then all others at once: time stands still.
+            # First the trial node, whose report has the last tick; then all others at once, since time no longer advances.
             if not self._report().end:
-                self._session.end_processes([TRIAL], self._look)
-            self._session.end_processes([PHYSICS, RENDER, RECORD, *([] if self._keeps_stack else [STACK])], self._look)
-            self._wait(lambda: TRIAL not in self._server.running, _LAST_WORD_S)
-            self._session.end_processes([TRIAL], self._look)
+                self._session.end_processes([TRIAL], self._poll)
+            self._session.end_processes([PHYSICS, RENDER, RECORD, *([] if self._keeps_stack else [STACK])], self._poll)
+            self._wait(lambda: TRIAL not in self._server.running, _LAST_REPORT_S)
+            self._session.end_processes([TRIAL], self._poll)
             if not self._keeps_stack:
                 self._session.end_leftovers()
             while data := self._session.read():
@@ -264,7 +264,7 @@ class _Run:
             self._write_simulation_log()
 
     def _write_simulation_log(self) -> None:
-        parts = [f"{name:8} | {line}\n" for name in _NODES for line in self._written_by(name).splitlines()]
+        parts = [f"{name:8} | {line}\n" for name in _NODES for line in self._output_of(name).splitlines()]
         write_file(self._folder / "simulation.log", "".join(parts), durable=False)
 
     def _outcome(self, ending: Ending, decided_s: float) -> Outcome:
