@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gibson_sim.trials.comparing.comparison import compare, percent
-from gibson_sim.trials.comparing.statistics import least_differing, shift_of, two_sided_binomial
+from gibson_sim.trials.comparing.statistics import find_shift, least_significant_count, two_sided_binomial
 from gibson_sim.trials.records import RunResult, Verdict
 from support.trial_results import failed, passed
 
@@ -29,7 +29,7 @@ def test_exact_test_has_the_probability_counted_by_hand(fewer: int, more: int, p
 
 
 def test_six_runs_that_all_differ_to_one_side_are_the_fewest_that_tell() -> None:
-    assert least_differing() == 6  # 2 / 2^6 = 3.1 %, 2 / 2^5 = 6.3 %
+    assert least_significant_count() == 6  # 2 / 2^6 = 3.1 %, 2 / 2^5 = 6.3 %
 
 
 def test_ten_runs_that_got_worse_are_a_decline() -> None:
@@ -38,7 +38,7 @@ def test_ten_runs_that_got_worse_are_a_decline() -> None:
     assert found.is_decline
     assert [pair.after.run.number for pair in found.worse] == list(range(10))
     assert found.lines()[0] == (
-        "10 runs got worse, 0 got better; by chance alone such a difference or a greater one would come about in 0.2 % of cases: "
+        "10 runs got worse, 0 got better; by chance alone such a difference or a greater one would occur in 0.2 % of cases: "
         "the stacks differ, and the first is better"
     )
 
@@ -52,13 +52,13 @@ def test_ten_runs_that_got_better_are_no_decline() -> None:
 def test_a_few_runs_that_differ_are_no_evidence() -> None:
     found = compare([passed(n) for n in range(20)], [failed(n) if n < 3 else passed(n) for n in range(20)])
     assert not found.is_decline
-    assert "in 25 % of cases: that is no evidence that the stacks differ (fewer than 6 runs" in found.lines()[0]
+    assert "in 25 % of cases: this is no evidence that the stacks differ (fewer than 6 differing runs" in found.lines()[0]
 
 
 def test_a_trial_does_not_differ_from_itself() -> None:
     results = [passed(n, digest=f"d{n}") if n % 3 else failed(n) for n in range(30)]
     lines = compare(results, results).lines()
-    assert lines[0] == "no run got better or worse: nothing tells the stacks apart by what passes"
+    assert lines[0] == "no run got better or worse: the verdicts show no difference between the stacks"
     assert lines[1] == "of 30 pairs 20 passed in both, 10 failed in both"
     assert "20 of 30 pairs are equal to the bit" in lines
 
@@ -75,7 +75,7 @@ def test_runs_are_paired_by_number_scene_robot_start_goal_and_seed() -> None:
 
 
 def test_trials_of_other_runs_are_not_compared() -> None:
-    assert compare([passed(0)], [passed(1)]).lines()[0].startswith("no run of one trial is in the other")
+    assert compare([passed(0)], [passed(1)]).lines()[0].startswith("the trials have no run in common")
 
 
 def judged(number: int, **verdicts: bool) -> RunResult:
@@ -126,7 +126,7 @@ def test_a_tick_more_or_less_is_no_difference() -> None:
 
 
 def test_a_measure_without_pairs_has_no_shift() -> None:
-    assert shift_of("time", "s", []) is None
+    assert find_shift("time", "s", []) is None
 
 
 @pytest.mark.parametrize(("p", "text"), [(0.0034, "0.3 %"), (0.00001, "less than 0.1 %"), (0.39, "39 %"), (1.0, "100 %")])

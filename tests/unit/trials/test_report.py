@@ -15,7 +15,7 @@ from gibson_sim.trials.records import Cause, Verdict
 from gibson_sim.trials.report.junit import junit_xml
 from gibson_sim.trials.report.log_tail import log_tail
 from gibson_sim.trials.report.results import Rate, read_results, write_results
-from gibson_sim.trials.report.words import again_command, plan_table, replay_command, run_line
+from gibson_sim.trials.report.words import plan_table, replay_command, rerun_command, run_line
 from support.trial_results import failed, passed, spec, trial
 
 
@@ -56,7 +56,7 @@ def test_numbers_that_json_lacks_are_left_out(tmp_path: Path) -> None:
 def test_a_file_of_another_kind_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     file = tmp_path / "results.json"
     file.write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(ConfigError, match=r"is no results\.json of a trial") as caught:
+    with pytest.raises(ConfigError, match=r"is not the results\.json of a trial") as caught:
         read_results(file)
     assert "\n" not in str(caught.value)
 
@@ -84,7 +84,7 @@ def test_the_line_names_a_scene_by_its_folder_or_file() -> None:
 
 def test_commands_are_quoted_for_a_shell() -> None:
     assert replay_command(Path("out/my trial"), 13) == "gibson-sim replay 'out/my trial/runs/0013/bag' --verify"
-    assert again_command("a b.yaml", 13, ["--runs", "20"]) == "gibson-sim trial 'a b.yaml' --runs 20 --run 13"
+    assert rerun_command("a b.yaml", 13, ["--runs", "20"]) == "gibson-sim trial 'a b.yaml' --runs 20 --run 13"
 
 
 def test_the_plan_is_a_line_a_run() -> None:

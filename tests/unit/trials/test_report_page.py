@@ -75,7 +75,7 @@ def test_page_shows_totals_verdicts_and_causes(tmp_path: Path) -> None:
         trial([passed(0), failed(1), passed(2, scene="orchard_house"), failed(3, "it stood", "blocked")], planned=9), tmp_path
     )
     assert "<b>2 of 4</b> runs passed (50 %; 95 % interval 15 to 85 %)" in text
-    assert "Ended early: 4 of 9 planned runs were made." in page.words
+    assert "Ended early: 4 of 9 planned runs were executed." in page.words
     assert "linden_flat, gibson_bot" in page.words
     for found in ("collisions", "2 of 4", "blocked", "rooms.yaml", "lockstep", "made by hand", "61 s of wall time"):
         assert found in page.words
@@ -142,7 +142,7 @@ def test_page_tells_of_the_comparison(tmp_path: Path) -> None:
 
 def test_page_of_no_runs_is_a_page(tmp_path: Path) -> None:
     _, page = page_of(trial([], planned=5), tmp_path)
-    assert "0 of 5 planned runs were made" in page.words
+    assert "0 of 5 planned runs were executed" in page.words
 
 
 def test_map_tells_failed_paths_by_more_than_colour() -> None:

@@ -252,7 +252,7 @@ class _Trial:
         return trial
 
     def _print(self, trial: TrialResults) -> None:
-        from gibson_sim.trials.report.words import again_command, can_be_replayed, replay_command
+        from gibson_sim.trials.report.words import can_be_replayed, replay_command, rerun_command
 
         print(trial.rate.text())
         for kind, numbers in trial.causes().items():
@@ -264,7 +264,7 @@ class _Trial:
             first = trial.failed[0].run.number
             if can_be_replayed(self._folder, trial.failed[0]):
                 print(f"run {first}, to the bit: {replay_command(self._folder, first)}")
-            print(f"run {first}, with the stack: {again_command(trial.file, first, self._changes.options())}")
+            print(f"run {first}, with the stack: {rerun_command(trial.file, first, self._changes.options())}")
         print(f"page: {self._folder / 'index.html'}")
 
     def _say_how_to_go_on(self, trial: TrialResults) -> int:

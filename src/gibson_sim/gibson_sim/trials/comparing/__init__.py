@@ -1,1 +1,1 @@
-"""Two trials, run by run: which runs got better or worse, and whether the difference can be chance. Pure: results go in, sentences come out."""
+"""Paired comparison of two trials: which runs improved or regressed, and whether the difference is significant. Maps results to sentences."""

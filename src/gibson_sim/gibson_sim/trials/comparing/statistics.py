@@ -1,4 +1,4 @@
-"""Exact tests of paired results. Pure arithmetic: no approximation, so that they hold for ten runs as for a thousand."""
+"""Exact significance tests of paired results, without approximation and thus valid for any number of runs."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from math import comb
 from statistics import median
 
-LEVEL = 0.05
-"""Probability below which a difference does not count as chance."""
+SIGNIFICANCE_LEVEL = 0.05
+"""Significance level."""
 
 
 def two_sided_binomial(fewer: int, more: int) -> float:
-    """Returns the probability that a fair coin, thrown ``fewer + more`` times, falls at least as unevenly, to either side; 1 for no throw.
+    """Returns the two-sided p-value of ``fewer`` and ``more`` outcomes under equal odds; 1 without outcomes.
 
-    This is the exact McNemar test, where the throws are the pairs that differ, and the exact sign test.
+    This is the exact McNemar test if the outcomes are the pairs that differ, and the exact sign test.
     """
     count, least = fewer + more, min(fewer, more)
     if not count:
@@ -23,45 +23,46 @@ def two_sided_binomial(fewer: int, more: int) -> float:
     return min(1.0, float(2 * tail / 2**count))
 
 
-def least_differing() -> int:
-    """Returns the number of differing pairs, all to one side, from which on the test can tell that they are no chance."""
+def least_significant_count() -> int:
+    """Returns the least number of differing pairs, all in one direction, that is significant."""
     count = 1
-    while two_sided_binomial(0, count) >= LEVEL:
+    while two_sided_binomial(0, count) >= SIGNIFICANCE_LEVEL:
         count += 1
     return count
 
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """How a measure of the same runs differs between two trials."""
+    """Difference of a measure between the same runs of two trials."""
 
     name: str
-    """Of the measure."""
+    """Name of the measure."""
     unit: str
     pairs: int
     smaller: int
     """Pairs in which the second trial has the smaller value."""
     larger: int
+    """Pairs in which the second trial has the larger value."""
     median: float
-    """Of the second value minus the first, in ``unit``."""
+    """Median difference, second value minus first, in ``unit``."""
     share: float
-    """Of the difference, as a part of the first value: median."""
+    """Median relative difference, as a fraction of the first value."""
     p: float
-    """Of the exact sign test."""
+    """p-value of the exact sign test."""
 
     @property
     def is_chance(self) -> bool:
-        """Whether it can be chance."""
-        return self.p >= LEVEL
+        """Whether the difference is not significant."""
+        return self.p >= SIGNIFICANCE_LEVEL
 
 
-def shift_of(name: str, unit: str, pairs: Sequence[tuple[float, float]], resolution: float = 0.0) -> Shift | None:
+def find_shift(name: str, unit: str, pairs: Sequence[tuple[float, float]], resolution: float = 0.0) -> Shift | None:
     """Returns the shift of a measure; None without pairs.
 
     Args:
-        name: of the measure.
-        unit: of the measure.
-        pairs: its value in the first and in the second trial.
+        name: name of the measure.
+        unit: unit of the measure.
+        pairs: values in the first and in the second trial.
         resolution: difference up to which two values count as equal.
     """
     if not pairs:

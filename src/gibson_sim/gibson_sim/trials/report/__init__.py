@@ -1,1 +1,1 @@
-"""What a trial reports: ``results.json``, JUnit XML, and one HTML page. Pure but for the files that it reads and writes."""
+"""Report of a trial: ``results.json``, JUnit XML, and an HTML page."""

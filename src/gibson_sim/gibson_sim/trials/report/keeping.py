@@ -1,4 +1,4 @@
-"""What is kept of a run after it was judged: its path, and pictures of what went wrong. Bags that nobody needs are removed."""
+"""Keeps the path of a judged run and pictures of a failure; removes bags that need not be kept."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from gibson_sim.writing import write_file
 
 FILM, PATH_PLOT, MOTION_PLOT = "film.jpg", "path.png", "motion.png"
 PICTURES = {FILM: "film strip", PATH_PLOT: "path on the map", MOTION_PLOT: "velocities and contacts"}
-"""Files of pictures in the folder of a run, in the order of the page -> what they show."""
+"""Picture files in the folder of a run, in the order of the page -> captions."""
 _COLUMNS, _WIDTH = 6, 240
-"""Moments of a film strip, and the width of each, pixels."""
+"""Number of frames of a film strip, and the width of each, pixels."""
 _DPI = 130.0
 _log = logging.getLogger(__name__)
 
 
 def keep_of_run(result: RunResult, folder: Path, keep: Literal["failed", "all"]) -> None:
-    """Writes the path of a run, and pictures if it failed; then removes its bags if it passed and they are not to be kept.
+    """Writes the path of a run, and pictures if it failed; then removes its bags if it passed and they need not be kept.
 
-    What cannot be shown is left out, with a warning: the result of the run stands.
+    A path or picture that cannot be created is omitted with a warning; the result of the run remains valid.
 
     Args:
-        result: of the run.
-        folder: of the run, with its bag in ``bag``.
-        keep: bags that are kept.
+        result: result of the run.
+        folder: folder of the run, with its bag in ``bag``.
+        keep: runs whose bags are kept.
     """
     bag = folder / "bag"
     if bag.is_dir():
@@ -58,7 +58,7 @@ def _write_pictures(bag: Path, folder: Path) -> None:
 
 
 def _write_plots(bag: Path, folder: Path) -> None:
-    # Loaded here: matplotlib takes a second, and most runs pass.
+    # Imported here: importing matplotlib takes a second, and most runs pass.
     from gibson_sim.bags.plots import panels
     from gibson_sim.bags.plots.load import load_run
     from gibson_sim.bags.plots.plot import draw_motion

@@ -1,4 +1,4 @@
-"""The end of a stack's output, made fit to be shown: a stack may print anything, in any amount."""
+"""The end of a stack's output, sanitised for display: a stack may print anything, in any amount."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import re
 from pathlib import Path
 
 SECONDS = 10.0
-"""Time before the last line that is shown where lines have stamps, seconds of the clock that stamped them."""
+"""Time before the last line from which stamped lines are tail, seconds of the clock of the stamps."""
 _MOST_BYTES, _MOST_LINES, _LONGEST_LINE, _WITHOUT_STAMPS = 64_000, 80, 240, 40
 _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?|[@-Z\\-_])")
 """ANSI sequences: colours, cursor moves, titles."""
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff]")
-"""Characters that have no picture, or turn the direction of writing."""
+"""Control characters, and characters that change the writing direction."""
 _STAMP = re.compile(r"\[(\d{1,12}\.\d{3,9})\]")
-"""Stamp of rclcpp's and rclpy's lines: [INFO] [1764057600.123456789] [node]: text."""
+"""Stamp of lines by rclcpp and rclpy: [INFO] [1764057600.123456789] [node]: text."""
 
 
 def log_tail(path: Path) -> str:
-    """Returns the last lines of a file, clean; those of the last ten seconds if they have stamps. Empty if there is no file or no line."""
+    """Returns the sanitised last lines of a file, of the last ``SECONDS`` if they have stamps; empty without a file or lines."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, 2)
@@ -28,15 +28,15 @@ def log_tail(path: Path) -> str:
     lines = [_clean(line) for line in data.decode("utf-8", errors="replace").split("\n")]
     while lines and not lines[-1].strip():
         lines.pop()
-    shown = lines[-_MOST_LINES:]
-    stamps = [(i, float(found[1])) for i, line in enumerate(shown) for found in [_STAMP.search(line)] if found]
+    tail = lines[-_MOST_LINES:]
+    stamps = [(i, float(match[1])) for i, line in enumerate(tail) for match in [_STAMP.search(line)] if match]
     if not stamps:
-        return "\n".join(shown[-_WITHOUT_STAMPS:])
+        return "\n".join(tail[-_WITHOUT_STAMPS:])
     first = next(i for i, stamp in stamps if stamp >= stamps[-1][1] - SECONDS)
-    return "\n".join(shown[first:])
+    return "\n".join(tail[first:])
 
 
 def _clean(line: str) -> str:
-    # A line that a program rewrote, such as a progress bar: what stood there at the end.
+    # Of a line that a program rewrote, such as a progress bar, only the final state is kept.
     text = CONTROL.sub("�", _ESCAPE.sub("", line.rstrip("\r").rpartition("\r")[2]).replace("\t", "    "))
     return text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]} ... ({len(text)} characters)"

@@ -1,4 +1,4 @@
-"""The map of a scene with the paths of all runs, as one SVG element whose colours the page's style sheet gives."""
+"""The map of a scene with the paths of all runs, as one SVG element with colours from the page's style sheet."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from gibson_sim.maps.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.trials.records import RunResult
 from gibson_sim.trials.report.paths import Points, bounds
-from gibson_sim.trials.report.words import place
+from gibson_sim.trials.report.words import xy_text
 
 _HEIGHT = 0.5
-"""Height above the floor up to which things count as obstacles on the map, metres."""
+"""Height above the floor up to which objects count as obstacles on the map, metres."""
 _OCCUPIED, _UNKNOWN = (148, 134, 122, 235), (160, 150, 140, 46)
-"""Blue, green, red and opacity of cells; grey on a light and on a dark page. Free cells are transparent."""
+"""Colours of cells as blue, green, red, alpha: grey on a light and on a dark page. Free cells are transparent."""
 _MARGIN = 0.3
-"""About the map and the paths, metres."""
+"""Margin around the map and the paths, metres."""
 _log = logging.getLogger(__name__)
 
 Box = tuple[float, float, float, float]
@@ -36,13 +36,13 @@ class SceneMap:
     """A picture of the floor of a scene."""
 
     pixels: NDArray[np.uint8]
-    """(H, W, 4): blue, green, red, opacity; row 0 has the greatest y."""
+    """(H, W, 4), uint8: blue, green, red, alpha; row 0 has the greatest y."""
     box: Box
     """World coordinates of its edges."""
 
 
 def scene_map(scene: str) -> SceneMap | None:
-    """Returns the map of a scene, cropped to what is known; None, with a warning, if it cannot be made.
+    """Returns the map of a scene, cropped to the known cells; None, with a warning, if it cannot be created.
 
     Args:
         scene: name or file.
@@ -64,14 +64,14 @@ def scene_map(scene: str) -> SceneMap | None:
 
 
 def map_svg(floor: SceneMap | None, runs: Sequence[tuple[RunResult, Points]]) -> str:
-    """Returns the ``<svg>`` element: the map, the path of each run, and where it began and ended; empty if there is nothing to draw.
+    """Returns the ``<svg>`` element: the map, and the path of each run with its start and end; empty if there is nothing to draw.
 
     Args:
-        floor: the map; None = there is none.
+        floor: the map; None = no map.
         runs: results of one scene with their true paths.
     """
-    around = [bounds([path for _, path in runs]), floor.box if floor is not None else None]
-    boxes = [box for box in around if box is not None]
+    extents = [bounds([path for _, path in runs]), floor.box if floor is not None else None]
+    boxes = [box for box in extents if box is not None]
     if not boxes:
         return ""
     left, right = min(box[0] for box in boxes) - _MARGIN, max(box[1] for box in boxes) + _MARGIN
@@ -79,8 +79,8 @@ def map_svg(floor: SceneMap | None, runs: Sequence[tuple[RunResult, Points]]) ->
     unit = max(right - left, top - bottom) / 100.0
     labels = _Labels(unit)
     parts = [_image(floor)] if floor is not None else []
-    above = sorted(runs, key=lambda item: not item[0].passed)  # failed runs are drawn over the others
-    parts += [_path(result, path, unit, labels) for result, path in above]
+    ordered = sorted(runs, key=lambda item: not item[0].passed)  # failed runs are drawn over the others
+    parts += [_path(result, path, unit, labels) for result, path in ordered]
     return (
         f'<svg class="map" role="img" aria-label="Map with the paths of {len(runs)} runs" style="--unit:{unit:.4f}" '
         f'viewBox="{left:.3f} {-top:.3f} {right - left:.3f} {top - bottom:.3f}">{"".join(parts)}{labels.svg()}</svg>'
@@ -97,13 +97,13 @@ def _image(floor: SceneMap) -> str:
 
 
 def _path(result: RunResult, path: Points, unit: float, labels: _Labels) -> str:
-    """Returns the path of a run with its marks; that of a failed run leads to its description."""
+    """Returns the path of a run with its marks; the path of a failed run links to its description."""
     run = result.run
     points = path or ((run.start[0], run.start[1]),)
     line = " ".join(f"{x:.3f},{-y:.3f}" for x, y in points)
     kind = "passed" if result.passed else "failed"
     (x0, y0), (x1, y1) = points[0], points[-1]
-    title = f"run {run.number}, {kind}: {place(run.start)} to {place(run.goal)}"
+    title = f"run {run.number}, {kind}: {xy_text(run.start)} to {xy_text(run.goal)}"
     marks = f'<circle class="start" cx="{x0:.3f}" cy="{-y0:.3f}" r="{0.55 * unit:.3f}"/>'
     if result.passed:
         marks += f'<circle class="end" cx="{x1:.3f}" cy="{-y1:.3f}" r="{0.55 * unit:.3f}"/>'
@@ -116,7 +116,7 @@ def _path(result: RunResult, path: Points, unit: float, labels: _Labels) -> str:
         half = 0.7 * unit
         marks += "".join(
             f'<rect class="thing" x="{x - half:.3f}" y="{-y - half:.3f}" width="{2 * half:.3f}" height="{2 * half:.3f}"/>'
-            for x, y, _ in (thing.pose for thing in run.things)
+            for x, y, _ in (placed.pose for placed in run.things)
         )
         labels.add(str(run.number), x1, -y1)
     drawing = f'<g class="{kind}"><title>{html.escape(title)}</title><polyline points="{line}"/>{marks}</g>'
@@ -124,12 +124,12 @@ def _path(result: RunResult, path: Points, unit: float, labels: _Labels) -> str:
 
 
 class _Labels:
-    """Numbers beside marks, none above another; one that has no room is left out."""
+    """Non-overlapping number labels beside marks; a label without room is omitted."""
 
     _SIDES = ((1.6, -1.0), (1.6, 2.6), (-1.6, -1.0), (-1.6, 2.6), (0.0, -2.2), (0.0, 4.0), (4.4, 0.8), (-4.4, 0.8))
-    """Places about a mark, in units: where the line of the text begins, or ends on the left."""
+    """Offsets of the text's baseline from a mark, in units: of its start, or of its end if to the left."""
     _HEIGHT, _WIDTH = 2.8, 1.7
-    """Of a character, units."""
+    """Size of a character, units."""
 
     def __init__(self, unit: float) -> None:
         self._unit = unit
@@ -137,7 +137,7 @@ class _Labels:
         self._texts: list[str] = []
 
     def add(self, text: str, x: float, y: float) -> None:
-        """Adds a text beside a point, SVG coordinates."""
+        """Adds a text beside a point in SVG coordinates."""
         width = self._WIDTH * len(text) * self._unit
         for dx, dy in self._SIDES:
             anchor = "start" if dx > 0 else "end" if dx < 0 else "middle"
@@ -152,5 +152,5 @@ class _Labels:
                 return
 
     def svg(self) -> str:
-        """Returns the elements of all texts."""
+        """Returns the SVG elements of all texts."""
         return "".join(self._texts)

@@ -1,4 +1,4 @@
-"""The HTML page of a trial: one file that loads nothing from elsewhere and runs no script, whatever a stack has printed."""
+"""The HTML page of a trial: a self-contained file without scripts, safe for any output of a stack."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from gibson_sim.trials.report.page_style import STYLE
 from gibson_sim.trials.report.paths import read_path
 from gibson_sim.trials.report.results import RESULTS, Rate, TrialResults
 from gibson_sim.trials.report.words import (
-    again_command,
     can_be_replayed,
     reason,
     replay_command,
+    rerun_command,
     robot_name,
+    route_text,
     run_folder,
     scene_name,
     seconds_of,
-    way,
 )
 
 FILE = "index.html"
 _OPEN = 3
-"""Failed runs whose details are open at first."""
+"""Number of failed runs whose details are initially open."""
 _MOST_PICTURES = 24_000_000
-"""Bytes of all pictures of the page; those of later runs are left out."""
+"""Largest total size of the page's pictures, bytes; pictures of later runs are omitted."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""What the page may load: nothing, but for what it holds itself."""
+"""Content security policy: the page may load only embedded content."""
 
 
 def trial_page(
@@ -44,14 +44,14 @@ def trial_page(
     created: str = "",
     maps: dict[str, SceneMap | None] | None = None,
 ) -> str:
-    """Returns the page.
+    """Returns the page as HTML.
 
     Args:
         trial: the results.
-        folder: of the trial, with the logs, paths and pictures of its runs.
-        options: those of the command line that the plan depends on.
-        created: line at the end of the page.
-        maps: of scenes, by their names in the scenario; None = they are made from the scenes.
+        folder: folder of the trial, with the logs, paths and pictures of its runs.
+        options: command-line options that affect the plan.
+        created: last line of the page.
+        maps: maps of the scenes by their names in the scenario; None = created from the scenes.
     """
     parts = [_head(trial), _comparison(trial), _groups(trial), _verdicts(trial), _causes(trial)]
     parts += [_maps(trial, folder, maps), _failures(trial, folder, options), _all_runs(trial), _about(trial)]
@@ -65,7 +65,7 @@ def trial_page(
 
 
 def _text(value: str) -> str:
-    """Returns a text for HTML, without control characters, and without lone surrogates, which UTF-8 does not know."""
+    """Returns a text escaped for HTML, without control characters and without lone surrogates, which UTF-8 cannot encode."""
     return html.escape(CONTROL.sub("�", value).encode("utf-8", errors="replace").decode())
 
 
@@ -78,7 +78,7 @@ def _percent(part: float) -> str:
 
 
 def _bar(rate: Rate) -> str:
-    """Returns the rate as a mark, and its interval as a bar."""
+    """Returns the rate as a mark and its interval as a bar."""
     low, high = rate.interval
     at = rate.passed / rate.count if rate.count else 0.0
     mark = f'<b style="left:{100 * at:.1f}%"></b>' if rate.count else ""
@@ -100,10 +100,12 @@ def _head(trial: TrialResults) -> str:
         f" ({_percent(rate.passed / rate.count)}; 95 % interval {100 * low:.0f} to {100 * high:.0f} %)" if rate.count else ""
     )
     early = (
-        "" if trial.is_complete else f'<p class="bad">Ended early: {rate.count} of {trial.planned} planned runs were made.</p>'
+        ""
+        if trial.is_complete
+        else f'<p class="bad">Ended early: {rate.count} of {trial.planned} planned runs were executed.</p>'
     )
     real_time = (
-        '<p class="quiet">In real time: a run with the stack goes differently each time. Its bag repeats to the bit.</p>'
+        '<p class="quiet">In real time: a run with the stack differs each time. The replay of its bag is exact, bit for bit.</p>'
         if "real time" in trial.mode
         else ""
     )
@@ -121,21 +123,23 @@ def _duration(seconds: float) -> str:
 
 
 def _links(trial: TrialResults, numbers: Iterable[int]) -> str:
-    """Returns numbers of runs; those that failed lead to their descriptions."""
+    """Returns numbers of runs; those of failed runs link to their descriptions."""
     failed = {result.run.number for result in trial.failed}
     return ", ".join(f'<a href="#run-{n}">{n}</a>' if n in failed else str(n) for n in numbers)
 
 
 def _comparison(trial: TrialResults) -> str:
-    found = trial.comparison
-    if not found:
+    comparison = trial.comparison
+    if not comparison:
         return ""
-    lists = "".join(f"<p>Got {kind}: {_links(trial, found[kind])}</p>" for kind in ("worse", "better") if found.get(kind))
-    lines = [str(line) for line in found["text"]]
-    kind = ' class="bad"' if found.get("decline") else ""
+    lists = "".join(
+        f"<p>Got {kind}: {_links(trial, comparison[kind])}</p>" for kind in ("worse", "better") if comparison.get(kind)
+    )
+    lines = [str(line) for line in comparison["text"]]
+    kind = ' class="bad"' if comparison.get("decline") else ""
     items = "".join(f"<li{kind if i == 0 else ''}>{_text(line)}</li>" for i, line in enumerate(lines))
-    with_what = f" with <code>{_text(str(found['file']))}</code>" if found.get("file") else ""
-    return f"<h2>Compared{with_what}</h2><ul>{items}</ul>{lists}"
+    other = f" with <code>{_text(str(comparison['file']))}</code>" if comparison.get("file") else ""
+    return f"<h2>Comparison{other}</h2><ul>{items}</ul>{lists}"
 
 
 _Column = tuple[str, bool]
@@ -143,7 +147,7 @@ _Column = tuple[str, bool]
 
 
 def _table(columns: Sequence[_Column], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table; cells are HTML."""
+    """Returns a table; the cells are HTML."""
     kinds = [' class="number"' if is_number else "" for _, is_number in columns]
     heads = "".join(f"<th{kind}>{name}</th>" for kind, (name, _) in zip(kinds, columns, strict=True))
     lines = "".join(
@@ -178,7 +182,7 @@ def _causes(trial: TrialResults) -> str:
     rows = [(_text(kind), str(len(numbers)), _links(trial, numbers)) for kind, numbers in trial.causes().items()]
     if not rows:
         return ""
-    caption = '<p class="quiet">The first thing that went wrong in each failed run.</p>'
+    caption = '<p class="quiet">The earliest event that led to each failure.</p>'
     return f"<h2>Causes</h2>{caption}{_table((('cause', False), ('runs', True), ('numbers', False)), rows)}"
 
 
@@ -192,8 +196,7 @@ def _maps(trial: TrialResults, folder: Path, maps: dict[str, SceneMap | None] | 
             parts.append(f"<div><h3>{_text(scene_name(scene))}: {_short(rate)}</h3>{svg}</div>")
     caption = (
         '<p class="quiet">True paths of the robot: <span class="good">solid = passed</span>, <span class="bad">dashed = failed</span>, '
-        "with the number of the run at its end, ✗. A circle is a start; of a failed run a diamond is the goal, "
-        "a square something that was in its way.</p>"
+        "with the number of the run at its end, ✗. Circle: start. For failed runs, diamond: goal, square: spawned object.</p>"
     )
     return f"<h2>Paths</h2>{caption}<div class='maps'>{''.join(parts)}</div>" if parts else ""
 
@@ -204,7 +207,7 @@ def _failures(trial: TrialResults, folder: Path, options: Sequence[str]) -> str:
     pictures = _Pictures()
     parts = [_failure(result, trial.file, folder, options, pictures, is_open=i < _OPEN) for i, result in enumerate(trial.failed)]
     left_out = (
-        f'<p class="quiet">The page would become too large with the pictures of {pictures.left_out} more; they are in the folders of the runs.</p>'
+        f'<p class="quiet">The pictures of {pictures.left_out} more failed runs are not embedded; they are in the folders of the runs.</p>'
         if pictures.left_out
         else ""
     )
@@ -212,17 +215,17 @@ def _failures(trial: TrialResults, folder: Path, options: Sequence[str]) -> str:
 
 
 class _Pictures:
-    """Pictures as parts of the page, up to a size."""
+    """Pictures embedded in the page, up to a total size."""
 
     def __init__(self) -> None:
         self._room = _MOST_PICTURES
         self.left_out = 0
-        """Runs whose pictures found no room."""
+        """Number of runs whose pictures were omitted."""
 
     def of(self, folder: Path) -> str:
         """Returns the pictures in the folder of a run."""
-        found = {name: data for name in PICTURES if (data := _bytes(folder / name))}
-        size = sum(map(len, found.values()))
+        pictures = {name: data for name in PICTURES if (data := _bytes(folder / name))}
+        size = sum(map(len, pictures.values()))
         if size > self._room:
             self.left_out += 1
             return ""
@@ -230,7 +233,7 @@ class _Pictures:
         figures = "".join(
             f'<figure{" class=wide" if name == FILM else ""}><img alt="{PICTURES[name]}" '
             f'src="data:image/{"jpeg" if name.endswith(".jpg") else "png"};base64,{base64.b64encode(data).decode()}"></figure>'
-            for name, data in found.items()
+            for name, data in pictures.items()
         )
         return f'<div class="pictures">{figures}</div>' if figures else ""
 
@@ -243,8 +246,8 @@ def _bytes(path: Path) -> bytes:
 
 
 def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str], pictures: _Pictures, *, is_open: bool) -> str:
-    run, own = result.run, run_folder(folder, result.run.number)
-    title = f"{scene_name(run.scene)}, {robot_name(run.robot)}, {way(run)}"
+    run, path = result.run, run_folder(folder, result.run.number)
+    title = f"{scene_name(run.scene)}, {robot_name(run.robot)}, {route_text(run)}"
     kind = result.cause.kind if result.cause else result.outcome.end
     verdicts = "".join(
         f"<li{'' if verdict.passed else ' class=no'}><code>{_text(verdict.name)}</code> {_text(verdict.text)}</li>"
@@ -252,10 +255,10 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     )
     outcome = result.outcome
     ended = f"{outcome.end}: {outcome.detail}" if outcome.detail else outcome.end
-    facts = [("ended", ended), ("last status", outcome.status), ("measured", _measures(result)), ("drawn", _drawn(result))]
+    facts = [("ended", ended), ("last status", outcome.status), ("measured", _measures(result)), ("sampled", _sampled(result))]
     facts += [("refused commands", str(outcome.refused_commands) if outcome.refused_commands else "")]
     listed = "".join(f"<dt>{name}</dt><dd>{_text(value)}</dd>" for name, value in facts if value)
-    log = log_tail(own / "stack.log")
+    log = log_tail(path / "stack.log")
     shown_log = (
         f'<h3>End of the stack\'s output</h3><pre class="log"><span>{_text(log)}</span></pre>'
         if log
@@ -264,23 +267,23 @@ def _failure(result: RunResult, file: str, folder: Path, options: Sequence[str],
     place = f"runs/{run.number:04d}"
     links = [
         f'<a href="{place}/{name}">{label}</a>'
-        for name, label in (("bag", "bag"), ("stack.log", "output of the stack"), ("simulation.log", "of the simulation"))
-        if (own / name).exists()
+        for name, label in (("bag", "bag"), ("stack.log", "output of the stack"), ("simulation.log", "output of the simulation"))
+        if (path / name).exists()
     ]
-    commands = [("Run again, with the stack", again_command(file, run.number, options))]
+    commands = [("Run again, with the stack", rerun_command(file, run.number, options))]
     if can_be_replayed(folder, result):
-        commands.insert(0, ("Repeat to the bit, without the stack", replay_command(folder, run.number)))
+        commands.insert(0, ("Replay bit for bit, without the stack", replay_command(folder, run.number)))
     shown = "".join(f'<h3>{name}</h3><pre class="command">{_text(command)}</pre>' for name, command in commands)
     return (
         f'<details class="run" id="run-{run.number}"{" open" if is_open else ""}><summary><b>{run.number}</b>'
         f'{_headline(kind, reason(result))} · <span class="quiet">{_text(title)}</span></summary>'
-        f'<ul class="verdicts">{verdicts}</ul>{pictures.of(own)}<dl>{listed}</dl>{shown_log}{shown}'
+        f'<ul class="verdicts">{verdicts}</ul>{pictures.of(path)}<dl>{listed}</dl>{shown_log}{shown}'
         f'<p class="quiet">{" · ".join(links)}</p></details>'
     )
 
 
 def _headline(kind: str, why: str) -> str:
-    """Returns kind and reason of a failure; a reason that begins with its kind names it once."""
+    """Returns kind and reason of a failure, without repeating a kind that begins the reason."""
     return f'<span class="bad">{_text(kind)}:</span> {_text(why.removeprefix(f"{kind}: "))}'
 
 
@@ -298,13 +301,12 @@ def _measures(result: RunResult) -> str:
     )
 
 
-def _drawn(result: RunResult) -> str:
+def _sampled(result: RunResult) -> str:
     run = result.run
-    told = [f"seed {run.seed}", *(f"{name} {value:.3g}" for name, value in run.drawn.items())]
-    told += (
-        [f"closed {door}" for door in run.closed_doors] + [thing.name for thing in run.things] + [one.name for one in run.people]
-    )
-    return ", ".join(told)
+    parts = [f"seed {run.seed}", *(f"{name} {value:.3g}" for name, value in run.drawn.items())]
+    parts += [f"closed {door}" for door in run.closed_doors]
+    parts += [placed.name for placed in run.things] + [person.name for person in run.people]
+    return ", ".join(parts)
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -320,7 +322,7 @@ def _all_runs(trial: TrialResults) -> str:
     for result in trial.results:
         run, measures = result.run, result.measures
         kind = result.cause.kind if result.cause else result.outcome.end
-        told = (
+        label = (
             '<span class="good">✓ passed</span>'
             if result.passed
             else f'<a href="#run-{run.number}" class="bad">✗ {_text(kind)}</a>'
@@ -329,8 +331,8 @@ def _all_runs(trial: TrialResults) -> str:
             (
                 str(run.number),
                 _text(f"{scene_name(run.scene)}, {robot_name(run.robot)}"),
-                f'<span class="nowrap">{_text(way(run).replace("->", "→"))}</span>',
-                f'<span class="nowrap">{told}</span>',
+                f'<span class="nowrap">{_text(route_text(run).replace("->", "→"))}</span>',
+                f'<span class="nowrap">{label}</span>',
                 _number(seconds_of(result), 1),
                 _number(measures.get("length"), 1),
                 _number(run.shortest, 1),
@@ -353,6 +355,6 @@ def _about(trial: TrialResults) -> str:
         simulated = sum(max(o.end_ns, 0) for o in outcomes) / 1e9
         facts.append(("start-up", f"{_percent(starting)} of the time of all workers"))
         if running > 0.0:
-            facts.append(("pace", f"{simulated / running:.1f} simulated seconds a second, of each worker while time passes"))
+            facts.append(("pace", f"{simulated / running:.1f} simulated seconds per second for each worker while time advances"))
     listed = "".join(f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>" for name, value in facts)
-    return f'<h2>How it was made</h2><dl>{listed}</dl><p class="quiet">All results: <a href="{RESULTS}">{RESULTS}</a></p>'
+    return f'<h2>Provenance</h2><dl>{listed}</dl><p class="quiet">All results: <a href="{RESULTS}">{RESULTS}</a></p>'

@@ -1,4 +1,4 @@
-"""The style sheet of a trial's page: that of all pages about bags, with a dark form, and narrow enough for a phone."""
+"""The style sheet of a trial's page: that of all bag reports, extended by a dark mode and a layout for phones."""
 
 from __future__ import annotations
 

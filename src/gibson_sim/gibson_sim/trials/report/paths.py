@@ -1,4 +1,4 @@
-"""The true path of a run, taken from its bag before the bag is removed: ``path.json`` in the folder of the run."""
+"""The true path of a run, extracted from its bag before the bag is removed: ``path.json`` in the folder of the run."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from gibson_sim.writing import write_file
 
 FILE = "path.json"
 _TOLERANCE = 0.02
-"""Largest distance of the true path from the kept one, metres."""
+"""Largest distance between the true path and the simplified path, metres."""
 _LARGEST = 1e6
-"""Limit of coordinates, metres."""
+"""Largest plausible coordinate, metres."""
 
 Points = tuple[tuple[float, float], ...]
 """x, y: map frame, metres."""
 
 
 def write_path(bag: Path, folder: Path) -> None:
-    """Writes the true path of the bag's robot into the folder of the run; nothing if the bag has none.
+    """Writes the true path of the bag's robot into the folder of the run; does nothing if the bag has none.
 
     Raises:
         RecordError: the bag cannot be read.
@@ -38,7 +38,7 @@ def write_path(bag: Path, folder: Path) -> None:
 
 
 def read_path(folder: Path) -> Points:
-    """Returns the path in the folder of a run; empty if there is none that can be read."""
+    """Returns the path in the folder of a run; empty if it is missing or unreadable."""
     try:
         values = json.loads(read_file(folder / FILE))
         points = tuple((float(x), float(y)) for x, y in values)
@@ -48,7 +48,7 @@ def read_path(folder: Path) -> Points:
 
 
 def true_path(bag: Path) -> Points:
-    """Returns the true path of the bag's robot, straight parts without points between; empty if the bag has none.
+    """Returns the simplified true path of the bag's robot; empty if the bag has none.
 
     Raises:
         RecordError: the bag cannot be read.
@@ -65,7 +65,7 @@ def true_path(bag: Path) -> Points:
 
 
 def simplified(xy: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
-    """Returns those of the points (N, 2) that lie within a tolerance of the line through the others (Douglas and Peucker)."""
+    """Returns a polyline (N, 2) simplified within a tolerance (Ramer-Douglas-Peucker)."""
     if len(xy) < 3:
         return xy
     kept = np.zeros(len(xy), dtype=bool)
@@ -75,9 +75,9 @@ def simplified(xy: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]
         first, last = spans.pop()
         if last - first < 2:
             continue
-        away = _distances(xy[first + 1 : last], xy[first], xy[last])
-        farthest = int(np.argmax(away))
-        if away[farthest] > tolerance:
+        distances = _distances(xy[first + 1 : last], xy[first], xy[last])
+        farthest = int(np.argmax(distances))
+        if distances[farthest] > tolerance:
             middle = first + 1 + farthest
             kept[middle] = True
             spans += [(first, middle), (middle, last)]

@@ -26,7 +26,7 @@ _MOST_BYTES = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How many of a number of runs passed."""
+    """Pass rate: number of passed runs out of a number of runs."""
 
     passed: int
     count: int
@@ -37,7 +37,7 @@ class Rate:
         return wilson(self.passed, self.count)
 
     def text(self) -> str:
-        """Returns the rate with its interval."""
+        """Returns the rate with its interval as text."""
         if not self.count:
             return "no runs"
         low, high = self.interval
@@ -46,31 +46,31 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class TrialResults:
-    """All that is known of a trial."""
+    """Results of a trial."""
 
     name: str
     file: str
-    """Scenario file, as it was given."""
+    """Scenario file as given on the command line."""
     results: tuple[RunResult, ...]
-    """By number."""
+    """Results in the order of run numbers."""
     planned: int
-    """Runs that were to be made."""
+    """Number of planned runs."""
     scenario: dict[str, Any] = field(default_factory=dict)
-    """All that the scenario says, as values of JSON."""
+    """The scenario as JSON values."""
     versions: dict[str, str] = field(default_factory=dict)
     machine: dict[str, Any] = field(default_factory=dict)
     started: str = ""
-    """ISO 8601, UTC."""
+    """Start time, ISO 8601, UTC."""
     wall_time: float = 0.0
-    """Seconds."""
+    """Wall time of the trial, seconds."""
     workers: str = "1"
-    """Number of processes, or the address of a cluster."""
+    """Number of worker processes, or the address of a cluster."""
     comparison: dict[str, Any] | None = None
-    """With an earlier trial."""
+    """Comparison with an earlier trial, see ``Comparison.to_json``; None = not compared."""
 
     @property
     def rate(self) -> Rate:
-        """Of all runs."""
+        """Pass rate of all runs."""
         return Rate(sum(result.passed for result in self.results), len(self.results))
 
     @property
@@ -81,37 +81,37 @@ class TrialResults:
     @property
     def mode(self) -> str:
         """``lockstep``, ``real time``, or both."""
-        waits = {result.outcome.lockstep for result in self.results}
-        return " and ".join(name for name, is_so in (("lockstep", True), ("real time", False)) if is_so in waits)
+        is_lockstep = {result.outcome.lockstep for result in self.results}
+        return " and ".join(name for name, value in (("lockstep", True), ("real time", False)) if value in is_lockstep)
 
     @property
     def is_complete(self) -> bool:
-        """Whether all planned runs were made."""
+        """Whether all planned runs were executed."""
         return len(self.results) >= self.planned
 
     def by(self, key: Callable[[RunResult], str]) -> dict[str, Rate]:
-        """Returns the rates of groups of runs, in the order of their first run."""
+        """Returns the pass rates of groups of runs by key, in the order of their first run."""
         counts: Counter[str] = Counter(key(result) for result in self.results)
         passed: Counter[str] = Counter(key(result) for result in self.results if result.passed)
         return {name: Rate(passed[name], count) for name, count in counts.items()}
 
     def verdicts(self) -> dict[str, Rate]:
-        """Returns how many of the runs that were judged by each verdict passed it."""
-        found: dict[str, list[bool]] = {}
+        """Returns the pass rate of each verdict over the runs judged by it."""
+        by_name: dict[str, list[bool]] = {}
         for result in self.results:
             for verdict in result.verdicts:
-                found.setdefault(verdict.name, []).append(verdict.passed)
-        return {name: Rate(sum(passed), len(passed)) for name, passed in found.items()}
+                by_name.setdefault(verdict.name, []).append(verdict.passed)
+        return {name: Rate(sum(passed), len(passed)) for name, passed in by_name.items()}
 
     def causes(self) -> dict[str, list[int]]:
-        """Returns the numbers of the failed runs by the kind of their cause, the commonest first."""
-        found: dict[str, list[int]] = {}
+        """Returns the numbers of the failed runs by kind of cause, the most frequent first."""
+        by_kind: dict[str, list[int]] = {}
         for result in self.failed:
-            found.setdefault(result.cause.kind if result.cause else "unknown", []).append(result.run.number)
-        return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+            by_kind.setdefault(result.cause.kind if result.cause else "unknown", []).append(result.run.number)
+        return dict(sorted(by_kind.items(), key=lambda item: -len(item[1])))
 
     def totals(self) -> dict[str, Any]:
-        """Returns what sums up the trial, as values of JSON."""
+        """Returns a summary of the trial as JSON values."""
         rate, outcomes = self.rate, [result.outcome for result in self.results]
         low, high = rate.interval
         return {
@@ -131,7 +131,7 @@ class TrialResults:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as values of JSON."""
+        """Returns the results as JSON values."""
         return {
             "format": _FORMAT,
             "name": self.name,
@@ -154,7 +154,7 @@ def write_results(trial: TrialResults, folder: Path) -> Path:
     """Writes ``results.json`` into a folder; returns its path.
 
     Raises:
-        WriteError: it cannot be written.
+        WriteError: the file cannot be written.
     """
     path = folder / RESULTS
     write_file(path, json_text(trial.to_json()))
@@ -162,7 +162,7 @@ def write_results(trial: TrialResults, folder: Path) -> Path:
 
 
 def json_text(values: Any) -> str:
-    """Returns values as a text of JSON, paths as text, and null for numbers that JSON does not have: NaN and infinity."""
+    """Returns values as JSON text; paths become text, and NaN and infinities become null."""
     return json.dumps(_plain(values), indent=1, allow_nan=False) + "\n"
 
 
@@ -173,12 +173,12 @@ def read_results(path: Path) -> TrialResults:
         path: the file, or the folder of the trial.
 
     Raises:
-        ConfigError: it cannot be read, or is of another kind.
+        ConfigError: the file cannot be read or does not hold results.
     """
     file = path / RESULTS if path.is_dir() else path
     try:
         values = json.loads(read_file(file, _MOST_BYTES))
-        results = tuple(result_from_json(one) for one in values["results"])
+        results = tuple(result_from_json(item) for item in values["results"])
         return TrialResults(
             name=str(values["name"]),
             file=str(values["file"]),
@@ -196,24 +196,24 @@ def read_results(path: Path) -> TrialResults:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}; give the {RESULTS} of a trial, or its folder") from error
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise ConfigError(
-            f"{file}: is no {RESULTS} of a trial: {quoted(str(error) or type(error).__name__)}; give the file that "
+            f"{file}: is not the {RESULTS} of a trial: {quoted(str(error) or type(error).__name__)}; give the file that "
             "`gibson-sim trial` wrote"
         ) from error
 
 
 def _plain(value: Any) -> Any:
-    """Returns values that JSON has."""
+    """Returns values converted to JSON types."""
     if isinstance(value, dict):
-        return {str(name): _plain(one) for name, one in value.items()}
+        return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return value if value is None or isinstance(value, (bool, int, str)) else str(value)
 
 
 def result_from_json(values: dict[str, Any]) -> RunResult:
-    """Returns the result that ``RunResult.to_json`` and ``json_text`` made text of."""
-    kept = {name: value for name, value in values.items() if name != "passed"}
-    kept["measures"] = {name: float(value) for name, value in kept["measures"].items() if value is not None}
-    return RunResult.from_json(kept)
+    """Restores a result from the values of ``RunResult.to_json`` after a round trip through ``json_text``."""
+    fields = {name: value for name, value in values.items() if name != "passed"}
+    fields["measures"] = {name: float(value) for name, value in fields["measures"].items() if value is not None}
+    return RunResult.from_json(fields)

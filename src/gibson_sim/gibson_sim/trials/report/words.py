@@ -1,4 +1,4 @@
-"""Lines about runs: their names, how they went, and the commands that repeat them."""
+"""Texts about runs: names, results, and the commands that repeat them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gibson_sim.trials.records import PlanarPose, RunResult, RunSpec
 from gibson_sim.types import NS_PER_S
 
 _LONGEST = 400
-"""Characters of a line about a run."""
+"""Largest length of a line about a run, characters."""
 _NAME = re.compile(r"[^\w-]+")
 
 
@@ -35,22 +35,22 @@ def robot_name(robot: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Returns a text of letters, digits, ``_`` and ``-`` alone."""
+    """Returns a text reduced to letters, digits, ``_`` and ``-``."""
     return _NAME.sub("_", text).strip("_") or "_"
 
 
-def place(pose: PlanarPose) -> str:
-    """Returns x and y with one digit, metres."""
+def xy_text(pose: PlanarPose) -> str:
+    """Returns x and y with one decimal, metres."""
     return f"{pose[0] + 0.0:.1f},{pose[1] + 0.0:.1f}"
 
 
-def way(run: RunSpec) -> str:
-    """Returns start and goal."""
-    return f"{place(run.start)} -> {place(run.goal)}"
+def route_text(run: RunSpec) -> str:
+    """Returns start and goal as text."""
+    return f"{xy_text(run.start)} -> {xy_text(run.goal)}"
 
 
 def seconds_of(result: RunResult) -> float:
-    """Returns the simulated time from the goal to the end, seconds; that of the whole run where no goal was given."""
+    """Returns the simulation time from the goal to the end, seconds; that of the whole run if no goal was sent."""
     if "time" in result.measures:
         return result.measures["time"]
     outcome = result.outcome
@@ -59,7 +59,7 @@ def seconds_of(result: RunResult) -> float:
 
 
 def reason(result: RunResult) -> str:
-    """Returns in one line why a run failed."""
+    """Returns the reason why a run failed, one line."""
     if result.cause is not None:
         return clipped(result.cause.text, _LONGEST)
     failed = [verdict.text for verdict in result.verdicts if not verdict.passed]
@@ -67,51 +67,51 @@ def reason(result: RunResult) -> str:
 
 
 def success(result: RunResult) -> str:
-    """Returns in one line how a run went that passed."""
+    """Returns a summary of a passed run, one line."""
     measures = result.measures
-    told = [f"{result.outcome.end} in {seconds_of(result):.1f} s"]
+    parts = [f"{result.outcome.end} in {seconds_of(result):.1f} s"]
     length = measures.get("length")
     if length is not None:
         ratio = measures.get("path_ratio", math.nan)
-        told.append(f"{length:.1f} m" + (f" (ratio {ratio:.2f})" if math.isfinite(ratio) else ""))
-    return ", ".join(told)
+        parts.append(f"{length:.1f} m" + (f" (ratio {ratio:.2f})" if math.isfinite(ratio) else ""))
+    return ", ".join(parts)
 
 
 def run_line(result: RunResult) -> str:
-    """Returns the line of a run that has ended."""
+    """Returns a summary of a completed run, one line."""
     run = result.run
-    what = success(result) if result.passed else reason(result)
-    return f"{'ok  ' if result.passed else 'FAIL'} {run.number:3d} {scene_name(run.scene)} {way(run)}  {what}"
+    summary = success(result) if result.passed else reason(result)
+    return f"{'ok  ' if result.passed else 'FAIL'} {run.number:3d} {scene_name(run.scene)} {route_text(run)}  {summary}"
 
 
 def replay_command(folder: Path, number: int) -> str:
-    """Returns the command that repeats a run from its bag, to the bit.
+    """Returns the command that replays a run from its bag, bit for bit.
 
     Args:
-        folder: of the trial.
-        number: of the run.
+        folder: folder of the trial.
+        number: number of the run.
     """
     return shlex.join(["gibson-sim", "replay", str(run_folder(folder, number) / "bag"), "--verify"])
 
 
 def can_be_replayed(folder: Path, result: RunResult) -> bool:
-    """Returns whether a run in the folder of a trial has a bag, with at least one tick in it."""
+    """Returns whether a run in the folder of a trial has a bag with at least one tick."""
     return result.outcome.end_ns > 0 and (run_folder(folder, result.run.number) / "bag").is_dir()
 
 
-def again_command(file: str, number: int, options: Sequence[str] = ()) -> str:
-    """Returns the command that makes a run again, with the stack.
+def rerun_command(file: str, number: int, options: Sequence[str] = ()) -> str:
+    """Returns the command that executes a run again, with the stack.
 
     Args:
-        file: of the scenario.
-        number: of the run.
-        options: those of the command line that the plan depends on.
+        file: scenario file.
+        number: number of the run.
+        options: command-line options that affect the plan.
     """
     return shlex.join(["gibson-sim", "trial", file, *options, "--run", str(number)])
 
 
 def plan_table(runs: Sequence[RunSpec]) -> str:
-    """Returns the planned runs, one a line, below a line of headings."""
+    """Returns a table of the planned runs, one per line, with a header line."""
     rows = [("run", "scene", "robot", "start", "goal", "shortest", "seed", "and")]
     rows += [
         (
@@ -130,7 +130,7 @@ def _pose(pose: PlanarPose) -> str:
 
 
 def _extras(run: RunSpec) -> str:
-    told = [f"{len(run.things)} things"] * bool(run.things) + [f"{len(run.closed_doors)} doors closed"] * bool(run.closed_doors)
-    told += [f"{len(run.people)} people"] * bool(run.people)
-    told += [f"{name} {value:.3g}" for name, value in run.drawn.items()]
-    return ", ".join(told)
+    parts = [f"{len(run.things)} objects"] * bool(run.things) + [f"{len(run.closed_doors)} doors closed"] * bool(run.closed_doors)
+    parts += [f"{len(run.people)} people"] * bool(run.people)
+    parts += [f"{name} {value:.3g}" for name, value in run.drawn.items()]
+    return ", ".join(parts)
