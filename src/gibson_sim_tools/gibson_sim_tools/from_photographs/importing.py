@@ -37,7 +37,7 @@ from gibson_sim_tools.from_photographs.stages import Progress, Stage, StagedJob,
 from gibson_sim_tools.importing.checks.check import check_path
 from gibson_sim_tools.importing.document import ASSETS, BAKED_LIGHT, SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim_tools.importing.glb import write_glb
-from gibson_sim_tools.importing.scans import SCAN_FROM
+from gibson_sim_tools.importing.scans import MIN_SCAN_TRIANGLES
 from gibson_sim_tools.photographs.photographs import Photographs
 from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, decimated, level_transform, level_transform_from_up, write_ply
 from gibson_sim_tools.scanning.fusion import fuse_scan, open3d, simplify_quadric
@@ -272,7 +272,7 @@ class PhotographImport:
         textured = self.output / _TEXTURED
         mesh = load_mesh(textured, [textured.parent])
         vertices, triangles = mesh.merged()
-        collision = SIMPLIFIED if len(triangles) >= SCAN_FROM else "same"
+        collision = SIMPLIFIED if len(triangles) >= MIN_SCAN_TRIANGLES else "same"
         scene = ImportedScene(self.name, "folder of photographs", (self.output / INTERMEDIATES).resolve(), light=BAKED_LIGHT)
         scene.objects = [ImportedObject(self.name, textured, collision=collision)]
         # The floor of a level scan may differ from z = 0 within the tolerance.

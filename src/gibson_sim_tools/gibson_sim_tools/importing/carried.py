@@ -1,4 +1,4 @@
-"""Checks what a finished scene carries beside its meshes (rooms, maps, free poses, licence, thumbnail): what is missing or out of date."""
+"""Checks the files of a finished scene other than meshes (rooms, maps, free poses, licence, thumbnail): missing and outdated ones."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ F64 = NDArray[np.float64]
 
 
 def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *, reach: float = 1.0) -> F64:
-    """Returns the horizontal distance, metres, from places to the nearest triangle between two heights, (N,); at most ``reach``.
+    """Returns the horizontal distances, (N,), m, from points to the nearest triangle between two heights; at most ``reach``.
 
     Args:
         corners: (F, 3, 3), world frame, metres.
-        places: (N, 2), world x, y.
-        low: lower edge of the obstacles that count, metres.
-        high: their upper edge, metres.
-        reach: largest distance that is measured, metres.
+        places: points, (N, 2), world x, y, metres.
+        low: height above which triangles are obstacles, metres.
+        high: height below which triangles are obstacles, metres.
+        reach: maximum distance measured, metres.
     """
     triangles = np.asarray(corners, dtype=np.float64).reshape(-1, 3, 3)
     between = (triangles[:, :, 2].max(axis=1) > low) & (triangles[:, :, 2].min(axis=1) < high)
@@ -55,12 +55,12 @@ def _distances(polygons: F64, point: F64) -> F64:
 
 
 THUMBNAIL = "thumbnail.jpg"
-_SLACK = 0.001
+_TOLERANCE = 0.001
 """Tolerance for the rounded heights and positions in the files, metres."""
 
 
 def missing(scene: SceneSpec) -> list[str]:
-    """Returns what a scene lacks, in words; nothing for a scene without a scene.yaml."""
+    """Returns what a scene lacks, one text for each item; empty for a scene without a scene.yaml."""
     if not (scene.root / DESCRIPTION).is_file():
         return []
     files = [*(f"floor_trav_{number}.png" for number in range(len(scene.floors))), FLOORS, FREE_POSES, "LICENSE", THUMBNAIL]
@@ -68,31 +68,31 @@ def missing(scene: SceneSpec) -> list[str]:
 
 
 def is_begun(scene: SceneSpec) -> bool:
-    """Returns whether a scene has rooms, free poses or a thumbnail; other scenes need none of the rest either."""
+    """Returns whether a scene has rooms, free poses or a thumbnail; a scene without them does not need the other files."""
     return bool(scene.rooms) or any((scene.root / name).is_file() for name in (FREE_POSES, THUMBNAIL))
 
 
 def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:
-    """Yields, in words, what the maps and free poses of a scene state wrongly.
+    """Yields one text for each contradiction between a scene and its maps and free poses.
 
     Args:
-        scene: as it was loaded.
-        radius: of the robot that must fit at every free pose, metres.
-        height: of that robot, metres.
+        scene: the scene, as loaded.
+        radius: radius of the robot that must fit at every free pose, metres.
+        height: height of that robot, metres.
     """
-    yield from _floors(scene)
+    yield from _check_floor_heights(scene)
     try:
         poses = scene_free_poses(scene)
     except SceneError as error:
         yield str(error)
         return
-    beyond = sum(pose.floor >= len(scene.floors) for pose in poses)
-    if beyond:
-        yield f"{FREE_POSES}: {beyond} poses lie on floors that the scene has not: it has {len(scene.floors)}"
-    elsewhere = sum(_room(scene, pose) != pose.room for pose in poses)
-    if elsewhere:
-        yield f"{FREE_POSES}: {elsewhere} of {len(poses)} poses lie in another room than it says"
-    blocked = int(np.sum(free_distances(scene, poses, height) < radius - _SLACK))
+    without_floor = sum(pose.floor >= len(scene.floors) for pose in poses)
+    if without_floor:
+        yield f"{FREE_POSES}: {without_floor} poses are on floors that do not exist; the scene has {len(scene.floors)}"
+    in_wrong_room = sum(_room_name(scene, pose) != pose.room for pose in poses)
+    if in_wrong_room:
+        yield f"{FREE_POSES}: {in_wrong_room} of {len(poses)} poses lie in another room than the file says"
+    blocked = int(np.sum(free_distances(scene, poses, height) < radius - _TOLERANCE))
     if blocked:
         yield f"{FREE_POSES}: {blocked} of {len(poses)} poses are not free for a robot of radius {radius:g} m"
 
@@ -100,7 +100,7 @@ def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]
 def free_distances(
     scene: SceneSpec, poses: Sequence[FreePose], height: float
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Returns the distances, (N,), metres, at most 1, from poses to the nearest obstacle or body below ``height``; 1 on missing floors."""
+    """Returns the distances, (N,), m, at most 1, from poses to the nearest obstacle below ``height``; 1 on floors that do not exist."""
     out = np.ones(len(poses))
     if not poses:
         return out
@@ -108,12 +108,12 @@ def free_distances(
     numbers = np.array([pose.floor for pose in poses])
     places = np.array([(pose.x, pose.y) for pose in poses])
     for number, floor_z in enumerate(scene.floors):
-        here = numbers == number
-        out[here] = clearances(corners, places[here], floor_z + FLOOR_CLEARANCE, floor_z + height)
+        on_floor = numbers == number
+        out[on_floor] = clearances(corners, places[on_floor], floor_z + FLOOR_CLEARANCE, floor_z + height)
     return out
 
 
-def _floors(scene: SceneSpec) -> Iterator[str]:
+def _check_floor_heights(scene: SceneSpec) -> Iterator[str]:
     path = scene.root / FLOORS
     if not path.is_file():
         return
@@ -122,14 +122,14 @@ def _floors(scene: SceneSpec) -> Iterator[str]:
     except (OSError, UnicodeDecodeError, ValueError) as error:
         yield f"{FLOORS}: cannot be read: {error}"
         return
-    if len(heights) != len(scene.floors) or any(abs(a - b) > _SLACK for a, b in zip(heights, scene.floors, strict=True)):
-        yield f"{FLOORS}: has floors at {_text(heights)} m, the scene at {_text(scene.floors)} m"
+    if len(heights) != len(scene.floors) or any(abs(a - b) > _TOLERANCE for a, b in zip(heights, scene.floors, strict=True)):
+        yield f"{FLOORS}: has floors at {_heights_text(heights)} m, the scene at {_heights_text(scene.floors)} m"
 
 
-def _room(scene: SceneSpec, pose: FreePose) -> str:
+def _room_name(scene: SceneSpec, pose: FreePose) -> str:
     room = scene.room_at(pose.x, pose.y, pose.floor)
     return "" if room is None else room.name
 
 
-def _text(heights: Sequence[float]) -> str:
+def _heights_text(heights: Sequence[float]) -> str:
     return ", ".join(f"{z:g}" for z in heights) or "no heights"

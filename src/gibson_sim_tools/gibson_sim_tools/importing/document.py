@@ -1,4 +1,4 @@
-"""The result of an importer, and the scene folder that is written from it."""
+"""Defines the result of an importer, and writes a scene folder from it."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from gibson_sim_tools.importing.left_out import LEFT_OUT, left_out_text
 ASSETS = "assets"
 """Folder of meshes and textures in a written scene."""
 BAKED_LIGHT: Mapping[str, Any] = {"sun": 0.0, "ambient": 1.0}
-"""``light`` of a scan, whose textures contain the light of the room."""
+"""``light`` of a scan; its textures contain the light of the room."""
 
 
 SIMPLIFIED = "simplified"
-"""Collision of a scan: flat floors, and fewer triangles."""
+"""Collision of a scan: boxes for level floors, and a mesh with fewer triangles."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,46 +42,46 @@ class ImportedObject:
 
     name: str
     shape: Path | Mesh | Mapping[str, Any]
-    """A mesh file; a mesh to be written as GLB (z up, metres); or the keys of a primitive."""
+    """Mesh file; mesh to be written as GLB (z up, metres); or the keys of a primitive."""
     pose: Pose = field(default_factory=Pose)
     scale: Vec3 = (1.0, 1.0, 1.0)
     up_axis: str = ""
-    """Empty = as the file says."""
+    """Up axis of the mesh file; empty = as its format says."""
     unit_m: float | None = None
-    """None = as the file says."""
+    """Metres per unit of the mesh file; None = as its format says."""
     semantic_class: str = ""
     color: Rgba | None = None
     collision: Path | Mesh | str = "same"
     """``same``, ``none``, ``simplified``, or a mesh in the frame of the shape."""
     visible: bool = True
-    """False = it collides and is not drawn."""
+    """False = collision only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorPicture:
-    """A map image that came with a scene; our own maps are made from its triangles."""
+    """A map image that is part of the source; Gibson Sim computes its own maps from triangles."""
 
     file: Path
     resolution: float
-    """Metres per pixel."""
+    """Resolution, metres per pixel."""
     number: int
     """Index of its floor, from the lowest."""
 
 
 @dataclass(slots=True, eq=False)
 class ImportedScene:
-    """What an importer read."""
+    """Result of an importer."""
 
     name: str
     kind: str
-    """Kind of the source, in words: ``Gibson folder``."""
+    """Kind of the source in words, such as ``Gibson folder``."""
     root: Path
-    """Folder that holds all its files."""
+    """Folder that contains all files of the source."""
     objects: list[ImportedObject] = field(default_factory=list)
     description: str = ""
     light: Mapping[str, Any] = field(default_factory=dict)
     floors: tuple[float, ...] = ()
-    """Heights from the lowest, metres; empty = estimated on loading."""
+    """Floor heights, m, the lowest first; empty = estimated on loading."""
     ground_z: float | None = None
     gravity: Vec3 | None = None
     rooms: tuple[RoomSpec, ...] = ()
@@ -90,18 +90,18 @@ class ImportedScene:
     licences: list[Path] = field(default_factory=list)
     """Licence and attribution files."""
     warnings: list[str] = field(default_factory=list)
-    home: Path | None = None
+    in_place_folder: Path | None = None
     """Folder for a scene.yaml beside the source; None = the folder of the source."""
     loader: MeshLoader | None = None
-    """A loader that has the meshes in its cache."""
+    """Loader whose cache contains the meshes; None = a new one."""
 
 
 @contextmanager
 def new_folder(output: Path) -> Iterator[Path]:
-    """Yields an empty folder beside ``output``; it is renamed to ``output`` if the block succeeds, and removed if not.
+    """Yields a temporary folder beside ``output``; it is renamed to ``output`` if the block succeeds, else removed.
 
     Raises:
-        SceneError: there is something at ``output`` already, or it cannot be written.
+        SceneError: ``output`` exists and is not empty, or cannot be written.
     """
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise SceneError(f"{output}: already exists and is not empty; give another folder with --output, or delete it first")
@@ -123,7 +123,7 @@ def new_folder(output: Path) -> Iterator[Path]:
 
 
 def write_scene(scene: ImportedScene, output: Path) -> Path:
-    """Writes a scene with all its files into a new folder and returns the scene.yaml.
+    """Writes a scene with all its files into a new folder and returns the path of its scene.yaml.
 
     Raises:
         SceneError: the folder is not empty, or a file cannot be read or written.
@@ -201,7 +201,7 @@ def _object(item: ImportedObject, writer: MeshPlacer, names: dict[str, int]) -> 
 
 
 class MeshPlacer:
-    """Returns the paths of meshes for a scene.yaml. Leaves files where they are; new meshes are written below ``folder``.
+    """Returns the paths of meshes for a scene.yaml. Files stay in place; meshes in memory are written below ``folder``.
 
     Args:
         root: folder of the source files.
@@ -211,7 +211,7 @@ class MeshPlacer:
     def __init__(self, root: Path, folder: Path) -> None:
         self._root = Path(os.path.realpath(root))
         self._folder = folder
-        self._taken: set[str] = set()
+        self._used_paths: set[str] = set()
 
     def mesh(self, shape: Path | Mesh, name: str) -> str:
         """Returns the path of a mesh, relative to the scene.yaml; writes it if it is in memory."""
@@ -225,18 +225,18 @@ class MeshPlacer:
     def _written(self, mesh: Mesh, name: str) -> str:
         base = file_name(name)
         relative = f"{ASSETS}/{base}.glb"
-        number = 1
-        while relative in self._taken:
-            number += 1
-            relative = f"{ASSETS}/{base}_{number}.glb"
-        self._taken.add(relative)
+        suffix = 1
+        while relative in self._used_paths:
+            suffix += 1
+            relative = f"{ASSETS}/{base}_{suffix}.glb"
+        self._used_paths.add(relative)
         (self._folder / ASSETS).mkdir(exist_ok=True)
         write_glb(self._folder / relative, mesh)
         return relative
 
 
 class _MeshCopier(MeshPlacer):
-    """Copies every file of a mesh below ``assets``, at its path relative to the root of the source."""
+    """Copies all files of a mesh to ``assets``, at their paths relative to the root of the source."""
 
     def __init__(self, root: Path, folder: Path, loader: MeshLoader | None) -> None:
         super().__init__(root, folder)
@@ -254,11 +254,11 @@ class _MeshCopier(MeshPlacer):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, target)
         relative = f"{ASSETS}/{path.relative_to(self._root).as_posix()}"
-        self._taken.add(relative)
+        self._used_paths.add(relative)
         return relative
 
     def maps(self, maps: Sequence[FloorPicture], floors: Sequence[float]) -> None:
-        """Writes the maps of the source in Nav2's format: an image and a YAML file each."""
+        """Writes the maps of the source in Nav2's format: an image and a YAML file for each."""
         from gibson_sim_tools.importing.floor_pictures import write_nav2_map
 
         for picture in maps:
@@ -267,10 +267,10 @@ class _MeshCopier(MeshPlacer):
 
 
 def write_in_place(scene: ImportedScene, folder: Path) -> Path:
-    """Writes a scene.yaml into the folder of the source, whose files stay where they are, and returns its path.
+    """Writes a scene.yaml into the folder of the source, whose files stay in place, and returns its path.
 
     Raises:
-        SceneError: there is one already, or a file of the scene lies elsewhere.
+        SceneError: the scene.yaml exists, or a file of the scene is outside the folder.
     """
     path = folder / DESCRIPTION
     if path.exists():

@@ -1,4 +1,4 @@
-"""Maps in Gibson's layout: 0.01 m a pixel, the world's origin in the middle, the first row at the lowest y; 255 = free."""
+"""Converts maps in Gibson's layout to Nav2's: 0.01 m per pixel, origin of the world in the middle, row 0 at the lowest y; 255 = free."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from gibson_sim.writing import write_file
 from gibson_sim_tools.importing.document import FloorPicture
 
 GIBSON_RESOLUTION = 0.01
-"""Metres per pixel."""
+"""Resolution of Gibson's maps, metres per pixel."""
 
 
 def write_nav2_map(picture: FloorPicture, floor_z: float, folder: Path) -> None:
-    """Writes ``floor_N.pgm`` and ``floor_N.yaml``, whose first row is the highest y.
+    """Writes ``floor_N.pgm``, row 0 at the highest y, and ``floor_N.yaml``.
 
     Args:
         picture: the map.
-        floor_z: height of its floor, metres; goes into a comment.
-        folder: made where it is missing.
+        floor_z: height of its floor, metres; written as a comment.
+        folder: created if missing.
 
     Raises:
-        SceneError: the picture cannot be read.
+        SceneError: the image cannot be read.
     """
     data = picture.file.read_bytes()
     size = image_size(data)
     if size is None or size.pixels > MAX_PIXELS:
-        what = "is not an image" if size is None else f"has {size.width} x {size.height} pixels"
-        raise SceneError(f"{picture.file}: {what}; a map must be an image of at most {MAX_PIXELS // 2**20} million pixels")
+        problem = "is not an image" if size is None else f"has {size.width} x {size.height} pixels"
+        raise SceneError(f"{picture.file}: {problem}; a map must be an image of at most {MAX_PIXELS // 2**20} million pixels")
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise SceneError(f"{picture.file}: is truncated or damaged; copy it again, or delete it: our own maps do not need it")
+        raise SceneError(
+            f"{picture.file}: is truncated or damaged; copy it again, or delete it: Gibson Sim computes its own maps"
+        )
     name = f"floor_{picture.number}"
     # Nav2: 254 = free, 0 = occupied.
     free = np.where(image[::-1] == 255, 254, 0).astype(np.uint8)
@@ -47,5 +49,5 @@ def write_nav2_map(picture: FloorPicture, floor_z: float, folder: Path) -> None:
         "origin": [-columns / 2 * picture.resolution, -rows / 2 * picture.resolution, 0.0],
         "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.25,
     }  # fmt: skip
-    head = f"# From {picture.file.name}, which came with the scene; floor at z = {floor_z:g} m\n"
-    write_file(folder / f"{name}.yaml", head + yaml.safe_dump(values, sort_keys=False))
+    header = f"# From {picture.file.name}, part of the source; floor at z = {floor_z:g} m\n"
+    write_file(folder / f"{name}.yaml", header + yaml.safe_dump(values, sort_keys=False))

@@ -23,9 +23,9 @@ def write_glb(path: Path, mesh: Mesh, images: dict[int, bytes] | None = None) ->
     """Writes all parts of a mesh.
 
     Args:
-        path: of the file; its folder must exist.
+        path: path of the file; its folder must exist.
         mesh: mesh to write, with all its material maps.
-        images: encoded PNG or JPEG files by ``id()`` of their ``TextureSource``; other textures are encoded here.
+        images: encoded PNG or JPEG images by ``id()`` of their ``TextureSource``; other textures are encoded by this function.
     """
     builder = GlbBuilder()
     materials = _Materials(builder, images or {})
@@ -38,66 +38,68 @@ def write_glb(path: Path, mesh: Mesh, images: dict[int, bytes] | None = None) ->
         if part.uvs is not None:
             attributes["TEXCOORD_0"] = builder.attribute(part.uvs)
         if part.colors is not None and part.material.colored:
-            attributes["COLOR_0"] = builder.attribute(_linear16(part.colors), "u2", normalized=True)
+            attributes["COLOR_0"] = builder.attribute(_linear16_rgba(part.colors), "u2", normalized=True)
         builder.primitive(attributes, builder.indices(part.triangles), materials.index(part.material))
     write_file(path, builder.to_bytes(path.stem), durable=False)
 
 
 def encoded(pixels: NDArray[np.uint8]) -> bytes:
-    """Returns an image as PNG if a pixel is transparent, else as JPEG."""
-    clear = pixels.shape[2] == 4 and bool((pixels[:, :, 3] < 255).any())
-    suffix, code = (".png", cv2.COLOR_RGBA2BGRA) if clear else (".jpg", cv2.COLOR_RGB2BGR)
-    bgr = cv2.cvtColor(np.ascontiguousarray(pixels if clear else pixels[:, :, :3]), code)
-    ok, data = cv2.imencode(suffix, bgr, [] if clear else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    """Encodes an image, (H, W, 3 or 4) uint8 sRGB, as PNG if any pixel is transparent, else as JPEG."""
+    transparent = pixels.shape[2] == 4 and bool((pixels[:, :, 3] < 255).any())
+    suffix, code = (".png", cv2.COLOR_RGBA2BGRA) if transparent else (".jpg", cv2.COLOR_RGB2BGR)
+    bgr = cv2.cvtColor(np.ascontiguousarray(pixels if transparent else pixels[:, :, :3]), code)
+    ok, data = cv2.imencode(suffix, bgr, [] if transparent else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     if not ok:
         raise SceneError(f"a texture of {pixels.shape[1]} x {pixels.shape[0]} pixels cannot be written as {suffix}")
     return bytes(data)
 
 
 class _Materials:
-    """The materials of a mesh and their textures, each once in the file."""
+    """Adds materials and textures to a file, each once."""
 
     def __init__(self, builder: GlbBuilder, images: dict[int, bytes]) -> None:
-        self._builder, self._given = builder, images
+        self._builder, self._encoded_images = builder, images
         self._materials: dict[Material, int] = {}
         self._textures: dict[int, int] = {}
 
     def index(self, material: Material) -> int:
         """Returns the index of a material in the file."""
         if material not in self._materials:
-            self._materials[material] = self._builder.material(self._object(material))
+            self._materials[material] = self._builder.material(self._gltf_material(material))
         return self._materials[material]
 
-    def _object(self, m: Material) -> dict[str, Any]:
+    def _gltf_material(self, m: Material) -> dict[str, Any]:
         linear = linear_from_srgb(m.base_color[:3]).tolist()
-        surface: dict[str, Any] = {
+        pbr: dict[str, Any] = {
             "baseColorFactor": [*linear, m.base_color[3]], "metallicFactor": m.metallic, "roughnessFactor": m.roughness,
         }  # fmt: skip
-        out: dict[str, Any] = {"name": m.name, "pbrMetallicRoughness": surface, "doubleSided": m.double_sided}
-        out["alphaMode"] = _ALPHA[m.alpha_mode]
+        gltf_material: dict[str, Any] = {"name": m.name, "pbrMetallicRoughness": pbr, "doubleSided": m.double_sided}
+        gltf_material["alphaMode"] = _ALPHA[m.alpha_mode]
         if m.alpha_mode == "mask":
-            out["alphaCutoff"] = m.alpha_cutoff
+            gltf_material["alphaCutoff"] = m.alpha_cutoff
         if m.unlit:
-            out["extensions"] = {"KHR_materials_unlit": {}}
+            gltf_material["extensions"] = {"KHR_materials_unlit": {}}
         if any(m.emissive):
-            out["emissiveFactor"] = [min(c, 1.0) for c in m.emissive]
-        for texture, holder, key, more in (
-            (m.texture, surface, "baseColorTexture", {}),
-            (m.metallic_roughness_texture, surface, "metallicRoughnessTexture", {}),
-            (m.normal_texture, out, "normalTexture", {"scale": m.normal_scale}),
-            (m.occlusion_texture, out, "occlusionTexture", {"strength": m.occlusion_strength}),
-            (m.emissive_texture, out, "emissiveTexture", {}),
+            gltf_material["emissiveFactor"] = [min(c, 1.0) for c in m.emissive]
+        for texture, holder, key, extra in (
+            (m.texture, pbr, "baseColorTexture", {}),
+            (m.metallic_roughness_texture, pbr, "metallicRoughnessTexture", {}),
+            (m.normal_texture, gltf_material, "normalTexture", {"scale": m.normal_scale}),
+            (m.occlusion_texture, gltf_material, "occlusionTexture", {"strength": m.occlusion_strength}),
+            (m.emissive_texture, gltf_material, "emissiveTexture", {}),
         ):
             if texture is not None:
-                holder[key] = {"index": self._texture(texture), **more}
-        return out
+                holder[key] = {"index": self._texture(texture), **extra}
+        return gltf_material
 
     def _texture(self, texture: TextureSource) -> int:
         if id(texture) not in self._textures:
-            self._textures[id(texture)] = self._builder.texture_data(self._given.get(id(texture)) or encoded(texture.pixels))
+            self._textures[id(texture)] = self._builder.texture_data(
+                self._encoded_images.get(id(texture)) or encoded(texture.pixels)
+            )
         return self._textures[id(texture)]
 
 
-def _linear16(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Returns (V, 4) linear red, green, blue and 1 as 16-bit numbers."""
+def _linear16_rgba(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Returns linear RGBA, (V, 4) uint16, alpha 1, from sRGB colours (V, 3)."""
     return np.concatenate([linear16_from_srgb8(colors), np.full((len(colors), 1), 65535, dtype=np.uint16)], axis=1)

@@ -1,4 +1,4 @@
-"""Labels of HM3D: ``NAME.semantic.glb`` draws every object in one colour, and ``NAME.semantic.txt`` maps colours to objects."""
+"""Reads labels of HM3D: in ``NAME.semantic.glb`` every object has one colour; ``NAME.semantic.txt`` maps colours to objects."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from gibson_sim.formats.mesh import Mesh, MeshPart
 from gibson_sim.quoting import quoted
 from gibson_sim_tools.importing.labels import LabelledFaces
 
-_TOLERANCE = 2
-"""Largest difference of a colour channel, 0 to 255, between texture and list."""
+_COLOR_TOLERANCE = 2
+"""Maximum difference of a colour channel, 0 to 255, between texture and list."""
 
 
 def labelled_faces_of_textures(mesh: Mesh, lists: Path) -> tuple[LabelledFaces, dict[int, str]]:
     """Returns the labelled faces of a mesh, and the class of each object.
 
     Args:
-        mesh: the mesh with coloured textures or vertices; world frame.
+        mesh: mesh with coloured textures or vertices, world frame.
         lists: text file with lines of number, colour (RRGGBB), "class", region.
 
     Raises:
-        SceneError: the text cannot be read, or the mesh has none of its colours.
+        SceneError: the list cannot be read, or none of its colours is on the mesh.
     """
-    colors, classes = _table(lists)
+    colors, classes = _read_list(lists)
     numbers = np.array(list(colors), dtype=np.int64)
-    known = np.array(list(colors.values()), dtype=np.int64).reshape(-1, 3)
-    tree = cKDTree(known)
+    listed_colors = np.array(list(colors.values()), dtype=np.int64).reshape(-1, 3)
+    tree = cKDTree(listed_colors)
     centres, objects = [], []
     for part in mesh.parts:
-        difference, nearest = tree.query(_colors(part), p=np.inf)
-        found = difference <= _TOLERANCE
-        centres.append(part.vertices[part.triangles].mean(axis=1, dtype=np.float64)[found])
-        objects.append(numbers[nearest[found]])
+        difference, nearest = tree.query(_triangle_colors(part), p=np.inf)
+        is_listed = difference <= _COLOR_TOLERANCE
+        centres.append(part.vertices[part.triangles].mean(axis=1, dtype=np.float64)[is_listed])
+        objects.append(numbers[nearest[is_listed]])
     faces = LabelledFaces(np.concatenate(centres), np.concatenate(objects))
     if not len(faces.objects):
         raise SceneError(
-            f"{lists}: none of its {len(colors)} colours is on the mesh beside it; use --no-semantics, or get both files again"
+            f"{lists}: none of its {len(colors)} colours is on the mesh beside it; use --no-semantics, or download both files again"
         )
     return faces, classes
 
 
-def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]:
+def _read_list(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]:
     colors: dict[int, tuple[int, int, int]] = {}
     classes: dict[int, str] = {}
     for row in csv.reader(path.read_text(encoding="utf-8", errors="replace").splitlines()):
@@ -56,17 +56,17 @@ def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]
             number, (red, green, blue) = int(row[0]), bytes.fromhex(row[1].strip())
         except ValueError as e:
             raise SceneError(
-                f"{path}: {quoted(','.join(row))} is not a number, a colour and a class ({e}); get the file again"
+                f"{path}: {quoted(','.join(row))} is not a number, a colour and a class ({e}); download the file again"
             ) from e
         colors[number] = (red, green, blue)
         classes[number] = row[2]
     if not colors:
-        raise SceneError(f"{path}: names no object; get the file again, or use --no-semantics")
+        raise SceneError(f"{path}: lists no objects; download the file again, or use --no-semantics")
     return colors, classes
 
 
-def _colors(part: MeshPart) -> NDArray[np.uint8]:
-    """Returns the colour at the centre of each triangle, (F, 3)."""
+def _triangle_colors(part: MeshPart) -> NDArray[np.uint8]:
+    """Returns the colour at the centre of each triangle, (F, 3) uint8 sRGB."""
     if part.colors is not None:
         return part.colors[part.triangles[:, 0]]
     texture = part.material.texture

@@ -19,9 +19,9 @@ from gibson_sim_tools.importing.document import ImportedObject
 
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
-NEAR = 0.1
-"""Largest distance from a face to the labelled face whose label it gets, metres."""
-_MAX_JSON = 64 * 2**20
+MAX_LABEL_DISTANCE = 0.1
+"""Maximum distance between a face and the labelled face whose label it receives, m."""
+_MAX_JSON_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,34 +29,34 @@ class LabelledFaces:
     """Faces with object labels."""
 
     centres: F64
-    """(F, 3), metres, world frame."""
+    """Centres of the faces, (F, 3), m, world frame."""
     objects: I64
-    """(F,): number of the object."""
+    """Object number of each face, (F,)."""
 
 
-def take_apart(mesh: Mesh, objects: list[I64], classes: Mapping[int, str]) -> list[ImportedObject]:
-    """Returns one object for each number, named after its class: ``chair_12``.
+def split_objects(mesh: Mesh, objects: list[I64], classes: Mapping[int, str]) -> list[ImportedObject]:
+    """Splits a mesh into one object for each number, named after its class: ``chair_12``.
 
     Args:
         mesh: the whole mesh, world frame.
-        objects: for each part, (F,): object number of each triangle.
-        classes: class of each number; missing numbers are unlabelled.
+        objects: object number of each triangle, (F,), for each part.
+        classes: class of each object number; missing numbers are unlabelled.
     """
-    pieces: dict[int, list[MeshPart]] = {}
+    parts_by_object: dict[int, list[MeshPart]] = {}
     for part, numbers in zip(mesh.parts, objects, strict=True):
         for number in np.unique(numbers).tolist():
-            pieces.setdefault(number, []).append(some_triangles(part, numbers == number))
+            parts_by_object.setdefault(number, []).append(select_triangles(part, numbers == number))
     out = []
-    for number in sorted(pieces):
+    for number in sorted(parts_by_object):
         semantic_class = class_name(classes.get(number, ""))
         name = f"{semantic_class or 'unlabelled'}_{number}"
-        out.append(ImportedObject(name, Mesh(tuple(pieces[number])), semantic_class=semantic_class))
+        out.append(ImportedObject(name, Mesh(tuple(parts_by_object[number])), semantic_class=semantic_class))
     return out
 
 
-def some_triangles(part: MeshPart, chosen: NDArray[np.bool_]) -> MeshPart:
-    """Returns some of the triangles of a part, with the vertices that they use."""
-    used, inverse = np.unique(part.triangles[chosen], return_inverse=True)
+def select_triangles(part: MeshPart, is_selected: NDArray[np.bool_]) -> MeshPart:
+    """Returns the selected triangles of a part, with only the vertices that they use. ``is_selected``: (F,)."""
+    used, inverse = np.unique(part.triangles[is_selected], return_inverse=True)
     return replace(
         part,
         vertices=part.vertices[used],
@@ -67,27 +67,29 @@ def some_triangles(part: MeshPart, chosen: NDArray[np.bool_]) -> MeshPart:
     )
 
 
-def transfer(mesh: Mesh, labelled: LabelledFaces) -> list[I64]:
-    """Returns for each part of a mesh the object number of each triangle, (F,); -1 = no labelled face within ``NEAR``."""
+def transfer_labels(mesh: Mesh, labelled: LabelledFaces) -> list[I64]:
+    """Returns the object number of each triangle, (F,), for each part of a mesh; -1 = no labelled face within ``MAX_LABEL_DISTANCE``."""
     tree = cKDTree(labelled.centres)
     out = []
     for part in mesh.parts:
-        distance, nearest = tree.query(part.vertices[part.triangles].mean(axis=1, dtype=np.float64), distance_upper_bound=NEAR)
+        distance, nearest = tree.query(
+            part.vertices[part.triangles].mean(axis=1, dtype=np.float64), distance_upper_bound=MAX_LABEL_DISTANCE
+        )
         numbers = np.full(len(distance), -1, dtype=np.int64)
-        found = np.isfinite(distance)
-        numbers[found] = labelled.objects[nearest[found]]
+        is_near = np.isfinite(distance)
+        numbers[is_near] = labelled.objects[nearest[is_near]]
         out.append(numbers)
     return out
 
 
 def class_name(text: str) -> str:
-    """Returns a class name in our form: lower case, words joined by ``_``; empty for names that mean "unlabelled"."""
+    """Normalises a class name: lower case, words joined by ``_``; empty for names that mean "unlabelled"."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
     return "" if name in ("undefined", "unknown", "unlabeled", "unlabelled", "other", "void") else name
 
 
 def replica_classes(path: Path) -> dict[int, str]:
-    """Returns the class of each object of an ``info_semantic.json``."""
+    """Returns the class of each object number, from an ``info_semantic.json``."""
     document = _json(path)
     try:
         return {int(item["id"]): str(item.get("class_name", "")) for item in document["objects"]}
@@ -98,7 +100,7 @@ def replica_classes(path: Path) -> dict[int, str]:
 
 
 def habitat_classes(path: Path) -> dict[int, str]:
-    """Returns the class of each object of a Habitat scene: ``info_semantic.json``, ``*.scn`` or ``*.house``."""
+    """Returns the class of each object number of a Habitat scene, from ``info_semantic.json``, ``*.scn`` or ``*.house``."""
     if path.suffix == ".house":
         return _house_classes(path)
     if path.suffix == ".scn":
@@ -113,22 +115,22 @@ def habitat_classes(path: Path) -> dict[int, str]:
 def _house_classes(path: Path) -> dict[int, str]:
     """Reads a Matterport house: lines ``C index mapping name ...`` for categories and ``O index region category ...`` for objects."""
     categories: dict[int, str] = {}
-    found: dict[int, str] = {}
+    objects: dict[int, str] = {}
     try:
         for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
             words = line.split()
             if words[:1] == ["C"]:
                 categories[int(words[1])] = words[5] if len(words) > 5 else words[3]
             elif words[:1] == ["O"]:
-                found[int(words[1])] = categories.get(int(words[3]), "").replace("#", " ")
+                objects[int(words[1])] = categories.get(int(words[3]), "").replace("#", " ")
     except (ValueError, IndexError) as e:
         raise SceneError(f"{path}: a line cannot be read ({e}); the file is damaged") from e
-    return found
+    return objects
 
 
 def _json(path: Path) -> Any:
-    if path.stat().st_size > _MAX_JSON:
-        raise SceneError(f"{path}: has {path.stat().st_size // 2**20} MB, must be at most {_MAX_JSON // 2**20} MB")
+    if path.stat().st_size > _MAX_JSON_BYTES:
+        raise SceneError(f"{path}: has {path.stat().st_size // 2**20} MB, must be at most {_MAX_JSON_BYTES // 2**20} MB")
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as e:

@@ -1,4 +1,4 @@
-"""The list of what an import could not use, kept beside the scene.yaml so that ``check`` can repeat it."""
+"""Reads and writes ``left_out.yaml``: items of the source that an import could not use; ``check`` repeats them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from gibson_sim.quoting import clipped
 from gibson_sim.reading import is_file, read_yaml_file
 
 LEFT_OUT = "left_out.yaml"
-"""File in the folder of a scene."""
-_LONGEST = 1000
+"""File beside the scene.yaml."""
+_MAX_LENGTH = 1000
 """Length limit of a line, characters."""
-_HEAD = "# What the source of this scene names and could not be used. `gibson-sim scene check` repeats it; delete what you have fixed.\n"
+_HEADER = (
+    "# Items of the source that could not be used. `gibson-sim scene check` repeats them; delete those that you have fixed.\n"
+)
 
 
 def left_out_text(lines: Iterable[str]) -> str:
-    """Returns the text of the file for these lines; empty if there are none."""
+    """Returns the text of the file for these lines; empty without lines."""
     entries = [{"kind": kind_of(line).name.lower(), "text": str(line)} for line in dict.fromkeys(lines)]
-    return _HEAD + yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=10_000) if entries else ""
+    return _HEADER + yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=10_000) if entries else ""
 
 
 def read_left_out(folder: Path) -> Sequence[Omission]:
-    """Returns the omissions that an import noted in the folder of a scene; empty without such a file.
+    """Returns the omissions that an import listed in the folder of a scene; empty without the file.
 
     Raises:
         SceneError: the file cannot be read.
@@ -45,5 +47,5 @@ def read_left_out(folder: Path) -> Sequence[Omission]:
             raise SceneError(
                 f"{path}: must be a list of {{kind: .., text: ..}}, kind one of {', '.join(kinds)}; correct it, or delete it"
             )
-        lines.append(Omission(clipped(entry["text"], _LONGEST), kinds[entry["kind"]]))
+        lines.append(Omission(clipped(entry["text"], _MAX_LENGTH), kinds[entry["kind"]]))
     return tuple(lines)

@@ -20,52 +20,55 @@ class ImportResult:
     """Result of an import."""
 
     file: Path
-    """The scene.yaml."""
+    """Path of the scene.yaml."""
     kind: str
+    """Kind of the source in words, such as ``Gibson folder``."""
     scene: SceneSpec
     """The written scene, loaded."""
     warnings: tuple[str, ...]
-    """One line each."""
+    """Warnings, one line each."""
 
 
-def import_scene(source: Path, output: Path | None, choices: ImportOptions | None = None) -> ImportResult:
+def import_scene(source: Path, output: Path | None, options: ImportOptions | None = None) -> ImportResult:
     """Imports a scene of any kind, and loads the result.
 
     Args:
         source: file, folder or archive.
-        output: new folder that gets the scene.yaml and a copy of all files; None = the scene.yaml goes beside the source, whose files
-            stay where they are.
-        choices: None = everything as the source says.
+        output: new folder for the scene.yaml and a copy of all files; None = the scene.yaml is written beside the source, whose files
+            stay in place.
+        options: None = the defaults.
 
     Raises:
-        SceneError: it cannot be read or written.
+        SceneError: the source cannot be read, or the scene cannot be written.
     """
-    found = identify(source)
-    if found.kind is SourceKind.OURS:
-        raise SceneError(f"{source}: is a scene of ours already; use it as it is")
-    if found.kind is not SourceKind.ARCHIVE:
-        return _imported(found, output, choices or ImportOptions())
+    identified = identify(source)
+    if identified.kind is SourceKind.GIBSON_SIM:
+        raise SceneError(f"{source}: is a Gibson Sim scene already; use it as it is")
+    if identified.kind is not SourceKind.ARCHIVE:
+        return _import_source(identified, output, options or ImportOptions())
     if output is None:
-        raise SceneError(f"{source}: is an archive; say with --output FOLDER where the scene goes")
+        raise SceneError(f"{source}: is an archive; give a folder for the scene with --output")
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{output.name}.", dir=output.parent) as temporary:
         unpack(source, Path(temporary) / "archive")
-        inside = only_folder(Path(temporary) / "archive")
-        named = choices or ImportOptions()
-        return _imported(identify(inside), output, replace(named, name=named.name or source.name.split(".")[0]))
+        content = only_folder(Path(temporary) / "archive")
+        archive_options = options or ImportOptions()
+        return _import_source(
+            identify(content), output, replace(archive_options, name=archive_options.name or source.name.split(".")[0])
+        )
 
 
-def _imported(source: Source, output: Path | None, choices: ImportOptions) -> ImportResult:
-    scene = read_source(source, choices)
-    file = write_scene(scene, output) if output is not None else write_in_place(scene, scene.home or source.folder)
+def _import_source(source: Source, output: Path | None, options: ImportOptions) -> ImportResult:
+    scene = read_source(source, options)
+    file = write_scene(scene, output) if output is not None else write_in_place(scene, scene.in_place_folder or source.folder)
     spec = load_scene(file)
-    # Warnings about the source would appear once more for the copy.
-    known = {_key(warning) for warning in scene.warnings}
-    fresh = [warning for warning in spec.warnings if _key(warning) not in known]
-    return ImportResult(file, scene.kind, spec, (*dict.fromkeys(scene.warnings), *fresh))
+    # Loading the copy repeats the warnings about the source.
+    known = {_warning_key(warning) for warning in scene.warnings}
+    new_warnings = [warning for warning in spec.warnings if _warning_key(warning) not in known]
+    return ImportResult(file, scene.kind, spec, (*dict.fromkeys(scene.warnings), *new_warnings))
 
 
-def _key(warning: str) -> str:
+def _warning_key(warning: str) -> str:
     return warning.replace(f"{ASSETS}/", "")
 
 

@@ -19,14 +19,14 @@ USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
 POINT_SUFFIXES = (".pcd", ".xyz", ".pts", ".ptx", ".las", ".laz", ".e57", ".splat", ".spz")
 MAX_BYTES = 4 * 2**30
-"""Size limit of a mesh file."""
+"""Size limit of a mesh file, bytes."""
 GIBSON_MESH = "mesh_z_up.obj"
 _ADVICE = {
     ".blend": "export it from Blender as glTF (.glb)", ".fbx": "export it as glTF (.glb), for example with Blender",
     ".3ds": "export it as glTF (.glb), for example with Blender", ".max": "export it as glTF (.glb)",
     ".skp": "export it from SketchUp as COLLADA (.dae) or glTF (.glb)", ".ifc": "convert it to glTF, for example with IfcConvert",
     ".rvt": "export it as IFC, and that as glTF", ".wrl": "convert it to glTF, for example with MeshLab or Blender",
-    ".off": "convert it to PLY or OBJ, for example with MeshLab", ".urdf": "it is a body, not a scene: spawn it",
+    ".off": "convert it to PLY or OBJ, for example with MeshLab", ".urdf": "it describes a body, not a scene: spawn it",
 }  # fmt: skip
 
 
@@ -40,7 +40,7 @@ class SourceKind(Enum):
     USD = "USD file"
     MESH = "mesh"
     ARCHIVE = "archive"
-    OURS = "scene of ours"
+    GIBSON_SIM = "Gibson Sim scene"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,23 +49,23 @@ class Source:
 
     kind: SourceKind
     file: Path
-    """The mesh, world or archive; for ``GIBSON`` and ``REPLICA`` the main mesh."""
+    """Mesh, world or archive; for ``GIBSON`` and ``REPLICA`` the main mesh."""
     folder: Path
-    """Folder of all files of the scene."""
+    """Folder that contains all files of the scene."""
     semantics: tuple[Path, ...] = ()
-    """Labelled mesh, and the list of its classes."""
+    """Labelled mesh, and the list of its classes; empty = no labels."""
 
 
 def identify(path: Path) -> Source:
-    """Returns the source in a file or folder.
+    """Identifies the source in a file or folder.
 
     Raises:
         SceneNotFoundError: the path does not exist or holds no scene.
-        SceneError: the kind cannot be read; the message says what to do.
+        SceneError: this kind of source cannot be read; the message names a remedy.
     """
     if not path.exists():
         raise SceneNotFoundError(f"{path}: does not exist; give a file or a folder")
-    # Files named in worlds are looked up in parent folders, which a relative path, or one through `..`, does not name.
+    # Files named in worlds are searched in parent folders, which a relative path, or one with `..`, does not contain.
     if path.is_dir():
         return _folder(Path(os.path.realpath(path)))
     path = Path(os.path.realpath(path.parent)) / path.name
@@ -75,13 +75,13 @@ def identify(path: Path) -> Source:
 
 def _folder(path: Path) -> Source:
     if (path / DESCRIPTION).is_file():
-        return Source(SourceKind.OURS, path / DESCRIPTION, path)
+        return Source(SourceKind.GIBSON_SIM, path / DESCRIPTION, path)
     if (path / GIBSON_MESH).is_file():
         return Source(SourceKind.GIBSON, path / GIBSON_MESH, path, _existing(path, ("semantic.obj",)))
     if (path / "layout").is_dir() and (path / "urdf").is_dir():
         raise SceneError(
-            f"{path}: is an interactive iGibson scene, whose furniture lies in another data set under another licence; it is not read. "
-            f"The static scenes of Gibson and iGibson are: give a folder with {GIBSON_MESH}"
+            f"{path}: is an interactive iGibson scene, which is not supported: its furniture is in another data set under another licence. "
+            f"Static scenes of Gibson and iGibson are supported: give a folder with {GIBSON_MESH}"
         )
     labelled = _existing(path / "habitat", ("mesh_semantic.ply", "info_semantic.json"))
     if (path / "mesh.ply").is_file() and (labelled or (path / "textures").is_dir()):
@@ -122,7 +122,7 @@ def _described(file: Path, folder: Path) -> Source:
     if suffix in MESH_SUFFIXES:
         return Source(SourceKind.MESH, file, folder)
     if suffix in (".yaml", ".yml"):
-        return Source(SourceKind.OURS, file, folder)
+        return Source(SourceKind.GIBSON_SIM, file, folder)
     known = ", ".join((*MESH_SUFFIXES, *USD_SUFFIXES, ".world", ".sdf", ".dmd.yaml", *ARCHIVE_SUFFIXES))
     raise SceneError(f"{file}: {quoted(suffix or 'no suffix')} is not a supported scene format; known: {known}")
 
@@ -151,7 +151,7 @@ def _habitat_semantics(mesh: Path) -> tuple[Path, ...]:
         (f"{stem}_semantic.ply", (f"{stem}.scn", f"{stem}.house", "info_semantic.json")),
         ("mesh_semantic.ply", ("info_semantic.json",)),
     ):
-        found = _existing(folder, lists)
-        if (folder / labelled).is_file() and found and mesh.name != labelled:
-            return (folder / labelled, found[0])
+        existing_lists = _existing(folder, lists)
+        if (folder / labelled).is_file() and existing_lists and mesh.name != labelled:
+            return (folder / labelled, existing_lists[0])
     return ()

@@ -1,4 +1,4 @@
-"""Reads USD through ``usd-core``, which is an optional extra: meshes, texture coordinates, colours and UsdPreviewSurface textures."""
+"""Reads USD with ``usd-core``, an optional dependency: meshes, texture coordinates, colours and UsdPreviewSurface textures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gibson_sim_tools.importing.labels import class_name
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 _UP: dict[str, UpAxis] = {"Y": "y", "Z": "z"}
-_MOST_MESHES = 20_000
+_MAX_MESHES = 20_000
 
 
 def require_usd() -> None:
@@ -32,7 +32,7 @@ def require_usd() -> None:
         EnvironmentProblemError: it is not; the message says how to install it.
     """
     if importlib.util.find_spec("pxr") is None:
-        raise EnvironmentProblemError("USD files are read through usd-core, which is not installed: pip install usd-core")
+        raise EnvironmentProblemError("reading USD files needs usd-core, which is not installed: pip install usd-core")
 
 
 def read_usd(path: Path, up_axis: UpAxis | None, unit_m: float | None) -> tuple[list[ImportedObject], list[str]]:
@@ -40,7 +40,7 @@ def read_usd(path: Path, up_axis: UpAxis | None, unit_m: float | None) -> tuple[
 
     Args:
         path: the file.
-        up_axis: which axis is up; None = as the file says.
+        up_axis: up axis of the file; None = as the file says.
         unit_m: metres per unit; None = as the file says.
 
     Raises:
@@ -90,12 +90,12 @@ class _Stage:
             if UsdGeom.Imageable(prim).ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
                 continue
             count += 1
-            if count > _MOST_MESHES:
-                raise SceneError(f"{self._path}: has more than {_MOST_MESHES} meshes; export a part of it, or join them")
+            if count > _MAX_MESHES:
+                raise SceneError(f"{self._path}: has more than {_MAX_MESHES} meshes; export a part of it, or join meshes")
             parts = self._parts(prim)
             if parts:
                 name = "_".join(str(prim.GetPath()).strip("/").split("/")[-2:])
-                yield ImportedObject(name, Mesh(tuple(parts)), semantic_class=_label(prim))
+                yield ImportedObject(name, Mesh(tuple(parts)), semantic_class=_semantic_class(prim))
 
     def _parts(self, prim: Any) -> list[MeshPart]:
         from pxr import UsdGeom, UsdShade
@@ -123,8 +123,8 @@ class _Stage:
             bound[np.asarray(subset.GetIndicesAttr().Get() or [], dtype=np.int64)] = len(materials) - 1
         parts = []
         for k, material in enumerate(materials):
-            chosen = triangles[bound[polygon] == k]
-            part = self._part(prim, points, corners, chosen, uvs, colors, self._material(material), matrix)
+            part_triangles = triangles[bound[polygon] == k]
+            part = self._part(prim, points, corners, part_triangles, uvs, colors, self._material(material), matrix)
             if part is not None:
                 parts.append(part)
         return parts
@@ -141,30 +141,30 @@ class _Stage:
             if values is not None:
                 columns += list(np.rint(np.clip(values[rows], -1e4, 1e4) * steps).astype(np.int64).T)
         first, inverse = index_corners(*columns)
-        kept = rows[first]
-        tints = None if colors is None or material is not None else srgb8_from_linear(colors[kept])
+        corner_rows = rows[first]
+        tints = None if colors is None or material is not None else srgb8_from_linear(colors[corner_rows])
         if uvs is not None:
-            uvs = np.stack([uvs[kept, 0], 1.0 - uvs[kept, 1]], axis=1)
-        look = material or Material("displayColor", (1.0, 1.0, 1.0, 1.0)) if tints is not None or material else Material()
-        what = f"{self._path}: {prim.GetPath()}"
-        return build_part(what, points[corners[kept]], inverse.reshape(-1, 3), None, uvs, look, matrix, tints)
+            uvs = np.stack([uvs[corner_rows, 0], 1.0 - uvs[corner_rows, 1]], axis=1)
+        resolved = material or Material("displayColor", (1.0, 1.0, 1.0, 1.0)) if tints is not None or material else Material()
+        source = f"{self._path}: {prim.GetPath()}"
+        return build_part(source, points[corners[corner_rows]], inverse.reshape(-1, 3), None, uvs, resolved, matrix, tints)
 
     def _primvar(self, prim: Any, names: tuple[str, ...], corners: I64, sizes: I64, width: int) -> F64 | None:
-        """Returns a primvar at each corner, (C, width), or None."""
+        """Returns the values of the first existing primvar at each corner, (C, width), or None."""
         from pxr import UsdGeom
 
         api = UsdGeom.PrimvarsAPI(prim)
-        found = next((p for p in (api.FindPrimvarWithInheritance(name) for name in names) if p and p.HasValue()), None)
-        if found is None:
+        primvar = next((p for p in (api.FindPrimvarWithInheritance(name) for name in names) if p and p.HasValue()), None)
+        if primvar is None:
             return None
-        values = _array(found.ComputeFlattened(), width)
-        by = {"constant": np.zeros(len(corners), dtype=np.int64), "uniform": np.repeat(np.arange(len(sizes)), sizes), "vertex": corners,
-              "varying": corners, "faceVarying": np.arange(len(corners))}[str(found.GetInterpolation())]  # fmt: skip
-        if not len(values) or by.max() >= len(values):
-            self.warnings.append(f"{prim.GetPath()}: {found.GetPrimvarName()} has {len(values)} values, too few; left out")
+        values = _array(primvar.ComputeFlattened(), width)
+        value_index = {"constant": np.zeros(len(corners), dtype=np.int64), "uniform": np.repeat(np.arange(len(sizes)), sizes), "vertex": corners,
+              "varying": corners, "faceVarying": np.arange(len(corners))}[str(primvar.GetInterpolation())]  # fmt: skip
+        if not len(values) or value_index.max() >= len(values):
+            self.warnings.append(f"{prim.GetPath()}: {primvar.GetPrimvarName()} has {len(values)} values, too few; ignored")
             return None
-        picked: F64 = values[by]
-        return picked
+        corner_values: F64 = values[value_index]
+        return corner_values
 
     def _material(self, material: Any) -> Material | None:
         if not material:
@@ -220,8 +220,8 @@ class _Stage:
         )
 
 
-def _label(prim: Any) -> str:
-    """Returns the class of a prim or of its nearest labelled ancestor; empty if there is none."""
+def _semantic_class(prim: Any) -> str:
+    """Returns the semantic class of a prim or of its nearest labelled ancestor; empty without a label."""
     while prim and str(prim.GetPath()) != "/":
         for attribute in prim.GetAttributes():
             if attribute.GetName().startswith("semantic:") and attribute.GetName().endswith(":params:semanticData"):

@@ -1,4 +1,4 @@
-"""Pictures of a scene without a display: from free places at eye height, from above, and its floor map, on one sheet."""
+"""Renders a scene without a display: views from free positions at eye height, from above, and its floor map, on one sheet."""
 
 from __future__ import annotations
 
@@ -25,26 +25,28 @@ from gibson_sim.types import CameraSpec, Pose, SceneState
 Rgb = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 WIDTH, HEIGHT = 640, 480
-"""Size of one picture, pixels."""
+"""Size of one view, pixels."""
 EYE_HEIGHT = 1.25
-"""Metres above the floor."""
+"""Height of the eye-height cameras above the floor, m."""
 CUT_HEIGHT = 2.1
-"""Height above the floor at which the top view cuts the building, metres."""
+"""Height above the floor at which the top view cuts the building, m."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
+"""Size of the robot for which positions are free, m."""
 _COLUMNS, _GAP, _CAPTION = 3, 6, 22
-_PAPER, _INK = 250, (50, 50, 50)
-_PLACES, _HEADINGS = 15, 8
-_FAR_ENOUGH, _APART = 5.0, 2.0
-"""Depth of a good view, and distance between views, metres."""
+_BACKGROUND, _TEXT_COLOR = 250, (50, 50, 50)
+_CANDIDATES, _HEADINGS_PER_CANDIDATE = 15, 8
+"""Number of candidate positions, and of headings at each."""
+_GOOD_DEPTH, _VIEW_DISTANCE = 5.0, 2.0
+"""Median depth from which a view is good, and distance from which two views are independent, m."""
 _FREE, _OCCUPIED, _UNKNOWN = (255, 255, 255), (40, 40, 40), (178, 178, 178)
 
 
 def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None) -> Rgb:
-    """Returns pictures of a scene, (H, W, 3) uint8 sRGB.
+    """Returns a sheet of views of a scene, (H, W, 3) uint8 sRGB.
 
     Args:
         scene: the scene.
-        views: number of pictures at eye height, spread over the free floor.
+        views: number of views at eye height, spread over the free floor.
         floor_z: height of the floor to show; None = the one that robots start on.
 
     Raises:
@@ -52,75 +54,75 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     """
     level = scene if floor_z is None else replace(scene, floor_z=floor_z)
     floor = _floor_with_bodies(level)
-    with _still_renderer(scene) as renderer:
-        eyes = _eyes(renderer, level, floor, views)
-        pictures = [_drawn(renderer, scene, camera) for camera in (*eyes, _from_above(level))]
+    with _static_renderer(scene) as renderer:
+        eyes = _eye_cameras(renderer, level, floor, views)
+        pictures = [_rendered(renderer, scene, camera) for camera in (*eyes, _top_view_camera(level))]
     places = np.array([eye.pose.position[:2] for eye in eyes])
     yaws = [_heading(eye) for eye in eyes]
-    named = [
+    titled = [
         (f"view {k + 1} at {x:.1f}, {y:.1f}", p) for k, ((x, y), p) in enumerate(zip(places.tolist(), pictures, strict=False))
     ]
-    named.append(("from above", pictures[-1]))
-    named.append((f"floor map, {floor.resolution:g} m a cell", map_picture(floor, places, yaws)))
-    return sheet(named)
+    titled.append(("from above", pictures[-1]))
+    titled.append((f"floor map, {floor.resolution:g} m per cell", map_picture(floor, places, yaws)))
+    return sheet(titled)
 
 
 def gallery_of_scenes(scenes: Iterable[SceneSpec], views: int) -> Rgb:
-    """Returns pictures at eye height of several scenes, a row for each, (H, W, 3) uint8 sRGB.
+    """Returns views at eye height of several scenes, one row for each scene, (H, W, 3) uint8 sRGB.
 
     Args:
         scenes: the scenes.
-        views: pictures of each; the floors of a scene alternate, the lowest first.
+        views: number of views of each scene; the floors of a scene alternate, the lowest first.
 
     Raises:
         SceneError: a scene has no free floor.
     """
-    named = []
+    titled = []
     for scene in scenes:
         levels = [replace(scene, floor_z=z) for z in scene.floors] or [scene]
         counts = [len(range(k, views, len(levels))) for k in range(len(levels))]
-        with _still_renderer(scene) as renderer:
+        with _static_renderer(scene) as renderer:
             for number, (level, count) in enumerate(zip(levels, counts, strict=True)):
                 if not count:
                     continue
                 title = scene.name if len(levels) == 1 else f"{scene.name}, floor {number}"
-                for eye in _eyes(renderer, level, _floor_with_bodies(level), count):
-                    named.append((title, _drawn(renderer, scene, eye)))
-    return sheet(named, views)
+                for eye in _eye_cameras(renderer, level, _floor_with_bodies(level), count):
+                    titled.append((title, _rendered(renderer, scene, eye)))
+    return sheet(titled, views)
 
 
-def _still_renderer(scene: SceneSpec) -> Renderer:
-    """Returns a renderer of a scene with its bodies where they stand at load."""
-    still = replace(scene, visuals=still_visuals(scene), robots=(), bodies=())
-    return Renderer(drawn_scene(still, ()), cache=default_folder())
+def _static_renderer(scene: SceneSpec) -> Renderer:
+    """Returns a renderer of a scene with its bodies at their initial poses."""
+    static_scene = replace(scene, visuals=still_visuals(scene), robots=(), bodies=())
+    return Renderer(drawn_scene(static_scene, ()), cache=default_folder())
 
 
-def _drawn(renderer: Renderer, scene: SceneSpec, camera: CameraSpec) -> Rgb:
+def _rendered(renderer: Renderer, scene: SceneSpec, camera: CameraSpec) -> Rgb:
     picture = renderer.render(SceneState.still(scene.revision), [camera])[0].rgb
     assert picture is not None
     return picture
 
 
-def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> list[CameraSpec]:
-    """Returns cameras at eye height that see much of a floor."""
-    candidates = free_places(floor, _PLACES)
+def _eye_cameras(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> list[CameraSpec]:
+    """Returns ``count`` cameras at eye height that see much of a floor."""
+    candidates = free_places(floor, _CANDIDATES)
     if not len(candidates):
         raise SceneError(
-            f"scene {quoted(level.name)}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
+            f"scene {quoted(level.name)}: no free position on the floor at z = {level.floor_z:.2f} m; run `gibson-sim scene check`"
         )
     z = level.floor_z + EYE_HEIGHT
-    places, yaws = _best(renderer, SceneState.still(level.revision), candidates, z, count)
-    return [_eye(x, y, z, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
+    places, yaws = _best_views(renderer, SceneState.still(level.revision), candidates, z, count)
+    return [_eye_camera(x, y, z, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
 
 
 def _heading(camera: CameraSpec) -> float:
-    """Returns the heading of a level camera's picture, radians."""
+    """Returns the heading of a camera's optical axis, radians."""
     x, y, _ = rotated(camera.pose.quat_xyzw, (0.0, 0.0, 1.0))
     return math.atan2(y, x)
 
 
 def _floor_with_bodies(scene: SceneSpec) -> FloorMap:
-    """Returns the map of the floor that robots start on, with bodies where they stand at load."""
+    """Returns the map of the floor that robots start on, with bodies at their initial poses."""
     corners = scene_triangles(scene)
     ground = scene.ground_z is not None and abs(scene.ground_z - scene.floor_z) <= FLOOR_TOLERANCE
     return make_floor_map(
@@ -133,82 +135,86 @@ def _floor_with_bodies(scene: SceneSpec) -> FloorMap:
 
 
 def free_places(floor: FloorMap, count: int) -> F64:
-    """Returns free places, (N, 2), world x, y, far from each other; two thirds of them are in the largest free region."""
-    inside = _spread(floor, floor.largest_free_region(ROBOT_RADIUS), count - count // 3)
-    return np.concatenate([inside, _spread(floor, floor.inflate(ROBOT_RADIUS), count // 3)])
+    """Returns free positions, (N, 2), world x, y, m, far from each other; two thirds of them in the largest free region."""
+    in_largest_region = _spread(floor, floor.largest_free_region(ROBOT_RADIUS), count - count // 3)
+    return np.concatenate([in_largest_region, _spread(floor, floor.inflate(ROBOT_RADIUS), count // 3)])
 
 
 def _spread(floor: FloorMap, region: NDArray[np.bool_], count: int) -> F64:
-    """Returns places in a region by farthest-point sampling, beginning at the most open one."""
+    """Returns positions (N, 2) in a region by farthest-point sampling, starting at the largest clearance."""
     cells = np.argwhere(region)
     if not len(cells) or not count:
         return np.zeros((0, 2))
-    room = floor.distance_to_obstacle[tuple(cells.T)]
+    clearance = floor.distance_to_obstacle[tuple(cells.T)]
     points = floor.centers(cells)
-    # Close to a wall, a camera sees nothing but the wall.
-    roomy = room >= min(0.45, float(np.quantile(room, 0.6)))
-    points, room = points[roomy], room[roomy]
-    chosen = [int(room.argmax())]
+    # Close to a wall, a camera sees only the wall.
+    is_open = clearance >= min(0.45, float(np.quantile(clearance, 0.6)))
+    points, clearance = points[is_open], clearance[is_open]
+    selected = [int(clearance.argmax())]
     distance = np.full(len(points), np.inf)
-    while len(chosen) < min(count, len(points)):
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int((distance * np.clip(room, 0.2, 1.0)).argmax()))
-    return points[chosen]
+    while len(selected) < min(count, len(points)):
+        distance = np.minimum(distance, np.linalg.norm(points - points[selected[-1]], axis=1))
+        selected.append(int((distance * np.clip(clearance, 0.2, 1.0)).argmax()))
+    return points[selected]
 
 
-def _best(renderer: Renderer, state: SceneState, places: F64, z: float, count: int) -> tuple[F64, list[float]]:
-    """Returns places (N, 2) and headings, far from each other, that see much of the scene and nothing too near.
+def _best_views(renderer: Renderer, state: SceneState, places: F64, z: float, count: int) -> tuple[F64, list[float]]:
+    """Returns positions (N, 2) and headings, radians, far from each other, with large and varied depth.
 
-    Each candidate is rendered as a thumbnail and scored by its depth.
+    Each candidate is rendered as a thumbnail and scored by its depth image.
     """
-    # Not parallel to the walls, most of which run along x or y.
-    headings = ((np.arange(_HEADINGS) + 0.4) * 2 * math.pi / _HEADINGS).tolist()
-    at = np.repeat(places, _HEADINGS, axis=0)
+    # Oblique to x and y, along which most walls run.
+    headings = ((np.arange(_HEADINGS_PER_CANDIDATE) + 0.4) * 2 * math.pi / _HEADINGS_PER_CANDIDATE).tolist()
+    positions = np.repeat(places, _HEADINGS_PER_CANDIDATE, axis=0)
     yaws = np.tile(headings, len(places))
-    worth = np.zeros(len(at))
-    for k, ((x, y), yaw) in enumerate(zip(at.tolist(), yaws.tolist(), strict=True)):
-        stamp = replace(_eye(x, y, z, yaw), width=WIDTH // 10, height=HEIGHT // 10, outputs=("depth",), samples=1)
-        depth = renderer.render(state, [stamp])[0].depth
+    scores = np.zeros(len(positions))
+    for k, ((x, y), yaw) in enumerate(zip(positions.tolist(), yaws.tolist(), strict=True)):
+        thumbnail = replace(_eye_camera(x, y, z, yaw), width=WIDTH // 10, height=HEIGHT // 10, outputs=("depth",), samples=1)
+        depth = renderer.render(state, [thumbnail])[0].depth
         assert depth is not None
-        seen = np.isfinite(depth)
-        if seen.any():
-            # Depth varies where objects stand before walls; a view along or onto a wall shows neither.
-            far, varied = float(np.median(depth[seen])), float(np.std(np.minimum(depth[seen], 2 * _FAR_ENOUGH)))
-            worth[k] = float(seen.mean()) * min(far / _FAR_ENOUGH, 1.0) * (0.5 + min(varied, 1.0))
-    chosen: list[int] = []
-    apart = np.ones(len(at))
-    while len(chosen) < count:
-        chosen.append(int((worth * apart).argmax()))
-        distance = np.linalg.norm(at - at[chosen[-1]], axis=1)
-        turn = np.abs((yaws - yaws[chosen[-1]] + math.pi) % (2 * math.pi) - math.pi)
-        # The opposite heading at the same place is another picture.
-        apart = np.minimum(apart, np.clip(distance / _APART + 0.25 * turn / math.pi, 0.01, 1.0))
-    return at[chosen], [float(yaws[k]) for k in chosen]
+        has_depth = np.isfinite(depth)
+        if has_depth.any():
+            # Depth varies where objects stand in front of walls; a view of a bare wall has little variation.
+            median_depth, depth_deviation = (
+                float(np.median(depth[has_depth])),
+                float(np.std(np.minimum(depth[has_depth], 2 * _GOOD_DEPTH))),
+            )
+            scores[k] = float(has_depth.mean()) * min(median_depth / _GOOD_DEPTH, 1.0) * (0.5 + min(depth_deviation, 1.0))
+    selected: list[int] = []
+    novelty = np.ones(len(positions))
+    while len(selected) < count:
+        selected.append(int((scores * novelty).argmax()))
+        distance = np.linalg.norm(positions - positions[selected[-1]], axis=1)
+        turn = np.abs((yaws - yaws[selected[-1]] + math.pi) % (2 * math.pi) - math.pi)
+        # The opposite heading at the same position is a different view.
+        novelty = np.minimum(novelty, np.clip(distance / _VIEW_DISTANCE + 0.25 * turn / math.pi, 0.01, 1.0))
+    return positions[selected], [float(yaws[k]) for k in selected]
 
 
-def _eye(x: float, y: float, z: float, yaw: float) -> CameraSpec:
+def _eye_camera(x: float, y: float, z: float, yaw: float) -> CameraSpec:
+    """Returns a camera at a position, m, with a heading, radians, tilted slightly down."""
     matrix = matrix_from_pose(pose_from_xyz_rpy((x, y, z), (0.0, math.radians(6.0), yaw)))
     pose = Pose((x, y, z), quat_from_matrix(matrix[:3, :3] @ R_LINK_OPTICAL))
     return CameraSpec("view", "", pose, WIDTH, HEIGHT, math.radians(62.0), outputs=("rgb",), samples=4)
 
 
-def _from_above(scene: SceneSpec) -> CameraSpec:
-    """Returns a top-view camera of the whole floor, the building cut at ``CUT_HEIGHT``."""
+def _top_view_camera(scene: SceneSpec) -> CameraSpec:
+    """Returns a camera that sees the whole floor from above, the building cut at ``CUT_HEIGHT`` by its near plane."""
     vertices, _ = collision_triangles(scene)
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     (width, depth), middle = (high - low).tolist(), (low + high) / 2
     fov = math.radians(30.0)
-    above = 1.05 * max(depth, width * HEIGHT / WIDTH) / 2 / math.tan(fov / 2) + CUT_HEIGHT
-    # As the map is drawn: x to the right, y up.
+    distance = 1.05 * max(depth, width * HEIGHT / WIDTH) / 2 / math.tan(fov / 2) + CUT_HEIGHT
+    # As in the map: x to the right, y up.
     rotation = np.diag([1.0, -1.0, -1.0])
-    pose = Pose((float(middle[0]), float(middle[1]), scene.floor_z + above), quat_from_matrix(rotation))
+    pose = Pose((float(middle[0]), float(middle[1]), scene.floor_z + distance), quat_from_matrix(rotation))
     return CameraSpec(
-        "above", "", pose, WIDTH, HEIGHT, fov, near=above - CUT_HEIGHT, far=above + 100.0, outputs=("rgb",), samples=4
+        "above", "", pose, WIDTH, HEIGHT, fov, near=distance - CUT_HEIGHT, far=distance + 100.0, outputs=("rgb",), samples=4
     )
 
 
 def map_picture(floor: FloorMap, places: F64, yaws: Sequence[float]) -> Rgb:
-    """Returns the floor map, (HEIGHT, WIDTH, 3), north up, with the views: free = white, occupied = dark, unknown = grey."""
+    """Returns the floor map, (HEIGHT, WIDTH, 3) uint8, y up, with numbered views: free = white, occupied = dark, unknown = grey."""
     colors = np.empty((*floor.shape, 3), dtype=np.uint8)
     colors[:] = _UNKNOWN
     colors[floor.floor] = _FREE
@@ -216,29 +222,29 @@ def map_picture(floor: FloorMap, places: F64, yaws: Sequence[float]) -> Rgb:
     rows, columns = floor.shape
     scale = min(WIDTH / columns, HEIGHT / rows)
     size = (max(1, int(columns * scale)), max(1, int(rows * scale)))
-    small = cv2.resize(colors[::-1], size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST)
+    image = cv2.resize(colors[::-1], size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST)
     for number, ((x, y), yaw) in enumerate(zip(places.tolist(), yaws, strict=True)):
         at = (np.array([x, y]) - floor.origin) / floor.resolution * scale
         tip = at + 14.0 * np.array([math.cos(yaw), math.sin(yaw)])
         start, end = ((round(float(p[0])), round(size[1] - float(p[1]))) for p in (at, tip))
-        cv2.arrowedLine(small, start, end, (30, 110, 220), 2, cv2.LINE_AA, tipLength=0.4)
+        cv2.arrowedLine(image, start, end, (30, 110, 220), 2, cv2.LINE_AA, tipLength=0.4)
         cv2.putText(
-            small, str(number + 1), (start[0] + 5, start[1] - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (200, 40, 30), 1, cv2.LINE_AA
+            image, str(number + 1), (start[0] + 5, start[1] - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (200, 40, 30), 1, cv2.LINE_AA
         )
-    out = np.full((HEIGHT, WIDTH, 3), _PAPER, dtype=np.uint8)
-    top, left = (HEIGHT - small.shape[0]) // 2, (WIDTH - small.shape[1]) // 2
-    out[top : top + small.shape[0], left : left + small.shape[1]] = small
+    out = np.full((HEIGHT, WIDTH, 3), _BACKGROUND, dtype=np.uint8)
+    top, left = (HEIGHT - image.shape[0]) // 2, (WIDTH - image.shape[1]) // 2
+    out[top : top + image.shape[0], left : left + image.shape[1]] = image
     return out
 
 
 def sheet(pictures: Sequence[tuple[str, Rgb]], columns: int = _COLUMNS) -> Rgb:
-    """Returns pictures of one size with captions, in rows."""
+    """Arranges captioned views in rows on one sheet."""
     rows = math.ceil(len(pictures) / columns)
     cell = (HEIGHT + _CAPTION + _GAP, WIDTH + _GAP)
-    out = np.full((rows * cell[0] + _GAP, min(columns, len(pictures)) * cell[1] + _GAP, 3), _PAPER, dtype=np.uint8)
+    out = np.full((rows * cell[0] + _GAP, min(columns, len(pictures)) * cell[1] + _GAP, 3), _BACKGROUND, dtype=np.uint8)
     for k, (title, picture) in enumerate(pictures):
         top, left = _GAP + k // columns * cell[0], _GAP + k % columns * cell[1]
         out[top : top + HEIGHT, left : left + WIDTH] = picture
-        where = (left + 4, top + HEIGHT + _CAPTION - 6)
-        cv2.putText(out, title, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+        position = (left + 4, top + HEIGHT + _CAPTION - 6)
+        cv2.putText(out, title, position, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _TEXT_COLOR, 1, cv2.LINE_AA)
     return out

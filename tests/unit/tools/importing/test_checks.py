@@ -83,7 +83,7 @@ def test_units_are_guessed_by_the_size_of_rooms(size: tuple[float, float, float]
 def test_a_room_with_a_box_in_it_has_no_faults() -> None:
     corners, quads = room()
     faults = find_faults(corners, triangles(quads))
-    assert (faults.open_edges, faults.crowded_edges, faults.wrong_edges) == (0, 0, 0)
+    assert (faults.open_edges, faults.non_manifold_edges, faults.inconsistent_edges) == (0, 0, 0)
     assert not faults.inverted.any() and not faults.degenerate.any()
 
 
@@ -102,7 +102,7 @@ def test_turned_faces_are_found_however_they_are_written() -> None:
     loose = corners[faces].reshape(-1, 3)
     faults = find_faults(loose, np.arange(len(loose)).reshape(-1, 3))
     assert np.flatnonzero(faults.inverted).tolist() == [2, 7]
-    assert faults.wrong_edges == 6
+    assert faults.inconsistent_edges == 6
 
 
 def test_a_thing_that_is_inside_out_is_found_and_a_room_is_none() -> None:
@@ -118,7 +118,7 @@ def test_triangles_without_area_and_edges_of_three_faces_are_counted() -> None:
     faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5], [0, 0, 1]])
     faults = find_faults(corners, faces)
     assert np.flatnonzero(faults.degenerate).tolist() == [3, 4]
-    assert faults.crowded_edges == 1
+    assert faults.non_manifold_edges == 1
 
 
 # Whole scenes
@@ -231,7 +231,7 @@ def test_what_a_robot_would_see_as_a_hole_is_told_before_it_drives(tmp_path: Pat
     (found,) = [f for f in report.findings if f.what == "view-holes"]
     assert found.level == "note" and 0.02 < found.amount < 0.2 and "% of a robot's view is holes" in found.text
     assert report.json()["free_floor_m2"] == pytest.approx(5.5 * 3.5, rel=0.1)
-    monkeypatch.setattr("gibson_sim_tools.importing.checks.check.SCAN_FROM", 10)
+    monkeypatch.setattr("gibson_sim_tools.importing.checks.check.MIN_SCAN_TRIANGLES", 10)
     assert _found(check_path(tmp_path / "b"))["view-holes"] == "warning"
 
 

@@ -27,7 +27,7 @@ def test_nothing_has_no_faults() -> None:
 
 def test_a_sheet_is_open_along_its_rim() -> None:
     faults = find_faults(SQUARE, HALVES)
-    assert (faults.open_edges, faults.wrong_edges, faults.crowded_edges, faults.largest_piece) == (4, 0, 0, 1.0)
+    assert (faults.open_edges, faults.inconsistent_edges, faults.non_manifold_edges, faults.largest_piece) == (4, 0, 0, 1.0)
     assert faults.open_length == pytest.approx(4.0) and faults.holes == pytest.approx((4.0,))
 
 
@@ -52,7 +52,7 @@ def test_one_face_of_a_small_closed_thing_that_is_turned_is_found(flip: int) -> 
     # A far sheet makes the whole larger than the thing, which is no room then.
     vertices = np.concatenate([CORNERS, 10.0 * SQUARE + [5.0, 5.0, 0.0]])
     faults = find_faults(vertices, np.concatenate([faces, HALVES + 4]))
-    assert np.flatnonzero(faults.inverted).tolist() == [flip] and faults.wrong_edges == 3
+    assert np.flatnonzero(faults.inverted).tolist() == [flip] and faults.inconsistent_edges == 3
 
 
 def test_a_thing_inside_out_is_turned_and_a_moebius_strip_is_left() -> None:
@@ -69,13 +69,13 @@ def test_a_thing_inside_out_is_turned_and_a_moebius_strip_is_left() -> None:
     next_low, next_high = np.where(k == 11, 1, low + 2), np.where(k == 11, 0, high + 2)
     strip = np.concatenate([np.stack([low, next_low, next_high], 1), np.stack([low, next_high, high], 1)])
     found = find_faults(points.reshape(-1, 3), strip)
-    assert found.wrong_edges == 1 and not found.inverted.any() and len(found.holes) == 1
+    assert found.inconsistent_edges == 1 and not found.inverted.any() and len(found.holes) == 1
 
 
 def test_three_faces_at_an_edge_are_crowded() -> None:
     faces = np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]])
     faults = find_faults(np.concatenate([CORNERS, [[0.0, -1.0, 0.0]]]), faces)
-    assert faults.crowded_edges == 1 and faults.open_edges == 6
+    assert faults.non_manifold_edges == 1 and faults.open_edges == 6
     assert faults.largest_piece == pytest.approx(1 / 3), "a crowded edge joins nothing"
 
 

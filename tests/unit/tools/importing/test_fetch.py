@@ -121,7 +121,7 @@ def test_a_download_goes_on_where_it_was_cut_off(
 ) -> None:
     server.cut_after = 100
     assert _fetch(recipe, "--yes", "--output", tmp_path / "out") == 1
-    assert "run the command again to go on" in capsys.readouterr().err
+    assert "run the command again to resume" in capsys.readouterr().err
     assert _fetch(recipe, "--yes", "--output", tmp_path / "out") == 0
     assert "bytes=100-" in server.ranges
     # A complete file is not requested again.
@@ -146,7 +146,7 @@ def test_more_than_the_recipe_says_is_not_taken(server: Server, tmp_path: Path) 
 
 
 def test_what_is_not_there_is_one_line(server: Server, tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="the server says 404"):
+    with pytest.raises(SceneError, match="the server returned 404"):
         download(f"{server.url}/none", tmp_path / "a", "0" * 64, 10, lambda count: None)
 
 

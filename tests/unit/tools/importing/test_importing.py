@@ -79,7 +79,7 @@ def test_without_a_folder_nothing_is_copied(tmp_path: Path) -> None:
     before = {p.name for p in folder.iterdir()}
     assert import_scene(folder, None).file == folder / "scene.yaml"
     assert {p.name for p in folder.iterdir()} == before | {"scene.yaml"}
-    with pytest.raises(SceneError, match="a scene of ours already"):
+    with pytest.raises(SceneError, match="a Gibson Sim scene already"):
         import_scene(folder, None)
 
 

@@ -16,9 +16,9 @@ from gibson_sim_tools.importing.labels import (
     class_name,
     habitat_classes,
     replica_classes,
-    some_triangles,
-    take_apart,
-    transfer,
+    select_triangles,
+    split_objects,
+    transfer_labels,
 )
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -34,14 +34,14 @@ def part(*places: float, colors: tuple[tuple[int, int, int], ...] = ()) -> MeshP
 
 
 def test_chosen_triangles_keep_their_own_vertices_only() -> None:
-    some = some_triangles(part(0.0, 1.0, 2.0), np.array([False, True, False]))
+    some = select_triangles(part(0.0, 1.0, 2.0), np.array([False, True, False]))
     assert some.triangles.tolist() == [[0, 1, 2]]
     assert some.vertices[0].tolist() == [1.0, 0.0, 0.0] and len(some.vertices) == len(some.normals) == 3
 
 
 def test_a_mesh_falls_apart_by_numbers_over_all_its_parts() -> None:
     mesh = Mesh((part(0.0, 1.0), part(2.0)))
-    chair, rest = take_apart(mesh, [np.array([7, 3]), np.array([7])], {7: "Office chair"})[::-1]
+    chair, rest = split_objects(mesh, [np.array([7, 3]), np.array([7])], {7: "Office chair"})[::-1]
     assert (chair.name, chair.semantic_class) == ("office_chair_7", "office_chair")
     assert [p.vertices[0, 0] for p in chair.shape.parts] == [0.0, 2.0]
     assert (rest.name, rest.semantic_class) == ("unlabelled_3", "")
@@ -49,7 +49,7 @@ def test_a_mesh_falls_apart_by_numbers_over_all_its_parts() -> None:
 
 def test_triangles_take_the_label_of_the_nearest_face_within_ten_centimetres() -> None:
     labelled = LabelledFaces(np.array([[0.01, 0.01, 0.0], [1.06, 0.01, 0.0]]), np.array([4, 9]))
-    assert [n.tolist() for n in transfer(Mesh((part(0.0, 1.0, 2.0),)), labelled)] == [[4, 9, -1]]
+    assert [n.tolist() for n in transfer_labels(Mesh((part(0.0, 1.0, 2.0),)), labelled)] == [[4, 9, -1]]
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_vertex_colours_of_hm3d_are_objects_if_they_nearly_agree(tmp_path: Path)
     [
         ("1,FF00,chair,0", "not a number, a colour and a class"),
         ("x,FF0000,sofa,0", "not a number, a colour and a class"),
-        ("title\n", "names no object"),
+        ("title\n", "lists no objects"),
         ("1,0000FF,chair,0", "none of its 1 colours"),
     ],
 )

@@ -35,7 +35,7 @@ def _touch(folder: Path, *names: str) -> None:
         (("a.glb", "a.semantic.glb", "a.semantic.txt"), SourceKind.HABITAT, "a.glb", 2),
         (("a.glb", "a_semantic.ply", "a.house"), SourceKind.HABITAT, "a.glb", 2),
         (("a.usda", "b.png"), SourceKind.USD, "a.usda", 0),
-        (("scene.yaml", "mesh_z_up.obj"), SourceKind.OURS, "scene.yaml", 0),
+        (("scene.yaml", "mesh_z_up.obj"), SourceKind.GIBSON_SIM, "scene.yaml", 0),
     ],
 )
 def test_folders_are_told_by_what_lies_in_them(
@@ -53,7 +53,7 @@ def test_folders_are_told_by_what_lies_in_them(
         ("a.tar.gz", SourceKind.ARCHIVE),
         ("a.usdz", SourceKind.USD),
         ("a.dmd.yaml", SourceKind.WORLD),
-        ("a.yaml", SourceKind.OURS),
+        ("a.yaml", SourceKind.GIBSON_SIM),
     ],
 )
 def test_files_are_told_by_their_names(tmp_path: Path, name: str, kind: SourceKind) -> None:

@@ -104,16 +104,14 @@ def test_splats_of_something_else_are_refused_in_one_line(tmp_path: Path) -> Non
     splats, corners = _room(tmp_path)
     ball = np.random.default_rng(3).normal(size=splats.positions.shape)
     other = replace(splats, positions=(2.0 * ball / np.linalg.norm(ball, axis=1, keepdims=True)).astype(np.float32))
-    with pytest.raises(
-        SceneError, match=r"no pose and scale were found at which these splats are this mesh: at best \d+ %"
-    ) as caught:
+    with pytest.raises(SceneError, match=r"no pose and scale fit the splats to the mesh: at best \d+ %") as caught:
         align_splats(_moved(tmp_path, other, np.eye(4)), corners, np.random.default_rng(0))
     assert "\n" not in str(caught.value)
 
 
 def test_a_room_that_looks_alike_from_two_sides_needs_a_rough_pose(tmp_path: Path) -> None:
     splats, corners = _room(tmp_path, BARE)
-    with pytest.raises(SceneError, match=r"several poses fit alike.*give a rough pose"):
+    with pytest.raises(SceneError, match=r"several poses fit equally well.*give an approximate pose"):
         align_splats(_moved(tmp_path, splats, AWAY), corners, np.random.default_rng(0))
     near = matrix_from_pose(pose_from_xyz_rpy((0.2, -0.1, 0.1), (0.0, 0.0, 0.1)))
     near[:3, :3] *= 1.03
@@ -123,19 +121,22 @@ def test_a_room_that_looks_alike_from_two_sides_needs_a_rough_pose(tmp_path: Pat
 
 def test_splats_that_lie_on_the_mesh_stay_there(tmp_path: Path) -> None:
     splats, corners = _room(tmp_path)
-    with pytest.raises(SceneError, match=r"stay where they are: .*within 0\.0 cm of the mesh, which is not nearer than they are"):
+    with pytest.raises(
+        SceneError,
+        match=r"pose of the splats is unchanged: .*within 0\.0 cm of the mesh, which is not closer than the present pose",
+    ):
         align_splats(_moved(tmp_path, splats, np.eye(4)), corners, np.random.default_rng(0))
 
 
 def test_too_few_splats_those_at_one_place_and_no_mesh_are_refused(tmp_path: Path) -> None:
     splats, corners = _room(tmp_path)
     spec = _moved(tmp_path, replace(splats, opacities=np.full(len(splats), 0.3, dtype=np.float32)), np.eye(4))
-    with pytest.raises(SceneError, match=r"has 0 splats with an opacity of 0\.5 and more; 100 are needed"):
+    with pytest.raises(SceneError, match=r"has 0 splats with an opacity of at least 0\.5; 100 are needed"):
         align_splats(spec, corners, np.random.default_rng(0))
     spec = _moved(tmp_path, replace(splats, positions=np.ones_like(splats.positions)), np.eye(4))
-    with pytest.raises(SceneError, match=r"all of the splats are at one place, 1, 1, 1"):
+    with pytest.raises(SceneError, match=r"all splats are at the same position, 1, 1, 1"):
         align_splats(spec, corners, np.random.default_rng(0))
-    with pytest.raises(SceneError, match="draws no mesh"):
+    with pytest.raises(SceneError, match="has no visual mesh"):
         align_splats(_moved(tmp_path, splats, np.eye(4)), np.zeros((0, 3, 3)), np.random.default_rng(0))
 
 

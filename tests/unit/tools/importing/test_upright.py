@@ -13,8 +13,8 @@ from gibson_sim.geometry.patches import flat_patches
 from gibson_sim.geometry.upright import find_candidates
 from gibson_sim_tools.importing.checks.check import SceneFinding, SceneReport, check_path
 from gibson_sim_tools.importing.checks.facts import SceneFacts
-from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene, made_worse
-from gibson_sim_tools.importing.checks.gravity import UpGuess, direction, direction_text, guess_up, level_near, rotation_to_z
+from gibson_sim_tools.importing.checks.fix import FixOptions, fix_scene, regressions
+from gibson_sim_tools.importing.checks.gravity import UpGuess, direction, direction_text, guess_up, refine_up, rotation_to_z
 from gibson_sim_tools.importing.document import rpy_deg
 from gibson_sim_tools.importing.run import ImportOptions, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
@@ -138,7 +138,7 @@ def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pyte
     (folder / "scene.yaml").write_text("name: bent\nobjects: [{name: room, mesh: room.obj}]\n")
     report = check_path(folder)
     up = np.array([0.0, np.sin(np.radians(30)), np.cos(np.radians(30))])
-    monkeypatch.setattr("gibson_sim_tools.importing.checks.fix.level_near", lambda *_: tuple(up))
+    monkeypatch.setattr("gibson_sim_tools.importing.checks.fix.refine_up", lambda *_: tuple(up))
     with pytest.raises(SceneError, match="nothing was written: a repaired copy of 'bent' would be worse than it is"):
         fix_scene(report, tmp_path / "b", FixOptions(up=(0.0, 0.0, 1.0)))
     assert not (tmp_path / "b").exists()
@@ -150,9 +150,9 @@ def test_only_what_could_be_told_before_counts_as_worse(tmp_path: Path) -> None:
     write_obj(tmp_path / "side.obj", turned(corners, 0, -90.0), quads)
     up, side = check_path(tmp_path / "up.obj"), check_path(tmp_path / "side.obj")
     bad = SceneReport((SceneFinding("no-room", "warning", "nothing is free"),), up.facts)
-    assert made_worse(up, bad) == ["nothing is free"]
-    assert made_worse(side, bad) == []
-    assert made_worse(bad, up) == []
+    assert regressions(up, bad) == ["nothing is free"]
+    assert regressions(side, bad) == []
+    assert regressions(bad, up) == []
 
 
 # By hand
@@ -179,10 +179,10 @@ def test_a_direction_is_written_as_it_is_read() -> None:
 
 def test_what_is_level_near_a_given_direction_decides_the_rest() -> None:
     corners, quads = room()
-    assert level_near(turned(corners, 0, 5.0), triangles(quads), (0, 0, 1)) == pytest.approx(
+    assert refine_up(turned(corners, 0, 5.0), triangles(quads), (0, 0, 1)) == pytest.approx(
         tuple(turned(np.array([[0.0, 0.0, 1.0]]), 0, 5.0)[0]), abs=1e-6
     )
-    assert level_near(turned(corners, 0, 40.0), triangles(quads), (0, 0, 1)) == pytest.approx((0, 0, 1))
+    assert refine_up(turned(corners, 0, 40.0), triangles(quads), (0, 0, 1)) == pytest.approx((0, 0, 1))
 
 
 def test_a_scene_whose_up_is_not_clear_is_turned_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -224,7 +224,7 @@ def _scan_file(path: Path, rotation: np.ndarray) -> Path:
 def test_a_scan_that_lies_along_no_axis_is_imported_upright(tmp_path: Path) -> None:
     rotation = random_rotation(7)
     imported = import_scene(_scan_file(tmp_path / "scan.ply", rotation), tmp_path / "out")
-    assert any("lies along no axis of the file" in w for w in imported.warnings), imported.warnings
+    assert any("is not perpendicular to any axis of the file" in w for w in imported.warnings), imported.warnings
     facts = check_path(tmp_path / "out").facts
     assert facts is not None and facts.upright and facts.tilt_deg < 0.5
     assert facts.size[2] == pytest.approx(2.4, abs=0.1)
@@ -280,12 +280,12 @@ def test_islands_that_a_sloping_floor_hid_do_not_keep_it_from_being_levelled() -
     facts = check_facts(tilt_deg=1.2)
     before = SceneReport((SceneFinding("not-level", "warning", "the floor is 1.20 degrees out of level"),), facts)
     fresh = SceneFinding("islands", "warning", "the free floor at z = 0.00 m is in 3 pieces")
-    assert made_worse(before, SceneReport((fresh,), check_facts(tilt_deg=0.1))) == []
-    assert made_worse(SceneReport((), facts), SceneReport((fresh,), check_facts(tilt_deg=0.1))) == [fresh.text]
+    assert regressions(before, SceneReport((fresh,), check_facts(tilt_deg=0.1))) == []
+    assert regressions(SceneReport((), facts), SceneReport((fresh,), check_facts(tilt_deg=0.1))) == [fresh.text]
     blocked = SceneFinding("no-room", "warning", "no place is free")
-    assert made_worse(before, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == [blocked.text]
+    assert regressions(before, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == [blocked.text]
     steep = SceneReport(before.findings, check_facts(tilt_deg=12.0))
-    assert made_worse(steep, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == []
+    assert regressions(steep, SceneReport((blocked,), check_facts(tilt_deg=0.1))) == []
 
 
 @pytest.mark.parametrize(
@@ -293,7 +293,7 @@ def test_islands_that_a_sloping_floor_hid_do_not_keep_it_from_being_levelled() -
     [
         ({"inverted": 6.0}, {"inverted": 7.0}, ["inverted triangles: 7, 6 before"]),
         ({"holes": 10.0}, {"holes": 10.3}, []),
-        ({"holes": 10.0}, {"holes": 10.5}, ["open rims: 10.5 m, 10.0 m before"]),
+        ({"holes": 10.0}, {"holes": 10.5}, ["open boundaries: 10.5 m, 10.0 m before"]),
         ({}, {"view-holes": 0.02}, ["holes in the views of a robot: 2.0 %, 0.0 % before"]),
         ({"view-holes": 0.1}, {"view-holes": 0.05}, []),
     ],
@@ -304,17 +304,17 @@ def test_every_amount_of_a_check_counts_beyond_its_noise(
     def report(amounts: dict[str, float]) -> SceneReport:
         return SceneReport(tuple(SceneFinding(k, "note", k, amount=v) for k, v in amounts.items()), check_facts(tilt_deg=0.1))
 
-    assert made_worse(report(before), report(after)) == worse
+    assert regressions(report(before), report(after)) == worse
 
 
 def test_less_free_floor_and_a_larger_tilt_are_worse_even_where_neither_is_a_fault() -> None:
     def report(tilt_deg: float, free: float) -> SceneReport:
         return SceneReport((), check_facts(tilt_deg), free_floor=free)
 
-    assert made_worse(report(0.1, 20.0), report(0.15, 18.8)) == []
-    assert made_worse(report(0.1, 20.0), report(0.1, 18.0)) == ["floor that is free for a robot: 18.0 m^2, 20.0 m^2 before"]
-    assert made_worse(report(0.1, 20.0), report(0.4, 20.0)) == ["the floor is 0.40 degrees out of level, 0.10 before"]
-    assert made_worse(report(12.0, 20.0), report(0.1, 10.0)) == []  # the map of a steep floor says nothing
+    assert regressions(report(0.1, 20.0), report(0.15, 18.8)) == []
+    assert regressions(report(0.1, 20.0), report(0.1, 18.0)) == ["floor that is free for a robot: 18.0 m^2, 20.0 m^2 before"]
+    assert regressions(report(0.1, 20.0), report(0.4, 20.0)) == ["the floor is 0.40 degrees out of level, 0.10 before"]
+    assert regressions(report(12.0, 20.0), report(0.1, 10.0)) == []  # the map of a steep floor says nothing
 
 
 def test_a_level_hall_with_raised_seating_is_not_turned_by_a_repair(tmp_path: Path) -> None:

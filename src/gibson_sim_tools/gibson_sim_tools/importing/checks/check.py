@@ -1,4 +1,4 @@
-"""Checks a scene for problems."""
+"""Checks a scene for problems: orientation, unit, meshes, textures, floors, start poses, views, splats, files."""
 
 from __future__ import annotations
 
@@ -20,30 +20,40 @@ from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.importing.carried import is_begun, missing, out_of_date
-from gibson_sim_tools.importing.checks.facts import DrawnGeometry, SceneFacts, former_up, is_told, scene_facts, scene_geometry
+from gibson_sim_tools.importing.checks.facts import (
+    DrawnGeometry,
+    SceneFacts,
+    declares_up,
+    original_up,
+    scene_facts,
+    scene_geometry,
+)
 from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
 from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
 from gibson_sim_tools.importing.checks.islands import islands
-from gibson_sim_tools.importing.checks.splats import SPLATS_APART, splat_distance
+from gibson_sim_tools.importing.checks.splats import MAX_SPLAT_DISTANCE, splat_distance
 from gibson_sim_tools.importing.document import ASSETS
 from gibson_sim_tools.importing.left_out import read_left_out
-from gibson_sim_tools.importing.scans import SCAN_FROM, SCAN_SHARE
+from gibson_sim_tools.importing.scans import MIN_SCAN_SHARE, MIN_SCAN_TRIANGLES
 from gibson_sim_tools.view_holes import ROBOT_HEIGHT, ROBOT_RADIUS, ViewHoles, view_holes
 
 Level = Literal["error", "warning", "note"]
 MAX_SIDE = 8192
-"""Longest side of a texture that all graphics cards and viewers support, pixels."""
+"""Longest side of a texture supported by all GPUs and viewers, pixels."""
 MAX_MEMORY_MB = 2048.0
-"""Memory limit of all textures, MB."""
-HOLE_FROM = 0.3
-"""Least boundary length of a reported hole, metres."""
-VIEW_HOLES_FROM, VIEW_HOLES_WARNED = 0.001, 0.02
-"""Share of a robot's views that is hole from which it is reported, and from which it is a warning in a scan."""
+"""Limit on the memory of all textures, MB."""
+MIN_HOLE_LENGTH = 0.3
+"""Minimum boundary length of a reported hole, m."""
+MIN_VIEW_HOLES, VIEW_HOLES_WARNING = 0.001, 0.02
+"""Fraction of holes in a robot's views from which they are reported, and above which they are a warning in a scan."""
 NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date", "view-holes"}
-"""Findings that are meaningful only in a scene that is upright and in metres."""
-_FLOOR_AREA = 1.0
-_INVERTED = 0.001
-_DEGENERATE, _MANY = 0.01, 100
+"""Findings that are meaningful only for an upright scene in metres."""
+_MIN_FLOOR_AREA = 1.0
+"""Minimum area of level surface at the height of a floor, m^2."""
+_INVERTED_SHARE = 0.001
+"""Fraction of inverted triangles above which they are a warning."""
+_DEGENERATE_SHARE, _MIN_DEGENERATE = 0.01, 100
+"""Fraction and number of degenerate triangles above which they are a warning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +61,18 @@ class SceneFinding:
     """One problem or note."""
 
     what: str
-    """Short name: ``not-level``."""
+    """Identifier of its kind, such as ``not-level``."""
     level: Level
-    """An error keeps the scene from loading; a warning is a fault; a note is not."""
+    """Severity: with an error the scene cannot be used as it is; a warning is a fault; a note is not a fault."""
     text: str
     remedy: str = ""
     fixable: bool = False
-    """``--fix`` repairs it."""
+    """Whether ``--fix`` repairs it."""
     amount: float = 1.0
-    """How much of it there is, in the measure of its kind: faces, edges, metres, pieces, degrees, share of the views."""
+    """Amount, in the measure of its kind: faces, edges, metres, pieces, degrees, share of the views."""
 
     def line(self) -> str:
-        """Returns the finding as text."""
+        """Returns the finding as one line of text, and its remedy as another."""
         return f"{self.level:>7}  {self.what}: {self.text}" + (f"\n         -> {self.remedy}" if self.remedy else "")
 
 
@@ -72,15 +82,15 @@ class SceneReport:
 
     findings: tuple[SceneFinding, ...]
     facts: SceneFacts | None = None
-    """None if the scene cannot be read."""
+    """Facts; None if the scene cannot be read."""
     scene: SceneSpec | None = None
     geometry: DrawnGeometry | None = None
     free_floor: float | None = None
-    """Area on which a robot of ``ROBOT_RADIUS`` can stand, all floors together, square metres; None = the scene cannot be mapped."""
+    """Free area for a robot of ``ROBOT_RADIUS`` on all floors together, m^2; None = the scene cannot be mapped."""
 
     @property
     def amounts(self) -> dict[str, float]:
-        """How much there is of each kind of finding."""
+        """Total amount of each kind of finding."""
         out: dict[str, float] = {}
         for finding in self.findings:
             out[finding.what] = out.get(finding.what, 0.0) + finding.amount
@@ -93,16 +103,16 @@ class SceneReport:
 
     def json(self) -> dict[str, Any]:
         """Returns the report as plain values for JSON."""
-        found = [
+        findings = [
             {"what": f.what, "level": f.level, "text": f.text, "remedy": f.remedy, "fixable": f.fixable, "amount": f.amount}
             for f in self.findings
         ]
         facts = None if self.facts is None else self.facts.json()
-        return {"clean": self.clean, "findings": found, "free_floor_m2": self.free_floor, "scene": facts}
+        return {"clean": self.clean, "findings": findings, "free_floor_m2": self.free_floor, "scene": facts}
 
 
 def check_path(path: str | Path) -> SceneReport:
-    """Loads and checks a scene; a scene that cannot be loaded gives a report with one error."""
+    """Loads and checks a scene; if it cannot be loaded, the report has one error."""
     try:
         return check_scene(load_scene(path))
     except GibsonSimError as e:
@@ -116,34 +126,34 @@ def check_scene(scene: SceneSpec) -> SceneReport:
         MeshError: a mesh cannot be read.
     """
     geometry = scene_geometry(scene)
-    guess = guess_up(geometry.vertices, geometry.triangles, former_up(scene), is_told(scene))
+    guess = guess_up(geometry.vertices, geometry.triangles, original_up(scene), declares_up(scene))
     facts = scene_facts(scene, geometry, guess)
     faults, maps = _faults(geometry), _maps(scene, facts)
     findings = [
-        *_orientation(facts, guess), *_unit(facts), *_meshes(geometry, faults), *_textures(facts), *_floor(scene, geometry, facts),
-        *_starts(scene, maps), *_views(scene, geometry, faults, maps), *_omissions(scene, geometry, guess), *_carried(scene),
+        *_orientation(facts, guess), *_unit(facts), *_mesh_findings(geometry, faults), *_textures(facts), *_floor(scene, geometry, facts),
+        *_starts(scene, maps), *_views(scene, geometry, faults, maps), *_omissions(scene, geometry, guess), *_scene_files(scene),
         *_splats(scene, geometry),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
-    drawn = [m for m in maps.values() if isinstance(m, FloorMap)]
-    free = sum(float(m.inflate(ROBOT_RADIUS).sum()) * m.resolution**2 for m in drawn)
-    return SceneReport(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry, free if maps else None)
+    floor_maps = [m for m in maps.values() if isinstance(m, FloorMap)]
+    free_area = sum(float(m.inflate(ROBOT_RADIUS).sum()) * m.resolution**2 for m in floor_maps)
+    return SceneReport(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry, free_area if maps else None)
 
 
 def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[SceneFinding]:
     if not guess.sure:
         listed = "; ".join(direction_text(up) for up in guess.others)
         text = f"which way is up is not clear: it may be {listed}"
-        remedy = f"look at it, then: --fix --up={direction_text(guess.others[0])} turns it so that this way is up; --up=z keeps it as it is"
+        remedy = f"view the scene, then: --fix --up={direction_text(guess.others[0])} rotates it to make this up; --up=z keeps it as it is"
         yield SceneFinding("up-unclear", "warning", text, remedy)
     elif facts.tilt_deg > ON_ITS_SIDE_DEG:
-        text = f"up is {direction_text(guess.up)}, {facts.tilt_deg:.1f} degrees off z: the scene lies on its side or is turned"
+        text = f"up is {direction_text(guess.up)}, {facts.tilt_deg:.1f} degrees off z: the scene lies on its side or is rotated"
         yield SceneFinding(
-            "not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True, facts.tilt_deg
+            "not-level", "warning", text, "--fix rotates it; or give up_axis or pose in scene.yaml", True, facts.tilt_deg
         )
     elif facts.tilt_deg > ALIGNED_DEG:
-        text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: objects roll, and maps have ghost obstacles"
-        yield SceneFinding("not-level", "warning", text, "--fix turns it", True, facts.tilt_deg)
+        text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: objects roll, and maps have false obstacles"
+        yield SceneFinding("not-level", "warning", text, "--fix rotates it", True, facts.tilt_deg)
 
 
 def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
@@ -151,7 +161,9 @@ def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
         return
     size = " x ".join(f"{s:.4g}" for s in facts.size)
     guess = (
-        f"in {facts.unit} it would be a room or a building" if facts.unit else f"it would be no room in any of {', '.join(UNITS)}"
+        f"in {facts.unit} it would be a room or a building"
+        if facts.unit
+        else f"it is not the size of a room in any of {', '.join(UNITS)}"
     )
     yield SceneFinding(
         "not-metres", "warning", f"it is {size} m; {guess}", f"--fix --unit {facts.unit or 'UNIT'} scales it; or give unit_m in scene.yaml",
@@ -160,7 +172,7 @@ def _unit(facts: SceneFacts) -> Iterator[SceneFinding]:
 
 
 def _faults(geometry: DrawnGeometry) -> dict[int, MeshFaults]:
-    """Returns the faults of every mesh by its identity, once however many instances it has."""
+    """Returns the faults of each mesh, by its ``id()``; a mesh with several instances is checked once."""
     out: dict[int, MeshFaults] = {}
     for visual, mesh in geometry.meshes:
         if id(mesh) not in out and visual.shape.kind == "mesh":
@@ -169,42 +181,42 @@ def _faults(geometry: DrawnGeometry) -> dict[int, MeshFaults]:
 
 
 def _is_scan(faults: MeshFaults) -> bool:
-    return len(faults.degenerate) >= SCAN_FROM and faults.largest_piece > SCAN_SHARE
+    return len(faults.degenerate) >= MIN_SCAN_TRIANGLES and faults.largest_piece > MIN_SCAN_SHARE
 
 
-def _meshes(geometry: DrawnGeometry, faults: Mapping[int, MeshFaults]) -> Iterator[SceneFinding]:
+def _mesh_findings(geometry: DrawnGeometry, faults: Mapping[int, MeshFaults]) -> Iterator[SceneFinding]:
     instances = Counter(id(mesh) for _, mesh in geometry.meshes)
     names = {id(mesh): visual.name for visual, mesh in reversed(geometry.meshes)}
-    for key, found in faults.items():
-        for finding in _mesh(names[key], found, len(found.degenerate)):
-            # A repaired copy has a mesh of its own for each instance.
+    for key, mesh_faults in faults.items():
+        for finding in _findings_of_mesh(names[key], mesh_faults, len(mesh_faults.degenerate)):
+            # A repaired copy has a separate mesh for each instance.
             yield replace(finding, amount=finding.amount * instances[key])
 
 
-def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
+def _findings_of_mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
     flat, inverted = int(faults.degenerate.sum()), int(faults.inverted.sum())
     if flat:
-        level: Level = "warning" if flat > _DEGENERATE * count and flat >= _MANY else "note"
+        level: Level = "warning" if flat > _DEGENERATE_SHARE * count and flat >= _MIN_DEGENERATE else "note"
         yield SceneFinding(
-            "degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix leaves them out", True, flat
+            "degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix removes them", True, flat
         )
     if inverted:
-        level = "warning" if inverted > _INVERTED * count else "note"
+        level = "warning" if inverted > _INVERTED_SHARE * count else "note"
         text = f"{name}: {inverted} of {count} triangles are wound opposite to their neighbours, or inside out"
-        yield SceneFinding("inverted", level, text, "--fix turns them", True, inverted)
+        yield SceneFinding("inverted", level, text, "--fix flips them", True, inverted)
     # Holes in a scan are holes in walls.
     scan = _is_scan(faults)
-    if faults.crowded_edges:
-        level = "warning" if scan and faults.crowded_edges > 0.01 * count else "note"
-        text = f"{name}: {faults.crowded_edges} edges belong to more than two triangles (non-manifold)"
-        remedy = "harmless for driving; repair it before making convex parts of it"
-        yield SceneFinding("non-manifold", level, text, remedy, amount=faults.crowded_edges)
-    holes = [rim for rim in faults.holes if rim >= HOLE_FROM]
+    if faults.non_manifold_edges:
+        level = "warning" if scan and faults.non_manifold_edges > 0.01 * count else "note"
+        text = f"{name}: {faults.non_manifold_edges} edges belong to more than two triangles (non-manifold)"
+        remedy = "harmless for driving; repair them before a convex decomposition"
+        yield SceneFinding("non-manifold", level, text, remedy, amount=faults.non_manifold_edges)
+    holes = [rim for rim in faults.holes if rim >= MIN_HOLE_LENGTH]
     if holes:
         text = (
-            f"{name}: an open rim of {holes[0]:.1f} m"
+            f"{name}: an open boundary of {holes[0]:.1f} m"
             if len(holes) == 1
-            else f"{name}: {len(holes)} open rims of {HOLE_FROM} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
+            else f"{name}: {len(holes)} open boundaries of {MIN_HOLE_LENGTH} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
         )
         remedy = "lidars and cameras see through holes in walls; close them in a mesh editor, or scan again" if scan else ""
         yield SceneFinding("holes", "warning" if scan else "note", text, remedy, amount=sum(holes))
@@ -213,12 +225,12 @@ def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[SceneFinding]:
 def _textures(facts: SceneFacts) -> Iterator[SceneFinding]:
     for t in facts.textures:
         if max(t.width, t.height) > MAX_SIDE or t.width * t.height > MAX_PIXELS:
-            text = f"{t.name}: has {t.width} x {t.height} pixels, {t.memory_mb:.0f} MB in memory; at most {MAX_SIDE} a side are read everywhere"
+            text = f"{t.name}: has {t.width} x {t.height} pixels, {t.memory_mb:.0f} MB in memory; sides above {MAX_SIDE} are not supported everywhere"
             yield SceneFinding("huge-texture", "warning", text, f"--fix scales it down to {MAX_SIDE}", True)
     total = sum(t.memory_mb for t in facts.textures)
     if total > MAX_MEMORY_MB:
         text = f"all textures take {total:.0f} MB in memory, more than {MAX_MEMORY_MB:.0f}"
-        yield SceneFinding("textures-memory", "warning", text, "--fix --max-texture 2048 makes them smaller", True, total)
+        yield SceneFinding("textures-memory", "warning", text, "--fix --max-texture 2048 scales them down", True, total)
 
 
 def _floor(scene: SceneSpec, geometry: DrawnGeometry, facts: SceneFacts) -> Iterator[SceneFinding]:
@@ -231,23 +243,23 @@ def _floor(scene: SceneSpec, geometry: DrawnGeometry, facts: SceneFacts) -> Iter
             continue
         near = (np.abs(heights - z) <= FLOOR_TOLERANCE).all(axis=1) & (np.abs(normals[:, 2]) > 0.95)
         up, down = float(areas[near & (normals[:, 2] > 0)].sum()), float(areas[near & (normals[:, 2] < 0)].sum())
-        if up + down < _FLOOR_AREA:
-            text = f"no floor at z = {z:.2f} m: {up + down:.2f} m^2 of level surface there"
+        if up + down < _MIN_FLOOR_AREA:
+            text = f"no floor at z = {z:.2f} m: {up + down:.2f} m^2 of level surface at that height"
             yield SceneFinding(
                 "no-floor",
                 "warning",
                 text,
-                f"give floor_z in scene.yaml; the scene reaches from {facts.low[2]:.2f} to {facts.high[2]:.2f} m",
+                f"give floor_z in scene.yaml; the scene extends from {facts.low[2]:.2f} to {facts.high[2]:.2f} m",
             )
         elif up < 0.2 * down:
             text = f"the floor at z = {z:.2f} m faces down: {down:.1f} m^2 of it, against {up:.1f} m^2 that faces up"
             yield SceneFinding(
-                "floor-faces-down", "warning", text, "the mesh may be inside out or upside down: give up_axis, or turn its faces"
+                "floor-faces-down", "warning", text, "the mesh may be inside out or upside down: give up_axis, or flip its faces"
             )
 
 
 def _maps(scene: SceneSpec, facts: SceneFacts) -> dict[float, FloorMap | SceneError]:
-    """Returns the map of each floor by its height, or why it cannot be made; none if a map would be meaningless."""
+    """Returns the map of each floor by its height, or the error that prevents it; empty if maps would be meaningless."""
     out: dict[float, FloorMap | SceneError] = {}
     for floor_z in scene.floors if facts.upright and facts.unit == "m" else ():
         try:
@@ -276,41 +288,41 @@ def _starts(scene: SceneSpec, maps: Mapping[float, FloorMap | SceneError]) -> It
                 "islands",
                 "warning",
                 text,
-                "robots stay on the piece they start on; scan what is between, or close it with ground_z",
+                "robots stay on the piece they start on; scan the gaps, or close them with ground_z",
                 amount=len(pieces),
             )
         for start in starts:
             x, y, _ = start.pose.position
             if float(floor.clearance(np.array([x, y]))) < ROBOT_RADIUS:
                 free = floor.nearest_free((x, y), ROBOT_RADIUS)
-                there = f"; the nearest free position is {free[0]:.2f}, {free[1]:.2f}" if free else ""
+                nearest = f"; the nearest free position is {free[0]:.2f}, {free[1]:.2f}" if free else ""
                 yield SceneFinding("start-blocked", "warning", f"start {quoted(start.name)} at {x:.2f}, {y:.2f} is not free for a robot of radius "
-                              f"{ROBOT_RADIUS} m{there}", "move it in scene.yaml")  # fmt: skip
+                              f"{ROBOT_RADIUS} m{nearest}", "move it in scene.yaml")  # fmt: skip
 
 
 def _views(
     scene: SceneSpec, geometry: DrawnGeometry, faults: Mapping[int, MeshFaults], maps: Mapping[float, FloorMap | SceneError]
 ) -> Iterator[SceneFinding]:
-    # The surface of a scan has one side; modelled sheets, such as curtains, are drawn from both.
+    # The surface of a scan is one-sided; modelled sheets, such as curtains, are two-sided.
     scans = [id(mesh) in faults and _is_scan(faults[id(mesh)]) for _, mesh in geometry.meshes]
-    found = robot_view_holes(scene, geometry, np.repeat(scans, [mesh.triangle_count for _, mesh in geometry.meshes]), maps)
-    if found is None or found.share < VIEW_HOLES_FROM:
+    holes = robot_view_holes(scene, geometry, np.repeat(scans, [mesh.triangle_count for _, mesh in geometry.meshes]), maps)
+    if holes is None or holes.share < MIN_VIEW_HOLES:
         return
-    remedy = "scan again what is missing, or close it in a mesh editor" if any(scans) else ""
-    level: Level = "warning" if any(scans) and found.share > VIEW_HOLES_WARNED else "note"
-    yield SceneFinding("view-holes", level, found.text(), remedy, amount=found.share)
+    remedy = "scan the missing parts, or close the holes in a mesh editor" if any(scans) else ""
+    level: Level = "warning" if any(scans) and holes.share > VIEW_HOLES_WARNING else "note"
+    yield SceneFinding("view-holes", level, holes.text(), remedy, amount=holes.share)
 
 
 def robot_view_holes(
     scene: SceneSpec, geometry: DrawnGeometry, one_sided: NDArray[np.bool_], maps: Mapping[float, FloorMap | SceneError]
 ) -> ViewHoles | None:
-    """Returns how much of what a robot sees in a scene is hole; None if it fits nowhere.
+    """Measures the holes in a robot's views of a scene; None if the robot fits nowhere.
 
     Args:
         scene: the scene.
-        geometry: its geometry.
-        one_sided: (F,), whether the back of each triangle is a hole.
-        maps: of its floors.
+        geometry: geometry of the scene.
+        one_sided: whether the back of each triangle is a hole, (F,).
+        maps: maps of the floors, by height.
     """
     floors = [m for m in maps.values() if isinstance(m, FloorMap)]
     return view_holes(geometry.vertices[geometry.triangles], one_sided, floors, ROBOT_RADIUS, ground_z=scene.ground_z)
@@ -319,19 +331,19 @@ def robot_view_holes(
 def _splats(scene: SceneSpec, geometry: DrawnGeometry) -> Iterator[SceneFinding]:
     if scene.splats is None:
         return
-    found = splat_distance(scene.splats, geometry.vertices[geometry.triangles], np.random.default_rng(0))
-    if found.median > SPLATS_APART:
+    distance = splat_distance(scene.splats, geometry.vertices[geometry.triangles], np.random.default_rng(0))
+    if distance.median > MAX_SPLAT_DISTANCE:
         remedy = "--align-splats finds pose and scale (--fix does so for a copy); or give them under visual in scene.yaml"
         yield SceneFinding(
             "splats-apart",
             "error",
-            f"{found.text()}; at most {100.0 * SPLATS_APART:g} cm are allowed",
+            f"{distance.text()}; at most {100.0 * MAX_SPLAT_DISTANCE:g} cm are allowed",
             remedy,
             True,
-            found.median,
+            distance.median,
         )
     else:
-        yield SceneFinding("splats", "note", found.text(), amount=found.median)
+        yield SceneFinding("splats", "note", distance.text(), amount=distance.median)
 
 
 def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Iterator[SceneFinding]:
@@ -342,7 +354,7 @@ def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Ite
                     "up-unclear",
                     "warning",
                     line,
-                    "look at it, then: --fix --up=z keeps it as it is; any other direction turns it",
+                    "view the scene, then: --fix --up=z keeps it as it is; any other direction rotates it",
                 )
             continue
         missing = kind_of(line) in (OmissionKind.MISSING_ASSET, OmissionKind.UNSUPPORTED_ASSET)
@@ -353,10 +365,10 @@ def _omissions(scene: SceneSpec, geometry: DrawnGeometry, guess: UpGuess) -> Ite
 
 
 def left_out(scene: SceneSpec, geometry: DrawnGeometry) -> list[str]:
-    """Returns what could not be used of the scene, and of the source that it was imported from.
+    """Returns the items of the scene, and of the source that it was imported from, that could not be used.
 
     Raises:
-        SceneError: the list that the import wrote cannot be read.
+        SceneError: the list written by the import cannot be read.
     """
     lines: dict[str, Omission] = {}
     for line in (*scene.warnings, *(w for _, mesh in geometry.meshes for w in mesh.warnings), *read_left_out(scene.root)):
@@ -366,10 +378,10 @@ def left_out(scene: SceneSpec, geometry: DrawnGeometry) -> list[str]:
     return list(lines.values())
 
 
-def _carried(scene: SceneSpec) -> Iterator[SceneFinding]:
+def _scene_files(scene: SceneSpec) -> Iterator[SceneFinding]:
     for text in out_of_date(scene, ROBOT_RADIUS, ROBOT_HEIGHT):
         yield SceneFinding("out-of-date", "warning", text, "gibson-sim scene map SCENE --write updates it")
     lacking = missing(scene)
     if lacking and is_begun(scene):
-        remedy = "`gibson-sim scene map SCENE --write` makes maps and free poses; docs/scenes.md says what rooms are"
+        remedy = "`gibson-sim scene map SCENE --write` writes maps and free poses; docs/scenes.md describes rooms"
         yield SceneFinding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)

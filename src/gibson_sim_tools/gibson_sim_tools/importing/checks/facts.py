@@ -1,4 +1,4 @@
-"""Facts about a scene: sizes, triangles, materials, textures, floors, classes."""
+"""Computes facts about a scene: sizes, triangles, materials, textures, floors, classes."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from gibson_sim.types import Vec3
 from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up
 
 F64 = NDArray[np.float64]
-_MOST_LISTED = 12
-UNTOLD_SUFFIXES = (".ply", ".obj", ".stl")
+_MAX_LISTED = 12
+SUFFIXES_WITHOUT_UP_AXIS = (".ply", ".obj", ".stl")
 """Suffixes of formats that do not define the up axis."""
-_SAME_TURN = 1e-6
-"""Largest difference between the entries of equal rotation matrices."""
+_ROTATION_TOLERANCE = 1e-6
+"""Maximum difference between the entries of equal rotation matrices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +37,12 @@ class TextureFacts:
     width: int
     height: int
     memory_mb: float
-    """Decoded size without mip levels, MB."""
+    """Memory of the decoded image without mip levels, MB."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneFacts:
-    """Facts about a scene; lengths in metres."""
+    """Facts about a scene; lengths in metres, world frame."""
 
     name: str
     low: tuple[float, float, float]
@@ -53,7 +53,7 @@ class SceneFacts:
     materials: int
     vertex_colors: bool
     textures: tuple[TextureFacts, ...]
-    """The largest first."""
+    """Textures, the largest first."""
     up_axis: str
     """Axis nearest to up: z, unless the scene lies on its side; "" = not clear."""
     up: tuple[float, float, float]
@@ -63,6 +63,7 @@ class SceneFacts:
     unit: str
     """Unit in which the scene has the size of a room or a building; "" = none."""
     floors: tuple[float, ...]
+    """Floor heights, m."""
     classes: dict[str, int]
     """Number of objects of each class."""
     bodies: int
@@ -76,7 +77,7 @@ class SceneFacts:
 
     @property
     def size(self) -> tuple[float, float, float]:
-        """Extent along x, y, z."""
+        """Extents along x, y, z, m."""
         x, y, z = (h - low for h, low in zip(self.high, self.low, strict=True))
         return x, y, z
 
@@ -95,33 +96,35 @@ class SceneFacts:
             ("triangles", f"{self.triangles:,} to draw, {self.collision_triangles:,} in collision shapes"),
             ("materials", f"{self.materials}" + (", with colours of vertices" if self.vertex_colors else "")),
             ("textures", f"{len(self.textures)}, {memory:.0f} MB in memory"),
-            *(("", f"{t.width} x {t.height}  {Path(t.name).name}") for t in self.textures[:_MOST_LISTED]),
-            *([("", f"and {len(self.textures) - _MOST_LISTED} more")] if len(self.textures) > _MOST_LISTED else []),
+            *(("", f"{t.width} x {t.height}  {Path(t.name).name}") for t in self.textures[:_MAX_LISTED]),
+            *([("", f"and {len(self.textures) - _MAX_LISTED} more")] if len(self.textures) > _MAX_LISTED else []),
             ("up", f"{direction_text(self.up)}, floor {self.tilt_deg:.2f} degrees out of level" if self.up_axis else "not clear"),
             ("unit", self.unit or "not clear: it has the size of no room or building in m, cm, mm, inch, foot or km"),
             ("floors", ", ".join(f"{round(z, 2) + 0.0:.2f}" for z in self.floors) + " m"),
-            ("classes", _classes(self.classes)),
+            ("classes", _classes_text(self.classes)),
             ("starts", ", ".join(self.starts) or "the most open place"),
         ]
         return "\n".join(f"{name:>10}  {value}" for name, value in lines)
 
 
-def _classes(classes: dict[str, int]) -> str:
+def _classes_text(classes: dict[str, int]) -> str:
     if not classes:
         return "none"
     ordered = sorted(classes.items(), key=lambda item: (-item[1], item[0]))
-    shown = ", ".join(f"{name} {count}" if count > 1 else name for name, count in ordered[:_MOST_LISTED])
-    return shown + (f" and {len(ordered) - _MOST_LISTED} more" if len(ordered) > _MOST_LISTED else "")
+    shown = ", ".join(f"{name} {count}" if count > 1 else name for name, count in ordered[:_MAX_LISTED])
+    return shown + (f" and {len(ordered) - _MAX_LISTED} more" if len(ordered) > _MAX_LISTED else "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnGeometry:
-    """The visual meshes of a scene in the world frame; textures have their size, and black pixels."""
+    """Visual meshes of a scene, and all their triangles. Textures have the right size, but black pixels."""
 
     meshes: tuple[tuple[VisualSpec, Mesh], ...]
-    """World frame."""
+    """Visuals, and their meshes in the frame of the visual."""
     vertices: F64
+    """Vertices, (V, 3), m, world frame."""
     triangles: NDArray[np.int32]
+    """Triangles, (F, 3)."""
 
 
 def scene_geometry(scene: SceneSpec) -> DrawnGeometry:
@@ -141,7 +144,7 @@ def scene_facts(scene: SceneSpec, geometry: DrawnGeometry | None = None, up: UpG
     """Returns the facts about a scene.
 
     Args:
-        scene: as it was loaded.
+        scene: the scene, as loaded.
         geometry: result of ``scene_geometry``; None = load it.
         up: result of ``guess_up``; None = estimate it.
 
@@ -149,7 +152,7 @@ def scene_facts(scene: SceneSpec, geometry: DrawnGeometry | None = None, up: UpG
         MeshError: a mesh cannot be read.
     """
     g = geometry or scene_geometry(scene)
-    guess = up or guess_up(g.vertices, g.triangles, former_up(scene), is_told(scene))
+    guess = up or guess_up(g.vertices, g.triangles, original_up(scene), declares_up(scene))
     low, high = (g.vertices.min(axis=0), g.vertices.max(axis=0)) if len(g.vertices) else (np.zeros(3), np.zeros(3))
     loader = MeshLoader(scene_roots(scene), textures=False)
     materials = {p.material for _, m in g.meshes for p in m.parts}
@@ -169,31 +172,31 @@ def scene_facts(scene: SceneSpec, geometry: DrawnGeometry | None = None, up: UpG
     )  # fmt: skip
 
 
-def is_told(scene: SceneSpec) -> bool:
-    """Returns whether the scene description or a file format defines that z is up; a single scan mesh defines nothing."""
+def declares_up(scene: SceneSpec) -> bool:
+    """Returns whether the scene description or a file format declares z up; the format of a single scan mesh does not."""
     suffixes = [Path(visual.shape.mesh).suffix.lower() for visual in scene.visuals]
-    return is_file(scene.root / DESCRIPTION) or len(suffixes) != 1 or suffixes[0] not in UNTOLD_SUFFIXES
+    return is_file(scene.root / DESCRIPTION) or len(suffixes) != 1 or suffixes[0] not in SUFFIXES_WITHOUT_UP_AXIS
 
 
-def former_up(scene: SceneSpec) -> Vec3 | None:
-    """Returns the direction of the meshes' z axis, unit vector, if one rotation lays all of them over, as levelling does; else None."""
-    turns = np.array([matrix_from_pose(visual.pose)[:3, :3] for visual in scene.visuals])
-    if not len(turns) or np.abs(turns - turns[0]).max() > _SAME_TURN:
+def original_up(scene: SceneSpec) -> Vec3 | None:
+    """Returns the original direction of the meshes' z axis, unit vector, if one large rotation was applied to all, as levelling does; else None."""
+    rotations = np.array([matrix_from_pose(visual.pose)[:3, :3] for visual in scene.visuals])
+    if not len(rotations) or np.abs(rotations - rotations[0]).max() > _ROTATION_TOLERANCE:
         return None
-    x, y, z = turns[0, :, 2].tolist()
+    x, y, z = rotations[0, :, 2].tolist()
     return (x, y, z) if z < np.cos(np.radians(ON_ITS_SIDE_DEG)) else None
 
 
 def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
-    """Returns each texture once."""
-    found: dict[int, TextureSource] = {}
+    """Returns the textures of meshes, each once."""
+    textures: dict[int, TextureSource] = {}
     for mesh in meshes:
         for part in mesh.parts:
             m = part.material
             for texture in (m.texture, m.metallic_roughness_texture, m.normal_texture, m.occlusion_texture, m.emissive_texture):
                 if texture is not None:
-                    found.setdefault(id(texture), texture)
-    return list(found.values())
+                    textures.setdefault(id(texture), texture)
+    return list(textures.values())
 
 
 def texture_facts(meshes: Sequence[Mesh]) -> tuple[TextureFacts, ...]:

@@ -1,4 +1,4 @@
-"""Finds pieces of free floor that only a gap in the scan separates."""
+"""Finds pieces of free floor that are separated only by a gap in the scan."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gibson_sim.maps.floor_map import FloorMap
 Bools = NDArray[np.bool_]
 
 REACH = 1.0
-"""Distance to scanned floor within which unscanned cells may be floor, metres."""
-_LEAST = 0.3
-"""Least area of a reported piece, square metres."""
+"""Distance to scanned floor within which unscanned cells may be floor, m."""
+_MIN_AREA = 0.3
+"""Minimum area of a reported piece, m^2."""
 
 
 def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
@@ -23,13 +23,13 @@ def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
 
     Args:
         floor: map of the floor.
-        radius: of the robot, metres.
+        radius: radius of the robot, metres.
 
     Returns:
-        The largest piece first, then the pieces that gaps separate from it; empty if there are none.
+        The largest piece first, then the pieces that gaps separate from it; empty without such pieces.
     """
-    places = floor.inflate(radius)
-    labels, count = ndimage.label(places)
+    free_cells = floor.inflate(radius)
+    labels, count = ndimage.label(free_cells)
     if count < 2:
         return ()
     areas = np.bincount(labels.ravel(), minlength=count + 1) * floor.resolution**2
@@ -37,9 +37,11 @@ def islands(floor: FloorMap, radius: float) -> tuple[float, ...]:
     largest = int(areas.argmax())
     unknown = ~(floor.floor | floor.occupied)
     near = ndimage.distance_transform_edt(~floor.free) * floor.resolution <= REACH
-    open_ = np.pad(floor.free | (unknown & near), 1, constant_values=False)
-    clearance = ndimage.distance_transform_edt(open_)[1:-1, 1:-1] * floor.resolution
-    joined, _ = ndimage.label(places | (clearance >= radius + floor.resolution * math.sqrt(0.5)))
-    home = joined[labels == largest][0]
-    cut_off = [k for k in range(1, count + 1) if k != largest and areas[k] >= _LEAST and (joined[labels == k] == home).any()]
+    passable = np.pad(floor.free | (unknown & near), 1, constant_values=False)
+    clearance = ndimage.distance_transform_edt(passable)[1:-1, 1:-1] * floor.resolution
+    joined, _ = ndimage.label(free_cells | (clearance >= radius + floor.resolution * math.sqrt(0.5)))
+    main_label = joined[labels == largest][0]
+    cut_off = [
+        k for k in range(1, count + 1) if k != largest and areas[k] >= _MIN_AREA and (joined[labels == k] == main_label).any()
+    ]
     return tuple(float(areas[k]) for k in [largest, *sorted(cut_off, key=lambda k: -areas[k])]) if cut_off else ()

@@ -1,9 +1,9 @@
-"""Finds the pose and the scale at which the splats of a scene lie on its mesh.
+"""Registers the splats of a scene to its mesh: finds their pose and scale.
 
-Both show one room, but a capture begins anywhere, has any scale and often another up axis. Directions that many of its surfaces face are
-tried as up; for each, the floor plans of both are correlated at all yaws and at scales about those that their sizes suggest, and so are their
-heights. The best candidates are brought onto the mesh point to plane, with seven degrees of freedom (rotation, translation, scale), by
-robust least squares: an iterative closest point search.
+Both represent the same room, but a capture has an arbitrary origin and scale, and often another up axis. Frequent normals are candidates for
+up; for each, the floor plans and the height profiles of both are cross-correlated, at candidate yaws and at scales around the ratio of
+their sizes. The best candidates are refined by point-to-plane ICP with seven degrees of freedom (rotation, translation, scale) and robust
+weights.
 """
 
 from __future__ import annotations
@@ -23,119 +23,123 @@ from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, t
 from gibson_sim.scenes.spec import SPLAT_SCALES, SplatsSpec
 from gibson_sim_tools.importing.checks.gravity import rotation_to_z
 from gibson_sim_tools.importing.checks.splats import (
-    SOLID,
-    SPLATS_APART,
+    MAX_SPLAT_DISTANCE,
+    SOLID_OPACITY,
     SplatDistance,
     Surface,
     has_area,
-    measured,
+    measure_distance,
+    sample_positions,
     solid_positions,
-    some_of,
 )
 
 F64 = NDArray[np.float64]
 
-_CLOUD, _FEW, _SURFACE = 3000, 500, 200_000
-"""Points of the splats, evenly spread, those in the first rounds, and points on the mesh."""
-_SAMPLE = 100_000
-"""Splats among which those points are chosen."""
-_FEWEST = 100
-"""Solid splats below which nothing is aligned."""
+_CLOUD_POINTS, _COARSE_POINTS, _SURFACE_POINTS = 3000, 500, 200_000
+"""Number of evenly spread splats used for registration, of those used in its coarse rounds, and of sample points on the mesh."""
+_MAX_SPLATS = 100_000
+"""Maximum number of splats from which the evenly spread ones are selected."""
+_MIN_SPLATS = 100
+"""Minimum number of solid splats."""
 _NEIGHBOURS = 16
-"""Points that give the normal of one."""
+"""Number of neighbours from which the normal at a point is estimated."""
 _DIRECTIONS = 1500
-_UPS, _UP_DEG, _PEAK_DEG = 3, 20.0, 6.0
-"""Directions that are tried as up, each with its opposite; the least angle between them; that to the normals which speak for one."""
-_BINS, _YAWS, _YAW_DEG = 60, 4, 10.0
-"""Bins of half a turn for the headings of walls; headings that are tried, each with its opposite; the least angle between them."""
-_CELLS = 56
-"""Cells of a floor plan along the longer side of the mesh."""
-_LEVELS = 50
-"""Cells of its height."""
+"""Number of directions in which frequent normals are searched."""
+_UP_DIRECTIONS, _UP_SEPARATION_DEG, _UP_TOLERANCE_DEG = 3, 20.0, 6.0
+"""Number of up candidates, each with its opposite; minimum angle between two; maximum angle between a candidate and the normals that vote
+for it."""
+_HEADING_BINS, _YAWS, _YAW_SEPARATION_DEG = 60, 4, 10.0
+"""Number of bins over 180 degrees for the headings of walls; number of yaw candidates, each with its opposite; minimum angle between two."""
+_PLAN_CELLS = 56
+"""Number of cells of a floor plan along the longer side of the mesh."""
+_HEIGHT_CELLS = 50
+"""Number of cells of a height profile over the height of the mesh."""
 _SCALE_STEP, _SCALES_BELOW, _SCALES_ABOVE = 1.07, 12, 5
-"""Factor between scales that are tried, and how many there are below and above those that the sizes of both suggest: a capture of one
-storey of two has half the size of the mesh."""
-_STEEP = 0.7
-"""z component of a unit normal above which a surface is a floor, not a wall."""
-_KEPT, _FINAL = 80, 6
-"""Candidates that are brought onto the mesh, and those of them that are with all points."""
-_APART_M = 0.2
-"""Distance between the places of a point above which two results are two poses."""
-_NEAR = 0.05
-"""Distance from the mesh within which a splat fits, metres."""
-_BETTER = 0.001
-"""By how much nearer the splats must be than before, metres."""
-_LEAST_SHARE, _LEAD = 0.88, 0.02
-"""Share of the splats that must fit, and by how much it must exceed that of any other pose."""
+"""Ratio of consecutive candidate scales, and their number below and above the ratio of the sizes. A capture of one storey of two has half
+the size of the mesh."""
+_FLOOR_NORMAL_Z = 0.7
+"""z component of a unit normal above which a surface is a floor or ceiling, not a wall."""
+_COARSE_CANDIDATES, _FINE_CANDIDATES = 80, 6
+"""Number of candidates for coarse registration, and of those for registration with all points."""
+_DISTINCT_POSES_M = 0.2
+"""Distance between the positions of a reference point above which two results are distinct poses, m."""
+_FIT_DISTANCE = 0.05
+"""Distance from the mesh within which a splat fits, m."""
+_MIN_IMPROVEMENT = 0.001
+"""Minimum decrease of the median distance, m."""
+_MIN_FIT, _MIN_LEAD = 0.88, 0.02
+"""Minimum share of splats that fit, and its minimum lead over any other pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class SplatAlignment:
-    """Pose and scale at which the splats of a scene lie on its mesh."""
+    """Result of registering the splats of a scene to its mesh."""
 
     spec: SplatsSpec
-    """The splats there."""
+    """Splats with the new pose and scale."""
     before: SplatDistance
+    """Distance from the mesh before registration."""
     after: SplatDistance
+    """Distance from the mesh after registration."""
 
     def text(self) -> str:
-        """Returns what was found as text."""
+        """Returns the distances before and after as text."""
         return f"before: {self.before.text()}\nafter: {self.after.text()}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cloud:
     points: F64
-    """(N, 3), about evenly spread over the surfaces."""
+    """Points, (N, 3), m, about evenly spread over the surfaces."""
     normals: F64
-    """(N, 3), unit vectors, without a side."""
+    """Unit normals, (N, 3), of arbitrary sign."""
 
 
 def align_splats(spec: SplatsSpec, corners: F64, rng: np.random.Generator) -> SplatAlignment:
-    """Returns the pose and the scale at which the splats of a scene lie on its mesh.
+    """Registers the splats of a scene to its mesh.
 
     Args:
-        spec: the splats of the scene. Among poses that fit alike, the one near theirs is taken.
-        corners: (F, 3, 3), corners of all triangles that are drawn, world frame, metres, z up.
-        rng: chooses points.
+        spec: the splats of the scene. Among poses with a similar fit, the one near the present pose is selected.
+        corners: corners of all visual triangles, (F, 3, 3), world frame, metres, z up.
+        rng: samples points.
 
     Raises:
-        MeshError: the file of the splats cannot be used.
-        SceneError: there is nothing to align, no pose fits, several do, or none fits better than the present one.
+        MeshError: the file of the splats cannot be read.
+        SceneError: the splats or the mesh are too small, no pose fits, several fit, or none fits better than the present one.
     """
     splats = load_splats(Path(spec.file))
     positions = solid_positions(spec, splats)
-    if len(positions) < _FEWEST:
+    if len(positions) < _MIN_SPLATS:
         raise SceneError(
-            f"{spec.file}: has {len(positions)} splats with an opacity of {SOLID} and more; {_FEWEST} are needed to align them"
+            f"{spec.file}: has {len(positions)} splats with an opacity of at least {SOLID_OPACITY}; {_MIN_SPLATS} are needed to align them"
         )
     low, high = _box(positions)
     if not (high - low).max() > 0.0:
-        raise SceneError(f"{spec.file}: all of the splats are at one place, {', '.join(f'{c:g}' for c in low)}")
+        raise SceneError(f"{spec.file}: all splats are at the same position, {', '.join(f'{c:g}' for c in low)}")
     if not has_area(corners):
-        raise SceneError(f"{spec.file}: the scene draws no mesh, so the splats cannot be registered to it")
-    surface, some = Surface(corners, rng, _SURFACE), some_of(positions, rng)
-    before = measured(splats, some, surface)
-    matrix = _best(spec.file, _cloud(positions, rng), surface, rng)
-    after = measured(splats, transform_points(matrix, some), surface)
-    if after.median > min(before.median - _BETTER, SPLATS_APART):
-        why = (
-            "which is not nearer than they are"
-            if after.median <= SPLATS_APART
-            else f"more than the {100.0 * SPLATS_APART:g} cm that are allowed"
+        raise SceneError(f"{spec.file}: the scene has no visual mesh to which the splats could be registered")
+    surface, sample = Surface(corners, rng, _SURFACE_POINTS), sample_positions(positions, rng)
+    before = measure_distance(splats, sample, surface)
+    matrix = _register(spec.file, _cloud(positions, rng), surface, rng)
+    after = measure_distance(splats, transform_points(matrix, sample), surface)
+    if after.median > min(before.median - _MIN_IMPROVEMENT, MAX_SPLAT_DISTANCE):
+        reason = (
+            "which is not closer than the present pose"
+            if after.median <= MAX_SPLAT_DISTANCE
+            else f"more than the {100.0 * MAX_SPLAT_DISTANCE:g} cm that are allowed"
         )
         raise SceneError(
-            f"{spec.file}: the splats stay where they are: in the best pose found half of the solid ones are within "
-            f"{100.0 * after.median:.1f} cm of the mesh, {why}"
+            f"{spec.file}: the pose of the splats is unchanged: in the best pose found, half of the solid splats are within "
+            f"{100.0 * after.median:.1f} cm of the mesh, {reason}"
         )
     return SplatAlignment(moved_splats(spec, matrix), before, after)
 
 
 def moved_splats(spec: SplatsSpec, matrix: F64) -> SplatsSpec:
-    """Returns splats after a transform, (4, 4), rigid times a scale, of the world frame.
+    """Returns splats after a similarity transform, (4, 4), world frame.
 
     Raises:
-        SceneError: their scale would be beyond what scenes may have.
+        SceneError: their scale would be out of range.
     """
     factor = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     pose, scale = matrix @ matrix_from_pose(spec.pose), spec.scale * factor
@@ -147,150 +151,153 @@ def moved_splats(spec: SplatsSpec, matrix: F64) -> SplatsSpec:
     return replace(spec, pose=pose_from_matrix(pose), scale=scale)
 
 
-def _best(file: str, cloud: _Cloud, surface: Surface, rng: np.random.Generator) -> F64:
-    """Returns the transform (4, 4) that brings a cloud onto a surface.
+def _register(file: str, cloud: _Cloud, surface: Surface, rng: np.random.Generator) -> F64:
+    """Returns the similarity transform, (4, 4), that registers a cloud to a surface.
 
     Raises:
-        SceneError: none does, or several do.
+        SceneError: no transform fits, or several do.
     """
-    few = cloud.points[rng.permutation(len(cloud.points))[:_FEW]]
+    coarse_points = cloud.points[rng.permutation(len(cloud.points))[:_COARSE_POINTS]]
     matrices = [np.eye(4), *_candidates(cloud, surface)]
-    rough = [_onto(few, surface, matrix, (1.0, 0.1), 8) for matrix in matrices]
-    order = [0, *(k for k in sorted(range(len(rough)), key=lambda k: -rough[k][1]) if k)][: _FINAL + 1]
-    # What began at the present pose is the first one.
-    found = [_onto(cloud.points, surface, rough[k][0], (0.15, 0.02), 15) for k in order]
-    best = max(found, key=lambda pair: pair[1])
-    if best[1] < _LEAST_SHARE:
+    coarse = [_icp(coarse_points, surface, matrix, (1.0, 0.1), 8) for matrix in matrices]
+    order = [0, *(k for k in sorted(range(len(coarse)), key=lambda k: -coarse[k][1]) if k)][: _FINE_CANDIDATES + 1]
+    # The first result is the one that started from the present pose.
+    fine = [_icp(cloud.points, surface, coarse[k][0], (0.15, 0.02), 15) for k in order]
+    best = max(fine, key=lambda pair: pair[1])
+    if best[1] < _MIN_FIT:
         raise SceneError(
-            f"{file}: no pose and scale were found at which these splats are this mesh: at best {100.0 * best[1]:.0f} % of the solid ones are "
-            f"within {100.0 * _NEAR:g} cm of it, {100.0 * _LEAST_SHARE:g} % are needed; "
-            "give splats of this room, or a rough pose and scale in scene.yaml"
+            f"{file}: no pose and scale fit the splats to the mesh: at best {100.0 * best[1]:.0f} % of the solid ones are "
+            f"within {100.0 * _FIT_DISTANCE:g} cm of it, {100.0 * _MIN_FIT:g} % are needed; "
+            "use splats of this room, or give an approximate pose and scale in scene.yaml"
         )
-    if found[0][1] > best[1] - _LEAD:
-        return found[0][0]
-    marks = _marks(cloud)
-    places = [transform_points(matrix, marks) for matrix, _ in found]
-    here = transform_points(best[0], marks)
+    if fine[0][1] > best[1] - _MIN_LEAD:
+        return fine[0][0]
+    references = _reference_points(cloud)
+    positions = [transform_points(matrix, references) for matrix, _ in fine]
+    best_positions = transform_points(best[0], references)
     rivals = [
-        share for (_, share), there in zip(found, places, strict=True) if np.linalg.norm(there - here, axis=1).max() > _APART_M
+        share
+        for (_, share), other in zip(fine, positions, strict=True)
+        if np.linalg.norm(other - best_positions, axis=1).max() > _DISTINCT_POSES_M
     ]
-    if max(rivals, default=0.0) > best[1] - _LEAD:
+    if max(rivals, default=0.0) > best[1] - _MIN_LEAD:
         raise SceneError(
-            f"{file}: several poses fit alike, with {100.0 * best[1]:.0f} % and {100.0 * max(rivals):.0f} % of the solid splats within "
-            f"{100.0 * _NEAR:g} cm of the mesh; give a rough pose and scale in scene.yaml, then the nearest one is taken"
+            f"{file}: several poses fit equally well, with {100.0 * best[1]:.0f} % and {100.0 * max(rivals):.0f} % of the solid splats within "
+            f"{100.0 * _FIT_DISTANCE:g} cm of the mesh; give an approximate pose and scale in scene.yaml; the nearest pose is then selected"
         )
     return best[0]
 
 
-def _marks(cloud: _Cloud) -> F64:
-    """Returns four points, (4, 3), whose places tell a transform: the middle of a cloud, and those half way to its rim."""
+def _reference_points(cloud: _Cloud) -> F64:
+    """Returns four points, (4, 3), whose positions determine a transform: the middle of a cloud, and one on each axis at its median radius."""
     middle = np.median(cloud.points, axis=0)
     size = float(np.median(np.linalg.norm(cloud.points - middle, axis=1)))
     return np.concatenate([middle[None], middle + size * np.eye(3)])
 
 
 def _cloud(positions: F64, rng: np.random.Generator) -> _Cloud:
-    """Returns about evenly spread points among positions: a capture has many splats where there is much to see."""
-    if len(positions) > _SAMPLE:
-        positions = positions[rng.choice(len(positions), _SAMPLE, replace=False)]
+    """Selects about evenly spread points among positions (N, 3), m; a capture has many splats where it has much detail."""
+    if len(positions) > _MAX_SPLATS:
+        positions = positions[rng.choice(len(positions), _MAX_SPLATS, replace=False)]
     low, high = _box(positions)
     side = float((high - low).max())
-    # Floaters far outside.
+    # Remove floaters far outside.
     positions = positions[((positions > low - 0.1 * side) & (positions < high + 0.1 * side)).all(axis=1)]
-    fine, rough = side / 1000.0, side / 4.0  # cells with more and with fewer points than wanted
+    fine, coarse = side / 1000.0, side / 4.0  # cell sizes with more and with fewer points than wanted
     for _ in range(12):
-        cell = math.sqrt(fine * rough)
+        cell = math.sqrt(fine * coarse)
         count = len(np.unique(np.floor(positions / cell), axis=0))
-        fine, rough = (cell, rough) if count > _CLOUD else (fine, cell)
-    _, first = np.unique(np.floor(positions / rough), axis=0, return_index=True)
+        fine, coarse = (cell, coarse) if count > _CLOUD_POINTS else (fine, cell)
+    _, first = np.unique(np.floor(positions / coarse), axis=0, return_index=True)
     chosen = positions[first]
-    _, near = cKDTree(positions).query(chosen, k=min(_NEIGHBOURS, len(positions)))
-    around = positions[near] - positions[near].mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    _, neighbours = cKDTree(positions).query(chosen, k=min(_NEIGHBOURS, len(positions)))
+    centered = positions[neighbours] - positions[neighbours].mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centered, centered))
     return _Cloud(chosen, vectors[:, :, 0])
 
 
-def _ups(normals: F64) -> list[F64]:
-    """Returns directions that may be up: z, and those that many surfaces face, from either side."""
+def _up_candidates(normals: F64) -> list[F64]:
+    """Returns candidates for up, unit vectors: z, and frequent normals with both signs."""
     k = np.arange(_DIRECTIONS) + 0.5
-    z, turn = 1.0 - k / _DIRECTIONS, math.pi * (1.0 + math.sqrt(5.0)) * k  # evenly over the half sphere
+    z, turn = 1.0 - k / _DIRECTIONS, math.pi * (1.0 + math.sqrt(5.0)) * k  # Fibonacci lattice on the half sphere
     r = np.sqrt(1.0 - z * z)
     directions = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
-    votes = (np.abs(directions @ normals.T) > math.cos(math.radians(_PEAK_DEG))).sum(axis=1)
-    found: list[F64] = []
-    for at in np.argsort(-votes, kind="stable"):
-        if all(abs(directions[at] @ other) < math.cos(math.radians(_UP_DEG)) for other in found):
-            found.append(_refined(directions[at], normals))
-            if len(found) == _UPS:
+    votes = (np.abs(directions @ normals.T) > math.cos(math.radians(_UP_TOLERANCE_DEG))).sum(axis=1)
+    peaks: list[F64] = []
+    for index in np.argsort(-votes, kind="stable"):
+        if all(abs(directions[index] @ other) < math.cos(math.radians(_UP_SEPARATION_DEG)) for other in peaks):
+            peaks.append(_mean_normal(directions[index], normals))
+            if len(peaks) == _UP_DIRECTIONS:
                 break
-    z_alone = [] if any(abs(up[2]) > math.cos(math.radians(_PEAK_DEG)) for up in found) else [np.array([0.0, 0.0, 1.0])]
-    return [*z_alone, *(sign * up for up in found for sign in (1.0, -1.0))]
+    z_alone = [] if any(abs(up[2]) > math.cos(math.radians(_UP_TOLERANCE_DEG)) for up in peaks) else [np.array([0.0, 0.0, 1.0])]
+    return [*z_alone, *(sign * up for up in peaks for sign in (1.0, -1.0))]
 
 
-def _refined(direction: F64, normals: F64) -> F64:
-    near = normals[np.abs(normals @ direction) > math.cos(math.radians(_PEAK_DEG))]
-    if not len(near):
+def _mean_normal(direction: F64, normals: F64) -> F64:
+    """Returns the mean of the normals near a direction, with its sign; the direction itself without any."""
+    close_normals = normals[np.abs(normals @ direction) > math.cos(math.radians(_UP_TOLERANCE_DEG))]
+    if not len(close_normals):
         return direction
-    mean = (near * np.sign(near @ direction)[:, None]).sum(axis=0)
+    mean = (close_normals * np.sign(close_normals @ direction)[:, None]).sum(axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
 
 
 def _candidates(cloud: _Cloud, surface: Surface) -> list[F64]:
-    """Returns the likeliest transforms, (4, 4), rigid times a scale, the best first."""
-    plans = _Plans(surface)
+    """Returns candidate similarity transforms, (4, 4), the best first."""
+    plan = _FloorPlan(surface)
     matrices: list[F64] = []
     scores: list[float] = []
-    for up in _ups(cloud.normals):
+    for up in _up_candidates(cloud.normals):
         R = np.eye(4)
         R[:3, :3] = rotation_to_z(up.tolist())
         upright, normals = cloud.points @ R[:3, :3].T, cloud.normals @ R[:3, :3].T
-        levels, walls = _levels_and_walls(upright, normals)
-        yaws = plans.yaws(normals)
-        for scale in plans.scales(upright):
-            z, level = plans.height(scale * levels[:, 2])
+        floor_points, wall_points = _split_floors_and_walls(upright, normals)
+        yaws = plan.yaws(normals)
+        for scale in plan.scales(upright):
+            z, height_score = plan.best_height_shift(scale * floor_points[:, 2])
             for yaw in yaws:
                 c, s = math.cos(yaw), math.sin(yaw)
-                x, y, alike = plans.place(scale * walls[:, :2] @ np.array([[c, s], [-s, c]]))
+                x, y, plan_score = plan.best_shift(scale * wall_points[:, :2] @ np.array([[c, s], [-s, c]]))
                 turn = np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]])
                 matrices.append(turn @ np.diag([scale, scale, scale, 1.0]) @ R)
-                scores.append(alike * level)
-    every, marks = np.array(matrices), _marks(cloud)
-    places = np.einsum("nij,kj->nki", every[:, :3, :3], marks) + every[:, None, :3, 3]
-    sizes = np.linalg.norm(places[:, 1] - places[:, 0], axis=1)
+                scores.append(plan_score * height_score)
+    transforms, references = np.array(matrices), _reference_points(cloud)
+    positions = np.einsum("nij,kj->nki", transforms[:, :3, :3], references) + transforms[:, None, :3, 3]
+    sizes = np.linalg.norm(positions[:, 1] - positions[:, 0], axis=1)
     kept: list[int] = []
-    for at in np.argsort(-np.array(scores), kind="stable"):
-        apart = np.linalg.norm(places[kept] - places[at], axis=2).max(axis=1, initial=0.0)
-        if (apart > 0.2 * sizes[at]).all():
-            kept.append(int(at))
-            if len(kept) == _KEPT:
+    for index in np.argsort(-np.array(scores), kind="stable"):
+        distances = np.linalg.norm(positions[kept] - positions[index], axis=2).max(axis=1, initial=0.0)
+        if (distances > 0.2 * sizes[index]).all():
+            kept.append(int(index))
+            if len(kept) == _COARSE_CANDIDATES:
                 break
-    return [every[at] for at in kept]
+    return [transforms[index] for index in kept]
 
 
-def _levels_and_walls(points: F64, normals: F64) -> tuple[F64, F64]:
-    """Returns points (N, 3) with normals (N, 3) on floors and on walls; all of them where there are none."""
-    steep = np.abs(normals[:, 2]) > _STEEP
-    return points[steep if steep.any() else slice(None)], points[~steep if (~steep).any() else slice(None)]
+def _split_floors_and_walls(points: F64, normals: F64) -> tuple[F64, F64]:
+    """Returns the points on floors and ceilings, and those on walls; all points in place of an empty set."""
+    is_floor = np.abs(normals[:, 2]) > _FLOOR_NORMAL_Z
+    return points[is_floor if is_floor.any() else slice(None)], points[~is_floor if (~is_floor).any() else slice(None)]
 
 
-class _Plans:
-    """Floor plan and heights of a mesh, to be correlated with those of points."""
+class _FloorPlan:
+    """Floor plan and height profile of a mesh, for cross-correlation with those of points."""
 
     def __init__(self, surface: Surface) -> None:
-        levels, walls = _levels_and_walls(surface.points, surface.normals)
+        levels, walls = _split_floors_and_walls(surface.points, surface.normals)
         self._low, high = _box(surface.points)
         self._radius, size = _radius(surface.points), high - self._low
         self._height = max(float(size[2]), 1e-3)
-        self._cell, self._rise = max(float(size[:2].max()), 1e-3) / _CELLS, self._height / _LEVELS
-        # Room for the longest plan of points, which is half as long again, beside that of the mesh.
-        self._side, self._length = (fft.next_fast_len(5 * cells // 2 + 4) for cells in (_CELLS, _LEVELS))
+        self._cell, self._rise = max(float(size[:2].max()), 1e-3) / _PLAN_CELLS, self._height / _HEIGHT_CELLS
+        # Zero padding for the largest plan of points, 1.5 times as long as that of the mesh.
+        self._side, self._length = (fft.next_fast_len(5 * cells // 2 + 4) for cells in (_PLAN_CELLS, _HEIGHT_CELLS))
         plan = _smoothed(_smoothed(self._image(walls[:, :2] - self._low[:2]), 0), 1)
-        self._plan = np.conj(fft.rfft2(_of_length_1(plan)))
-        self._levels = np.conj(fft.rfft(_of_length_1(_smoothed(self._profile(levels[:, 2] - self._low[2]), 0))))
-        self._headings = np.conj(fft.rfft(_headings(surface.normals)))
+        self._plan = np.conj(fft.rfft2(_normalised(plan)))
+        self._levels = np.conj(fft.rfft(_normalised(_smoothed(self._profile(levels[:, 2] - self._low[2]), 0))))
+        self._headings = np.conj(fft.rfft(_heading_histogram(surface.normals)))
 
     def scales(self, upright: F64) -> list[float]:
-        """Returns the scales to try for points (N, 3) with z up."""
+        """Returns candidate scales for points (N, 3) with z up."""
         low, high = _box(upright)
         tried: list[float] = []
         for ratio in (self._radius / max(_radius(upright), 1e-9), self._height / max(float(high[2] - low[2]), 1e-9)):
@@ -300,51 +307,54 @@ class _Plans:
         return tried
 
     def yaws(self, normals: F64) -> list[float]:
-        """Returns the yaws, radians, by which walls with unit normals (N, 3) face where those of the mesh do."""
-        both = fft.irfft(fft.rfft(_headings(normals)) * self._headings, n=_BINS)
-        found: list[int] = []
-        for at in np.argsort(-both, kind="stable"):
-            apart = (abs((int(at) - other + _BINS // 2) % _BINS - _BINS // 2) * 180.0 / _BINS for other in found)
-            if all(angle >= _YAW_DEG for angle in apart):
-                found.append(int(at))
-                if len(found) == _YAWS:
+        """Returns candidate yaws, radians, that align walls with unit normals (N, 3) with those of the mesh."""
+        correlation = fft.irfft(fft.rfft(_heading_histogram(normals)) * self._headings, n=_HEADING_BINS)
+        peaks: list[int] = []
+        for index in np.argsort(-correlation, kind="stable"):
+            apart = (
+                abs((int(index) - other + _HEADING_BINS // 2) % _HEADING_BINS - _HEADING_BINS // 2) * 180.0 / _HEADING_BINS
+                for other in peaks
+            )
+            if all(angle >= _YAW_SEPARATION_DEG for angle in apart):
+                peaks.append(int(index))
+                if len(peaks) == _YAWS:
                     break
-        return [turn - at * math.pi / _BINS for at in found for turn in (0.0, math.pi)]
+        return [turn - index * math.pi / _HEADING_BINS for index in peaks for turn in (0.0, math.pi)]
 
-    def place(self, points: F64) -> tuple[float, float, float]:
-        """Returns how far to move points (N, 2) along x and y so that they cover the plan best, and the likeness of both, 0 to 1."""
-        start = np.median(points, axis=0) - 0.75 * _CELLS * self._cell
-        both = fft.irfft2(fft.rfft2(self._image(points - start)) * self._plan, s=(self._side, self._side))
-        at = int(np.argmax(both))
-        shift = (np.array(divmod(at, self._side)) + self._side // 2) % self._side - self._side // 2
+    def best_shift(self, points: F64) -> tuple[float, float, float]:
+        """Returns the shift of points (N, 2) along x and y, m, with the highest correlation with the plan, and that correlation, 0 to 1."""
+        start = np.median(points, axis=0) - 0.75 * _PLAN_CELLS * self._cell
+        correlation = fft.irfft2(fft.rfft2(self._image(points - start)) * self._plan, s=(self._side, self._side))
+        index = int(np.argmax(correlation))
+        shift = (np.array(divmod(index, self._side)) + self._side // 2) % self._side - self._side // 2
         x, y = self._low[:2] - start - shift * self._cell
-        return float(x), float(y), float(both.flat[at])
+        return float(x), float(y), float(correlation.flat[index])
 
-    def height(self, z: F64) -> tuple[float, float]:
-        """Returns how far to move heights (N,), and the likeness, as ``place``."""
-        start = float(np.median(z)) - 0.75 * _LEVELS * self._rise
-        both = fft.irfft(fft.rfft(self._profile(z - start)) * self._levels, n=self._length)
-        at = int(np.argmax(both))
-        shift = (at + self._length // 2) % self._length - self._length // 2
-        return float(self._low[2] - start - shift * self._rise), float(both[at])
+    def best_height_shift(self, z: F64) -> tuple[float, float]:
+        """Returns the shift of heights (N,), m, with the highest correlation with the profile, and that correlation, 0 to 1."""
+        start = float(np.median(z)) - 0.75 * _HEIGHT_CELLS * self._rise
+        correlation = fft.irfft(fft.rfft(self._profile(z - start)) * self._levels, n=self._length)
+        index = int(np.argmax(correlation))
+        shift = (index + self._length // 2) % self._length - self._length // 2
+        return float(self._low[2] - start - shift * self._rise), float(correlation[index])
 
     def _image(self, points: F64) -> F64:
-        """Returns the plan of points (N, 2), of length 1."""
+        """Returns the plan of points (N, 2), normalised to length 1."""
         index = np.floor(points / self._cell).astype(np.int64)
-        index = index[((index >= 0) & (index < 1.5 * _CELLS)).all(axis=1)]
+        index = index[((index >= 0) & (index < 1.5 * _PLAN_CELLS)).all(axis=1)]
         counts = np.bincount(index[:, 0] * self._side + index[:, 1], minlength=self._side**2)
         image = np.sqrt(counts).reshape(self._side, self._side)
-        return _of_length_1(image)
+        return _normalised(image)
 
     def _profile(self, z: F64) -> F64:
-        """Returns how many of heights (N,) are in each cell, of length 1."""
+        """Returns the profile of heights (N,), normalised to length 1."""
         index = np.floor(z / self._rise).astype(np.int64)
-        counts = np.bincount(index[(index >= 0) & (index < 1.5 * _LEVELS)], minlength=self._length)
-        return _of_length_1(np.sqrt(counts))
+        counts = np.bincount(index[(index >= 0) & (index < 1.5 * _HEIGHT_CELLS)], minlength=self._length)
+        return _normalised(np.sqrt(counts))
 
 
 def _box(points: F64) -> tuple[F64, F64]:
-    """Returns the corners of the box of points (N, 3), without the few farthest."""
+    """Returns the lower and upper corner of the bounding box of points (N, 3), without outliers."""
     low, high = np.percentile(points, [1.0, 99.0], axis=0)
     return low, high
 
@@ -357,48 +367,50 @@ def _smoothed(values: F64, axis: int) -> F64:
     return np.asarray(values + 0.5 * np.roll(values, 1, axis) + 0.5 * np.roll(values, -1, axis))
 
 
-def _of_length_1(values: F64) -> F64:
+def _normalised(values: F64) -> F64:
     return np.asarray(values / max(float(np.linalg.norm(values)), 1e-9))
 
 
-def _headings(normals: F64) -> F64:
-    """Returns how many of unit normals (N, 3), those of walls, have each heading of half a turn, smoothed, (_BINS,)."""
-    walls = normals[np.abs(normals[:, 2]) <= _STEEP]
+def _heading_histogram(normals: F64) -> F64:
+    """Returns a smoothed histogram, (_HEADING_BINS,), of the headings of walls over 180 degrees, from unit normals (N, 3)."""
+    walls = normals[np.abs(normals[:, 2]) <= _FLOOR_NORMAL_Z]
     angles = np.arctan2(walls[:, 1], walls[:, 0]) % math.pi
-    counts = np.bincount(np.minimum((angles * _BINS / math.pi).astype(np.int64), _BINS - 1), minlength=_BINS)
+    counts = np.bincount(
+        np.minimum((angles * _HEADING_BINS / math.pi).astype(np.int64), _HEADING_BINS - 1), minlength=_HEADING_BINS
+    )
     return _smoothed(counts.astype(np.float64), 0)
 
 
-def _onto(points: F64, surface: Surface, start: F64, tolerances: tuple[float, float], rounds: int) -> tuple[F64, float]:
-    """Returns the transform that brings points onto a surface, from one near it, and the share of them that are then near it.
+def _icp(points: F64, surface: Surface, start: F64, tolerances: tuple[float, float], rounds: int) -> tuple[F64, float]:
+    """Registers points to a surface by ICP; returns the transform, (4, 4), and the share of points that fit.
 
     Args:
-        points: (N, 3).
+        points: (N, 3), metres.
         surface: the surface.
-        start: (4, 4), a rigid transform times a scale.
-        tolerances: distances, metres, beyond which points do not count: in the first round and at last.
+        start: initial similarity transform, (4, 4).
+        tolerances: distances beyond which points have no weight, in the first and in the last round, metres.
         rounds: number of rounds.
     """
     matrix = start.copy()
     for tolerance in np.geomspace(tolerances[0], tolerances[1], rounds):
         moved = transform_points(matrix, points)
         distances, nearest = surface.nearest(moved)
-        weights = np.square(np.maximum(1.0 - np.square(distances / tolerance), 0.0))  # Tukey
+        weights = np.square(np.maximum(1.0 - np.square(distances / tolerance), 0.0))  # Tukey's biweight
         normals, middle = surface.normals[nearest], moved.mean(axis=0)
         offset = moved - middle
         rows = np.concatenate([np.cross(offset, normals), normals, (offset * normals).sum(axis=1, keepdims=True)], axis=1)
-        off = ((surface.points[nearest] - moved) * normals).sum(axis=1)
+        residuals = ((surface.points[nearest] - moved) * normals).sum(axis=1)
         weighted = rows * weights[:, None]
         A = weighted.T @ rows
-        # What no surface holds, such as sliding along a single floor, stays as it is.
-        step = np.linalg.solve(A + np.eye(7) * (1e-6 * np.trace(A) + 1e-9), weighted.T @ off)
-        matrix = _step(step, middle) @ matrix
+        # Damping for unconstrained directions, such as sliding along a single floor.
+        step = np.linalg.solve(A + np.eye(7) * (1e-6 * np.trace(A) + 1e-9), weighted.T @ residuals)
+        matrix = _step_transform(step, middle) @ matrix
     distances, _ = surface.nearest(transform_points(matrix, points))
-    return matrix, float((distances < _NEAR).mean())
+    return matrix, float((distances < _FIT_DISTANCE).mean())
 
 
-def _step(step: F64, middle: F64) -> F64:
-    """Returns the transform (4, 4) of a step (7,): rotation and scale about ``middle``, and translation."""
+def _step_transform(step: F64, middle: F64) -> F64:
+    """Returns the transform, (4, 4), of a step, (7,): rotation vector and logarithm of the scale about ``middle``, and translation."""
     angle = float(np.linalg.norm(step[:3]))
     R = np.eye(3)
     if angle > 1e-12:

@@ -1,4 +1,4 @@
-"""How far the splats of a scene and its mesh lie apart: a robot drives and sees depth by the mesh, people look at the splats."""
+"""Measures the distance between the splats and the mesh of a scene: physics and depth use the mesh, colour images show the splats."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from gibson_sim.geometry.triangles import areas_of, spread_over, unit_normals
 from gibson_sim.scenes.spec import SplatsSpec
 
 F64 = NDArray[np.float64]
-SOLID = 0.5
-"""Least opacity of a splat that counts: fainter ones are haze and reflections."""
-SPLATS_APART = 0.03
-"""Median distance of splats from the mesh, metres, above which pictures and depth show two different rooms."""
-_SPLATS = 20_000
-"""Splats that are measured, of all that count."""
+SOLID_OPACITY = 0.5
+"""Opacity from which a splat is solid; fainter ones are haze and reflections."""
+MAX_SPLAT_DISTANCE = 0.03
+"""Median distance of splats from the mesh above which colour and depth images do not match, m."""
+_MAX_SAMPLES = 20_000
+"""Maximum number of splats measured."""
 _SPACING = 0.02
-"""Mean distance of the points on the mesh, metres, unless it would be too many."""
-_MOST_POINTS = 1_000_000
+"""Mean distance of the sample points on the mesh, m, if that is not too many points."""
+_MAX_POINTS = 1_000_000
+"""Maximum number of sample points on the mesh."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,85 +32,87 @@ class SplatDistance:
     """Distances of the splats of a scene from the nearest surface of its mesh, metres."""
 
     splats: int
-    """Number of all splats."""
+    """Number of splats, solid or not."""
     degree: int
-    """Of their spherical harmonics."""
+    """Degree of their spherical harmonics."""
     median: float
-    """Half of the solid splats are nearer."""
-    most: float
-    """Nine tenths of them are nearer."""
+    """Median of the distances of the solid splats."""
+    p90: float
+    """90th percentile of the distances of the solid splats."""
 
     def text(self) -> str:
         """Returns the distances as text."""
         return (
             f"{self.splats:,} splats of degree {self.degree}: half of the solid ones are within {100.0 * self.median:.1f} cm of the mesh, "
-            f"nine tenths within {100.0 * self.most:.1f} cm"
+            f"nine tenths within {100.0 * self.p90:.1f} cm"
         )
 
 
 class Surface:
-    """The surface of a mesh as points with normals.
+    """Surface of a mesh, sampled as points with normals.
 
     Args:
-        corners: (F, 3, 3), corners of its triangles, metres; with an area.
-        rng: places the points.
-        most: number of points at most.
+        corners: corners of its triangles, (F, 3, 3), metres; their total area must not be 0.
+        rng: samples the points.
+        max_points: maximum number of points.
     """
 
-    def __init__(self, corners: F64, rng: np.random.Generator, most: int = _MOST_POINTS) -> None:
+    def __init__(self, corners: F64, rng: np.random.Generator, max_points: int = _MAX_POINTS) -> None:
         area = float(areas_of(corners).sum())
-        self.points, which = spread_over(corners, min(round(area / _SPACING**2) + 1000, most), rng)
-        """(N, 3), metres."""
-        self.normals: F64 = unit_normals(corners)[which]
-        """(N, 3)."""
+        self.points, triangle_of_point = spread_over(corners, min(round(area / _SPACING**2) + 1000, max_points), rng)
+        """Sample points, (N, 3), m."""
+        self.normals: F64 = unit_normals(corners)[triangle_of_point]
+        """Unit normals at the sample points, (N, 3)."""
         self._tree = cKDTree(self.points)
-        # Beside a point of the surface the surface itself is nearer than that point, up to where the next point lies.
+        # Around a sample point, up to the next one, the surface is nearer than the point itself: the distance to its plane counts.
         self._reach = 2.0 * (area / len(self.points)) ** 0.5
 
     def nearest(self, positions: F64) -> tuple[F64, NDArray[np.int64]]:
-        """Returns the distances (N,), metres, of positions (N, 3) from the surface, and the nearest points."""
-        far, nearest = self._tree.query(positions)
-        across = np.abs(((positions - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
-        distances = np.where(np.sqrt(np.maximum(far**2 - across**2, 0.0)) <= self._reach, across, far)
+        """Returns the distances, (N,), m, of positions (N, 3) from the surface, and the indices, (N,), of the nearest sample points."""
+        point_distances, nearest = self._tree.query(positions)
+        plane_distances = np.abs(((positions - self.points[nearest]) * self.normals[nearest]).sum(axis=1))
+        distances = np.where(
+            np.sqrt(np.maximum(point_distances**2 - plane_distances**2, 0.0)) <= self._reach, plane_distances, point_distances
+        )
         return distances, np.asarray(nearest, dtype=np.int64)
 
 
 def splat_distance(spec: SplatsSpec, corners: F64, rng: np.random.Generator) -> SplatDistance:
-    """Returns how far the splats and the mesh of a scene lie apart; infinitely if there is no mesh, or no solid splat.
+    """Measures the distance between the splats and the mesh of a scene; infinite without a mesh or without solid splats.
 
     Args:
         spec: the splats of the scene.
-        corners: (F, 3, 3), corners of all triangles that are drawn, world frame, metres.
-        rng: chooses what is measured.
+        corners: corners of all visual triangles, (F, 3, 3), world frame, metres.
+        rng: samples splats and points on the mesh.
 
     Raises:
-        MeshError: the file of the splats cannot be used.
+        MeshError: the file of the splats cannot be read.
     """
     splats = load_splats(Path(spec.file))
     positions = solid_positions(spec, splats)
     if not len(positions) or not has_area(corners):
         return SplatDistance(len(splats), splats.degree, np.inf, np.inf)
-    return measured(splats, some_of(positions, rng), Surface(corners, rng))
+    return measure_distance(splats, sample_positions(positions, rng), Surface(corners, rng))
 
 
-def some_of(positions: F64, rng: np.random.Generator) -> F64:
-    """Returns as many of the positions (N, 3) as are measured."""
-    return positions[rng.choice(len(positions), _SPLATS, replace=False)] if len(positions) > _SPLATS else positions
+def sample_positions(positions: F64, rng: np.random.Generator) -> F64:
+    """Returns a random sample of positions (N, 3), at most ``_MAX_SAMPLES``."""
+    return positions[rng.choice(len(positions), _MAX_SAMPLES, replace=False)] if len(positions) > _MAX_SAMPLES else positions
 
 
-def measured(splats: Splats, positions: F64, surface: Surface) -> SplatDistance:
-    """Returns the distance of splats, of which solid ones are at ``positions`` (N, 3), from a surface."""
+def measure_distance(splats: Splats, positions: F64, surface: Surface) -> SplatDistance:
+    """Measures the distance of splats from a surface. ``positions``: sample of the solid ones, (N, 3), m."""
     distances, _ = surface.nearest(positions)
     return SplatDistance(len(splats), splats.degree, float(np.median(distances)), float(np.quantile(distances, 0.9)))
 
 
 def has_area(corners: F64) -> bool:
-    """Returns whether triangles (F, 3, 3) have any area."""
+    """Returns whether the total area of triangles (F, 3, 3) is not 0."""
     return bool(len(corners) and areas_of(corners).sum() > 0.0)
 
 
 def solid_positions(spec: SplatsSpec, splats: Splats) -> F64:
-    """Returns the centres, (N, 3), world frame, metres, of the splats that are solid."""
+    """Returns the centres of the solid splats, (N, 3), world frame, m."""
     T_world_file = matrix_from_pose(spec.pose)
     T_world_file[:3, :3] *= spec.scale
-    return np.asarray(transform_points(T_world_file, splats.positions[splats.opacities >= SOLID].astype(np.float64)))
+    return np.asarray(transform_points(T_world_file, splats.positions[splats.opacities >= SOLID_OPACITY].astype(np.float64)))

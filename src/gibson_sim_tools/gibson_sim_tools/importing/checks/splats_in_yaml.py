@@ -1,4 +1,4 @@
-"""Writes where the splats of a scene are into its scene.yaml; all its other lines stay as they are."""
+"""Writes the pose and scale of a scene's splats into its scene.yaml, and keeps all other lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _KEY = "visual"
 
 
 def visual_line(spec: SplatsSpec, name: str) -> str:
-    """Returns the line of a scene.yaml for splats; ``name``: path of their file from there."""
+    """Returns the line of a scene.yaml for splats. ``name``: path of their file, relative to the scene.yaml."""
     visual = {
         "splats": name,
         "up_axis": "z",
@@ -30,34 +30,34 @@ def visual_line(spec: SplatsSpec, name: str) -> str:
 
 
 def write_visual(file: Path, spec: SplatsSpec) -> str:
-    """Writes the pose and the scale of splats into a scene.yaml that has them, and returns the new line.
+    """Writes the pose and the scale of splats into a scene.yaml with splats, and returns the new line.
 
     Raises:
-        SceneError: the file cannot be read, or its layout is such that no line can stand in for the old ones.
-        WriteError: it cannot be written.
+        SceneError: the file cannot be read, or its layout does not allow replacing the old lines by one.
+        WriteError: the file cannot be written.
     """
     try:
         text = read_file(file).decode("utf-8")
     except OSError as e:
         raise SceneError(f"{file}: cannot be read: {e.strerror or e}") from e
-    before = parse_yaml(text)
-    line = visual_line(spec, before[_KEY]["splats"])
+    original = parse_yaml(text)
+    line = visual_line(spec, original[_KEY]["splats"])
     document = yaml.compose(text, yaml.SafeLoader)
     pairs: list[tuple[yaml.Node, yaml.Node]] = [] if document is None else document.value
     key, value = next(pair for pair in pairs if pair[0].value == _KEY)
-    changed = text[: key.start_mark.index] + line + text[_end(value) :]
+    changed_text = text[: key.start_mark.index] + line + text[_end(value) :]
     try:
-        alike = parse_yaml(changed) == {**before, **parse_yaml(line)}
+        is_equivalent = parse_yaml(changed_text) == {**original, **parse_yaml(line)}
     except TextError:
-        alike = False
-    if not alike:
+        is_equivalent = False
+    if not is_equivalent:
         raise SceneError(f"{file}: `{_KEY}` is written in a way that cannot be replaced; write instead: {line}")
-    write_file(file, changed)
+    write_file(file, changed_text)
     return line
 
 
 def _end(node: yaml.Node) -> int:
-    """Returns the index after the last character of a node; a mapping of several lines would end where the next key begins."""
+    """Returns the index after the last character of a node; the end mark of a block mapping is the start of the next key."""
     if isinstance(node, yaml.MappingNode) and not node.flow_style:
         return _end(node.value[-1][1])
     if isinstance(node, yaml.SequenceNode) and not node.flow_style:

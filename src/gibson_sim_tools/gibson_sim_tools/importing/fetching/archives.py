@@ -1,4 +1,4 @@
-"""Unpacks untrusted archives: bounded in size, number of files and depth, and never outside the folder."""
+"""Unpacks untrusted archives: bounded in size, number of files and depth, and never outside the destination."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gibson_sim.errors import SceneError
 from gibson_sim.quoting import quoted
 
 _BLOCK = 1 << 20
-_PACKED: dict[bytes, Callable[[IO[bytes]], Any]] = {
+_DECOMPRESSORS: dict[bytes, Callable[[IO[bytes]], Any]] = {
     b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ\0": lzma.LZMAFile,
 }
-"""First bytes of a compressed file -> its decompressor."""
+"""Decompressor by the magic bytes of a compressed file."""
 _ERRORS = (
     zipfile.BadZipFile,
     tarfile.TarError,
@@ -44,39 +44,41 @@ class ArchiveLimits:
     """Limits on the content of an archive."""
 
     bytes: int = 20 * 2**30
-    """Total size of all files."""
+    """Maximum total size of all files, bytes."""
     files: int = 100_000
+    """Maximum number of files."""
     ratio: int = 200
-    """Largest ratio of unpacked to packed size, once more than ``free`` bytes are unpacked."""
+    """Maximum ratio of unpacked to packed size, beyond the first ``free`` bytes."""
     free: int = 64 * 2**20
+    """Unpacked size up to which ``ratio`` does not apply, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
     name: str
     size: int
-    """Size according to the archive."""
+    """Size according to the archive, bytes."""
     special: str
-    """Kind of an entry that is neither file nor folder."""
+    """Type of an entry that is neither file nor folder, with its article; else empty."""
     is_folder: bool
 
 
 def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> None:
-    """Unpacks a ZIP or TAR into a folder, which is made.
+    """Unpacks a ZIP or TAR archive into a folder.
 
     Args:
         archive: the file.
-        folder: destination; it keeps what was written before a failure.
+        folder: destination, created if missing; after a failure, it keeps the files written so far.
         limits: None = the defaults.
 
     Raises:
-        SceneError: it is broken, too large, or holds links, devices, or names that leave the folder; none of these is written.
+        SceneError: the archive is damaged or too large, or contains links, devices, or paths outside the folder; none of these is written.
     """
     bounds = limits or ArchiveLimits()
     try:
         packed = archive.stat().st_size
         with _open(archive, packed, bounds) as source:
-            entries = list(_checked(archive, _entries(archive, source, bounds), packed, bounds))
+            entries = list(_validated_entries(archive, _entries(archive, source, bounds), packed, bounds))
             folder.mkdir(parents=True, exist_ok=True)
             total = 0
             for entry in entries:
@@ -88,7 +90,7 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
                 with _content(source, entry.name) as content, target.open("xb") as out:
                     while block := content.read(_BLOCK):
                         total += len(block)
-                        # The sizes in the archive may be false.
+                        # The sizes in the archive are not trusted.
                         _check_total(archive, total, packed, bounds)
                         out.write(block)
     except SceneError:
@@ -99,10 +101,10 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
         ) from e
 
 
-class _Bounded:
-    """A stream that refuses reads larger than a TAR header may be, and ends where a TAR must end.
+class _BoundedStream:
+    """A stream that rejects reads larger than a TAR header may be, and seeks beyond the size limits.
 
-    tarfile reads a header of names and comments as a whole, and all data between two files, before it yields an entry.
+    tarfile reads a whole header of names and comments, and all data between two files, before it yields an entry.
     """
 
     def __init__(self, archive: Path, stream: IO[bytes], packed: int, limits: ArchiveLimits) -> None:
@@ -130,11 +132,13 @@ def _open(archive: Path, packed: int, limits: ArchiveLimits) -> Iterator[zipfile
             yield source
         return
     with archive.open("rb") as file:
-        head = file.read(6)
+        magic_bytes = file.read(6)
         file.seek(0)
-        unpacker = next((unpacker for mark, unpacker in _PACKED.items() if head.startswith(mark)), None)
-        stream: Any = file if unpacker is None else unpacker(file)
-        with tarfile.open(fileobj=cast(Any, _Bounded(archive, stream, packed, limits)), mode="r:") as tar:
+        decompressor = next(
+            (decompressor for magic, decompressor in _DECOMPRESSORS.items() if magic_bytes.startswith(magic)), None
+        )
+        stream: Any = file if decompressor is None else decompressor(file)
+        with tarfile.open(fileobj=cast(Any, _BoundedStream(archive, stream, packed, limits)), mode="r:") as tar:
             yield tar
 
 
@@ -152,11 +156,11 @@ def _entries(archive: Path, source: zipfile.ZipFile | tarfile.TarFile, limits: A
             yield _Entry(member.name, member.size, special, member.isdir())
 
 
-def _checked(archive: Path, entries: Iterable[_Entry], packed: int, limits: ArchiveLimits) -> Iterator[_Entry]:
+def _validated_entries(archive: Path, entries: Iterable[_Entry], packed: int, limits: ArchiveLimits) -> Iterator[_Entry]:
     names: set[str] = set()
     total = 0
     for entry in entries:
-        # In a compressed TAR the next header follows this content, so content that is too long is never read.
+        # In a compressed TAR the next header follows this content; the check comes first, so that too much content is never read.
         total += entry.size
         _check_total(archive, total, packed, limits)
         path = PurePosixPath(entry.name)
@@ -168,11 +172,11 @@ def _checked(archive: Path, entries: Iterable[_Entry], packed: int, limits: Arch
             or ":" in entry.name.partition("/")[0]
         ):
             raise SceneError(
-                f"{archive}: holds {quoted(entry.name)}, which would leave the folder; nothing was unpacked. Do not use this archive"
+                f"{archive}: holds {quoted(entry.name)}, a path outside the folder; nothing was unpacked. Do not use this archive"
             )
         if entry.special:
             raise SceneError(
-                f"{archive}: {quoted(entry.name)} is {entry.special}, only files and folders are unpacked; nothing was"
+                f"{archive}: {quoted(entry.name)} is {entry.special}; only files and folders are allowed; nothing was unpacked"
             )
         if not entry.is_folder and str(path) in names:
             raise SceneError(f"{archive}: holds {quoted(entry.name)} twice; nothing was unpacked")
@@ -200,20 +204,20 @@ def _content(source: zipfile.ZipFile | tarfile.TarFile, name: str) -> IO[bytes]:
 
 
 def only_folder(folder: Path) -> Path:
-    """Returns the only folder in a folder that holds nothing else; otherwise the folder itself."""
+    """Returns the innermost folder, below folders that contain only one folder each; else the folder itself."""
     entries = [entry for entry in folder.iterdir() if not entry.name.startswith((".", "__MACOSX"))]
     return only_folder(entries[0]) if len(entries) == 1 and entries[0].is_dir() else folder
 
 
-def needs_space(folder: Path, bytes_: int) -> None:
-    """Checks that a disk has enough space.
+def check_disk_space(folder: Path, bytes_: int) -> None:
+    """Checks that the disk of a folder has enough free space. ``bytes_``: space needed.
 
     Raises:
-        SceneError: it has not.
+        SceneError: the space is insufficient.
     """
-    there = next(p for p in (folder, *folder.parents) if p.exists())
-    free = shutil.disk_usage(there).free
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    free = shutil.disk_usage(existing).free
     if free < bytes_:
         raise SceneError(
-            f"{folder}: needs {bytes_ / 2**20:.0f} MB, the disk has {free / 2**20:.0f} MB left; make room or give another folder"
+            f"{folder}: needs {bytes_ / 2**20:.0f} MB, the disk has {free / 2**20:.0f} MB left; free some space, or give another folder"
         )

@@ -1,4 +1,4 @@
-"""Downloads files of known size and checksum, resumes interrupted downloads, and keeps no file that fails its check."""
+"""Downloads files of known size and checksum; resumes interrupted downloads; discards files with a wrong checksum."""
 
 from __future__ import annotations
 
@@ -13,59 +13,59 @@ from gibson_sim import __version__
 from gibson_sim.errors import SceneError
 
 Progress = Callable[[int], None]
-"""Receives the number of bytes downloaded so far."""
+"""Callback; receives the number of bytes downloaded since the last call."""
 _BLOCK = 1 << 18
 _TIMEOUT_S = 30.0
-_PARTIAL = 206
+_PARTIAL_CONTENT = 206
 
 
 def download(url: str, path: Path, sha256: str, size: int, progress: Progress) -> None:
-    """Downloads a file, unless it exists.
+    """Downloads a file, unless it exists with the right checksum.
 
     An interrupted download is kept beside it as ``.part``; the next call resumes it.
 
     Args:
         url: source.
-        path: destination; its folder is made.
-        sha256: checksum of the content.
-        size: bytes; more are refused.
-        progress: called with the bytes so far, including resumed ones.
+        path: destination; its folder is created if missing.
+        sha256: checksum of the content, 64 hexadecimal digits.
+        size: size of the file, bytes; a longer response is rejected.
+        progress: called with the number of new bytes, first with those of an earlier, resumed download.
 
     Raises:
-        SceneError: the download fails, or the file is not the expected one.
+        SceneError: the download fails, or the checksum differs.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_file() and digest(path) == sha256:
         progress(size)
         return
     part = path.with_name(path.name + ".part")
-    have = part.stat().st_size if part.is_file() else 0
-    if have > size:
+    resumed_size = part.stat().st_size if part.is_file() else 0
+    if resumed_size > size:
         part.unlink()
-        have = 0
-    if have < size:
-        _fetch(url, part, have, size, progress)
+        resumed_size = 0
+    if resumed_size < size:
+        _fetch(url, part, resumed_size, size, progress)
     else:
-        progress(have)
-    found = digest(part)
-    if found != sha256:
+        progress(resumed_size)
+    checksum = digest(part)
+    if checksum != sha256:
         part.unlink()
         raise SceneError(
-            f"{url}: has the checksum {found}, must be {sha256}; the file has changed since the recipe was made; it was discarded"
+            f"{url}: has the checksum {checksum}, must be {sha256}; the file has changed since the recipe was written; it was discarded"
         )
     part.replace(path)
 
 
-def _fetch(url: str, part: Path, have: int, size: int, progress: Progress) -> None:
-    headers = {"User-Agent": f"gibson-sim/{__version__}", **({"Range": f"bytes={have}-"} if have else {})}
+def _fetch(url: str, part: Path, resumed_size: int, size: int, progress: Progress) -> None:
+    headers = {"User-Agent": f"gibson-sim/{__version__}", **({"Range": f"bytes={resumed_size}-"} if resumed_size else {})}
     request = urllib.request.Request(url, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
-            going_on = have > 0 and answer.status == _PARTIAL
-            total = have if going_on else 0
+        with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as response:
+            is_resumed = resumed_size > 0 and response.status == _PARTIAL_CONTENT
+            total = resumed_size if is_resumed else 0
             progress(total)
-            with part.open("ab" if going_on else "wb") as out:
-                while block := answer.read(_BLOCK):
+            with part.open("ab" if is_resumed else "wb") as out:
+                while block := response.read(_BLOCK):
                     total += len(block)
                     if total > size:
                         raise SceneError(
@@ -77,14 +77,14 @@ def _fetch(url: str, part: Path, have: int, size: int, progress: Progress) -> No
         part.unlink(missing_ok=True)
         raise
     except (urllib.error.URLError, http.client.HTTPException, OSError) as e:
-        raise SceneError(f"{url}: cannot be downloaded: {_reason(e)}; run the command again to go on") from e
+        raise SceneError(f"{url}: cannot be downloaded: {_reason(e)}; run the command again to resume") from e
     if total < size:
-        raise SceneError(f"{url}: the connection ended after {total} of {size} bytes; run the command again to go on")
+        raise SceneError(f"{url}: the connection ended after {total} of {size} bytes; run the command again to resume")
 
 
 def _reason(error: Exception) -> str:
     if isinstance(error, urllib.error.HTTPError):
-        return f"the server says {error.code} {error.reason}"
+        return f"the server returned {error.code} {error.reason}"
     return str(getattr(error, "reason", "") or error or type(error).__name__)
 
 

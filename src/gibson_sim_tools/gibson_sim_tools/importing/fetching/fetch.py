@@ -9,13 +9,13 @@ from pathlib import Path
 from gibson_sim.errors import SceneError
 from gibson_sim.resources import cache_folder
 from gibson_sim.writing import write_file
-from gibson_sim_tools.importing.fetching.archives import needs_space, only_folder, unpack
+from gibson_sim_tools.importing.fetching.archives import check_disk_space, only_folder, unpack
 from gibson_sim_tools.importing.fetching.download import download
 from gibson_sim_tools.importing.fetching.recipes import Recipe
 from gibson_sim_tools.importing.run import ImportOptions, ImportResult, import_scene
 
-_SPACE = 3
-"""Disk space needed over the size of the download: packed, unpacked and imported."""
+_SPACE_FACTOR = 3
+"""Ratio of the disk space needed to the size of the download: packed, unpacked and imported."""
 
 
 def download_folder(name: str) -> Path:
@@ -24,22 +24,22 @@ def download_folder(name: str) -> Path:
 
 
 def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None]) -> ImportResult:
-    """Downloads, checks, unpacks and imports a scene.
+    """Downloads, verifies, unpacks and imports a scene.
 
-    Downloads are kept in the cache until the scene is imported, so that a second call resumes the first.
+    Downloads stay in the cache until the scene is imported, so that a second call resumes an interrupted one.
 
     Args:
-        recipe: of the scene, whose licence the user has accepted.
-        output: new folder.
-        progress: called with the fraction of the download that is done, 0 to 1.
+        recipe: recipe of the scene; the user has accepted its licence.
+        output: new folder for the scene.
+        progress: called with the completed fraction of the download, 0 to 1.
 
     Raises:
-        SceneError: a download fails, a file is not the expected one, or the scene cannot be imported.
+        SceneError: a download fails, a checksum differs, or the scene cannot be imported.
     """
     if output.exists() and any(output.iterdir()):
         raise SceneError(f"{output}: already exists and is not empty; give another folder with --output, or delete it first")
     cache = download_folder(recipe.name)
-    needs_space(cache, _SPACE * recipe.bytes)
+    check_disk_space(cache, _SPACE_FACTOR * recipe.bytes)
     done = 0
 
     def report(count: int) -> None:

@@ -1,4 +1,4 @@
-"""Recipes of public scenes: origin, licence, and the checksum of every file."""
+"""Reads recipes of public scenes: origin, licence, and the checksum of each file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.reading import read_yaml_file
 from gibson_sim.resources import find_config, share_folders
 
-FOLDER = "scene_recipes"
+RECIPE_FOLDER = "scene_recipes"
 _KEYS = (
     "name",
     "title",
@@ -39,10 +39,12 @@ class RecipeFile:
     """One file to download."""
 
     path: str
-    """Below the folder of the scene, with ``/``."""
+    """Path relative to the folder of the scene, with ``/``."""
     url: str
     sha256: str
+    """Checksum, 64 hexadecimal digits."""
     bytes: int
+    """Size, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +61,18 @@ class Recipe:
     """Attribution that the licence requires; empty = none."""
     files: tuple[RecipeFile, ...]
     unpack: bool
-    """The only file is an archive."""
+    """Whether the only file is an archive to be unpacked."""
     scene: str
-    """Path of the scene below the folder; empty = the folder."""
+    """Path of the scene relative to the folder; empty = the folder."""
     note: str
 
     @property
     def bytes(self) -> int:
-        """Total size of all files."""
+        """Total size of all files, bytes."""
         return sum(file.bytes for file in self.files)
 
     def text(self) -> str:
-        """Returns what the user must know before the download."""
+        """Returns the text shown to the user before the download: origin, licence, credit and size."""
         lines = [
             ("scene", f"{self.name}: {self.title}"), ("made by", self.made_by), ("from", self.homepage),
             ("licence", f"{self.licence} ({self.licence_url})"), ("credit", self.credit or "none required"),
@@ -80,36 +82,36 @@ class Recipe:
 
 
 def known_recipes() -> dict[str, Path]:
-    """Returns the recipe files by name."""
-    found: dict[str, Path] = {}
+    """Returns the paths of the recipes by name."""
+    recipes: dict[str, Path] = {}
     for share in share_folders():
-        for path in sorted((share / "config" / FOLDER).glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
+        for path in sorted((share / "config" / RECIPE_FOLDER).glob("*.yaml")):
+            recipes.setdefault(path.stem, path)
+    return recipes
 
 
 def load_recipe(name: str) -> Recipe:
-    """Returns a recipe: a name under ``config/scene_recipes``, or a file.
+    """Loads a recipe, given by its name below ``config/scene_recipes``, or by its file.
 
     Raises:
-        ConfigError: there is no such recipe.
-        SceneError: a key or a value is wrong.
+        ConfigError: the recipe does not exist.
+        SceneError: a key or a value is invalid.
     """
-    path = find_config(name, FOLDER)
+    path = find_config(name, RECIPE_FOLDER)
     try:
         document = read_yaml_file(path)
     except OSError as e:
         raise SceneError(f"{path}: cannot be read: {e.strerror or e}") from e
     except TextError as e:
-        raise SceneError(f"{path}: {e}").telling(e.public) from e
+        raise SceneError(f"{path}: {e}").with_public(e.public) from e
     top = YamlMap(document, str(path), _KEYS)
     base = top.text("base_url", "")
     files = top.value("files", None)
     if not isinstance(files, dict) or not files:
         raise SceneError(f"{path}: files is {quoted(files)}, must be a mapping of paths to their sha256 and bytes")
     recipe = Recipe(
-        name=top.text("name", path.stem), title=_needed(top, "title"), made_by=_needed(top, "made_by"), homepage=_needed(top, "homepage"),
-        licence=_needed(top, "licence"), licence_url=_needed(top, "licence_url"), credit=top.text("credit", ""),
+        name=top.text("name", path.stem), title=_required(top, "title"), made_by=_required(top, "made_by"), homepage=_required(top, "homepage"),
+        licence=_required(top, "licence"), licence_url=_required(top, "licence_url"), credit=top.text("credit", ""),
         files=tuple(_file(path, str(key), value, base) for key, value in files.items()),
         unpack=top.flag("unpack", False), scene=top.text("scene", ""), note=top.text("note", ""),
     )  # fmt: skip
@@ -119,10 +121,10 @@ def load_recipe(name: str) -> Recipe:
     return recipe
 
 
-def _needed(top: YamlMap, key: str) -> str:
+def _required(top: YamlMap, key: str) -> str:
     text = top.text(key, "").strip()
     if not text:
-        raise SceneError(f"{top.where}: {key} is missing; a recipe says who made the scene and what is allowed")
+        raise SceneError(f"{top.where}: {key} is missing; a recipe must name the author and the licence")
     return text
 
 
